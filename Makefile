@@ -1,0 +1,94 @@
+# Everything a user or CI does, from a bare checkout: `make help`.
+SHELL := bash
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+CORES ?= 2
+CONFIG ?= demo
+SYSTEM_PACKAGES := libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6
+BROWSER_PACKAGES := chromium chromium-driver
+
+.DEFAULT_GOAL := help
+
+## demo: set up, then run the whole benchmark on embedded data and print the path of its report
+.PHONY: demo
+demo: setup
+	@$(MAKE) --no-print-directory run CONFIG=demo
+
+## test: set up, then run all tests
+.PHONY: test
+test: setup browser
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -n $(CORES) --dist loadgroup
+
+## run: run the experiment CONFIG=demo|real2d (METHODS=a,b DATASETS=… TESTS=… select a part)
+.PHONY: run
+run: setup
+	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) \
+	  $(if $(METHODS),--methods $(METHODS)) $(if $(DATASETS),--datasets $(DATASETS)) \
+	  $(if $(TESTS),--tests $(TESTS))
+
+## plan: print what CONFIG would run, without running it
+.PHONY: plan
+plan: setup
+	@$(BIN)/python -m workflows run $(CONFIG) --dry-run
+
+## baselines: table of all methods: available or why not, version, capabilities, citation
+.PHONY: baselines
+baselines: setup
+	@$(BIN)/python -m workflows baselines
+
+## new-baseline: start a method from the template, NAME=folder
+.PHONY: new-baseline
+new-baseline: setup
+	@$(BIN)/python -m workflows new-baseline $(NAME)
+
+## record: store the small tables of demo and real2d under history/VERSION
+.PHONY: record
+record: setup
+	@$(BIN)/python -m workflows record $(if $(VERSION),--version $(VERSION))
+
+## compare: verdict per metric between two recorded versions, BASE=… HEAD=…
+.PHONY: compare
+compare: setup
+	@$(BIN)/python -m workflows compare $(BASE) $(HEAD)
+
+## lint: format and check style and types
+.PHONY: lint
+lint: setup
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+	$(BIN)/mypy
+
+## setup: virtual environment with the locked packages (done by every target that needs it)
+.PHONY: setup
+setup: $(VENV)/.installed
+
+$(VENV)/.installed: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "Python 3.11 or newer is needed; this is $$($(PYTHON) --version). Set PYTHON=…"; exit 1; }
+	@echo "Setting up $(VENV) (once; a few minutes) …"
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@workflows/system_packages.sh "open3d (its methods stay 'unavailable' without)" $(SYSTEM_PACKAGES)
+	@touch $@
+
+# Only the tests of the report need a browser; without one they skip and say so.
+.PHONY: browser
+browser: setup
+	@command -v chromium >/dev/null || \
+	  workflows/system_packages.sh "the browser tests (they skip without)" $(BROWSER_PACKAGES)
+
+## clean: remove results, caches and the environment (keeps fetched data in resources/)
+.PHONY: clean
+clean:
+	rm -rf $(VENV) results .snakemake .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+## help: this list
+.PHONY: help
+help:
+	@grep -hE '^## ' $(MAKEFILE_LIST) | sed -E 's/^## ([a-z-]+): (.*)/  make \1\t\2/' | expand -t 22

@@ -1,0 +1,1 @@
+"""Registration methods behind one contract, one folder each; `registry` finds them."""

@@ -1,0 +1,177 @@
+"""The one contract between the harness and every registration method.
+
+A method is one folder ``baselines/<name>/`` with ``card.yaml`` (facts) and ``adapter.py`` (a class
+``Adapter(Baseline)``). Nothing else is edited to add one. An adapter sees an `Instance` only: the
+truth lives elsewhere. It never times itself for the record and never computes a metric.
+"""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from dcreg.result import Status
+
+ModelName = Literal["similarity2d", "rigid3d"]
+
+
+class Card(BaseModel):
+    """What a reader of a report must know of a method. Validated ``card.yaml``."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    display_name: str
+    summary: str
+    models: list[ModelName]
+    # official: the authors' own code; port: our code, same published algorithm;
+    # reconstruction: body of the paper not read, a faithful member of the described family.
+    provenance: Literal["official", "library", "port", "reconstruction"]
+    input: str = "raw point sets"  # e.g. "FPFH correspondences"
+    global_search: bool = False
+    provides_bounds: bool = False
+    certifies: str = "nothing"  # scope of the certificate
+    uses_n_inliers: bool = False
+    one_to_one: bool = False
+    needs_initial_pose: bool = False
+    deterministic: bool = True
+    requires: str = ""  # importable module, empty when nothing beyond the lock file
+    how_to_get: str = ""  # shown when unavailable
+    citation: str
+    licence: str
+    url: str = ""
+    color: str = Field(pattern=r"^#[0-9a-fA-F]{6}$")
+    marker: str = "o"
+    # Files or folders (relative to the checkout) whose text decides this method's results, beside
+    # its own folder: editing one of them reruns this method's solves and no other's.
+    depends: list[str] = []
+    # Parameters with their stated defaults, shown in the report.
+    parameters: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One registration problem as a solver may see it.
+
+    Attributes
+    ----------
+    source, target : (n, d), (m, d) arrays
+    model : "similarity2d" or "rigid3d"
+    n_inliers : int
+        The number of pairs the solver is told (not necessarily the true one).
+    scale_range : (low, high)
+        Admissible scale; (1, 1) in 3D.
+    noise_bound : float
+        Expected residual of a true pair in target units; methods that need an inlier threshold
+        use it, so that all get the same prior.
+    seed : int
+        For methods that draw random numbers.
+    """
+
+    instance_id: str
+    source: np.ndarray
+    target: np.ndarray
+    model: ModelName
+    n_inliers: int
+    scale_range: tuple[float, float]
+    noise_bound: float
+    seed: int
+
+    @property
+    def dim(self) -> int:
+        return int(self.source.shape[1])
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one run may use. The harness kills a worker well after these; a good method obeys itself."""
+
+    time_s: float
+    nodes: int | None = None
+    memory_mb: int | None = None
+    threads: int = 1
+
+
+@dataclass
+class Solution:
+    """What an adapter returns. The pose is required unless the method failed."""
+
+    status: Status
+    T_target_source: np.ndarray | None
+    message: str = ""
+    lower_bound: float | None = None
+    upper_bound: float | None = None
+    gap_tol: float | None = None
+    certificate_scope: str = ""
+    counters: dict[str, int] = field(default_factory=dict)  # n_nodes, n_assignments, ...
+    # Rows with time_s, n_nodes, n_assignments, lower_bound, upper_bound (bounding methods only).
+    trace: list[dict[str, Any]] = field(default_factory=list)
+    extra: dict[str, float] = field(default_factory=dict)  # e.g. objective before the polish
+
+
+class Baseline(abc.ABC):
+    """A registration method behind the harness's contract.
+
+    Parameters
+    ----------
+    **options
+        Overrides of the card's ``parameters``; an unknown name is an error.
+    """
+
+    card: Card
+    options: dict[str, Any]
+
+    def __init__(self, card: Card, **options: Any) -> None:
+        unknown = sorted(set(options) - set(card.parameters))
+        if unknown:
+            raise ValueError(
+                f"{card.display_name}: unknown option {unknown[0]!r}; "
+                f"it has {sorted(card.parameters) or 'no options'}"
+            )
+        self.card = card
+        self.options = {**card.parameters, **options}
+
+    def available(self) -> str | None:
+        """None when the method can run here, otherwise the reason with how to get it."""
+        from importlib import import_module
+
+        if not self.card.requires:
+            return None
+        try:
+            import_module(self.card.requires)
+        except Exception as error:  # a broken binary import raises anything
+            return f"{self.card.requires}: {error}. {self.card.how_to_get}".strip()
+        return None
+
+    def supports(self, instance: Instance) -> str | None:
+        """None when the method can treat this instance, otherwise the reason."""
+        if instance.model not in self.card.models:
+            return f"{self.card.display_name} does not treat {instance.model}"
+        return None
+
+    def warm_up(self, instance: Instance) -> None:
+        """Imports and JIT compilation for instances of this kind; timed apart from `solve`."""
+        self.solve(_tiny(instance), Limits(time_s=30.0))
+
+    @abc.abstractmethod
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
+        """Register `instance` within `limits` and return the best pose found."""
+
+
+def _tiny(instance: Instance) -> Instance:
+    """A small problem with the same shape of arrays, for warm-up."""
+    generator = np.random.default_rng(0)
+    points = generator.standard_normal((12, instance.dim))
+    return Instance(
+        instance_id="warm-up",
+        source=points,
+        target=points + 0.3,
+        model=instance.model,
+        n_inliers=9,
+        scale_range=instance.scale_range,
+        noise_bound=0.05,
+        seed=0,
+    )

@@ -1,0 +1,403 @@
+"""Command line of dcreg: register two point clouds, with the certificate in plain words."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import tempfile
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+from functools import partial
+from importlib.metadata import version as package_version
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+import dcreg
+from dcreg._version import __version__
+from dcreg.bounds import bound_names
+from dcreg.io import read_points
+from dcreg.plot import plot_registration
+from dcreg.problem import MODEL_DIM, InputError, Problem, default_gap_tol, rms_radius
+from dcreg.progress import Progress
+from dcreg.result import Result, Status
+
+EXIT_OK, EXIT_OUTPUT, EXIT_INPUT, EXIT_LIMIT = 0, 1, 2, 3
+_MANY_POINTS = 4000
+_STDOUT = Path("-")
+_OPTION_FIELDS = {"model", "n_inliers", "scale_range", "mode", "bound", "gap_tol", "threads"}
+_OPTION_FIELDS |= {"time_limit", "node_limit"}
+
+Writer = Callable[[Path], object]
+
+app = typer.Typer(
+    name="dcreg",
+    help="Globally optimal point cloud registration by branch and bound.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+class ModelChoice(StrEnum):
+    """Kinds of pose."""
+
+    SIMILARITY2D = "similarity2d"
+    RIGID3D = "rigid3d"
+
+
+@app.callback()
+def main() -> None:
+    """Globally optimal point cloud registration by branch and bound."""
+
+
+@app.command()
+def version() -> None:
+    """Print the versions that decide a result."""
+    typer.echo(f"dcreg {__version__}")
+    packages = ("numpy", "scipy", "numba")
+    listing = ", ".join(f"{name} {package_version(name)}" for name in packages)
+    typer.echo(f"python {platform.python_version()}, {listing}")
+
+
+@app.command()
+def register(
+    source: Annotated[
+        str, typer.Argument(metavar="SOURCE", help="Cloud to move; FILE or FILE.npz:KEY.")
+    ],
+    target: Annotated[
+        str,
+        typer.Argument(metavar="TARGET", help="Cloud that stays; its units are used throughout."),
+    ],
+    model: Annotated[
+        ModelChoice, typer.Option(metavar="NAME", help="Kind of pose: similarity2d or rigid3d.")
+    ],
+    n_inliers: Annotated[
+        str,
+        typer.Option(
+            metavar="K",
+            help="Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. "
+            "A decimal point makes it a fraction: '1' is one pair, '1.0' is all of them.",
+        ),
+    ],
+    scale_range: Annotated[
+        tuple[float, float], typer.Option(metavar="LO HI", help="Admissible scale (2D only).")
+    ] = (0.5, 1.5),
+    mode: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Search mode; default: paper.")
+    ] = None,
+    bound: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help=f"Lower bounding function: {', '.join(bound_names())}; 'a+b' takes the greater.",
+        ),
+    ] = "paper",
+    gap_tol: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X",
+            help="Absolute gap to close, in the objective's units (sum of squared residuals of the "
+            "K pairs). Default: K * (0.03 * RMS radius of the target)^2.",
+        ),
+    ] = None,
+    time_limit: Annotated[
+        float | None, typer.Option(metavar="S", help="Seconds of search.")
+    ] = None,
+    node_limit: Annotated[int | None, typer.Option(metavar="N", help="Boxes to bound.")] = None,
+    threads: Annotated[int, typer.Option(metavar="N", min=1, help="Threads.")] = 1,
+    polish: Annotated[
+        bool, typer.Option(help="Refine pose and pairs jointly after the certified search.")
+    ] = True,
+    source_key: Annotated[
+        str | None, typer.Option(metavar="KEY", help="Array of an .npz or .mat source.")
+    ] = None,
+    target_key: Annotated[
+        str | None, typer.Option(metavar="KEY", help="Array of an .npz or .mat target.")
+    ] = None,
+    json_path: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="OUT", help="Write the result; '-' is standard output."),
+    ] = None,
+    trace_path: Annotated[
+        Path | None,
+        typer.Option("--trace", metavar="OUT.jsonl", help="Write the bound history."),
+    ] = None,
+    plot_path: Annotated[
+        Path | None, typer.Option("--plot", metavar="OUT.html", help="Write a page with figures.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no advice.")] = False,
+) -> None:
+    """Register SOURCE to TARGET and certify the result.
+
+    Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off.
+
+    Exit code: 0 solved; 2 bad input; 3 stopped at a limit or by Ctrl-C, best pose still written;
+    1 an output file could not be written.
+    """
+    log = Console(stderr=True)
+    try:
+        outputs = {"--json": json_path, "--trace": trace_path, "--plot": plot_path}
+        _check_outputs(outputs, inputs=(source, target))
+        problem = _problem(
+            (source, source_key), (target, target_key), model.value, n_inliers, scale_range
+        )
+        if not quiet:
+            for line in _advice(problem):
+                log.print(line, style="yellow", highlight=False, soft_wrap=True)
+        if gap_tol is None:
+            gap_tol = default_gap_tol(problem.target, problem.n_inliers)
+        with Progress(log, gap_tol=gap_tol, quiet=quiet) as progress:
+            result = dcreg.register(
+                problem.source,
+                problem.target,
+                n_inliers=problem.n_inliers,
+                model=problem.model,
+                mode=mode,
+                bound=bound,
+                scale_range=scale_range,
+                gap_tol=gap_tol,
+                time_limit=time_limit,
+                node_limit=node_limit,
+                threads=threads,
+                polish=polish,
+                listener=progress,
+            )
+    except InputError as error:
+        _print_error(log, _with_option_names(str(error)))
+        raise typer.Exit(EXIT_INPUT) from None
+    # Standard output belongs to the JSON when it goes there.
+    _print_summary(log if json_path == _STDOUT else Console(), result)
+    document = _document(result, source=source, target=target)
+    if json_path == _STDOUT:
+        typer.echo(document)
+        json_path = None
+    writers: list[tuple[Path | None, Writer]] = [
+        (json_path, lambda part: part.write_text(document + "\n", encoding="utf-8")),
+        (trace_path, result.trace.write_jsonl),
+        (plot_path, partial(plot_registration, problem.source, problem.target, result)),
+    ]
+    if not _write_outputs(log, writers):
+        raise typer.Exit(EXIT_OUTPUT)
+    raise typer.Exit(_exit_code(result.status))
+
+
+# --- input ----------------------------------------------------------------------------------------
+
+
+def _problem(
+    source: tuple[str, str | None],
+    target: tuple[str, str | None],
+    model: str,
+    n_inliers: str,
+    scale_range: tuple[float, float],
+) -> Problem:
+    clouds = [_cloud(path, key, model) for path, key in (source, target)]
+    return Problem(clouds[0], clouds[1], _count(n_inliers), model, scale_range)
+
+
+def _cloud(path: str, key: str | None, model: str) -> np.ndarray:
+    points = read_points(path, key=key)
+    needed, found = MODEL_DIM[model], points.shape[1]
+    if found != needed:
+        fitting = next(name for name, dim in MODEL_DIM.items() if dim == found)
+        raise InputError(
+            f"{path}: points have {found} coordinates, but --model {model} needs {needed}; "
+            f"use --model {fitting} or another file"
+        )
+    return points
+
+
+def _count(text: str) -> int | float:
+    """`--n-inliers`: an integer is a count, anything with a decimal point a fraction."""
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"--n-inliers: '{text}' is not a number; give a count such as 40 or a fraction "
+            "such as 0.8"
+        ) from None
+
+
+def _with_option_names(message: str) -> str:
+    """The library speaks of fields; on the command line these are options or arguments."""
+    field, colon, rest = message.partition(":")
+    option = "--" + field.replace("_", "-")
+    return option + colon + rest if field in _OPTION_FIELDS else message
+
+
+def _advice(problem: Problem) -> Iterator[str]:
+    """Warnings on what most often goes wrong with one's own clouds."""
+    n, m = len(problem.source), len(problem.target)
+    if max(n, m) > _MANY_POINTS:
+        work = float(problem.n_inliers) * n * m
+        yield (
+            f"warning: {n} x {m} points. Each exact assignment takes {_bytes(8.0 * n * m)} and up "
+            f"to K n m = {work:.0e} operations (at worst about {_duration(work / 1e9)}), and a "
+            "search takes hundreds of them. Downsample both clouds to some hundred points first "
+            "(voxel grid or every k-th point) and scale a counted K with them."
+        )
+    radii = rms_radius(problem.source), rms_radius(problem.target)
+    ratio = radii[0] / radii[1] if radii[1] > 0 else math.inf
+    if problem.model == "rigid3d" and not 0.5 <= ratio <= 2.0:
+        yield (
+            f"hint: the RMS radii differ a lot (source {radii[0]:.4g}, target {radii[1]:.4g}), and "
+            "rigid3d has no scale. If the units differ, rescale one cloud; for two views that "
+            "overlap in part this may be all right."
+        )
+
+
+def _bytes(count: float) -> str:
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} TB"
+
+
+def _duration(seconds: float) -> str:
+    for unit, size in (("days", 86400), ("hours", 3600), ("minutes", 60)):
+        if seconds >= size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"
+
+
+# --- output ---------------------------------------------------------------------------------------
+
+
+def _check_outputs(outputs: dict[str, Path | None], inputs: tuple[str, ...]) -> None:
+    """Fail before the search if a result could not be written after it."""
+    taken: dict[Path, str] = {Path(name).resolve(): "an input" for name in inputs}
+    for option, path in outputs.items():
+        if path is None or (path == _STDOUT and option == "--json"):
+            continue
+        if path.exists() and not path.is_file():
+            raise InputError(f"{option} {path}: exists and is not a plain file; name another file")
+        if (use := taken.get(path.resolve())) is not None:
+            raise InputError(f"{option} {path}: is {use} as well; name another file")
+        taken[path.resolve()] = f"the file of {option}"
+        if not path.parent.is_dir():
+            raise InputError(f"{option} {path}: no folder '{path.parent}'; create it first")
+        try:
+            with tempfile.TemporaryFile(dir=path.parent):
+                pass
+        except OSError as error:
+            raise InputError(
+                f"{option} {path}: cannot write in '{path.parent}' ({error.strerror}); "
+                "name a file elsewhere"
+            ) from None
+
+
+def _write_outputs(log: Console, writers: list[tuple[Path | None, Writer]]) -> bool:
+    """Write each file that was asked for; False if one could not be written."""
+    complete = True
+    for path, write in writers:
+        if path is None:
+            continue
+        # A neighbour takes the place of `path` when all is written, so that no half file stays.
+        part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            write(part)
+            part.replace(path)
+        except OSError as error:
+            complete = False
+            _print_error(
+                log,
+                f"cannot write {path}: {error.strerror or error}; the result is printed above, "
+                "free some space or name a file elsewhere",
+            )
+        finally:
+            part.unlink(missing_ok=True)
+    return complete
+
+
+def _document(result: Result, **files: str) -> str:
+    """The result as JSON. A bound that does not exist (infinite) becomes null."""
+    content = {**result.to_dict(), **files, "dcreg_version": __version__}
+    return json.dumps(_plain(content), indent=1, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    match value:
+        case dict():
+            return {str(key): _plain(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_plain(item) for item in value]
+        case np.ndarray() | np.generic():
+            return _plain(value.tolist())
+        case float() if not math.isfinite(value):
+            return None
+        case _:
+            return value
+
+
+def _print_summary(console: Console, result: Result) -> None:
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(style="bold")
+    table.add_column(overflow="fold")
+    for name, text in _summary(result):
+        table.add_row(name, text)
+    console.print(table, highlight=False)
+
+
+def _summary(result: Result) -> Iterator[tuple[str, str]]:
+    yield "status", _verdict(result)
+    yield "T_target_source", _matrix(result.T_target_source)
+    yield "scale", f"{result.scale:.6g}"
+    yield "rotation", f"{_rotation_deg(result.rotation):.4f} deg"
+    yield "RMSE of pairs", f"{result.rmse_matched:.6g} over {result.n_inliers} pairs"
+    yield "lower bound", f"{result.lower_bound:.6g}"
+    yield "upper bound", f"{result.upper_bound:.6g}"
+    yield "gap", f"{result.gap:.4g} (tolerance {result.gap_tol:.4g})"
+    yield "scope of bounds", result.certificate_scope
+    yield (
+        "objective",
+        f"{result.objective:.6g} (before the polish {result.objective_certified:.6g})",
+    )
+    yield "work", f"{result.n_nodes} nodes, {result.n_assignments} assignments"
+    yield "time", f"{result.time_solve_s:.2f} s solving, {result.time_setup_s:.2f} s before"
+    yield "method", f"{result.model}, mode {result.mode}, bound {result.bound}"
+
+
+def _verdict(result: Result) -> str:
+    if result.status is Status.OPTIMAL:
+        return f"optimal: certified within the tolerance, for the {result.certificate_scope}"
+    if result.status is Status.CONVERGED:
+        return "converged: came to its own end, not certified"
+    return f"{result.status.value}: best pose so far, not certified"
+
+
+def _matrix(matrix: np.ndarray) -> str:
+    return "\n".join(" ".join(f"{value:>14.8g}" for value in row) for row in matrix)
+
+
+def _rotation_deg(rotation: np.ndarray) -> float:
+    """Signed angle in 2D, angle about the axis in 3D."""
+    if len(rotation) == 2:
+        return math.degrees(math.atan2(rotation[1, 0], rotation[0, 0]))
+    # atan2 of sine and cosine keeps digits where the arc cosine has none, near 0 and 180 degrees
+    skew = rotation - rotation.T
+    sine = math.sqrt(skew[0, 1] ** 2 + skew[0, 2] ** 2 + skew[1, 2] ** 2) / 2
+    return math.degrees(math.atan2(sine, (np.trace(rotation) - 1) / 2))
+
+
+def _exit_code(status: Status) -> int:
+    return EXIT_OK if status in (Status.OPTIMAL, Status.CONVERGED) else EXIT_LIMIT
+
+
+def _print_error(log: Console, message: str) -> None:
+    log.print(f"error: {message}", style="red", markup=False, highlight=False, soft_wrap=True)
+
+
+if __name__ == "__main__":
+    app()

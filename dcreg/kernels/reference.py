@@ -1,0 +1,70 @@
+"""Plain NumPy/SciPy twins of the compiled kernels: the oracle of the tests, written to be read."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from dcreg.box import Box
+from dcreg.models import Model, Similarity2D
+
+
+def k_assignment(cost: np.ndarray, k: int) -> float:
+    """Cheapest k pairs by a padded square assignment.
+
+    m - k dummy rows and n - k dummy columns take the unmatched; a dummy never meets a dummy.
+    """
+    n, m = cost.shape
+    forbidden = 1e3 * (n + m) * (1.0 + np.abs(cost).max())
+    padded = np.zeros((n + m - k, n + m - k))
+    padded[:n, :m] = cost
+    padded[n:, m:] = forbidden
+    rows, columns = linear_sum_assignment(padded)
+    return float(padded[rows, columns].sum())
+
+
+def k_assignment_brute_force(cost: np.ndarray, k: int) -> float:
+    """Cheapest k pairs by trying all of them; for a handful of rows and columns."""
+    n, m = cost.shape
+    return min(
+        sum(cost[i, j] for i, j in zip(rows, columns, strict=True))
+        for rows in itertools.combinations(range(n), k)
+        for columns in itertools.permutations(range(m), k)
+    )
+
+
+def features(model: Model, theta: np.ndarray) -> np.ndarray:
+    """(n, q) features of the source moved by `theta`."""
+    if isinstance(model, Similarity2D):
+        a, b, tx, ty = theta
+        return model.source @ np.array([[a, b], [-b, a]]) + [tx, ty]
+    return np.linalg.norm(model.source + theta, axis=1, keepdims=True)
+
+
+def costs(model: Model, theta: np.ndarray) -> np.ndarray:
+    moved = features(model, theta)
+    return ((moved[:, None, :] - model.target_features.T[None]) ** 2).sum(axis=-1)
+
+
+def objective(model: Model, theta: np.ndarray) -> float:
+    return k_assignment(costs(model, theta), model.n_inliers)
+
+
+def curvature(model: Model, delta: np.ndarray) -> np.ndarray:
+    """|J_i delta|^2; in norm space J_i is the identity."""
+    if isinstance(model, Similarity2D):
+        a, b, tx, ty = delta
+        return ((model.source @ np.array([[a, b], [-b, a]]) + [tx, ty]) ** 2).sum(axis=1)
+    return np.full(len(model.source), float(delta @ delta))
+
+
+def paper_bound(model: Model, box: Box) -> float:
+    """min over vertices of the k-assignment of E_ij(v) - R_i(v - centre)."""
+    return min(
+        k_assignment(
+            costs(model, vertex) - curvature(model, vertex - box.centre)[:, None], model.n_inliers
+        )
+        for vertex in box.vertices()
+    )

@@ -1,0 +1,114 @@
+"""Local descent: alternate the exact matching with the best parameter for that matching."""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+import numpy as np
+
+from dcreg.kernels.features import NORM3D, SIMILARITY2D
+from dcreg.kernels.vertices import objective
+
+_JIT = {"cache": True, "nogil": True}
+_MAX_ROUNDS = 100
+
+
+@nb.njit(**_JIT)
+def fit_similarity2d(source, target, col_of, low, high, out):
+    """Least-squares similarity of the matched pairs, its scale clipped to [low, high].
+
+    The best rotation does not depend on the scale and the objective is a parabola in the scale, so
+    clipping is exact.
+    """
+    count = 0
+    mx = my = ux = uy = 0.0
+    for i in range(col_of.size):
+        j = col_of[i]
+        if j >= 0:
+            count += 1
+            mx += source[i, 0]
+            my += source[i, 1]
+            ux += target[0, j]
+            uy += target[1, j]
+    mx, my, ux, uy = mx / count, my / count, ux / count, uy / count
+    dot = cross = spread = 0.0
+    for i in range(col_of.size):
+        j = col_of[i]
+        if j >= 0:
+            x, y = source[i, 0] - mx, source[i, 1] - my
+            u, v = target[0, j] - ux, target[1, j] - uy
+            dot += x * u + y * v
+            cross += x * v - y * u
+            spread += x * x + y * y
+    length = math.hypot(dot, cross)
+    scale = min(max(length / spread if spread > 0.0 else low, low), high)
+    if length > 0.0:
+        out[0], out[1] = scale * dot / length, scale * cross / length
+    else:
+        out[0], out[1] = scale, 0.0
+    out[2] = ux - (out[0] * mx - out[1] * my)
+    out[3] = uy - (out[1] * mx + out[0] * my)
+
+
+@nb.njit(**_JIT)
+def refine_similarity2d(source, target, k, low, high, theta):
+    """Admissible theta, its objective and the assignments spent, from any start `theta`."""
+    best = theta.copy()
+    _, col_of = objective(SIMILARITY2D, source, target, k, best)
+    fit_similarity2d(source, target, col_of, low, high, best)
+    value, col_of = objective(SIMILARITY2D, source, target, k, best)
+    spent = 2
+    trial = np.empty(4)
+    for _ in range(_MAX_ROUNDS):
+        fit_similarity2d(source, target, col_of, low, high, trial)
+        trial_value, trial_col = objective(SIMILARITY2D, source, target, k, trial)
+        spent += 1
+        if trial_value >= value * (1.0 - 1e-12):
+            break
+        value, col_of = trial_value, trial_col
+        best[:] = trial
+    return best, value, spent
+
+
+@nb.njit(**_JIT)
+def fit_norm3d(source, target, col_of, theta, out):
+    """One majorise-minimise step for fixed pairs: put x_i + t at length |y_j| along its direction."""
+    count = 0
+    out[:] = 0.0
+    for i in range(col_of.size):
+        j = col_of[i]
+        if j >= 0:
+            count += 1
+            a, b, c = source[i, 0] + theta[0], source[i, 1] + theta[1], source[i, 2] + theta[2]
+            length = math.sqrt(a * a + b * b + c * c)
+            if length > 0.0:
+                ratio = target[0, j] / length
+                out[0] += ratio * a
+                out[1] += ratio * b
+                out[2] += ratio * c
+            out[0] -= source[i, 0]
+            out[1] -= source[i, 1]
+            out[2] -= source[i, 2]
+    out /= count
+
+
+@nb.njit(**_JIT)
+def refine_norm3d(source, target, k, theta):
+    """Better theta, its objective and the assignments spent, from any start `theta`."""
+    best = theta.copy()
+    value, col_of = objective(NORM3D, source, target, k, best)
+    spent = 1
+    trial, step = np.empty(3), np.empty(3)
+    for _ in range(_MAX_ROUNDS):
+        trial[:] = best
+        for _ in range(20):
+            fit_norm3d(source, target, col_of, trial, step)
+            trial[:] = step
+        trial_value, trial_col = objective(NORM3D, source, target, k, trial)
+        spent += 1
+        if trial_value >= value * (1.0 - 1e-9):
+            break
+        value, col_of = trial_value, trial_col
+        best[:] = trial
+    return best, value, spent

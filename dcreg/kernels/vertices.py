@@ -1,0 +1,89 @@
+"""Compiled bounds and objective, each over a batch of boxes or parameters."""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+
+from dcreg.kernels.assignment import k_assignment
+from dcreg.kernels.features import (
+    allocate,
+    curvature,
+    enclose,
+    feature_dim,
+    interval_costs,
+    move,
+    n_vertices,
+    pair_costs,
+    vertex,
+)
+
+_JIT = {"cache": True, "nogil": True}
+
+
+@nb.njit(**_JIT)
+def objective(kind, source, target, k, theta):
+    """E(theta) and the column of every source row."""
+    moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
+    move(kind, source, theta, moved)
+    pair_costs(moved, target, cost)
+    return k_assignment(cost, k)
+
+
+@nb.njit(**_JIT)
+def paper_bound(kind, source, target, k, lower, upper, bounds, thetas, values):
+    """DC bound as published: tangent at the box centre, one assignment at every vertex.
+
+    Fills per box the bound, the minimising vertex and the objective of the matching found there (an
+    upper bound on E at that vertex). Returns the number of assignments.
+    """
+    dim = lower.shape[1]
+    moved, missed, cost = allocate(kind, source.shape[0], target.shape[1])
+    theta, delta = np.empty(dim), np.empty(dim)
+    n_assignments = 0
+    for box in range(lower.shape[0]):
+        bounds[box] = np.inf
+        for index in range(n_vertices(lower[box], upper[box])):
+            vertex(lower[box], upper[box], index, theta)
+            for a in range(dim):
+                delta[a] = theta[a] - 0.5 * (lower[box, a] + upper[box, a])
+            move(kind, source, theta, moved)
+            pair_costs(moved, target, cost)
+            curvature(kind, source, delta, missed)
+            for i in range(cost.shape[0]):
+                for j in range(cost.shape[1]):
+                    cost[i, j] -= missed[i]
+            value, col_of = k_assignment(cost, k)
+            n_assignments += 1
+            if value < bounds[box]:
+                bounds[box] = value
+                thetas[box] = theta
+                for i in range(col_of.size):
+                    if col_of[i] >= 0:
+                        value += missed[i]
+                values[box] = value
+    return n_assignments
+
+
+@nb.njit(**_JIT)
+def edge_bound(kind, source, target, k, lower, upper, bounds):
+    """Every pair at its own best place in the box: sum of k interval distances, never negative."""
+    n, q = source.shape[0], feature_dim(kind)
+    centre, radius = np.empty((n, q)), np.empty((n, q))
+    cost = np.empty((n, target.shape[1]))
+    for box in range(lower.shape[0]):
+        enclose(kind, source, lower[box], upper[box], centre, radius)
+        interval_costs(centre, radius, target, cost)
+        bounds[box], _ = k_assignment(cost, k)
+    return lower.shape[0]
+
+
+@nb.njit(**_JIT)
+def objectives(kind, source, target, k, thetas, values):
+    """E at every row of `thetas`. Returns the number of assignments."""
+    moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
+    for row in range(thetas.shape[0]):
+        move(kind, source, thetas[row], moved)
+        pair_costs(moved, target, cost)
+        values[row], _ = k_assignment(cost, k)
+    return thetas.shape[0]

@@ -1,0 +1,60 @@
+"""3D translation in norm space: theta = t, matched are |x + t| and |y| (DC-Reg, Case II)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.box import Box
+from dcreg.kernels import features
+from dcreg.kernels.refine import refine_norm3d
+from dcreg.models.base import Model, mean_of_largest
+
+
+class Translation3D(Model):
+    """Match the norms of the moved source and of the target, which no rotation changes.
+
+    The objective is ``sum p_ij (|x_i + t| - |y_j|)^2``. It is a lower bound on the full rigid objective
+    for every rotation, and a surrogate of it: its optimum need not be the optimal rigid pose.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+        Normalised points. The origin of the target is the centre of rotation.
+    n_inliers : int
+    reduced_box : bool
+        Start from the translations a stationary point can have, or from the plain safe box.
+    """
+
+    kind = features.NORM3D
+    scope = "translation in norm space"
+    identity = np.zeros(3)
+
+    def __init__(
+        self, source: np.ndarray, target: np.ndarray, n_inliers: int, reduced_box: bool = True
+    ) -> None:
+        self.source = np.ascontiguousarray(source)
+        self.target = np.ascontiguousarray(target)
+        self.norms = np.sqrt((self.target**2).sum(axis=1))
+        self.target_features = np.ascontiguousarray(self.norms[None, :])
+        self.n_inliers = n_inliers
+        self.reduced_box = reduced_box
+        self.axis_weights = np.ones(3)
+
+    def start_box(self) -> Box:
+        """Every minimiser is stationary: t = mean of (|y| u - x) over the matched, u unit vectors."""
+        if not self.reduced_box:
+            reach = self.norms.max() + np.sqrt((self.source**2).sum(axis=1)).max()
+            return Box(np.full(3, -reach), np.full(3, reach))
+        reach = mean_of_largest(self.norms, self.n_inliers)
+        low_x = np.array([mean_of_largest(-x, self.n_inliers) for x in self.source.T])
+        high_x = np.array([mean_of_largest(x, self.n_inliers) for x in self.source.T])
+        return Box(-(reach + high_x), reach + low_x)
+
+    def admissible(self, thetas: np.ndarray) -> np.ndarray:
+        return np.ones(len(thetas), dtype=bool)
+
+    def touches(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        return np.ones(len(lower), dtype=bool)
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        return refine_norm3d(self.source, self.target_features, self.n_inliers, theta)

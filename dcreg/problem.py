@@ -1,0 +1,134 @@
+"""A registration problem, checked before anything long starts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+ModelName = Literal["similarity2d", "rigid3d"]
+MODEL_DIM: dict[str, int] = {"similarity2d": 2, "rigid3d": 3}
+
+
+class InputError(ValueError):
+    """Bad input. The message names the field (and file), the value and the remedy."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Match `n_inliers` source points one-to-one with target points under a model's best pose.
+
+    Minimise over poses T and one-to-one matchings P of exactly `n_inliers` pairs the sum of squared
+    residuals ``sum_ij p_ij |T(x_i) - y_j|^2`` (DC-Reg, arXiv 2603.25442, eq. 1).
+
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) arrays
+        Finite points; d is 2 for ``similarity2d`` and 3 for ``rigid3d``.
+    n_inliers : int or float
+        Number of pairs; a float in (0, 1] is a fraction of ``min(n, m)``.
+    model : {"similarity2d", "rigid3d"}
+    scale_range : (low, high)
+        Admissible scale in 2D. In 3D the scale is 1.
+
+    Raises
+    ------
+    InputError
+        Naming the field, the value and the remedy.
+    """
+
+    source: np.ndarray
+    target: np.ndarray
+    n_inliers: int
+    model: ModelName
+    scale_range: tuple[float, float] = (0.5, 1.5)
+
+    def __init__(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int | float,
+        model: str,
+        scale_range: tuple[float, float] = (0.5, 1.5),
+    ) -> None:
+        if model not in MODEL_DIM:
+            raise InputError(f"model: {model!r} is unknown; choose one of {sorted(MODEL_DIM)}")
+        dim = MODEL_DIM[model]
+        values = {
+            "source": check_points("source", source, dim, model),
+            "target": check_points("target", target, dim, model),
+            "model": model,
+        }
+        limit = min(len(values["source"]), len(values["target"]))
+        values["n_inliers"] = check_n_inliers(n_inliers, limit)
+        values["scale_range"] = (1.0, 1.0) if dim == 3 else check_scale_range(scale_range)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def dim(self) -> int:
+        return MODEL_DIM[self.model]
+
+
+def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndarray:
+    """Finite contiguous (n, dim) float64 copy of `points`, or an `InputError`."""
+    try:
+        points = np.array(points, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: not an array of numbers ({error})") from None
+    if points.ndim != 2 or points.shape[1] != dim:
+        raise InputError(
+            f"{name}: shape {points.shape}, but model {model} needs (n, {dim}); "
+            f"one point per row, or choose the other model"
+        )
+    if len(points) == 0:
+        raise InputError(f"{name}: no points; give at least one")
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise InputError(
+            f"{name}: {bad.size} point(s) with NaN or infinity, the first in row {bad[0]}: "
+            f"{points[bad[0]].tolist()}; remove them"
+        )
+    return points
+
+
+def check_n_inliers(n_inliers: int | float, limit: int) -> int:
+    """The number of pairs: an integer as it is, a float in (0, 1] as a fraction of `limit`."""
+    if isinstance(n_inliers, bool) or not isinstance(n_inliers, int | float | np.number):
+        raise InputError(f"n_inliers: {n_inliers!r} is not a number; give a count or a fraction")
+    if isinstance(n_inliers, float | np.floating):
+        if not 0.0 < n_inliers <= 1.0:
+            raise InputError(
+                f"n_inliers: the fraction {n_inliers} is outside (0, 1]; "
+                f"a count must be an integer between 1 and {limit}"
+            )
+        # the tiny shift keeps 0.29 * 100 from becoming 28
+        return max(1, math.floor(n_inliers * limit + 1e-9))
+    if not 1 <= n_inliers <= limit:
+        raise InputError(
+            f"n_inliers: {n_inliers} pairs cannot be chosen; the smaller cloud has {limit} points, "
+            f"so give an integer between 1 and {limit}"
+        )
+    return int(n_inliers)
+
+
+def check_scale_range(scale_range: tuple[float, float]) -> tuple[float, float]:
+    try:
+        low, high = (float(value) for value in scale_range)
+    except (TypeError, ValueError):
+        raise InputError(f"scale_range: {scale_range!r} is not a pair of numbers") from None
+    if not (math.isfinite(low) and math.isfinite(high) and 0.0 < low <= high):
+        raise InputError(f"scale_range: ({low}, {high}); it needs 0 < low <= high")
+    return low, high
+
+
+def rms_radius(points: np.ndarray) -> float:
+    """Root mean square distance of the points from their centroid."""
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def default_gap_tol(target: np.ndarray, n_inliers: int, tau: float = 0.03) -> float:
+    """``n_inliers * (tau * RMS radius of the target)^2``, in squared units of the target."""
+    return n_inliers * (tau * rms_radius(np.asarray(target, dtype=np.float64))) ** 2

@@ -1,0 +1,146 @@
+"""Live progress of a search: one line on a terminal, plain lines elsewhere, and a clean Ctrl-C."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from types import FrameType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from dcreg.trace import Event
+
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_HEADER = (
+    f"  {'stage':<8}{'nodes':>9}{'open':>8}{'assign.':>10}"
+    f"{'lower bound':>12}{'upper bound':>12}{'gap':>10}{'time':>8}"
+)
+
+
+class Progress:
+    """A `dcreg.trace.Listener` that shows where a search stands, and stops it on Ctrl-C.
+
+    Used as a context manager around the search. The first interrupt (SIGINT or SIGTERM) asks the
+    search to stop at its next report, so that the best pose is kept; a second one ends at once.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        Where to write, normally standard error.
+    gap_tol : float, optional
+        Shown in the legend, so that one sees how far the gap has to fall.
+    interval_s : float
+        Least time between two plain lines.
+    quiet : bool
+        Show nothing, but still stop on an interrupt.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        *,
+        gap_tol: float | None = None,
+        interval_s: float = 1.0,
+        quiet: bool = False,
+    ) -> None:
+        self.stop_requested = False
+        self._console = console
+        self._gap_tol = gap_tol
+        self._interval_s = interval_s
+        self._quiet = quiet
+        self._live: Live | None = None
+        self._header_shown = False
+        self._last_print = -math.inf
+        self._stage = ""
+        self._last_upper = math.inf
+        self._improved = False
+        self._pending: Event | None = None
+        self._old_handlers: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        for number in _STOP_SIGNALS:
+            try:
+                self._old_handlers[number] = signal.signal(number, self._on_signal)
+            except ValueError:  # handlers can be set in the main thread only
+                break
+        if not self._quiet and self._console.is_terminal:
+            self._live = Live(
+                Text("preparing (the first run compiles kernels, which takes a while)"),
+                console=self._console,
+                refresh_per_second=8,
+            )
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+        elif self._pending is not None:
+            self._print(self._pending)
+        for number, handler in self._old_handlers.items():
+            signal.signal(number, handler)
+
+    def __call__(self, event: Event) -> bool:
+        if not self._quiet:
+            self._show(event)
+        return self.stop_requested
+
+    def _on_signal(self, number: int, _: FrameType | None) -> None:
+        if self.stop_requested:
+            raise KeyboardInterrupt
+        self.stop_requested = True
+        # Printing from a handler may interrupt a print half-way; a bare write may not.
+        os.write(2, b"\nstopping at the next report, best pose is kept (again: quit at once)\n")
+
+    def _show(self, event: Event) -> None:
+        if not self._header_shown:
+            self._show_header()
+        self._note_improvement(event)
+        if self._live is not None:
+            self._live.update(Text(self._line(event), no_wrap=True, overflow="crop"))
+            self._improved = False
+        elif event.kind == "end" or time.monotonic() - self._last_print >= self._interval_s:
+            self._print(event)
+        else:
+            self._pending = event
+
+    def _note_improvement(self, event: Event) -> None:
+        if event.stage != self._stage:  # another stage bounds another objective
+            self._stage, self._last_upper = event.stage, math.inf
+        self._improved |= event.upper_bound < self._last_upper
+        self._last_upper = min(self._last_upper, event.upper_bound)
+
+    def _show_header(self) -> None:
+        tolerance = "" if self._gap_tol is None else f"; the search ends at gap {self._gap_tol:.4g}"
+        self._console.print(
+            f"bounds and gap in squared units of the target{tolerance}\n"
+            "* better pose found since the last line; Ctrl-C stops and keeps the best pose",
+            highlight=False,
+            soft_wrap=True,
+        )
+        self._console.print(Text(_HEADER, style="bold"), soft_wrap=True)
+        self._header_shown = True
+
+    def _print(self, event: Event) -> None:
+        self._console.print(Text(self._line(event)), soft_wrap=True)
+        self._last_print = time.monotonic()
+        self._pending = None
+        self._improved = False
+
+    def _line(self, event: Event) -> str:
+        mark = "*" if self._improved else " "
+        return (
+            f"{mark} {event.stage:<8}{event.n_nodes:>9}{event.n_open:>8}{event.n_assignments:>10}"
+            f"{_number(event.lower_bound, 5):>12}{_number(event.upper_bound, 5):>12}"
+            f"{_number(event.gap, 4):>10}{event.time_s:>7.1f}s"
+            f"{'  ' + event.status if event.status else ''}"
+        )
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}g}" if math.isfinite(value) else "-"

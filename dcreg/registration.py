@@ -1,0 +1,375 @@
+"""`register`: from two clouds to a pose with a certificate. Composes model, bound, search, polish."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dcreg.bounds import make_bound
+from dcreg.box import LongestEdge
+from dcreg.models import Model, Similarity2D, Translation3D
+from dcreg.polish import objective, polish
+from dcreg.problem import InputError, Problem, default_gap_tol, rms_radius
+from dcreg.result import Result, Status
+from dcreg.search import Limits, SearchResult, branch_and_bound
+from dcreg.trace import Event, Listener, Trace
+
+# A dense cost matrix beyond this many pairs does not fit the memory of a common machine.
+MAX_PAIRS = 100_000_000
+# Share of the time limit that the translation search may use before the rotation gets its turn.
+TRANSLATION_SHARE = 0.8
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The normalised coordinates of a solve: both sets centred, one common unit of length."""
+
+    source_centre: np.ndarray
+    target_centre: np.ndarray
+    unit: float
+
+    @classmethod
+    def of(cls, problem: Problem) -> Frame:
+        unit = rms_radius(problem.target) or rms_radius(problem.source) or 1.0
+        return cls(problem.source.mean(axis=0), problem.target.mean(axis=0), unit)
+
+    def source(self, points: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray((points - self.source_centre) / self.unit)
+
+    def target(self, points: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray((points - self.target_centre) / self.unit)
+
+    def pose(self, T: np.ndarray) -> np.ndarray:
+        """The pose `T` between normalised clouds, in the coordinates of the files."""
+        d = len(self.source_centre)
+        out = np.eye(d + 1)
+        out[:d, :d] = T[:d, :d]
+        out[:d, d] = self.unit * T[:d, d] + self.target_centre - T[:d, :d] @ self.source_centre
+        return out
+
+
+@dataclass
+class Solve:
+    """What the stages of one mode share: settings in, pose and bounds out (normalised units)."""
+
+    source: np.ndarray
+    target: np.ndarray
+    problem: Problem
+    bound: str
+    start_box: str
+    gap_tol: float
+    limits: Limits
+    threads: int
+    listener: Listener | None
+    status: Status = Status.FAILED
+    T: np.ndarray = field(default_factory=lambda: np.empty(0))
+    lower_bound: float = 0.0
+    upper_bound: float = np.inf
+    scope: str = ""
+    n_nodes: int = 0
+    n_assignments: int = 0
+    n_bound_evals: int = 0
+    stages: list[dict[str, Any]] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+
+    def search(self, model: Model, limits: Limits) -> SearchResult:
+        """Algorithm 1 over `model` with this solve's bound."""
+        bound = make_bound(self.bound, model, self.threads)
+        theta, value, spent = model.refine(model.identity)
+        self.n_assignments += spent
+        found = branch_and_bound(
+            bound,
+            [model.start_box()],
+            branching=LongestEdge(model.axis_weights),
+            gap_tol=self.gap_tol,
+            refine=model.refine,
+            start=(theta, value),
+            limits=limits,
+            round_size=_round_size(len(self.source) * len(self.target)),
+            listener=self.listener,
+        )
+        self.status = found.status
+        self.lower_bound, self.upper_bound = found.lower_bound, found.upper_bound
+        self.scope = model.scope
+        self._account("search", found, found.events)
+        return found
+
+    def rotate(self, shifted: np.ndarray, time_s: float | None) -> np.ndarray:
+        """Best rotation of the shifted source: the second stage in 3D."""
+        from dcreg.rotation import search_rotation
+
+        found = search_rotation(
+            shifted,
+            self.target,
+            self.problem.n_inliers,
+            gap_tol=self.gap_tol,
+            time_limit=time_s,
+            node_limit=self.limits.nodes,
+            listener=self.listener,
+        )
+        if self.status is Status.OPTIMAL:
+            self.status = found.status
+        self._account("rotation", found, getattr(found, "events", []))
+        return found.rotation
+
+    def _account(self, stage: str, found: Any, events: list[Event]) -> None:
+        self.stages.append(
+            {
+                "stage": stage,
+                "status": found.status.value,
+                "lower_bound": found.lower_bound,
+                "upper_bound": found.upper_bound,
+                "n_nodes": found.n_nodes,
+                "n_assignments": found.n_assignments,
+                "time_s": found.time_s,
+            }
+        )
+        self.n_nodes += found.n_nodes
+        self.n_assignments += found.n_assignments
+        self.n_bound_evals += found.n_nodes
+        offset = self.events[-1].time_s if self.events else 0.0
+        self.events += [dataclasses.replace(e, time_s=e.time_s + offset) for e in events]
+
+
+def _similarity2d(solve: Solve) -> None:
+    model = Similarity2D(
+        solve.source,
+        solve.target,
+        solve.problem.n_inliers,
+        solve.problem.scale_range,
+        reduced_box=solve.start_box == "reduced",
+    )
+    found = solve.search(model, solve.limits)
+    solve.T = model.pose(found.theta)
+
+
+def _rigid3d_paper(solve: Solve) -> None:
+    """The paper's two stages: one translation in norm space, then the rotation about the origin."""
+    model = Translation3D(
+        solve.source,
+        solve.target,
+        solve.problem.n_inliers,
+        reduced_box=solve.start_box == "reduced",
+    )
+    time_s = solve.limits.time_s
+    limits = dataclasses.replace(solve.limits, time_s=time_s and TRANSLATION_SHARE * time_s)
+    began = time.perf_counter()
+    found = solve.search(model, limits)
+    left = None if time_s is None else max(0.0, time_s - (time.perf_counter() - began))
+    rotation = solve.rotate(solve.source + found.theta, left)
+    solve.T = np.eye(4)
+    solve.T[:3, :3] = rotation
+    solve.T[:3, 3] = rotation @ found.theta
+
+
+# mode -> pipeline; the first one is the default of its model
+MODES: dict[str, dict[str, Callable[[Solve], None]]] = {
+    "similarity2d": {"paper": _similarity2d},
+    "rigid3d": {"paper": _rigid3d_paper},
+}
+DEFAULT_BOUND = "paper"
+START_BOXES = ("reduced", "safe")
+
+
+def register(
+    source: np.ndarray,
+    target: np.ndarray,
+    *,
+    n_inliers: int | float,
+    model: str,
+    mode: str | None = None,
+    bound: str = DEFAULT_BOUND,
+    start_box: str = START_BOXES[0],
+    scale_range: tuple[float, float] = (0.5, 1.5),
+    gap_tol: float | None = None,
+    time_limit: float | None = None,
+    node_limit: int | None = None,
+    memory_limit_mb: float | None = None,
+    threads: int = 1,
+    polish: bool = True,
+    listener: Listener | None = None,
+) -> Result:
+    """Register two clouds without correspondences, globally and with a certificate.
+
+    Minimises, over poses T of the model and one-to-one matchings P of exactly `n_inliers` pairs,
+    ``sum_ij p_ij |T(x_i) - y_j|^2`` by branch and bound over the pose (DC-Reg, arXiv 2603.25442). In 3D
+    the paper's mode certifies the translation of the norm objective ``sum p_ij (|x_i + t| - |y_j|)^2``
+    and recovers the rotation after it.
+
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) arrays
+        d = 2 for ``similarity2d``, 3 for ``rigid3d``. In any unit of length.
+    n_inliers : int or float
+        Pairs to match; a float in (0, 1] is a fraction of ``min(n, m)``.
+    model : {"similarity2d", "rigid3d"}
+    mode : str, optional
+        Pipeline of the model; see `MODES`.
+    bound : str
+        Bounding function, see `dcreg.bounds.bound_names`; ``a+b`` takes the greater one.
+    start_box : {"reduced", "safe"}
+        Both hold every optimum. ``safe`` follows from the radii of the clouds alone; ``reduced`` uses
+        that an optimal pose is stationary, so its translation is a difference of means of
+        `n_inliers` points (a single value when all points match).
+    scale_range : (low, high)
+        Admissible scale, 2D only.
+    gap_tol : float, optional
+        Absolute tolerance on the gap of the objective, in squared units of the target; default
+        ``n_inliers * (0.03 * RMS radius of the target)^2``.
+    time_limit : float, optional
+        Seconds for the solve. The best pose so far is returned with status ``time_limit``.
+    node_limit : int, optional
+        Boxes bounded per stage.
+    memory_limit_mb : float, optional
+        Memory of the open boxes.
+    threads : int
+        Threads that evaluate bounds; the result does not depend on it.
+    polish : bool
+        Refine the final pose locally on the full objective. Reported apart from the certificate.
+    listener : callable, optional
+        Called with every `dcreg.trace.Event`; returning True stops (status ``stopped``).
+
+    Returns
+    -------
+    Result
+        In the coordinates of the input.
+
+    Raises
+    ------
+    InputError
+        For bad input, before any search, naming field, value and remedy.
+
+    Examples
+    --------
+    >>> import numpy as np, dcreg
+    >>> points = np.random.default_rng(0).random((20, 2))
+    >>> result = dcreg.register(points, points + 3.0, n_inliers=20, model="similarity2d")
+    >>> result.status.value, np.round(result.translation, 6).tolist()
+    ('optimal', [3.0, 3.0])
+    """
+    began = time.perf_counter()
+    problem = Problem(source, target, n_inliers, model, scale_range)
+    if len(problem.source) * len(problem.target) > MAX_PAIRS:
+        raise InputError(
+            f"source, target: {len(problem.source)} x {len(problem.target)} pairs exceed "
+            f"{MAX_PAIRS:,}; downsample both clouds first (a voxel grid or farthest points)"
+        )
+    mode = mode or next(iter(MODES[model]))
+    if mode not in MODES[model]:
+        raise InputError(f"mode: {mode!r} is unknown for {model}; choose from {list(MODES[model])}")
+    if start_box not in START_BOXES:
+        raise InputError(f"start_box: {start_box!r} is unknown; choose from {list(START_BOXES)}")
+    gap_tol = default_gap_tol(problem.target, problem.n_inliers) if gap_tol is None else gap_tol
+    _check_settings(
+        gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
+        memory_limit_mb=memory_limit_mb, threads=threads,
+    )  # fmt: skip
+    frame = Frame.of(problem)
+    area = frame.unit**2
+    _warm_up(model, mode, bound)
+    time_setup = time.perf_counter() - began
+
+    began = time.perf_counter()
+    solve = Solve(
+        frame.source(problem.source),
+        frame.target(problem.target),
+        problem,
+        bound,
+        start_box,
+        gap_tol / area,
+        Limits(time_limit, node_limit, memory_limit_mb),
+        threads,
+        _in_file_units(listener, area),
+    )
+    MODES[model][mode](solve)
+    T_certified = frame.pose(solve.T)
+    value, pairs = objective(problem.source, problem.target, T_certified, problem.n_inliers)
+    final_T, final_value = T_certified, value
+    if polish:
+        polish_began = time.perf_counter()
+        final_T, final_value, pairs, spent = _polish(problem, T_certified)
+        solve.stages.append(
+            {
+                "stage": "polish",
+                "objective_before": value,
+                "objective_after": final_value,
+                "n_assignments": spent,
+                "time_s": time.perf_counter() - polish_began,
+            }
+        )
+    return Result(
+        status=solve.status,
+        model=model,
+        mode=mode,
+        bound=bound,
+        T_target_source=final_T,
+        T_certified=T_certified,
+        assignment=pairs,
+        n_inliers=problem.n_inliers,
+        lower_bound=solve.lower_bound * area,
+        upper_bound=solve.upper_bound * area,
+        gap_tol=gap_tol,
+        certificate_scope=solve.scope,
+        objective=final_value,
+        objective_certified=value,
+        n_nodes=solve.n_nodes,
+        n_assignments=solve.n_assignments,
+        n_bound_evals=solve.n_bound_evals,
+        time_setup_s=time_setup,
+        time_solve_s=time.perf_counter() - began,
+        trace=Trace([_scaled(event, area) for event in solve.events]),
+        stages=[_stage_in_file_units(stage, area) for stage in solve.stages],
+    )
+
+
+def _polish(problem: Problem, T: np.ndarray) -> tuple[np.ndarray, float, np.ndarray, int]:
+    return polish(problem.source, problem.target, T, problem.n_inliers, problem.scale_range)
+
+
+def _check_settings(**settings: float | None) -> None:
+    for name, value in settings.items():
+        if value is None:
+            continue
+        least = 1 if name in ("node_limit", "threads") else 0
+        if not np.isfinite(value) or value < least or (name == "time_limit" and value == 0):
+            raise InputError(f"{name}: {value} is not a usable value; give a positive number")
+
+
+def _round_size(n_pairs: int) -> int:
+    """Boxes per round: few enough that a round of large problems stays interruptible."""
+    return int(np.clip(200_000 // n_pairs, 1, 16))
+
+
+def _scaled(event: Event, area: float) -> Event:
+    return dataclasses.replace(
+        event, lower_bound=event.lower_bound * area, upper_bound=event.upper_bound * area
+    )
+
+
+def _stage_in_file_units(stage: dict[str, Any], area: float) -> dict[str, Any]:
+    return {k: v * area if k in ("lower_bound", "upper_bound") else v for k, v in stage.items()}
+
+
+def _in_file_units(listener: Listener | None, area: float) -> Listener | None:
+    if listener is None:
+        return None
+    return lambda event: listener(_scaled(event, area))
+
+
+@functools.cache
+def _warm_up(model: str, mode: str, bound: str) -> None:
+    """Compile (or load from cache) every kernel of a mode on a tiny problem, once a process."""
+    generator = np.random.default_rng(0)
+    points = generator.standard_normal((8, 2 if model == "similarity2d" else 3))
+    for n_inliers in (6, 8):  # both assignment solvers
+        problem = Problem(points, points[:, ::-1].copy(), n_inliers, model)
+        MODES[model][mode](
+            Solve(points, problem.target, problem, bound, "safe", 0.5, Limits(nodes=8), 1, None)
+        )
+        _polish(problem, np.eye(points.shape[1] + 1))

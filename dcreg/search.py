@@ -1,0 +1,253 @@
+"""Best-first branch and bound: Algorithm 1 of the DC-Reg paper, in rounds. Knows no geometry.
+
+A bound maps boxes to lower bounds and offers parameters whose objective is known. Each round takes
+the best open boxes, divides them, bounds the children and prunes those that cannot improve the
+incumbent by more than ``gap_tol``. A round's size is fixed by the problem and its boxes are
+independent, so the result does not depend on how many threads evaluate them.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from dcreg.box import Box
+from dcreg.result import Status
+from dcreg.trace import Event, Listener
+
+
+@dataclass
+class Evaluation:
+    """What a bound says of B boxes.
+
+    Attributes
+    ----------
+    lower_bounds : (B,) array
+        Valid for every admissible theta of the box; +inf when the box holds none.
+    thetas : (B, d) array
+        One parameter per box worth knowing, admissible or not.
+    values : (B,) array
+        Upper bounds on the objective at `thetas`; +inf where theta is not admissible.
+    """
+
+    lower_bounds: np.ndarray
+    thetas: np.ndarray
+    values: np.ndarray
+
+
+class Bound(Protocol):
+    """A lower bounding function: the part that the paper's comparison exchanges."""
+
+    n_assignments: int
+
+    def evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
+        """Bound B boxes (rows of `lower`, `upper`); above `cutoff` precision is of no use."""
+        ...
+
+
+# theta -> (better theta, its objective, assignments spent): descent from a promising parameter
+Refine = Callable[[np.ndarray], tuple[np.ndarray, float, int]]
+Branching = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where a search must stop; its bounds stay valid. None: no limit."""
+
+    time_s: float | None = None
+    nodes: int | None = None
+    memory_mb: float | None = None
+
+
+@dataclass
+class SearchResult:
+    status: Status
+    theta: np.ndarray
+    lower_bound: float
+    upper_bound: float
+    n_nodes: int
+    n_assignments: int
+    time_s: float
+    events: list[Event] = field(default_factory=list)
+
+
+class OpenNodes:
+    """Open boxes, best lower bound first; among equals the larger box, then the older."""
+
+    def __init__(self, dim: int) -> None:
+        self._heap: list[tuple[float, float, int]] = []
+        self._lower = np.empty((64, dim))
+        self._upper = np.empty((64, dim))
+        self._free: list[int] = []
+        self._used = 0
+        self._serial = 0
+        self._slot_of: dict[int, int] = {}
+
+    def __len__(self) -> int:
+        return len(self._heap)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory held, counting about 250 bytes a node for the heap's Python objects."""
+        return self._lower.nbytes + self._upper.nbytes + 250 * len(self._heap)
+
+    @property
+    def lower_bound(self) -> float:
+        return self._heap[0][0] if self._heap else np.inf
+
+    def push(self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray) -> None:
+        sizes = (upper - lower).sum(axis=1)
+        for box in range(len(bounds)):
+            slot = self._free.pop() if self._free else self._new_slot()
+            self._lower[slot], self._upper[slot] = lower[box], upper[box]
+            self._slot_of[self._serial] = slot
+            heapq.heappush(self._heap, (float(bounds[box]), -float(sizes[box]), self._serial))
+            self._serial += 1
+
+    def pop(self, count: int, cutoff: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Up to `count` best boxes whose bound lies below `cutoff`."""
+        slots, bounds = [], []
+        while self._heap and len(slots) < count and self._heap[0][0] < cutoff:
+            bound, _, serial = heapq.heappop(self._heap)
+            slots.append(self._slot_of.pop(serial))
+            bounds.append(bound)
+        self._free.extend(slots)
+        return self._lower[slots], self._upper[slots], np.array(bounds)
+
+    def _new_slot(self) -> int:
+        if self._used == len(self._lower):
+            self._lower = np.concatenate([self._lower, np.empty_like(self._lower)])
+            self._upper = np.concatenate([self._upper, np.empty_like(self._upper)])
+        self._used += 1
+        return self._used - 1
+
+
+def branch_and_bound(
+    bound: Bound,
+    roots: list[Box],
+    *,
+    branching: Branching,
+    gap_tol: float,
+    refine: Refine | None = None,
+    start: tuple[np.ndarray, float] | None = None,
+    limits: Limits | None = None,
+    round_size: int = 16,
+    listener: Listener | None = None,
+    stage: str = "search",
+) -> SearchResult:
+    """Minimise a function over boxes to within `gap_tol`, by Algorithm 1 of DC-Reg.
+
+    Parameters
+    ----------
+    bound : Bound
+        The function is known through it alone. It must be non-negative.
+    roots : list of Box
+        Together they hold the region searched.
+    branching : callable
+        Divides B boxes into 2 B.
+    gap_tol : float
+        Stop when ``upper_bound - lower_bound <= gap_tol`` (the paper's epsilon).
+    refine : callable, optional
+        Local descent, tried from the best parameter of each round.
+    start : (theta, value), optional
+        A known admissible parameter and its objective: the first incumbent.
+    limits : Limits, optional
+    round_size : int
+        Open boxes divided per round.
+    listener : callable, optional
+        Receives an `Event` whenever a bound moved; returning True stops the search.
+
+    Returns
+    -------
+    SearchResult
+        ``lower_bound <= min <= upper_bound`` whatever the status.
+    """
+    limits = limits or Limits()
+    clock = time.perf_counter
+    began = clock()
+    theta, upper_bound = start if start is not None else (roots[0].centre, np.inf)
+    nodes = OpenNodes(roots[0].dim)
+    pruned_bound = np.inf  # least bound among pruned boxes: part of the certificate
+    n_nodes = n_refining = 0
+    events: list[Event] = []
+    status: Status | None = None
+
+    def lower_bound() -> float:
+        return min(nodes.lower_bound, pruned_bound, upper_bound)
+
+    def report(kind: str) -> bool:
+        event = Event(
+            kind,
+            stage,
+            clock() - began,
+            n_nodes,
+            bound.n_assignments + n_refining,
+            len(nodes),
+            lower_bound(),
+            upper_bound,
+            status.value if status is not None else "",
+        )
+        if kind == "bound" and events and _same_bounds(events[-1], event):
+            kind = "tick"  # told to the listener, not kept
+        else:
+            events.append(event)
+        return bool(listener(event)) if listener is not None else False
+
+    lower = np.array([box.lower for box in roots])
+    upper = np.array([box.upper for box in roots])
+    inherited = np.zeros(len(roots))  # the objective is a sum of squares
+    while status is None:
+        # bound
+        found = bound.evaluate(lower, upper, upper_bound - gap_tol)
+        bounds = np.maximum(found.lower_bounds, inherited)
+        n_nodes += len(bounds)
+        # update
+        best = int(np.argmin(found.values))
+        if found.values[best] < upper_bound:
+            theta, upper_bound = found.thetas[best].copy(), float(found.values[best])
+        if refine is not None:
+            candidate, value, spent = refine(found.thetas[int(np.argmin(bounds))])
+            n_refining += spent
+            if value < upper_bound:
+                theta, upper_bound = candidate, value
+        # prune
+        keep = bounds < upper_bound - gap_tol
+        if not keep.all():
+            pruned_bound = min(pruned_bound, float(bounds[~keep].min()))
+        nodes.push(lower[keep], upper[keep], bounds[keep])
+        # terminate
+        if lower_bound() >= upper_bound - gap_tol:
+            status = Status.OPTIMAL
+        elif limits.time_s is not None and clock() - began > limits.time_s:
+            status = Status.TIME_LIMIT
+        elif limits.nodes is not None and n_nodes >= limits.nodes:
+            status = Status.NODE_LIMIT
+        elif limits.memory_mb is not None and nodes.nbytes > limits.memory_mb * 2**20:
+            status = Status.MEMORY_LIMIT
+        if report("bound" if status is None else "end") and status is None:
+            status = Status.STOPPED
+            report("end")
+        if status is None:
+            # branch
+            lower, upper, inherited = nodes.pop(round_size, upper_bound - gap_tol)
+            lower, upper = branching(lower, upper)
+            inherited = np.repeat(inherited, 2)
+    return SearchResult(
+        status,
+        theta,
+        lower_bound(),
+        upper_bound,
+        n_nodes,
+        bound.n_assignments + n_refining,
+        clock() - began,
+        events,
+    )
+
+
+def _same_bounds(a: Event, b: Event) -> bool:
+    return a.lower_bound == b.lower_bound and a.upper_bound == b.upper_bound

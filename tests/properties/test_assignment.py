@@ -1,0 +1,68 @@
+"""Exact k-cardinality assignment against brute force, a second solver and LP duality."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dcreg.assignment import k_assignment, pairs_of
+from dcreg.kernels import assignment as kernels
+from dcreg.kernels import reference
+
+
+@st.composite
+def costs(draw, most):
+    n, m = draw(st.integers(1, most)), draw(st.integers(1, most))
+    k = draw(st.integers(1, min(n, m)))
+    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    kind = draw(st.sampled_from(["normal", "integer ties", "constant", "distances"]))
+    if kind == "normal":
+        cost = generator.standard_normal((n, m))
+    elif kind == "integer ties":
+        cost = generator.integers(-2, 3, (n, m)).astype(float)
+    elif kind == "constant":
+        cost = np.full((n, m), generator.standard_normal())
+    else:
+        x, y = generator.random((n, 2)), generator.random((m, 2))
+        cost = ((x[:, None] - y[None]) ** 2).sum(-1) - 0.3
+    return cost, k
+
+
+@given(costs(most=4))
+def test_equals_brute_force(case):
+    cost, k = case
+    assert k_assignment(cost, k)[0] == pytest.approx(
+        reference.k_assignment_brute_force(cost, k), abs=1e-12
+    )
+
+
+@given(costs(most=25))
+def test_equals_a_second_solver_and_is_a_matching(case):
+    cost, k = case
+    value, col_of = k_assignment(cost, k)
+    pairs = pairs_of(col_of)
+    assert len(pairs) == k
+    assert len(set(pairs[:, 0])) == len(set(pairs[:, 1])) == k
+    assert cost[pairs[:, 0], pairs[:, 1]].sum() == pytest.approx(value, abs=1e-9)
+    assert value == pytest.approx(reference.k_assignment(cost, k), abs=1e-8)
+
+
+@given(costs(most=25), st.integers(0, 2**32 - 1))
+def test_duals_prove_the_optimum_and_any_duals_bound_it(case, seed):
+    cost, k = case
+    value, _, duals = kernels.k_assignment_duals(cost, k)
+    assert (duals >= 0).all()
+    assert kernels.dual_bound(cost, k, duals) == pytest.approx(value, abs=1e-9)
+    any_duals = np.random.default_rng(seed).random(cost.shape[1])
+    assert kernels.dual_bound(cost, k, any_duals) <= value + 1e-9
+
+
+@pytest.mark.parametrize("k", [0, 4])
+def test_impossible_cardinality_is_refused(k):
+    with pytest.raises(ValueError, match="pairs asked of a 3 x 5"):
+        k_assignment(np.zeros((3, 5)), k)
+
+
+def test_not_finite_costs_are_refused():
+    with pytest.raises(ValueError, match="finite"):
+        k_assignment(np.array([[np.nan, 1.0]]), 1)

@@ -1,0 +1,158 @@
+"""Every bound, found by name: below the objective anywhere in the box, exact at a point."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dcreg.bounds import BOUNDS, make_bound
+from dcreg.box import Box, LongestEdge
+from dcreg.kernels import reference
+from dcreg.models import Similarity2D
+from tests.problems import models, models_with_boxes
+
+NAMES = [*BOUNDS, "paper+edges", "termwise"]
+
+
+def families(name):
+    return ("similarity2d",) if "termwise" in name else ("similarity2d", "norm3d")
+
+
+def evaluate(name, model, *boxes):
+    lower = np.array([box.lower for box in boxes])
+    upper = np.array([box.upper for box in boxes])
+    return make_bound(name, model).evaluate(lower, upper, np.inf)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(data=st.data())
+def test_bound_is_below_the_objective_anywhere_in_the_box(name, data):
+    model, box = data.draw(models_with_boxes(families=families(name)))
+    bound = evaluate(name, model, box).lower_bounds[0]
+    thetas = np.concatenate([box.sample(np.random.default_rng(0), 40), box.vertices()])
+    thetas = thetas[model.admissible(thetas)]
+    objectives = [reference.objective(model, theta) for theta in thetas]
+    assert bound <= min(objectives, default=np.inf) + 1e-9
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(data=st.data())
+def test_bound_equals_the_objective_at_a_degenerate_box(name, data):
+    model, box = data.draw(models_with_boxes(families=families(name)))
+    theta = box.centre
+    if not model.admissible(theta[None])[0]:
+        theta = model.identity
+    found = evaluate(name, model, Box(theta, theta))
+    assert found.lower_bounds[0] == pytest.approx(reference.objective(model, theta), abs=1e-8)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(data=st.data())
+def test_candidates_are_upper_bounds_at_their_parameter(name, data):
+    model, box = data.draw(models_with_boxes(families=families(name)))
+    found = evaluate(name, model, box)
+    if np.isfinite(found.values[0]):
+        assert model.admissible(found.thetas)[0]
+        assert found.values[0] >= reference.objective(model, found.thetas[0]) - 1e-9
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(data=st.data())
+def test_halving_boxes_closes_the_bound_on_a_point(name, data):
+    """Towards a point every bound converges to the objective there (else no search would end)."""
+    model, box = data.draw(models_with_boxes(families=families(name)))
+    theta = model.identity + 0.1
+    half = 1e-7 * np.ones(box.dim)
+    found = evaluate(name, model, Box(theta - half, theta + half))
+    assert found.lower_bounds[0] == pytest.approx(reference.objective(model, theta), abs=1e-4)
+
+
+@given(models_with_boxes())
+def test_paper_bound_equals_its_numpy_twin(model_and_box):
+    model, box = model_and_box
+    found = evaluate("paper", model, box).lower_bounds[0]
+    if np.isfinite(found):
+        assert found == pytest.approx(reference.paper_bound(model, box), abs=1e-9)
+
+
+@given(models_with_boxes(families=("norm3d",)))
+def test_paper_bound_in_norm_space_is_vertex_objective_minus_half_diagonal(model_and_box):
+    """dcreg.md 2: LB = min_v E(v) - k |h|^2, exactly."""
+    model, box = model_and_box
+    least = min(reference.objective(model, vertex) for vertex in box.vertices())
+    expected = least - model.n_inliers * (box.half_widths**2).sum()
+    assert evaluate("paper", model, box).lower_bounds[0] == pytest.approx(expected, abs=1e-9)
+
+
+@given(models_with_boxes())
+def test_combined_bound_is_the_greater_one(model_and_box):
+    model, box = model_and_box
+    both = evaluate("paper+edges", model, box).lower_bounds[0]
+    single = [evaluate(name, model, box).lower_bounds[0] for name in ("paper", "edges")]
+    assert both == max(single)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(data=st.data())
+def test_threads_do_not_change_a_bound(name, data):
+    model, box = data.draw(models_with_boxes(families=families(name)))
+    lower, upper = LongestEdge(model.axis_weights)(box.lower[None], box.upper[None])
+    lower, upper = LongestEdge(model.axis_weights)(lower, upper)
+    one = make_bound(name, model, threads=1)
+    two = make_bound(name, model, threads=2)
+    a, b = one.evaluate(lower, upper, np.inf), two.evaluate(lower, upper, np.inf)
+    np.testing.assert_array_equal(a.lower_bounds, b.lower_bounds)
+    np.testing.assert_array_equal(a.values, b.values)
+    assert one.n_assignments == two.n_assignments
+
+
+@given(models_with_boxes(families=("similarity2d",)))
+def test_boxes_without_an_admissible_scale_are_recognised(model_and_box):
+    model, box = model_and_box
+    touches = model.touches(box.lower[None], box.upper[None])[0]
+    samples = box.sample(np.random.default_rng(1), 200)
+    assert touches or not model.admissible(samples).any()
+    if not touches:
+        assert evaluate("paper", model, box).lower_bounds[0] == np.inf
+
+
+@given(models(max_points=5), st.integers(0, 2**32 - 1))
+def test_start_box_holds_every_refined_minimum(model, seed):
+    """No local minimum found from anywhere lies below what the start box contains."""
+    generator = np.random.default_rng(seed)
+    box = model.start_box()
+    best_inside, best_anywhere = np.inf, np.inf
+    for _ in range(20):
+        theta, value, _ = model.refine(generator.uniform(-3, 3, box.dim))
+        best_anywhere = min(best_anywhere, value)
+        if (theta >= box.lower - 1e-7).all() and (theta <= box.upper + 1e-7).all():
+            best_inside = min(best_inside, value)
+    assert best_inside <= best_anywhere + 1e-6
+
+
+@given(models(), st.integers(0, 2**32 - 1))
+def test_refinement_returns_an_admissible_point_with_its_objective(model, seed):
+    start = np.random.default_rng(seed).uniform(-2, 2, model.axis_weights.size)
+    theta, value, spent = model.refine(start)
+    assert model.admissible(theta[None])[0]
+    assert value == pytest.approx(reference.objective(model, theta), abs=1e-9)
+    assert spent >= 1
+    if model.admissible(start[None])[0]:
+        assert value <= reference.objective(model, start) + 1e-9
+
+
+def test_termwise_bound_in_3d_is_refused():
+    from dcreg.models import Translation3D
+    from dcreg.problem import InputError
+
+    model = Translation3D(np.eye(3), np.eye(3), 2)
+    with pytest.raises(InputError, match="2D similarity only"):
+        make_bound("termwise-r1", model)
+
+
+def test_unknown_bound_is_refused_with_the_known_names():
+    from dcreg.problem import InputError
+
+    model = Similarity2D(np.eye(2), np.eye(2), 1, (0.5, 1.5))
+    with pytest.raises(InputError, match=r"'papr' is unknown.*paper"):
+        make_bound("papr", model)
