@@ -52,6 +52,21 @@ class ModelChoice(StrEnum):
     RIGID3D = "rigid3d"
 
 
+# Typer's own conversions name the option but not the value.
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a number; give one such as 0.5") from None
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a whole number; give one such as 4") from None
+
+
 @app.callback()
 def main() -> None:
     """Globally optimal point cloud registration by branch and bound."""
@@ -87,7 +102,8 @@ def register(
         ),
     ],
     scale_range: Annotated[
-        tuple[float, float], typer.Option(metavar="LO HI", help="Admissible scale (2D only).")
+        tuple[float, float],
+        typer.Option(metavar="LO HI", parser=_number, help="Admissible scale (2D only)."),
     ] = (0.5, 1.5),
     mode: Annotated[
         str | None, typer.Option(metavar="NAME", help="Search mode; default: paper.")
@@ -103,15 +119,18 @@ def register(
         float | None,
         typer.Option(
             metavar="X",
+            parser=_number,
             help="Absolute gap to close, in the objective's units (sum of squared residuals of the "
             "K pairs). Default: K * (0.03 * RMS radius of the target)^2.",
         ),
     ] = None,
     time_limit: Annotated[
-        float | None, typer.Option(metavar="S", help="Seconds of search.")
+        float | None, typer.Option(metavar="S", parser=_number, help="Seconds of search.")
     ] = None,
-    node_limit: Annotated[int | None, typer.Option(metavar="N", help="Boxes to bound.")] = None,
-    threads: Annotated[int, typer.Option(metavar="N", min=1, help="Threads.")] = 1,
+    node_limit: Annotated[
+        int | None, typer.Option(metavar="N", parser=_whole, help="Boxes to bound.")
+    ] = None,
+    threads: Annotated[int, typer.Option(metavar="N", parser=_whole, help="Threads.")] = 1,
     polish: Annotated[
         bool, typer.Option(help="Refine pose and pairs jointly after the certified search.")
     ] = True,
@@ -360,6 +379,7 @@ def _summary(result: Result) -> Iterator[tuple[str, str]]:
     yield "upper bound", f"{result.upper_bound:.6g}"
     yield "gap", f"{result.gap:.4g} (tolerance {result.gap_tol:.4g})"
     yield "scope of bounds", result.certificate_scope
+    yield from _stages(result)
     yield (
         "objective",
         f"{result.objective:.6g} (before the polish {result.objective_certified:.6g})",
@@ -374,7 +394,23 @@ def _verdict(result: Result) -> str:
         return f"optimal: certified within the tolerance, for the {result.certificate_scope}"
     if result.status is Status.CONVERGED:
         return "converged: came to its own end, not certified"
+    if result.gap <= result.gap_tol:
+        return (
+            f"{result.status.value}: best pose so far; certified for the "
+            f"{result.certificate_scope}, but a later stage did not end"
+        )
     return f"{result.status.value}: best pose so far, not certified"
+
+
+def _stages(result: Result) -> Iterator[tuple[str, str]]:
+    """One line per stage that bounds something, where there are several."""
+    bounding = [stage for stage in result.stages if "lower_bound" in stage]
+    for stage in bounding if len(bounding) > 1 else []:
+        yield (
+            f"{stage['stage']} stage",
+            f"{stage['status']}, bounds [{stage['lower_bound']:.5g}, {stage['upper_bound']:.5g}], "
+            f"{stage['n_nodes']} nodes, {stage['time_s']:.2f} s",
+        )
 
 
 def _matrix(matrix: np.ndarray) -> str:

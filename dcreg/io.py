@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import re
 import struct
-import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 
@@ -24,6 +24,9 @@ _KEYED_SUFFIXES = (".npz", ".mat")
 
 # One text row: its line number in the file (from 1) and its fields.
 Row = tuple[int, list[str]]
+
+# Named arrays of an archive; None stands for what is no plain array (or was not asked for).
+Arrays = dict[str, np.ndarray | None]
 
 
 def read_points(path: str | Path, *, key: str | None = None) -> np.ndarray:
@@ -200,61 +203,63 @@ def _numbers(path: Path, rows: Sequence[Row], columns: Sequence[int], width: int
 
 
 def _read_npy(path: Path, _: str | None) -> np.ndarray:
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        _fail(path, f"is not a readable .npy array ({_first_line(error)})", "save it with np.save")
+    array = _loaded(path, partial(np.load, allow_pickle=False))
     if not isinstance(array, np.ndarray):
         _fail(path, "holds several arrays", "rename it to .npz")
     return _real(path, array)
 
 
 def _read_npz(path: Path, key: str | None) -> np.ndarray:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                _fail(path, "holds a single array", "rename it to .npy")
-            names = (
-                archive.files if key is None else [name for name in archive.files if name == key]
-            )
-            arrays = {name: _member(archive, name) for name in names}
-            return _pick(path, arrays, key, archive.files)
-    except (ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise
-        _fail(path, f"is not a readable .npz archive ({_first_line(error)})", "use np.savez")
+    arrays = _loaded(path, partial(_npz_arrays, key=key))
+    if arrays is None:
+        _fail(path, "holds a single array", "rename it to .npy")
+    return _pick(path, arrays, key)
+
+
+def _npz_arrays(stream: BinaryIO, key: str | None) -> Arrays | None:
+    """All names, but only the array `key` if one is given: archives can be large."""
+    archive = np.load(stream, allow_pickle=False)
+    if isinstance(archive, np.ndarray):
+        return None
+    return {name: _member(archive, name) if key in (None, name) else None for name in archive.files}
 
 
 def _member(archive: np.lib.npyio.NpzFile, name: str) -> np.ndarray | None:
     try:
         return archive[name]
-    except ValueError:  # an object array: it would need pickle
-        return None
+    except ValueError as error:
+        if "allow_pickle" in str(error):
+            return None
+        raise
 
 
 def _read_mat(path: Path, key: str | None) -> np.ndarray:
     from scipy.io import loadmat
 
-    with path.open("rb") as stream:
-        try:
-            content = loadmat(stream)
-        except NotImplementedError:
-            _fail(path, "is a MATLAB v7.3 (HDF5) file", "save it in MATLAB with: save -v7")
-        except Exception as error:  # loadmat raises almost anything on a damaged file
-            _fail(path, f"is not a readable .mat file ({_first_line(error)})", "save it anew")
-    arrays = {
+    content = _loaded(path, loadmat)
+    arrays: Arrays = {
         name: value if isinstance(value, np.ndarray) else None
         for name, value in content.items()
         if not name.startswith("__")
     }
-    return _pick(path, arrays, key, list(arrays))
+    return _pick(path, arrays, key)
 
 
-def _pick(
-    path: Path, arrays: dict[str, np.ndarray | None], key: str | None, names: Sequence[str]
-) -> np.ndarray:
+def _loaded(path: Path, load: Callable[[BinaryIO], Any]) -> Any:
+    """What a foreign reader makes of a file; on damage these raise almost anything."""
+    with path.open("rb") as stream:
+        try:
+            return load(stream)
+        except Exception as error:
+            # MATLAB's default for large data, v7.3, is HDF5, which SciPy does not read
+            remedy = "save it again" + " with: save -v7" * (path.suffix.lower() == ".mat")
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            _fail(path, f"is not a readable {path.suffix} file ({reason})", remedy)
+
+
+def _pick(path: Path, arrays: Arrays, key: str | None) -> np.ndarray:
     """The array called `key`, or the only one that can be a point cloud."""
-    listing = _listing(names)
+    listing = _listing(list(arrays))
     if key is not None:
         if key not in arrays:
             _fail(path, f"has no array '{key}'", f"choose one of: {listing}")
@@ -293,10 +298,6 @@ def _real(path: Path, array: np.ndarray | None, key: str | None = None) -> np.nd
     if array.dtype.kind not in "fiu":
         _fail(path, f"{what} has type {array.dtype}", "store real numbers")
     return array
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 # --- ply ------------------------------------------------------------------------------------------

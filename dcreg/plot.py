@@ -75,11 +75,12 @@ def _title(result: Result) -> str:
 
 def _points(points: np.ndarray, name: str, color: str, column: int) -> go.Scatter | go.Scatter3d:
     step = -(-len(points) // _MAX_POINTS)
+    size = 6 if points.shape[1] == 2 else 4 if len(points) < 1000 else 2
     return _scatter(
         points[::step],
         name=name if step == 1 else f"{name} (every {step}th point)",
         mode="markers",
-        marker={"color": color, "size": 2 if points.shape[1] == 3 else 6, "opacity": 0.8},
+        marker={"color": color, "size": size, "opacity": 0.8},
         legendgroup=name,
         showlegend=column == 1,
         customdata=np.arange(len(points))[::step],
@@ -136,6 +137,7 @@ def _add_history(fig: go.Figure, result: Result) -> None:
             y=result.upper_bound - result.gap_tol,
             line={"color": _UPPER, "dash": "dot", "width": 1},
             annotation={"text": "upper bound - tolerance", "font": {"size": 10}},
+            exclude_empty_subplots=False,  # plotly's check for empty ones fails beside 3D scenes
             row=2,
             col=column,
         )

@@ -17,6 +17,7 @@ from dcreg.models import Model, Similarity2D, Translation3D
 from dcreg.polish import objective, polish
 from dcreg.problem import InputError, Problem, default_gap_tol, rms_radius
 from dcreg.result import Result, Status
+from dcreg.rotation import search_rotation
 from dcreg.search import Limits, SearchResult, branch_and_bound
 from dcreg.trace import Event, Listener, Trace
 
@@ -102,8 +103,6 @@ class Solve:
 
     def rotate(self, shifted: np.ndarray, time_s: float | None) -> np.ndarray:
         """Best rotation of the shifted source: the second stage in 3D."""
-        from dcreg.rotation import search_rotation
-
         found = search_rotation(
             shifted,
             self.target,
@@ -115,7 +114,7 @@ class Solve:
         )
         if self.status is Status.OPTIMAL:
             self.status = found.status
-        self._account("rotation", found, getattr(found, "events", []))
+        self._account("rotation", found, found.events)
         return found.rotation
 
     def _account(self, stage: str, found: Any, events: list[Event]) -> None:

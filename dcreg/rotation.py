@@ -1,53 +1,58 @@
-r"""Global rotation search: the second stage of the 3D pipeline.
+"""Global rotation search: the second stage of the 3D pipeline.
 
 Solved is, for points a_i (translation already applied), y_j and k pairs,
 
     min over R in SO(3) and one-to-one P of k pairs of  E_P(R) = sum_ij p_ij |R a_i - y_j|^2,
 
 a rotation about the origin, without centring. DC-Reg (arXiv 2603.25442) leaves this stage to any
-rotation search; the bounds here follow the quaternion lift that HBSP-like methods use, and are ours.
+rotation search; the two bounds here are this project's choice, not the paper's.
 
 Why boxes of quaternions
 ------------------------
 theta is a quaternion (w, x, y, z) of any length. The eight facets of the cube [-1, 1]^4 hold each
-quaternion once up to length; q and -q are the same rotation, so the four facets where one component is
-+1 hold every rotation, and only those on their rims twice. They are the roots. A box has zero width
-along its facet's axis, is never divided there, and needs no chart number. Both bounds are native to such
-boxes. The angle-axis cube would waste 48 % of its volume outside the pi-ball, cover half-turns twice and
-need an enclosure by such a box for B2.
+quaternion once up to length; q and -q are the same rotation, so the four facets where one
+component is +1 hold every rotation, and only those on their rims more often. They are the roots.
+A box has zero width along its facet's axis, is never divided there, and needs no chart number.
+Both bounds are native to such boxes. The angle-axis cube would waste 48 % of its volume outside
+the pi-ball, cover half-turns twice and need an enclosure by such a box for B2.
 
 B1, the angular bound (`cap_costs`)
 -----------------------------------
 Let delta be the largest rotation angle between the centre R_c and the rotations of the box. The
-direction of R a differs from that of R_c a by at most delta, so by the triangle inequality on the sphere
-angle(R a, y) >= max(0, angle(R_c a, y) - delta) =: phi, and |R a - y|^2 >= |a|^2 + |y|^2 - 2|a||y| cos phi
-for every R of the box. One k-assignment of these costs bounds E. All are >= 0.
+direction of R a differs from that of R_c a by at most delta, so by the triangle inequality on the
+sphere angle(R a, y) >= max(0, angle(R_c a, y) - delta) =: phi, and |R a - y|^2 >= |a|^2 + |y|^2 -
+2|a||y| cos phi for every R of the box. One k-assignment of these costs bounds E. All are >= 0.
 
-delta is attained at a corner (`box_angle`): the quaternions within an angle of at most 90 degrees of
-q_c form the convex cone {q : q.q_c >= cos(alpha) |q||q_c|}; when it holds the corners it holds the box,
-their convex hull. Corners farther than 90 degrees away mean delta = pi, all rotations, which holds too.
-The rotation angle is twice the angle between quaternions (taken with the sign of q_c.q >= 0, as above).
+delta is attained at a corner (`box_angle`): the quaternions within an angle of at most 90 degrees
+of q_c form the convex cone {q : q.q_c >= cos(alpha) |q||q_c|}; when it holds the corners it holds
+the box, their convex hull. Corners farther than 90 degrees away mean delta = pi, all rotations,
+which holds too. The rotation angle is twice the angle between quaternions (taken with the sign of
+q_c.q >= 0, as above).
 
 B2, the lifted vertex bound (`vertex_bound`)
 --------------------------------------------
-R is linear in q q^T for unit q (`lift_matrix`), and E_P(R) = sum p_ij (|a_i|^2 + |y_j|^2 - 2 y_j.R a_i) is
-affine in R; call z(M) = min_P of that affine form at any 3x3 matrix M. It is concave, as a minimum of
-affine functions. Let v_a be the corners of the box, with v_a.v_b > 0 for all a, b, and
-B_ab = (v_a v_b^T + v_b v_a^T) / (2 v_a.v_b). A quaternion of the box is q = sum_a c_a v_a, c in the
-simplex, hence q q^T = sum_ab c_a c_b (v_a.v_b) B_ab and |q|^2 = sum_ab c_a c_b (v_a.v_b): q q^T / |q|^2 is a
-convex combination of the B_ab. The concave z is then at least min_ab z(image of B_ab) at every rotation
-of the box: 36 vertices for 8 corners. B_ab leaves the rotations by O(size^2), so B2 is second order.
+R is linear in q q^T for unit q (`lift_matrix`), and E_P(R) = sum p_ij (|a_i|^2 + |y_j|^2 - 2
+y_j.R a_i) is affine in R; call z(M) = min_P of that affine form at any 3x3 matrix M. It is
+concave, as a minimum of affine functions. Let v_a be the corners of the box, with v_a.v_b > 0 for
+all a, b, and B_ab = (v_a v_b^T + v_b v_a^T) / (2 v_a.v_b). A quaternion of the box is q = sum_a
+c_a v_a, c in the simplex, hence q q^T = sum_ab c_a c_b (v_a.v_b) B_ab and |q|^2 = sum_ab c_a c_b
+(v_a.v_b): q q^T / |q|^2 is a convex combination of the B_ab. The concave z is then at least
+min_ab z(image of B_ab) at every rotation of the box: 36 vertices for 8 corners. B_ab leaves the
+rotations by O(size^2), so B2 is second order.
 
-The vertices are not solved exactly. For any b >= 0 the dual bound
-(sum of the k smallest min_j (c_ij + b_j)) - sum_j b_j is no more than the k-assignment, and with the duals of
-the assignment at the centre it is close. One pass per vertex replaces one assignment per vertex.
+Few of the 36 assignments are solved. For any b >= 0 the dual bound, the sum of the k smallest
+min_j (c_ij + b_j) minus sum_j b_j, is no more than the k-assignment, and with the duals b of B1's
+assignment it is close: one pass over the pairs per vertex. Then only the binding vertex is
+solved, and its duals serve the others. (Duals alone would lose the second order where the
+matching changes in the box.)
 
-The bound of a box is max(B1, B2), evaluated from the cheapest test to the dearest and only until it
-reaches the cutoff. At a box of one rotation B1 equals E.
+The bound of a box is max(B1, B2), evaluated from the cheapest test to the dearest and only as far
+as it decides about the cutoff. At a box of one rotation B1 equals E.
 """
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -133,17 +138,26 @@ class RotationModel:
         theta, value, spent = kernels.refine(theta, self.source, self.target, self.n_inliers)
         return theta / theta[np.argmax(np.abs(theta))], value, spent
 
-    def start(self) -> tuple[np.ndarray, float, int]:
-        """Best of a few descents from a regular grid over all rotations."""
+    def start(self, time_limit: float | None = None) -> tuple[np.ndarray, float, int]:
+        """Best of a few descents from a regular grid: theta, objective, assignments.
+
+        At least one descent is made, however short the time.
+        """
+        began = time.perf_counter()
         cells = _START_CELLS_PER_AXIS
         steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
         facet = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
         grid = np.concatenate([np.insert(facet, axis, 1.0, axis=1) for axis in range(4)])
         scores = kernels.nearest_scores(grid, self.source, self.target, self.n_inliers)
-        promising = np.argsort(scores, kind="stable")[:_START_DESCENTS]
-        descents = [self.refine(grid[at]) for at in promising]
-        theta, value, _ = min(descents, key=lambda descent: descent[1])
-        return theta, value, sum(spent for _, _, spent in descents)
+        theta, value, spent = self.refine(grid[np.argmin(scores)])
+        for at in np.argsort(scores, kind="stable")[1:_START_DESCENTS]:
+            if time_limit is not None and time.perf_counter() - began > time_limit:
+                break
+            other, other_value, assignments = self.refine(grid[at])
+            spent += assignments
+            if other_value < value:
+                theta, value = other, other_value
+        return theta, value, spent
 
 
 class RotationBound:
@@ -179,10 +193,10 @@ def search_rotation(
     node_limit: int | None = None,
     listener: Listener | None = None,
 ) -> RotationResult:
-    """Rotation about the origin that brings `n_inliers` pairs closest, globally optimal to `gap_tol`.
+    """Rotation about the origin that brings `n_inliers` pairs closest, globally to `gap_tol`.
 
-    Minimises ``sum p_ij |R a_i - y_j|^2`` over proper rotations R and one-to-one matchings P of exactly
-    `n_inliers` pairs, by best-first branch and bound over quaternions.
+    Minimises ``sum p_ij |R a_i - y_j|^2`` over proper rotations R and one-to-one matchings P of
+    exactly `n_inliers` pairs, by best-first branch and bound over quaternions.
 
     Parameters
     ----------
@@ -203,10 +217,12 @@ def search_rotation(
     RotationResult
         Its bounds hold whatever the status.
     """
+    began = time.perf_counter()
     model = RotationModel(source_shifted, target, n_inliers)
     bound = RotationBound(model)
-    theta, value, spent = model.start()
-    bound.n_assignments += spent
+    theta, value, bound.n_assignments = model.start(time_limit)
+    spent = time.perf_counter() - began
+    left = None if time_limit is None else max(0.0, time_limit - spent)
     found = branch_and_bound(
         bound,
         model.roots(),
@@ -214,7 +230,7 @@ def search_rotation(
         gap_tol=gap_tol,
         refine=model.refine,
         start=(theta, value),
-        limits=Limits(time_limit, node_limit),
+        limits=Limits(left, node_limit),
         round_size=_ROUND_SIZE,
         listener=listener,
         stage="rotation",
@@ -228,6 +244,6 @@ def search_rotation(
         found.n_nodes,
         found.n_assignments,
         found.status,
-        found.time_s,
+        time.perf_counter() - began,
         found.events,
     )

@@ -1,6 +1,6 @@
 """Bounds over boxes of rotations, the k-assignment at one rotation, and its local descent.
 
-A rotation is a quaternion q = (w, x, y, z) of any length but zero: q, -q and 2q are the same rotation.
+A rotation is a quaternion q = (w, x, y, z) of any length but zero: q, -q and 2q are the same one.
 Point sets are stored by component, (3, n) and (3, m): every pass over the pairs is a plain sweep.
 Why the bounds hold is written in `dcreg.rotation`.
 """
@@ -71,13 +71,13 @@ def box_angle(centre, corners):
     for v in range(len(corners)):
         gap = corners[v] / math.sqrt((corners[v] ** 2).sum()) - unit
         chord = max(chord, (gap**2).sum())
-    # a chord c of the unit quaternions is an angle 2 asin(c / 2) there, and twice that of the rotation
+    # a chord c between unit quaternions is an angle 2 asin(c / 2), half that of the rotation
     return min(math.pi, 4.0 * math.asin(min(1.0, 0.5 * math.sqrt(chord))))
 
 
 @nb.njit(**_JIT)
 def pair_costs(M, source, target):
-    """|a_i|^2 + |y_j|^2 - 2 y_j.(M a_i): the squared residual when M is a rotation, else affine in M."""
+    """|a_i|^2 + |y_j|^2 - 2 y_j.(M a_i): affine in M, the squared residual if M is a rotation."""
     moved = M @ source
     out = np.empty((source.shape[1], target.shape[1]))
     for i in range(source.shape[1]):
@@ -129,7 +129,7 @@ def sum_of_smallest(values, k):
 
 @nb.njit(**_JIT)
 def nearest_bound(costs, k):
-    """k smallest row minima or k smallest column minima, the greater: no more than a k-assignment."""
+    """Sum of the k smallest row or column minima, the greater: no more than a k-assignment."""
     n, m = costs.shape
     rows, cols = np.full(n, np.inf), np.full(m, np.inf)
     for i in range(n):
@@ -157,29 +157,51 @@ def dual_bound_at(M, source, target, k, b):
 
 
 @nb.njit(**_JIT)
-def vertex_bound(corners, source, target, k, b, floor):
-    """B2 with every assignment replaced by its dual bound at b; -inf once it cannot exceed `floor`."""
-    bound = np.inf
-    # far pairs of corners first: their matrices lie farthest outside and give the bound, as a rule
-    for difference in range(len(corners) - 1, -1, -1):
-        for v in range(len(corners)):
-            other = v ^ difference
-            if other < v:
+def vertex_bound(corners, source, target, k, b, floor, cutoff):
+    """B2 as far as it decides: the least vertex value and the assignments solved.
+
+    Every vertex has a lower bound on its assignment, at first from the duals `b`. The binding
+    vertex is then solved, and its duals raise the others, until the least value is exact or reaches
+    `cutoff`. -inf once the first pass shows that B2 will hardly exceed `floor`, or where B2 is
+    undefined: a box that spans a right angle between quaternions.
+    """
+    size = len(corners)
+    vertices = np.empty((size * (size + 1) // 2, 3, 3))
+    values = np.empty(len(vertices))
+    count = 0
+    # far pairs of corners first: their matrices lie farthest outside, so a hopeless pass ends early
+    for difference in range(size - 1, -1, -1):
+        for u in range(size):
+            v = u ^ difference
+            if v < u:
                 continue
-            if (corners[v] * corners[other]).sum() <= 0.0:
-                return -np.inf
-            M = chord_matrix(corners[v], corners[other])
-            bound = min(bound, dual_bound_at(M, source, target, k, b))
-            if bound <= floor:
-                return -np.inf
-    return bound
+            if (corners[u] * corners[v]).sum() <= 0.0:
+                return -np.inf, 0
+            vertices[count] = chord_matrix(corners[u], corners[v])
+            values[count] = dual_bound_at(vertices[count], source, target, k, b)
+            if values[count] <= floor:
+                return -np.inf, 0
+            count += 1
+    spent = 0
+    while values.min() < cutoff:
+        low = values.argmin()
+        exact, _, b = k_assignment_duals(pair_costs(vertices[low], source, target), k)
+        values[low] = exact
+        spent += 1
+        if exact < cutoff:
+            break
+        for v in range(len(values)):
+            if values[v] < cutoff:
+                raised = dual_bound_at(vertices[v], source, target, k, b)
+                values[v] = max(values[v], raised)
+    return values.min(), spent
 
 
 @nb.njit(**_JIT)
 def bound_boxes(lower, upper, cutoff, source, target, k, bounds, values):
     """max(B1, B2) of every box, cheapest test first; returns the assignments solved.
 
-    `values` receives the objective at the box centre, +inf where the box was closed before.
+    `values` receives an upper bound on E at the box centre, +inf where the box was closed before.
     """
     spent = 0
     for box in range(len(lower)):
@@ -191,12 +213,15 @@ def bound_boxes(lower, upper, cutoff, source, target, k, bounds, values):
         bounds[box] = nearest_bound(caps, k)
         if bounds[box] >= cutoff:
             continue
+        # the one assignment most boxes need: it gives B1, a matching for E and duals for B2
         bounds[box], col_of, b = k_assignment_duals(caps, k)
-        spent += 1
         values[box] = matched_cost(R, source, target, col_of)
+        spent += 1
         if bounds[box] >= cutoff:
             continue
-        bounds[box] = max(bounds[box], vertex_bound(corners, source, target, k, b, bounds[box]))
+        lifted, solved = vertex_bound(corners, source, target, k, b, bounds[box], cutoff)
+        bounds[box] = max(bounds[box], lifted)
+        spent += solved
     return spent
 
 
@@ -231,8 +256,10 @@ def best_rotation(col_of, source, target):
 @nb.njit(**_JIT)
 def objective(q, source, target, k):
     """E(R(q)) and the column matched to every source point (-1: none)."""
-    value, col_of, _ = k_assignment_duals(pair_costs(rotation_matrix(q), source, target), k)
-    return value, col_of
+    R = rotation_matrix(q)
+    _, col_of, _ = k_assignment_duals(pair_costs(R, source, target), k)
+    # summed anew: the expanded squares of `pair_costs` cancel and may leave a tiny negative sum
+    return matched_cost(R, source, target, col_of), col_of
 
 
 @nb.njit(**_JIT)

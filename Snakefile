@@ -1,0 +1,24 @@
+# From experiment to report:  snakemake --cores 2 --config experiment=demo
+# (`python -m workflows run demo` does the same, checks first, and ends with a summary.)
+#
+# results/<experiment>/   plan/ instances/ truth/ runs/ metrics/ tables/ report/
+# The same as tables and in words: workflows/records.py
+
+from snakemake.utils import min_version
+
+min_version("9.6")
+
+include: "workflows/rules/common.smk"
+
+rule all:
+    input:
+        f"{OUT}/report/index.html",
+
+include: "workflows/rules/plan.smk"
+include: "workflows/rules/fetch.smk"
+include: "workflows/rules/generate.smk"
+include: "workflows/rules/solve.smk"
+include: "workflows/rules/evaluate.smk"
+include: "workflows/rules/aggregate.smk"
+include: "workflows/rules/report.smk"
+include: "workflows/rules/compare.smk"

@@ -1,0 +1,25 @@
+"""Conversions to Open3D, imported only when a method that needs it runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def cloud(points: np.ndarray) -> Any:
+    """An Open3D point cloud with these points."""
+    import open3d
+
+    result = open3d.geometry.PointCloud()
+    result.points = open3d.utility.Vector3dVector(
+        np.array(points, dtype=float)
+    )  # refuses read-only
+    return result
+
+
+def quiet() -> None:
+    """Open3D prints warnings for ordinary outcomes such as no correspondences."""
+    import open3d
+
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)

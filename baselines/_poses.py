@@ -1,0 +1,73 @@
+"""Poses as homogeneous matrices, and the fits and lengths that several adapters share."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+
+def homogeneous(scale: float, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """``p -> scale * rotation @ p + translation`` as a (d+1, d+1) matrix."""
+    d = len(translation)
+    pose = np.eye(d + 1)
+    pose[:d, :d] = scale * np.asarray(rotation)
+    pose[:d, d] = translation
+    return pose
+
+
+def apply(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The points moved by the pose."""
+    d = points.shape[1]
+    return points @ pose[:d, :d].T + pose[:d, d]
+
+
+def proper_rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation (determinant +1) nearest to `matrix`; removes single-precision noise."""
+    u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=float))
+    sign = np.ones(len(u))
+    sign[-1] = np.sign(np.linalg.det(u @ vt))
+    return (u * sign) @ vt
+
+
+def rigid_pose(pose: np.ndarray) -> np.ndarray | None:
+    """The pose with an exactly proper rotation and scale 1; None when it has non-finite entries."""
+    pose = np.asarray(pose, dtype=float)
+    if not np.isfinite(pose).all():
+        return None
+    d = len(pose) - 1
+    return homogeneous(1.0, proper_rotation(pose[:d, :d]), pose[:d, d])
+
+
+def fit_pose(
+    source: np.ndarray, target: np.ndarray, scale_range: tuple[float, float]
+) -> np.ndarray:
+    """Least-squares pose of paired points (Umeyama), with the scale clipped to `scale_range`.
+
+    The best rotation is the same for every positive scale and the cost is a convex parabola in
+    the scale, so clipping gives the constrained optimum.
+    """
+    mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
+    centred = source - mean_source
+    u, singular, vt = np.linalg.svd((target - mean_target).T @ centred)
+    sign = np.ones(len(singular))
+    sign[-1] = np.sign(np.linalg.det(u @ vt))
+    rotation = (u * sign) @ vt
+    spread = float((centred**2).sum())
+    free_scale = float(singular @ sign) / spread if spread > 0 else 1.0
+    scale = float(np.clip(free_scale, *scale_range))
+    return homogeneous(scale, rotation, mean_target - scale * rotation @ mean_source)
+
+
+def rms_radius(points: np.ndarray) -> float:
+    """Root mean square distance to the centroid, 1 for coinciding points."""
+    radius = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    return radius if radius > 0 else 1.0
+
+
+def median_spacing(points: np.ndarray) -> float:
+    """Median distance of a point to its nearest neighbour, duplicates left out."""
+    distinct = np.unique(points, axis=0)
+    if len(distinct) < 2:
+        return 1.0
+    distances, _ = cKDTree(distinct).query(distinct, k=2)
+    return float(np.median(distances[:, 1]))

@@ -1,0 +1,114 @@
+"""Start poses of the local methods: one documented list, the same for all of them.
+
+``identity``
+    The given coordinates as they are, one start.
+``centroid``
+    Identity rotation and scale 1, the source's centroid moved onto the target's, one start.
+``multi``
+    ``centroid``, ``identity``, then rotations about the centroids: in 2D 12 angles (every 30
+    degrees) times 3 scales (1/6, 1/2 and 5/6 of the scale range); in 3D the 24 rotations of the
+    cube. The result is the refined pose with the least symmetric trimmed distance: the sum of the
+    ``n_inliers`` smallest squared nearest-neighbour distances from source to target and of those
+    from target to source. Both directions, because a shrunken source is near the target everywhere.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from baselines._poses import apply, homogeneous
+from baselines.contract import Baseline, Instance, Limits, Solution
+from dcreg.result import Status
+
+STARTS = ("identity", "centroid", "multi")
+
+# Improves one start pose until it converges or `time.perf_counter()` passes the deadline; None when
+# the method broke down from there.
+Refine = Callable[[np.ndarray, float], np.ndarray | None]
+
+
+def check_choice(method: Baseline, option: str, choices: tuple[str, ...]) -> str:
+    """The option's value, which must be one of `choices`."""
+    value = method.options[option]
+    if value not in choices:
+        raise ValueError(f"option {option} = {value!r}; choose one of {', '.join(choices)}")
+    return str(value)
+
+
+def start_poses(instance: Instance, starts: str) -> list[np.ndarray]:
+    """The list named `starts` for this instance (see the module's text)."""
+    low, high = instance.scale_range
+    unit = float(np.clip(1.0, low, high))
+    identity = homogeneous(unit, np.eye(instance.dim), np.zeros(instance.dim))
+    centroid = _about_centroids(instance, unit, np.eye(instance.dim))
+    if starts == "identity":
+        return [identity]
+    if starts == "centroid":
+        return [centroid]
+    if instance.dim == 3:
+        rotations = list(Rotation.create_group("O").as_matrix())
+        scales = [unit]
+    else:
+        rotations = [_rotation2d(angle) for angle in np.arange(12) * (np.pi / 6)]
+        scales = [low + part * (high - low) for part in (1 / 6, 1 / 2, 5 / 6)]
+    grid = [_about_centroids(instance, s, rotation) for s in scales for rotation in rotations]
+    return [centroid, identity, *grid]
+
+
+def best_of_starts(instance: Instance, starts: str, limits: Limits, refine: Refine) -> Solution:
+    """Refine every start within the time limit and return the pose that fits best."""
+    deadline = time.perf_counter() + limits.time_s
+    poses = start_poses(instance, starts)
+    distance = SymmetricDistance(instance)
+    best: np.ndarray | None = None
+    least, tried = np.inf, 0
+    for pose in poses:
+        if best is not None and time.perf_counter() > deadline:
+            break
+        refined = refine(pose, deadline)
+        tried += 1
+        value = np.inf if refined is None else distance(refined)
+        if value < least:
+            best, least = refined, value
+    counters = {"n_starts": tried}
+    if best is None:
+        return Solution(Status.FAILED, None, "no start gave a finite pose", counters=counters)
+    if time.perf_counter() > deadline:
+        message = f"{tried} of {len(poses)} starts within the time limit"
+        return Solution(Status.TIME_LIMIT, best, message, counters=counters)
+    return Solution(Status.CONVERGED, best, counters=counters)
+
+
+class SymmetricDistance:
+    """The symmetric trimmed distance of an instance as a function of the pose."""
+
+    def __init__(self, instance: Instance) -> None:
+        self.instance = instance
+        self.target_tree = cKDTree(instance.target)
+
+    def __call__(self, pose: np.ndarray) -> float:
+        moved = apply(pose, self.instance.source)
+        if not np.isfinite(moved).all():
+            return np.inf
+        forward, _ = self.target_tree.query(moved)
+        backward, _ = cKDTree(moved).query(self.instance.target)
+        return self._trimmed(forward) + self._trimmed(backward)
+
+    def _trimmed(self, distances: np.ndarray) -> float:
+        return float((np.sort(distances)[: self.instance.n_inliers] ** 2).sum())
+
+
+def _rotation2d(angle: float) -> np.ndarray:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine], [sine, cosine]])
+
+
+def _about_centroids(instance: Instance, scale: float, rotation: np.ndarray) -> np.ndarray:
+    """The pose with this linear part that maps the source's centroid onto the target's."""
+    moved = scale * rotation @ instance.source.mean(axis=0)
+    return homogeneous(scale, rotation, instance.target.mean(axis=0) - moved)

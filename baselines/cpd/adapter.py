@@ -1,0 +1,95 @@
+"""Coherent point drift with pycpd: a Gaussian mixture moved rigidly, or by a similarity in 2D."""
+
+from __future__ import annotations
+
+import functools
+import time
+from typing import Any
+
+import numpy as np
+
+from baselines._poses import apply, homogeneous, rms_radius
+from baselines._starts import STARTS, best_of_starts, check_choice
+from baselines.contract import Baseline, Card, Instance, Limits, Solution
+
+
+class Adapter(Baseline):
+    """pycpd's rigid registration with the scale kept in the instance's range."""
+
+    def __init__(self, card: Card, **options: Any) -> None:
+        super().__init__(card, **options)
+        self.starts = check_choice(self, "starts", STARTS)
+        weight = self.options["w"]
+        if weight is not None and not 0 <= weight < 1:
+            raise ValueError(f"option w = {weight!r}; the outlier weight is in [0, 1), or null")
+
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
+        # The mixture's uniform part assumes coordinates of order one: work in target RMS radii
+        # about the target's centroid, whatever the units of the data.
+        unit = rms_radius(instance.target)
+        origin = instance.target.mean(axis=0)
+        normalise = homogeneous(1 / unit, np.eye(instance.dim), -origin / unit)
+        target = apply(normalise, instance.target)
+
+        def refine(pose: np.ndarray, deadline: float) -> np.ndarray | None:
+            start_scale = float(np.linalg.det(pose[:-1, :-1])) ** (1 / instance.dim)
+            drift = _bounded_rigid()(
+                scale_range=np.array(instance.scale_range) / start_scale,
+                X=target,
+                Y=apply(normalise @ pose, instance.source),
+                w=self._outlier_weight(instance),
+                max_iterations=self.options["max_iterations"],
+                tolerance=self.options["tolerance"],
+            )
+            try:
+                while drift.iteration < drift.max_iterations and drift.diff > drift.tolerance:
+                    drift.iterate()
+                    if time.perf_counter() > deadline:
+                        break
+            except np.linalg.LinAlgError:  # no source point explains any target point
+                return None
+            found = homogeneous(drift.s, drift.R.T, np.ravel(drift.t))
+            moved = np.linalg.inv(normalise) @ found @ normalise @ pose
+            return moved if np.isfinite(moved).all() else None
+
+        with np.errstate(all="ignore"):  # a collapsing mixture underflows on its way to None
+            return best_of_starts(instance, self.starts, limits, refine)
+
+    def _outlier_weight(self, instance: Instance) -> float:
+        """The option, or the share of the target that `n_inliers` leaves unmatched."""
+        if self.options["w"] is not None:
+            return float(self.options["w"])
+        return float(np.clip(1 - instance.n_inliers / len(instance.target), 0.1, 0.9))
+
+
+@functools.cache
+def _bounded_rigid() -> type:
+    from pycpd import RigidRegistration
+
+    class BoundedRigid(RigidRegistration):
+        """pycpd always fits the scale freely; this keeps it in a range (one value: fixed)."""
+
+        def __init__(self, scale_range: np.ndarray, **settings: Any) -> None:
+            super().__init__(**settings)
+            self.scale_range = scale_range
+
+        def update_transform(self) -> None:
+            super().update_transform()
+            self.s = float(np.clip(self.s, *self.scale_range))
+            mean_target = self.Pt1 @ self.X / self.Np
+            mean_source = self.P1 @ self.Y / self.Np
+            self.t = mean_target - self.s * mean_source @ self.R
+
+        def update_variance(self) -> None:
+            # pycpd's short formula holds at the free scale only; this one at every scale.
+            last = self.q
+            overlap = float(np.trace(self.A @ self.R))
+            spread = float(self.Pt1 @ (self.X_hat**2).sum(axis=1))
+            residual = spread - 2 * self.s * overlap + self.s**2 * self.YPY
+            self.q = residual / (2 * self.sigma2) + self.D * self.Np / 2 * np.log(self.sigma2)
+            self.diff = abs(self.q - last)
+            self.sigma2 = residual / (self.Np * self.D)
+            if not self.sigma2 > 0:
+                self.sigma2 = self.tolerance / 10
+
+    return BoundedRigid

@@ -1,0 +1,7 @@
+"""DC-Reg: the library of this repository."""
+
+from baselines._search import BranchAndBound
+
+
+class Adapter(BranchAndBound):
+    """Branch and bound with the holistic DC bound."""

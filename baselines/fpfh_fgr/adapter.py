@@ -1,0 +1,42 @@
+"""Fast global registration on FPFH correspondences, Open3D."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from baselines import _open3d
+from baselines._frontends import CorrespondenceMethod
+from baselines._poses import rigid_pose
+from baselines.contract import Instance, Limits
+
+
+class Adapter(CorrespondenceMethod):
+    """Graduated non-convexity with line processes over the pairs that pass the tuple test."""
+
+    def solve_pairs(
+        self, instance: Instance, pairs: np.ndarray, limits: Limits
+    ) -> np.ndarray | None:
+        import open3d
+
+        open3d.utility.random.seed(instance.seed % 2**31)
+        registration = open3d.pipelines.registration
+        outcome = registration.registration_fgr_based_on_correspondence(
+            _open3d.cloud(instance.source),
+            _open3d.cloud(instance.target),
+            open3d.utility.Vector2iVector(pairs.astype(np.int32)),
+            registration.FastGlobalRegistrationOption(
+                # Lengths of the option are in target units only with the absolute scale.
+                use_absolute_scale=True,
+                decrease_mu=True,
+                maximum_correspondence_distance=(
+                    self.options["noise_factor"] * instance.noise_bound
+                ),
+                iteration_number=self.options["max_iterations"],
+                maximum_tuple_count=self.options["max_tuples"],
+                tuple_test=self.options["tuple_test"],
+            ),
+        )
+        pose = rigid_pose(outcome.transformation)
+        # Open3D returns the identity, not an error, when no tuple survives its test.
+        unmoved = pose is None or np.array_equal(pose, np.eye(4))
+        return None if unmoved else pose

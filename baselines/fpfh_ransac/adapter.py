@@ -1,0 +1,36 @@
+"""RANSAC on FPFH correspondences, Open3D."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from baselines import _open3d
+from baselines._frontends import CorrespondenceMethod
+from baselines._poses import rigid_pose
+from baselines.contract import Instance, Limits
+
+
+class Adapter(CorrespondenceMethod):
+    """Samples of three pairs; the pose with the most pairs within the inlier distance."""
+
+    def solve_pairs(
+        self, instance: Instance, pairs: np.ndarray, limits: Limits
+    ) -> np.ndarray | None:
+        import open3d
+
+        # Honoured by Open3D only in part, hence the card's `deterministic: false`.
+        open3d.utility.random.seed(instance.seed % 2**31)
+        registration = open3d.pipelines.registration
+        outcome = registration.registration_ransac_based_on_correspondence(
+            _open3d.cloud(instance.source),
+            _open3d.cloud(instance.target),
+            open3d.utility.Vector2iVector(pairs.astype(np.int32)),
+            self.options["noise_factor"] * instance.noise_bound,
+            ransac_n=3,
+            checkers=[registration.CorrespondenceCheckerBasedOnEdgeLength(0.9)],
+            criteria=registration.RANSACConvergenceCriteria(
+                self.options["max_iterations"], self.options["confidence"]
+            ),
+        )
+        found = len(outcome.correspondence_set) >= instance.dim
+        return rigid_pose(outcome.transformation) if found else None

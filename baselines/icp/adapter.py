@@ -1,0 +1,43 @@
+"""Trimmed ICP from a documented list of starts, 2D similarity and 3D rigid."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from baselines._poses import apply, fit_pose
+from baselines._starts import STARTS, best_of_starts, check_choice
+from baselines.contract import Baseline, Card, Instance, Limits, Solution
+
+
+class Adapter(Baseline):
+    """Alternates nearest neighbours and the closed-form fit to the closest `n_inliers` of them."""
+
+    def __init__(self, card: Card, **options: Any) -> None:
+        super().__init__(card, **options)
+        self.starts = check_choice(self, "starts", STARTS)
+
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
+        tree = cKDTree(instance.target)
+        n_kept = instance.n_inliers if self.options["trim"] else len(instance.source)
+
+        def refine(pose: np.ndarray, deadline: float) -> np.ndarray:
+            last_cost = np.inf
+            for _ in range(self.options["max_iterations"]):
+                distances, nearest = tree.query(apply(pose, instance.source))
+                kept = np.argsort(distances, kind="stable")[:n_kept]
+                cost = float((distances[kept] ** 2).sum())
+                if last_cost - cost <= self.options["tolerance"] * cost:
+                    break
+                last_cost = cost
+                pose = fit_pose(
+                    instance.source[kept], instance.target[nearest[kept]], instance.scale_range
+                )
+                if time.perf_counter() > deadline:
+                    break
+            return pose
+
+        return best_of_starts(instance, self.starts, limits, refine)

@@ -1,0 +1,50 @@
+"""Open3D's point-to-point ICP, coarse to fine, from a documented list of starts."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from baselines import _open3d
+from baselines._poses import rigid_pose, rms_radius
+from baselines._starts import STARTS, best_of_starts, check_choice
+from baselines.contract import Baseline, Card, Instance, Limits, Solution
+
+
+class Adapter(Baseline):
+    """Three passes with a shrinking correspondence distance, so that a far start can move."""
+
+    def __init__(self, card: Card, **options: Any) -> None:
+        super().__init__(card, **options)
+        self.starts = check_choice(self, "starts", STARTS)
+
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
+        import open3d
+
+        _open3d.quiet()
+        registration = open3d.pipelines.registration
+        source, target = _open3d.cloud(instance.source), _open3d.cloud(instance.target)
+        criteria = registration.ICPConvergenceCriteria(max_iteration=self.options["max_iterations"])
+        radii = rms_radius(instance.target) * np.array(self.options["coarse_distances"])
+        distances = [*radii, self.options["noise_factor"] * instance.noise_bound]
+
+        def refine(pose: np.ndarray, deadline: float) -> np.ndarray | None:
+            for distance in distances:
+                if time.perf_counter() > deadline:
+                    break
+                outcome = registration.registration_icp(
+                    source,
+                    target,
+                    float(distance),
+                    pose,
+                    registration.TransformationEstimationPointToPoint(),
+                    criteria,
+                )
+                # Too few pairs within the distance: keep what the coarser pass found.
+                if len(outcome.correspondence_set) >= instance.dim:
+                    pose = outcome.transformation
+            return rigid_pose(pose)
+
+        return best_of_starts(instance, self.starts, limits, refine)

@@ -1,0 +1,52 @@
+"""KISS-ICP's registration step for one pair of clouds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from baselines._poses import rigid_pose, rms_radius
+from baselines._starts import STARTS, best_of_starts, check_choice
+from baselines.contract import Baseline, Card, Instance, Limits, Solution
+
+
+class Adapter(Baseline):
+    """The target is the map; no motion model, deskewing or down-sampling, which a pair lacks."""
+
+    def __init__(self, card: Card, **options: Any) -> None:
+        super().__init__(card, **options)
+        self.starts = check_choice(self, "starts", STARTS)
+
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
+        from kiss_icp.mapping import VoxelHashMap
+        from kiss_icp.registration import Registration
+
+        unit = rms_radius(instance.target)
+        distance = self.options["max_distance"] * unit
+        voxel_map = VoxelHashMap(
+            # Neighbours are searched in adjacent voxels only, so voxels as large as the distance;
+            # every point is kept.
+            voxel_size=distance,
+            max_distance=1e6 * unit,
+            max_points_per_voxel=len(instance.target),
+        )
+        voxel_map.add_points(np.array(instance.target))  # the binding refuses read-only arrays
+        registration = Registration(
+            max_num_iterations=self.options["max_iterations"],
+            convergence_criterion=self.options["epsilon"],
+            max_num_threads=limits.threads,
+        )
+
+        def refine(pose: np.ndarray, _deadline: float) -> np.ndarray | None:
+            # As in the odometry: the robust kernel is a third of the correspondence distance.
+            found = registration.align_points_to_map(
+                points=np.array(instance.source),
+                voxel_map=voxel_map,
+                initial_guess=pose,
+                max_correspondance_distance=distance,
+                kernel=distance / 3,
+            )
+            return rigid_pose(found)
+
+        return best_of_starts(instance, self.starts, limits, refine)

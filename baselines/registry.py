@@ -1,0 +1,267 @@
+"""Finds the methods in ``baselines/<name>/``, loads them, and says why one cannot run.
+
+Nothing else has to be edited to add a method: a folder with ``card.yaml`` and ``adapter.py`` is
+one. Folders and modules whose names start with ``_`` are shared helpers or the template.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import difflib
+import hashlib
+import importlib.util
+import json
+import re
+import shutil
+import sys
+from collections.abc import Iterable, Iterator
+from importlib import metadata
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from baselines.contract import Baseline, Card
+from dcreg._version import __version__ as repository_version
+
+ROOT = Path(__file__).resolve().parent
+TEMPLATE = ROOT / "_template"
+
+# Facts of a card that a solve cannot depend on: changing one of them reruns nothing.
+PRESENTATION = {
+    "display_name", "summary", "input", "provenance", "how_to_get", "citation", "licence", "url",
+    "color", "marker",
+}  # fmt: skip
+
+
+class BaselineError(ValueError):
+    """A method's name, option or folder is wrong; the message names place, value and remedy."""
+
+
+def names(root: Path = ROOT) -> list[str]:
+    """Names of all methods under `root`, sorted."""
+    return sorted(
+        folder.name
+        for folder in root.iterdir()
+        if folder.is_dir()
+        and not folder.name.startswith(("_", "."))
+        and any((folder / part).is_file() for part in ("card.yaml", "adapter.py"))
+    )
+
+
+def load(name: str, *, root: Path = ROOT, **options: Any) -> Baseline:
+    """The method `name`, configured with `options` over its card's stated defaults.
+
+    Raises
+    ------
+    BaselineError
+        For an unknown method or option, a value of the wrong type, or a broken folder.
+    """
+    card = read_card(name, root=root)
+    for option, value in options.items():
+        _check_option(name, card, option, value)
+    module = _import_adapter(name, root)
+    adapter = getattr(module, "Adapter", None)
+    if not (isinstance(adapter, type) and issubclass(adapter, Baseline)):
+        raise BaselineError(
+            f"{_shown(root / name / 'adapter.py')}: no class Adapter(Baseline); "
+            "define one, see baselines/_template/adapter.py"
+        )
+    try:
+        return adapter(card, **options)
+    except ValueError as error:
+        raise BaselineError(f"{name}: {error}") from error
+
+
+def read_card(name: str, root: Path = ROOT) -> Card:
+    """The validated ``card.yaml`` of method `name`."""
+    known = names(root)
+    if name not in known:
+        raise BaselineError(f"unknown method {name!r}{_suggestion(name, known)}")
+    path = root / name / "card.yaml"
+    try:
+        facts = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise BaselineError(
+            f"{_shown(path)}: missing; copy it from baselines/_template/card.yaml"
+        ) from error
+    except yaml.YAMLError as error:
+        raise BaselineError(f"{_shown(path)}: not valid YAML: {error}") from error
+    if not isinstance(facts, dict):
+        raise BaselineError(f"{_shown(path)}: must be a mapping of fields, is {facts!r}")
+    try:
+        return Card(**facts)
+    except ValidationError as error:
+        raise BaselineError(_card_message(path, error)) from error
+
+
+def availability(root: Path = ROOT) -> list[dict[str, Any]]:
+    """One row per method, for tables: what it is, whether it can run here, and if not, why."""
+    rows = []
+    for name in names(root):
+        method = load(name, root=root)
+        card, reason = method.card, method.available()
+        rows.append(
+            {
+                "name": name,
+                "method": card.display_name,
+                "models": ", ".join(card.models),
+                "available": reason is None,
+                "reason": reason or "",
+                "version": version(card),
+                "provenance": card.provenance,
+                "bounds": card.certifies if card.provides_bounds else "none",
+                "input": card.input,
+                "deterministic": card.deterministic,
+                "parameters": card.parameters,
+                "licence": card.licence,
+                "citation": card.citation,
+            }
+        )
+    return rows
+
+
+def version(card: Card) -> str:
+    """Version of the code that solves: the required distribution's, or this repository's."""
+    if not card.requires:
+        return repository_version
+    module = card.requires.partition(".")[0]
+    candidates = [module, *metadata.packages_distributions().get(module, [])]
+    return _installed_version(candidates) or "not installed"
+
+
+def fingerprint(name: str, root: Path = ROOT) -> str:
+    """Hash of everything whose text decides the results of method `name`.
+
+    That is its folder, the card's ``depends``, the contract, and the version of the package it
+    requires. A pure function of files: no adapter is imported. Facts of the card that are only
+    shown (`PRESENTATION`) do not count, so that a new colour reruns nothing.
+    """
+    card = read_card(name, root)
+    digest = hashlib.sha256()
+    solving = card.model_dump(exclude=PRESENTATION)
+    digest.update(json.dumps(solving, sort_keys=True, default=str).encode())
+    if card.requires:
+        installed = _installed_version([card.requires.partition(".")[0]])
+        digest.update(f"{card.requires}={installed}".encode())
+    own = [path for path in _files(root / name) if path.name != "card.yaml"]
+    shared = [path for entry in card.depends for path in _depended(root / name, entry)]
+    for path in [*own, *sorted(set(shared)), ROOT / "contract.py"]:
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def new_baseline(name: str, root: Path = ROOT) -> Path:
+    """Copy the template to ``root/name``, with a colour no other method has; return the folder."""
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        raise BaselineError(
+            f"{name!r} cannot name a method: use a lower-case letter, then letters, digits or _"
+        )
+    folder = root / name
+    if folder.exists():
+        raise BaselineError(f"{_shown(folder)} exists already; choose another name or remove it")
+    color = _unused_color(name, root)
+    shutil.copytree(TEMPLATE, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    for path in _files(folder):
+        text = path.read_text(encoding="utf-8")
+        text = text.replace("METHOD_NAME", name).replace('"#000000"', f'"{color}"')
+        path.write_text(text, encoding="utf-8")
+    return folder
+
+
+def _import_adapter(name: str, root: Path) -> ModuleType:
+    path = root / name / "adapter.py"
+    if not path.is_file():
+        raise BaselineError(f"{_shown(path)}: missing; copy it from baselines/_template/adapter.py")
+    if root == ROOT:
+        return importlib.import_module(f"baselines.{name}.adapter")
+    module_name = f"_baselines_elsewhere.{hashlib.sha1(str(path).encode()).hexdigest()}"
+    if module_name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(module_name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[module_name] = module  # dataclasses look their module up
+        spec.loader.exec_module(module)
+    return sys.modules[module_name]
+
+
+def _check_option(name: str, card: Card, option: str, value: Any) -> None:
+    if option not in card.parameters:
+        raise BaselineError(
+            f"{name}: unknown option {option!r}{_suggestion(option, card.parameters)}"
+        )
+    default = card.parameters[option]
+    if default is None or value is None:
+        return
+    accepted: tuple[type, ...] = (int, float) if isinstance(default, float) else (type(default),)
+    # A bool is an int for Python, but "iterations: true" is a slip.
+    slip = isinstance(value, bool) and not isinstance(default, bool)
+    if slip or not isinstance(value, accepted):
+        raise BaselineError(
+            f"{name}: option {option} = {value!r} is a {type(value).__name__}; "
+            f"give a {type(default).__name__} such as the default {default!r}"
+        )
+
+
+def _card_message(path: Path, error: ValidationError) -> str:
+    problem = error.errors()[0]
+    field = ".".join(str(part) for part in problem["loc"])
+    message = f"{_shown(path)}: field {field}: {problem['msg']}"
+    if problem["type"] == "extra_forbidden":
+        return f"{message}{_suggestion(field, Card.model_fields)}"
+    if problem["type"] == "missing":
+        return f"{message}; add it, see baselines/_template/card.yaml"
+    return f"{message}, is {problem['input']!r}; see baselines/contract.py"
+
+
+def _suggestion(word: str, known: Iterable[str]) -> str:
+    known = sorted(known)
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    hint = f"; did you mean {close[0]!r}?" if close else ""
+    return f"{hint} Known: {', '.join(known) or 'none'}."
+
+
+def _depended(folder: Path, entry: str) -> list[Path]:
+    path = ROOT.parent / entry
+    if path.is_file():
+        return [path]
+    if path.is_dir():
+        return [file for file in _files(path) if file.suffix == ".py"]
+    raise BaselineError(
+        f"{_shown(folder / 'card.yaml')}: field depends: {entry!r} does not exist; "
+        "give a file or folder relative to the checkout"
+    )
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            yield path
+
+
+def _installed_version(distributions: Iterable[str]) -> str | None:
+    for distribution in distributions:
+        try:
+            return metadata.version(distribution)
+        except metadata.PackageNotFoundError:
+            continue
+    return None
+
+
+def _unused_color(name: str, root: Path) -> str:
+    used = {read_card(other, root).color.lower() for other in names(root)}
+    hue = int(hashlib.sha1(name.encode()).hexdigest(), 16) % 360
+    while True:
+        red, green, blue = colorsys.hsv_to_rgb((hue % 360) / 360, 0.65, 0.75)
+        color = f"#{round(255 * red):02x}{round(255 * green):02x}{round(255 * blue):02x}"
+        if color not in used:
+            return color
+        hue += 7
+
+
+def _shown(path: Path) -> str:
+    """A path as a reader of the checkout knows it."""
+    return str(path.relative_to(ROOT.parent) if path.is_relative_to(ROOT.parent) else path)

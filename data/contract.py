@@ -1,0 +1,238 @@
+"""What a dataset is: its card, the two kinds of dataset, and the instance a record gives."""
+
+from __future__ import annotations
+
+import abc
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+SHA256 = r"^[0-9a-f]{64}$"
+Dim = Literal[2, 3]
+
+
+class DataError(Exception):
+    """Something is wrong with a dataset; the message names file, value and remedy."""
+
+
+class UnknownNameError(DataError, ValueError):
+    """A shape, test, level or trial that the dataset does not have."""
+
+
+class File(BaseModel):
+    """One file of a dataset.
+
+    ``path`` is its place in a mirror folder and, below the dataset's name, in the cache. ``url`` is
+    its official origin at a pinned commit; None for a pack that only a mirror holds (the loader
+    then knows the original files it was packed from).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    dataset: str = ""  # filled in from the card
+    path: str = Field(pattern=r"^[^/].*$")
+    url: str | None = Field(default=None, pattern=r"^https?://")
+    sha256: str | None = Field(default=None, pattern=SHA256)
+    git_sha1: str | None = Field(default=None, pattern=r"^[0-9a-f]{40}$")  # git's blob id
+    size: int | None = Field(default=None, gt=0)
+
+    @model_validator(mode="after")
+    def _has_one_checksum(self) -> File:
+        if (self.sha256 is None) == (self.git_sha1 is None):
+            raise ValueError(f"{self.path}: give exactly one of sha256 and git_sha1")
+        if ".." in Path(self.path).parts:
+            raise ValueError(f"{self.path}: '..' is not allowed in a path")
+        return self
+
+
+class Card(BaseModel):
+    """Validated ``card.yaml``: where the data comes from and on what terms."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    title: str
+    dim: Dim | dict[str, Dim]  # of all shapes, or per shape
+    files: tuple[File, ...] = ()
+    licence: str
+    citation: str
+    notes: str = ""
+    loader: str  # a stock loader of data/loaders.py, or "own" for loader.py in the same folder
+    parameters: dict[str, Any] = {}  # for the loader
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_the_owner(cls, values: dict[str, Any]) -> dict[str, Any]:
+        files = [{"dataset": values.get("name", ""), **file} for file in values.get("files", [])]
+        return {**values, "files": files}
+
+    def file(self, path: str) -> File:
+        """The file with this mirror path."""
+        return next(file for file in self.files if file.path == path)
+
+
+@dataclass(frozen=True)
+class RawInstance:
+    """A registration problem together with its truth.
+
+    Attributes
+    ----------
+    source : (n, d) array
+    target : (m, d) array
+    pairs : (k, 2) int array
+        True pairs: ``source[pairs[:, 0]]`` belongs to ``target[pairs[:, 1]]``, one to one.
+    T_true : (d+1, d+1) array
+        Homogeneous pose, ``target ≈ T_true @ [source, 1]`` at the true pairs.
+    scale_range : (low, high)
+        Admissible scale a solver is told; (1, 1) in 3D.
+    info : dict
+        Facts worth showing (overlap, ...); never needed for solving or scoring.
+    """
+
+    source: np.ndarray
+    target: np.ndarray
+    pairs: np.ndarray
+    T_true: np.ndarray
+    scale_range: tuple[float, float]
+    info: dict[str, float | str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """The levels of one test.
+
+    ``levels`` name the levels in configs; ``values`` are what they stand for on a plot's axis
+    (with ``label``), the same length.
+    """
+
+    levels: tuple[float, ...]
+    values: tuple[float, ...]
+    label: str
+    n_trials: int
+
+
+class Dataset(abc.ABC):
+    """Common to both kinds: a card and named shapes. Methods fetch what they need, when needed."""
+
+    def __init__(self, card: Card) -> None:
+        self.card = card
+
+    @property
+    def name(self) -> str:
+        return self.card.name
+
+    def dim(self, shape: str) -> Dim:
+        """Dimension of the points of `shape`."""
+        return self.card.dim[shape] if isinstance(self.card.dim, dict) else self.card.dim
+
+    def model(self, shape: str) -> Literal["similarity2d", "rigid3d"]:
+        """The transformation model under which `shape` is registered."""
+        return "similarity2d" if self.dim(shape) == 2 else "rigid3d"
+
+    @abc.abstractmethod
+    def shapes(self) -> list[str]:
+        """Names of the shapes (of scenes, for scans)."""
+
+    @abc.abstractmethod
+    def fetch(self, shape: str, test: str = "", level: float = 0.0, trial: int = 0) -> list[Path]:
+        """Fetch just the files that this instance needs (prototypes: that this shape needs).
+
+        Loading does it by itself; a workflow calls it first, where there is a network. The paths
+        are those of verified files in the cache.
+        """
+
+    def tests(self) -> dict[str, Axis]:
+        """Recorded tests by name; empty for prototypes, which are disturbed by our own code."""
+        return {}
+
+    def _known(self, what: str, value: Any, choices: Iterable[Any]) -> None:
+        """Raise unless `value` is one of `choices`."""
+        choices = list(choices)
+        if value in choices:
+            return
+        words = [choice for choice in choices if isinstance(choice, str)]
+        close = difflib.get_close_matches(str(value), words, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        listed = f"{choices[0]}..{choices[-1]}" if len(choices) > 20 else f"{choices}"
+        raise UnknownNameError(f"dataset {self.name}: no {what} {value!r}{hint}; it has {listed}")
+
+
+class PrototypeDataset(Dataset):
+    """Shapes that our own disturbances turn into instances."""
+
+    @abc.abstractmethod
+    def points(self, shape: str, n_points: int | None = None) -> np.ndarray:
+        """Points of `shape` in the coordinates of its origin."""
+
+    def prototype(self, shape: str, n_points: int | None = None) -> np.ndarray:
+        """The normalised shape: bounding box centred at 0, its longest side 1.
+
+        Parameters
+        ----------
+        shape : str
+            One of `shapes()`.
+        n_points : int, optional
+            Number of points (farthest point sampling for data from files); by default all of a 2D
+            shape, and 100 points of a 3D shape.
+
+        Returns
+        -------
+        (n_points, d) float64 array, the same in every call.
+        """
+        from data.sampling import normalise
+
+        self._known("shape", shape, self.shapes())
+        if n_points is not None and n_points < 3:
+            raise DataError(f"dataset {self.name}: n_points={n_points}; use at least 3")
+        return normalise(self.points(shape, n_points))
+
+
+class RecordedDataset(Dataset):
+    """Recorded instances: source and target come from files, with known truth."""
+
+    @abc.abstractmethod
+    def tests(self) -> dict[str, Axis]:
+        """Recorded tests by name."""
+
+    @abc.abstractmethod
+    def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
+        """As `fetch`, with names already checked."""
+
+    @abc.abstractmethod
+    def load(
+        self, shape: str, test: str, level: float, trial: int, n_points: int | None
+    ) -> RawInstance:
+        """As `instance`, with names already checked."""
+
+    def fetch(self, shape: str, test: str = "", level: float = 0.0, trial: int = 0) -> list[Path]:
+        self._check(shape, test, level, trial)
+        return self.files(shape, test, level, trial)
+
+    def instance(
+        self, shape: str, test: str, level: float, trial: int, n_points: int | None = None
+    ) -> RawInstance:
+        """One recorded instance, in the order of its files.
+
+        Parameters
+        ----------
+        shape, test, level
+            From `shapes()` and `tests()`.
+        trial : int
+            0 .. ``tests()[test].n_trials - 1``.
+        n_points : int, optional
+            Points per set for scans; sets recorded with a fixed size accept None only.
+        """
+        self._check(shape, test, level, trial)
+        return self.load(shape, test, level, trial, n_points)
+
+    def _check(self, shape: str, test: str, level: float, trial: int) -> None:
+        self._known("shape", shape, self.shapes())
+        self._known("test", test, self.tests())
+        axis = self.tests()[test]
+        self._known(f"level of test {test}", level, axis.levels)
+        self._known(f"trial of test {test}", trial, range(axis.n_trials))

@@ -1,0 +1,175 @@
+"""Brings a dataset's files into the cache, verified: cache, then mirror, then official origin.
+
+Environment
+-----------
+DCREG_DATA_CACHE
+    Folder of the cache; by default ``resources`` in the checkout.
+DCREG_DATA_MIRROR
+    A folder or an http(s) address with the paths of the cards below it; tried before the origin.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from urllib.parse import quote
+
+import pooch
+import requests
+
+from data.contract import DataError, File
+
+log = logging.getLogger(__name__)
+CHECKOUT = Path(__file__).parents[1]
+TIMEOUT_S = 30  # per connection and per silence, not per file
+
+
+class ChecksumError(DataError):
+    """A file is there but is not the one the card speaks of."""
+
+
+class UnavailableError(DataError):
+    """A file is neither cached, nor in the mirror, nor reachable at its origin."""
+
+
+def cache_root() -> Path:
+    """Where fetched files lie."""
+    return Path(os.environ.get("DCREG_DATA_CACHE") or CHECKOUT / "resources")
+
+
+def cache_path(file: File) -> Path:
+    """Where this file lies once fetched, and where to put it by hand."""
+    return cache_root() / file.dataset / file.path
+
+
+def fetch(file: File, *alternatives: File) -> Path:
+    """Path of a verified local copy of `file`.
+
+    Parameters
+    ----------
+    file : File
+    *alternatives : File
+        Other files that serve as well (an original file where `file` is a pack of many). All are
+        looked for in the cache, then all in the mirror, then all at their origins.
+
+    Raises
+    ------
+    ChecksumError
+        The mirror's or the origin's file differs from the card. It is not kept.
+    UnavailableError
+        Nothing could be reached; the message names address and place.
+    """
+    files = (file, *alternatives)
+    tried: list[str] = []
+    for step in (_from_cache, _from_mirror, _from_origin):
+        for candidate in files:
+            if path := step(candidate, tried):
+                return path
+    last = files[-1]
+    raise UnavailableError(
+        f"dataset {file.dataset}: {last.path} is not available here.\n"
+        + "".join(f"  tried {line}\n" for line in tried)
+        + f"Remedy: download {last.url or last.path} and put it at {cache_path(last)}, or set "
+        "DCREG_DATA_MIRROR to a folder or address that holds the data."
+    )
+
+
+def _from_cache(file: File, tried: list[str]) -> Path | None:
+    path = cache_path(file)
+    if not path.is_file():
+        return None
+    stat = path.stat()
+    found = _digest(path, file.git_sha1 is not None, stat.st_mtime_ns, stat.st_size)
+    if found == _expected(file):
+        return path
+    # A cut-off copy is no reason to give up: a good one replaces it, or the final error tells.
+    tried.append(f"{path}: its checksum is {found}, expected {_expected(file)}")
+    return None
+
+
+def _from_mirror(file: File, tried: list[str]) -> Path | None:
+    mirror = os.environ.get("DCREG_DATA_MIRROR")
+    if not mirror:
+        return None
+    if mirror.startswith(("http://", "https://")):
+        return _download(file, f"{mirror.rstrip('/')}/{quote(file.path)}", tried)
+    folder = Path(mirror)
+    if not folder.is_dir():
+        raise DataError(
+            f"DCREG_DATA_MIRROR={mirror} is not a folder; correct it or unset the variable"
+        )
+    origin = folder / file.path
+    if not origin.is_file():
+        tried.append(f"{origin}: no such file")
+        return None
+    return _place(file, str(origin), lambda part: shutil.copyfile(origin, part))
+
+
+def _from_origin(file: File, tried: list[str]) -> Path | None:
+    return _download(file, file.url, tried) if file.url else None
+
+
+def _download(file: File, url: str, tried: list[str]) -> Path | None:
+    log.info("fetching %s", url)
+    download = pooch.HTTPDownloader(progressbar=False, timeout=TIMEOUT_S)
+    try:
+        return _place(file, url, lambda part: download(url, str(part), None))
+    except requests.RequestException as error:
+        tried.append(f"{url}: {_reason(error)}")
+        return None
+
+
+def _reason(error: requests.RequestException) -> str:
+    if error.response is not None:
+        return f"HTTP status {error.response.status_code}"
+    return f"{type(error).__name__} (no network, or the host does not answer)"
+
+
+def _place(file: File, origin: str, write: Callable[[Path], object]) -> Path:
+    """Write beside the final place, verify, then rename: readers never see half a file."""
+    path = cache_path(file)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    os.close(handle)
+    part = Path(name)
+    try:
+        write(part)
+        found = _digest_of(part, git=file.git_sha1 is not None)
+        if found != _expected(file):
+            raise ChecksumError(
+                f"dataset {file.dataset}: {origin} is not the file of the card.\n"
+                f"  expected {_expected(file)} ({file.size or 'unknown'} bytes)\n"
+                f"  found    {found} ({part.stat().st_size} bytes); not kept\n"
+                "Remedy: repair or drop the mirror (DCREG_DATA_MIRROR); if the origin itself has "
+                f"changed, obtain the file of that checksum and put it at {path}."
+            )
+        part.chmod(0o644)
+        part.replace(path)
+    finally:
+        with suppress(FileNotFoundError):
+            part.unlink()
+    return path
+
+
+def _expected(file: File) -> str:
+    return f"sha256:{file.sha256}" if file.sha256 else f"git-sha1:{file.git_sha1}"
+
+
+@lru_cache(maxsize=4096)
+def _digest(path: Path, git: bool, mtime_ns: int, size: int) -> str:
+    """As `_digest_of`, once per process and state of the file."""
+    return _digest_of(path, git)
+
+
+def _digest_of(path: Path, git: bool) -> str:
+    if git:  # git hashes a header with the length, then the content
+        content = path.read_bytes()
+        return "git-sha1:" + hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
+    return "sha256:" + pooch.file_hash(str(path), alg="sha256")

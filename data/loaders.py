@@ -1,0 +1,81 @@
+"""Stock loaders: a dataset that one of these fits needs a card only."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from data.contract import Axis, Dataset, PrototypeDataset, RawInstance, RecordedDataset
+from data.fetch import fetch
+from data.sampling import farthest_points
+from data.scans import scan_instance
+from dcreg.io import read_points
+
+DEFAULT_POINTS_3D = 100
+
+
+@lru_cache(maxsize=16)
+def _read(path: Path, skip_rows: int) -> np.ndarray:
+    return np.loadtxt(path, skiprows=skip_rows) if skip_rows else read_points(path)
+
+
+class PointFiles(PrototypeDataset):
+    """Prototypes that each are one file (any format that ``dcreg register`` reads).
+
+    Card parameters: ``shapes``, a mapping from name to ``file`` (a path among the card's files)
+    and, for text with a header, ``skip_rows``.
+    """
+
+    def shapes(self) -> list[str]:
+        return list(self.card.parameters["shapes"])
+
+    def fetch(self, shape: str, test: str = "", level: float = 0.0, trial: int = 0) -> list[Path]:
+        self._known("shape", shape, self.shapes())
+        return [fetch(self.card.file(self.card.parameters["shapes"][shape]["file"]))]
+
+    def points(self, shape: str, n_points: int | None = None) -> np.ndarray:
+        skip_rows = self.card.parameters["shapes"][shape].get("skip_rows", 0)
+        points = _read(self.fetch(shape)[0], skip_rows)
+        if n_points is None:
+            n_points = len(points) if self.dim(shape) == 2 else DEFAULT_POINTS_3D
+        if n_points == len(points):
+            return points.copy()
+        return points[farthest_points(points, n_points)]
+
+
+class ScanPair(RecordedDataset):
+    """One pair of scans with its pose: a single test ``pair`` with level 0 and one trial.
+
+    Card parameters: ``shape``, ``source``, ``target``, ``transform`` (paths among the files),
+    ``voxel`` and ``tolerance`` in the scans' unit, ``n_points``.
+    """
+
+    def shapes(self) -> list[str]:
+        return [self.card.parameters["shape"]]
+
+    def tests(self) -> dict[str, Axis]:
+        return {"pair": Axis(levels=(0.0,), values=(0.0,), label="-", n_trials=1)}
+
+    def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
+        names = ("source", "target", "transform")
+        return [fetch(self.card.file(self.card.parameters[name])) for name in names]
+
+    def load(
+        self, shape: str, test: str, level: float, trial: int, n_points: int | None
+    ) -> RawInstance:
+        source, target, pose = self.files(shape, test, level, trial)
+        parameters = self.card.parameters
+        return scan_instance(
+            _read(source, 0),
+            _read(target, 0),
+            np.loadtxt(pose),
+            voxel=parameters["voxel"],
+            n_points=n_points or parameters["n_points"],
+            tolerance=parameters["tolerance"],
+            info={},
+        )
+
+
+STOCK: dict[str, type[Dataset]] = {"points": PointFiles, "scan_pair": ScanPair}

@@ -1,0 +1,66 @@
+"""Small deterministic operations on point sets. No random numbers, so no seeds to state."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+
+def normalise(points: np.ndarray) -> np.ndarray:
+    """Move the bounding box's midpoint to the origin and scale its longest side to 1."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return (points - (low + high) / 2) / (high - low).max()
+
+
+def farthest_points(points: np.ndarray, n: int) -> np.ndarray:
+    """Indices of `n` points, each the farthest from those before it.
+
+    Starts with the point farthest from the centroid; ties go to the lower index.
+    """
+    if n > len(points):
+        raise ValueError(f"{n} points asked of a set of {len(points)}; ask for fewer")
+    chosen = np.empty(n, dtype=np.intp)
+    chosen[0] = np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1))
+    distance = ((points - points[chosen[0]]) ** 2).sum(axis=1)
+    for k in range(1, n):
+        chosen[k] = np.argmax(distance)
+        np.minimum(distance, ((points - points[chosen[k]]) ** 2).sum(axis=1), out=distance)
+    return chosen
+
+
+def voxel_downsample(points: np.ndarray, size: float) -> np.ndarray:
+    """Mean of the points in every occupied cell of a grid of cubes with side `size`."""
+    cells = np.floor(points / size).astype(np.int64)
+    _, cell_of, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    sums = np.zeros((len(counts), points.shape[1]))
+    np.add.at(sums, cell_of.ravel(), points)
+    return sums / counts[:, None]
+
+
+def mutual_nearest(a: np.ndarray, b: np.ndarray, tolerance: float) -> np.ndarray:
+    """Pairs (i, j) that are each other's nearest neighbour, at most `tolerance` apart."""
+    distance, j_of_i = cKDTree(b).query(a)
+    _, i_of_j = cKDTree(a).query(b)
+    i = np.flatnonzero((i_of_j[j_of_i] == np.arange(len(a))) & (distance <= tolerance))
+    return np.column_stack([i, j_of_i[i]])
+
+
+def transform(T: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Apply a homogeneous pose to the rows of `points`."""
+    d = points.shape[1]
+    return points @ T[:d, :d].T + T[:d, d]
+
+
+def fit_similarity(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Proper similarity pose with the least sum of squared residuals over given pairs."""
+    d = source.shape[1]
+    mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
+    x, y = source - mean_source, target - mean_target
+    U, singular, Vt = np.linalg.svd(y.T @ x)
+    signs = np.ones(d)
+    signs[-1] = np.sign(np.linalg.det(U @ Vt))
+    linear = (singular @ signs) / (x**2).sum() * (U * signs) @ Vt
+    T = np.eye(d + 1)
+    T[:d, :d] = linear
+    T[:d, d] = mean_target - linear @ mean_source
+    return T

@@ -1,0 +1,34 @@
+"""From a pair of scans with a known pose to an instance of a few hundred points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data.contract import RawInstance
+from data.sampling import farthest_points, mutual_nearest, transform, voxel_downsample
+
+
+def scan_instance(
+    source: np.ndarray,
+    target: np.ndarray,
+    T_true: np.ndarray,
+    *,
+    voxel: float,
+    n_points: int,
+    tolerance: float,
+    info: dict[str, float | str],
+) -> RawInstance:
+    """Voxel grid, then farthest point sampling, each scan on its own.
+
+    The two samples share no physical points. ``pairs`` are therefore the points that are each
+    other's nearest neighbour under `T_true`, at most `tolerance` apart: they have residuals up to
+    `tolerance` even at the true pose, and their number depends on `n_points`.
+    """
+    few = [_sample(cloud, voxel, n_points) for cloud in (source, target)]
+    pairs = mutual_nearest(transform(T_true, few[0]), few[1], tolerance)
+    return RawInstance(few[0], few[1], pairs, T_true, (1.0, 1.0), info)
+
+
+def _sample(cloud: np.ndarray, voxel: float, n_points: int) -> np.ndarray:
+    coarse = voxel_downsample(np.asarray(cloud, dtype=float), voxel)
+    return coarse[farthest_points(coarse, min(n_points, len(coarse)))]

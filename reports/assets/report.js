@@ -1,0 +1,497 @@
+"use strict";
+// Everything a page does: unpack data, draw figures when they come into view, toggles, tables,
+// overlays, downloads. No request leaves the page.
+
+const $ = (selector, root = document) => root.querySelector(selector);
+const $$ = (selector, root = document) => [...root.querySelectorAll(selector)];
+const NARROW_PX = 640;
+const hidden = new Set(); // methods switched off
+
+// ---- packed data -------------------------------------------------------------------------------
+
+const bytesOf = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+
+async function unpack(element) {
+  const stream = new Blob([bytesOf(element.textContent)]).stream();
+  return new Response(stream.pipeThrough(new DecompressionStream("gzip"))).text();
+}
+
+const remembered = new Map();
+function once(key, make) {
+  if (!remembered.has(key)) remembered.set(key, make());
+  return remembered.get(key);
+}
+const payload = (id) => once(id, async () => JSON.parse(await unpack($(`#data-${CSS.escape(id)}`))));
+const plotly = () => once("plotly", async () => {
+  const script = document.createElement("script");
+  script.textContent = await unpack($("#plotly-packed"));
+  document.head.append(script);
+  return window.Plotly;
+});
+
+// ---- colours -----------------------------------------------------------------------------------
+
+// Custom properties hold light-dark(...); only a used value tells which side applies.
+const probe = document.body.appendChild(document.createElement("i"));
+probe.hidden = true;
+function color(variable, alpha = 1) {
+  probe.style.color = `var(${variable})`;
+  const [r, g, b] = getComputedStyle(probe).color.match(/[\d.]+/g);
+  return `rgba(${r}, ${g}, ${b}, ${alpha})`;
+}
+const variableOf = new Map(
+  $$("[data-toggle-method]").map((chip) => [
+    chip.dataset.toggleMethod,
+    $(".dot", chip).style.getPropertyValue("--c").slice(4, -1),
+  ]),
+);
+const nameOf = (method) => $(`[data-toggle-method="${CSS.escape(method)}"]`).textContent;
+const methodColor = (method, alpha) => color(variableOf.get(method), alpha);
+
+function themed(layout) {
+  const text = color("--text"), quiet = color("--quiet"), grid = color("--grid");
+  const axis = {
+    gridcolor: grid, zerolinecolor: grid, linecolor: color("--line"), showline: true,
+    tickfont: { color: quiet },
+  };
+  const themedLayout = {
+    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", showlegend: false,
+    hovermode: "closest", font: { color: text, size: 12, family: getComputedStyle(document.body).fontFamily },
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: quiet, activecolor: color("--accent") },
+    hoverlabel: { bgcolor: color("--surface"), bordercolor: color("--line"), font: { color: text }, align: "left" },
+    ...layout,
+  };
+  for (const name of Object.keys(layout)) {
+    if (/^[xy]axis/.test(name)) themedLayout[name] = { ...axis, ...layout[name] };
+  }
+  return themedLayout;
+}
+
+function styled(trace) {
+  const { method, role } = trace.meta;
+  const hue = method ? methodColor(method) : color("--quiet");
+  const copy = { ...trace, type: "scatter", line: { ...trace.line, color: hue } };
+  if (trace.mode.includes("markers")) copy.marker = { ...trace.marker, color: hue };
+  if (role === "band") copy.fillcolor = methodColor(method, 0.14);
+  return copy;
+}
+
+// ---- figures -----------------------------------------------------------------------------------
+
+const controls = (id) => $$(`[data-for="${CSS.escape(id)}"]`);
+
+function shown(trace, roles) {
+  const { method, role } = trace.meta;
+  return !(method && hidden.has(method)) && roles.get(role) !== false;
+}
+
+const builders = {
+  plain(data, id) {
+    const select = controls(id).find((element) => "view" in element.dataset);
+    return data.views[select ? select.value : ""];
+  },
+  bounds: boundsView,
+};
+
+// One draw at a time per figure: a later one waits, and sees the latest choices.
+const queue = new Map();
+function draw(element) {
+  const next = (queue.get(element) ?? Promise.resolve()).then(() => drawNow(element));
+  queue.set(element, next);
+  return next;
+}
+
+async function drawNow(element) {
+  const id = element.dataset.figure;
+  const [library, data] = await Promise.all([plotly(), payload(id)]);
+  const view = builders[element.dataset.builder](data, id);
+  const roles = new Map(controls(id).filter((c) => c.dataset.role).map((c) => [c.dataset.role, c.checked]));
+  const traces = view.data.filter((trace) => shown(trace, roles)).map(styled);
+  const layout = themed(view.layouts[element.clientWidth < NARROW_PX ? "narrow" : "wide"]);
+  for (const control of controls(id).filter((c) => c.dataset.scale)) {
+    for (const name of data.scales[control.dataset.scale] ?? []) {
+      layout[name] = { ...layout[name], type: control.checked ? "log" : "linear" };
+    }
+  }
+  labelLogAxes(layout, traces, element.clientWidth < NARROW_PX ? 4 : 7);
+  // Not plotly's own "responsive": it forgets the height. A new width redraws, see below.
+  layout.width = element.clientWidth;
+  $(".wait", element)?.remove();
+  await library.react(element, traces, layout, {
+    displaylogo: false, displayModeBar: "hover",
+    modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"],
+    toImageButtonOptions: { format: "svg", filename: id },
+  });
+  element.dataset.drawn = String(Number(element.dataset.drawn ?? 0) + 1);
+}
+
+// Plain numbers at 1, 2, 5 or at powers of ten, depending on how much the axis spans.
+function labelLogAxes(layout, traces, most) {
+  const spans = new Map();
+  for (const trace of traces) {
+    for (const letter of ["x", "y"]) {
+      const axis = layout[(trace[`${letter}axis`] ?? letter).replace(letter, `${letter}axis`)];
+      if (axis.type !== "log") continue;
+      const group = axis.matches ?? trace[`${letter}axis`];
+      const [low, high] = spans.get(group) ?? [Infinity, 0];
+      const positive = trace[letter].filter((value) => value > 0);
+      spans.set(group, [Math.min(low, ...positive), Math.max(high, ...positive)]);
+    }
+  }
+  for (const [name, axis] of Object.entries(layout)) {
+    const span = /^[xy]axis/.test(name) && spans.get(axis.matches ?? name.replace("axis", ""));
+    if (axis.type === "log" && span && span[1] > 0) Object.assign(axis, logTicks(...span, most));
+  }
+}
+
+function logTicks(low, high, most) {
+  const decades = Math.log10(high / low);
+  const digits = decades < 1.5 ? [1, 2, 5] : decades < 3 ? [1, 3] : [1];
+  const stride = Math.ceil(decades / most) || 1;
+  const ticks = [];
+  for (let power = Math.floor(Math.log10(low)) - 1; power <= Math.log10(high) + 1; power += 1) {
+    if (power % stride === 0) ticks.push(...digits.map((digit) => Number(`${digit}e${power}`)));
+  }
+  const text = (value) => (value < 1e-4 || value >= 1e5 ? value.toExponential().replace("e+", "e") : String(value));
+  return { tickmode: "array", tickangle: 0, tickvals: ticks, ticktext: ticks.map(text) };
+}
+
+const seen = new IntersectionObserver((entries) => {
+  for (const { isIntersecting, target } of entries) {
+    if (!isIntersecting) continue;
+    seen.unobserve(target);
+    if (target.tagName === "CANVAS") drawThumbnail(target);
+    else draw(target);
+  }
+}, { rootMargin: "300px" });
+
+const figures = $$("[data-figure]");
+figures.forEach((figure) => seen.observe(figure));
+const redraw = () => figures.filter((figure) => figure.dataset.drawn).forEach(draw);
+
+let width = innerWidth;
+addEventListener("resize", () => {
+  if (innerWidth === width) return;
+  width = innerWidth;
+  redraw();
+});
+
+// ---- bound histories ---------------------------------------------------------------------------
+
+const pick = (name) => $(`[data-for="bounds"][data-pick="${name}"]`);
+const caseName = (item) => `${item.test} · ${item.shape} (${item.model})`;
+
+function fill(select, values) {
+  const kept = select.value;
+  const unique = [...new Set(values.map(String))];
+  select.replaceChildren(...unique.map((value) => new Option(value, value)));
+  if (unique.includes(kept)) select.value = kept;
+}
+
+function chosenInstance(data) {
+  if (!pick("case").options.length) {
+    fill(pick("case"), data.instances.map(caseName));
+    choose(data, data.instances[data.start]);
+  }
+  const inCase = data.instances.filter((item) => caseName(item) === pick("case").value);
+  fill(pick("level"), inCase.map((item) => item.level));
+  const inLevel = inCase.filter((item) => String(item.level) === pick("level").value);
+  fill(pick("trial"), inLevel.map((item) => item.trial));
+  const instance = inLevel.find((item) => String(item.trial) === pick("trial").value);
+  fill(pick("stage"), instance.runs.flatMap((run) => Object.keys(run.stages)));
+  return instance;
+}
+
+function choose(data, instance) {
+  pick("case").value = caseName(instance);
+  chosenInstance(data);
+  pick("level").value = String(instance.level);
+  chosenInstance(data);
+  pick("trial").value = String(instance.trial);
+}
+
+function boundsView(data) {
+  const instance = chosenInstance(data);
+  const stage = pick("stage").value, work = pick("work").value;
+  const traces = instance.runs.flatMap((run) => runTraces(run, run.stages[stage], work));
+  tellRuns(instance, stage);
+  const layouts = {};
+  for (const [name, layout] of Object.entries(data.layouts)) {
+    const copy = structuredClone(layout);
+    for (const [axis, title] of [["xaxis3", "time (s)"], ["xaxis4", work]]) copy[axis].title.text = title;
+    if (name === "narrow") { copy.xaxis.title.text = "time (s)"; copy.xaxis2.title.text = work; }
+    layouts[name] = copy;
+  }
+  return { data: traces, layouts };
+}
+
+function runTraces(run, stage, work) {
+  if (!stage) return [];
+  const gap = stage.upper.map((upper, i) => (upper === null || stage.lower[i] === null ? null : Math.max(0, upper - stage.lower[i])));
+  return [[stage.time, "", "3"], [stage[work], "2", "4"]].flatMap(([x, top, bottom]) => {
+    // with markers, as a search may end at its first event
+    const line = (y, axis, dash, what, width = 2) => ({
+      x, y, xaxis: `x${axis}`, yaxis: `y${axis}`, mode: "lines+markers", name: nameOf(run.method),
+      line: { shape: "hv", dash, width }, marker: { size: 4 }, meta: { method: run.method, role: what },
+      hovertemplate: `<b>${nameOf(run.method)}</b> ${what}<br>%{y:.5g} at %{x:.4g}<br>${run.run}<extra></extra>`,
+    });
+    const flat = (value, axis, what, method, dash) => ({
+      ...line([value, value], axis, dash, what, 1), mode: "lines", x: [x[0], x.at(-1)], meta: { method, role: what },
+    });
+    return [
+      line(stage.lower, top, "solid", "lower bound"),
+      line(stage.upper, top, "dash", "upper bound"),
+      line(gap, bottom, "solid", "gap"),
+      ...(run.gap_tol ? [flat(run.gap_tol, bottom, "tolerance", run.method, "dot")] : []),
+      ...(run.truth !== null ? [flat(run.truth, top, "objective at the truth", undefined, "dot")] : []),
+    ];
+  });
+}
+
+function tellRuns(instance, stage) {
+  const text = (tag, content) => Object.assign(document.createElement(tag), { textContent: content });
+  const head = document.createElement("tr");
+  head.append(...["method", "status", "bounds speak of", "lower bound", "upper bound", "gap", "tolerance", "nodes", "run"].map((title) => text("th", title)));
+  const rows = instance.runs.filter((run) => run.stages[stage]).map((run) => {
+    const { lower, upper, nodes } = run.stages[stage];
+    const [low, high] = [lower.at(-1), upper.at(-1)];
+    const row = document.createElement("tr");
+    row.dataset.method = run.method;
+    row.hidden = hidden.has(run.method);
+    const name = text("th", nameOf(run.method));
+    name.prepend($(`[data-toggle-method="${CSS.escape(run.method)}"] .dot`).cloneNode());
+    row.append(name, text("td", run.status), text("td", run.scope || "–"),
+      ...[low, high, high - low, run.gap_tol, nodes.at(-1)].map((value) => text("td", short(value))), text("td", run.run));
+    return row;
+  });
+  const table = document.createElement("table");
+  table.append(document.createElement("thead"), document.createElement("tbody"));
+  table.tHead.append(head);
+  table.tBodies[0].append(...rows);
+  $("#bounds-runs").replaceChildren(table);
+}
+const short = (value) => (value === null || value === undefined || Number.isNaN(value) ? "–" : String(Number(value.toPrecision(4))));
+
+async function step(by) {
+  const data = await payload("bounds");
+  const count = data.instances.length, here = data.instances.indexOf(chosenInstance(data));
+  choose(data, data.instances[(here + by + count) % count]);
+  draw($("#fig-bounds"));
+}
+$$("[data-step]").forEach((button) => button.addEventListener("click", () => step(Number(button.dataset.step))));
+
+// ---- overlays ----------------------------------------------------------------------------------
+
+// A 3D cloud is seen along a fixed oblique direction; the large view turns.
+const flatten = (points) => (points[0]?.length === 3
+  ? points.map(([x, y, z]) => [0.866 * x - 0.5 * y, 0.3 * x + 0.52 * y + 0.8 * z]) : points);
+const move = (points, T) => points.map((p) =>
+  p.map((_, i) => p.reduce((sum, value, j) => sum + T[i][j] * value, T[i][p.length])));
+
+function cloudsOf(data, item, when) {
+  const source = data.clouds[item.source], target = data.clouds[item.target];
+  if (when === "before") return [source, target];
+  return [item.pose ? move(source, item.pose) : [], target];
+}
+
+async function drawThumbnail(canvas) {
+  const data = await payload("overlays");
+  const [source, target] = cloudsOf(data, data.cases[canvas.dataset.case], canvas.dataset.when).map(flatten);
+  const size = canvas.clientWidth * devicePixelRatio;
+  canvas.width = canvas.height = size;
+  const pen = canvas.getContext("2d");
+  const all = [...source, ...target];
+  const spans = [0, 1].map((axis) => {
+    const values = all.map((p) => p[axis]);
+    return [Math.min(...values), Math.max(...values)];
+  });
+  const extent = Math.max(...spans.map(([low, high]) => high - low)) || 1;
+  const place = (p) => p.map((value, axis) => {
+    const centred = (value - (spans[axis][0] + spans[axis][1]) / 2) / extent;
+    return size * (0.5 + 0.9 * (axis ? -centred : centred));
+  });
+  const r = 1.7 * devicePixelRatio;
+  pen.lineWidth = devicePixelRatio;
+  pen.strokeStyle = color("--target");
+  pen.beginPath();
+  for (const [x, y] of target.map(place)) {
+    pen.moveTo(x - r, y); pen.lineTo(x + r, y); pen.moveTo(x, y - r); pen.lineTo(x, y + r);
+  }
+  pen.stroke();
+  pen.strokeStyle = color("--source");
+  for (const [x, y] of source.map(place)) { pen.beginPath(); pen.arc(x, y, r, 0, 7); pen.stroke(); }
+  canvas.dataset.drawn = "1";
+}
+$$("canvas[data-case]").forEach((canvas) => seen.observe(canvas));
+
+async function enlarge(index) {
+  const [library, data] = await Promise.all([plotly(), payload("overlays")]);
+  const item = data.cases[index], dialog = $("#overlay");
+  $("#overlay-title").textContent = `${item.name}: ${item.title}`;
+  $("#overlay-facts").textContent = `${item.shape}, level ${item.level}, trial ${item.trial} · RMSE ${item.rmse} · ${item.status} · run ${item.run}`;
+  const replay = $(".replay", dialog);
+  replay.hidden = !item.replay;
+  $("code", replay).textContent = item.replay;
+  dialog.showModal();
+  const plot = $("#overlay-plot");
+  const stacked = plot.clientWidth < NARROW_PX;
+  const traces = ["before", "after"].flatMap((when, panel) => overlayTraces(data, item, when, panel + 1));
+  await library.newPlot(plot, traces, { ...themed(overlayLayout(item.dim, stacked)), width: plot.clientWidth }, { displaylogo: false, displayModeBar: !stacked });
+  plot.dataset.drawn = "1";
+}
+
+function overlayTraces(data, item, when, panel) {
+  const flat = item.dim === 2;
+  const names = ["source", "target"];
+  return cloudsOf(data, item, when).map((points, i) => ({
+    type: flat ? "scatter" : "scatter3d", mode: "markers", name: names[i], legendgroup: names[i], showlegend: panel === 1,
+    x: points.map((p) => p[0]), y: points.map((p) => p[1]),
+    ...(flat ? { xaxis: `x${panel}`, yaxis: `y${panel}` } : { z: points.map((p) => p[2]), scene: `scene${panel === 1 ? "" : panel}` }),
+    marker: flat
+      ? { symbol: i ? "cross-thin-open" : "circle-open", size: 7, color: color(`--${names[i]}`) }
+      : { symbol: i ? "cross" : "circle-open", size: i ? 3 : 4, color: color(`--${names[i]}`) },
+    hoverinfo: "name",
+  }));
+}
+
+function overlayLayout(dim, stacked) {
+  const domains = stacked
+    ? [{ x: [0, 1], y: [0.54, 0.98] }, { x: [0, 1], y: [0, 0.44] }]
+    : [{ x: [0, 0.48], y: [0, 0.96] }, { x: [0.52, 1], y: [0, 0.96] }];
+  const layout = {
+    height: stacked ? 640 : Math.min(540, innerHeight * 0.65), margin: { l: 36, r: 8, t: 30, b: 30 },
+    showlegend: true, legend: { orientation: "h", x: 0.5, xanchor: "center", y: 1.02, yanchor: "bottom" },
+    annotations: ["before", "after"].map((text, i) => ({
+      text, xref: "paper", yref: "paper", x: domains[i].x[0], y: domains[i].y[1], yanchor: "bottom", xanchor: "left", showarrow: false,
+    })),
+  };
+  domains.forEach((domain, i) => {
+    if (dim === 2) {
+      layout[`xaxis${i + 1}`] = { domain: domain.x, anchor: `y${i + 1}` };
+      layout[`yaxis${i + 1}`] = { domain: domain.y, anchor: `x${i + 1}`, scaleanchor: `x${i + 1}` };
+    } else {
+      const axis = { title: { text: "" }, gridcolor: color("--grid"), color: color("--quiet"), showbackground: false };
+      layout[i ? "scene2" : "scene"] = { domain, aspectmode: "data", xaxis: axis, yaxis: axis, zaxis: axis };
+    }
+  });
+  return layout;
+}
+
+$$(".view").forEach((button) => button.addEventListener("click", () => enlarge(button.dataset.case)));
+$("#overlay")?.addEventListener("close", async () => {
+  (await plotly()).purge($("#overlay-plot"));
+  delete $("#overlay-plot").dataset.drawn;
+});
+$(".copy")?.addEventListener("click", async (event) => {
+  await navigator.clipboard.writeText($(".replay code").textContent);
+  event.target.textContent = "copied";
+  setTimeout(() => { event.target.textContent = "copy"; }, 1500);
+});
+
+// ---- switches ----------------------------------------------------------------------------------
+
+document.addEventListener("change", ({ target }) => {
+  const figure = target.dataset.for && document.getElementById(`fig-${target.dataset.for}`);
+  if (figure?.dataset.drawn) draw(figure);
+});
+
+$$("[data-toggle-method]").forEach((chip) => chip.addEventListener("click", () => {
+  const method = chip.dataset.toggleMethod;
+  if (!hidden.delete(method)) hidden.add(method);
+  chip.setAttribute("aria-pressed", String(!hidden.has(method)));
+  $$("[data-filters]").forEach(filter);
+  redraw();
+}));
+
+const dark = matchMedia("(prefers-color-scheme: dark)");
+const root = document.documentElement;
+const repaint = () => {
+  redraw();
+  $$("canvas[data-drawn]").forEach(drawThumbnail);
+};
+$("#theme").addEventListener("click", () => {
+  const now = root.dataset.theme ?? (dark.matches ? "dark" : "light");
+  root.dataset.theme = now === "dark" ? "light" : "dark";
+  repaint();
+});
+dark.addEventListener("change", repaint);
+
+// ---- tables and cards --------------------------------------------------------------------------
+
+// The whole query is one line of text plus exact choices; a hidden method hides its rows.
+function filter(bar) {
+  const list = document.getElementById(bar.dataset.filters);
+  const items = list.tBodies ? [...list.tBodies[0].rows] : [...list.children];
+  const words = ($("[data-filter-text]", bar)?.value ?? "").toLowerCase().split(/\s+/).filter(Boolean);
+  const exact = $$("[data-filter]", bar).filter((select) => select.value);
+  let count = 0;
+  for (const item of items) {
+    const text = item.textContent.toLowerCase();
+    item.hidden = hidden.has(item.dataset.method)
+      || exact.some((select) => item.dataset[select.dataset.filter] !== select.value)
+      || words.some((word) => !text.includes(word));
+    count += !item.hidden;
+  }
+  $("[data-count]", bar).textContent = `${count} of ${items.length}`;
+}
+$$("[data-filters]").forEach((bar) => {
+  bar.addEventListener("input", () => filter(bar));
+  filter(bar);
+});
+
+const sortValue = (cell) => {
+  const raw = cell.dataset.sort ?? cell.textContent.trim();
+  const asNumber = Number(raw);
+  return raw === "" ? null : Number.isNaN(asNumber) ? raw.toLowerCase() : asNumber;
+};
+
+function sort(table, column, descending) {
+  const rows = [...table.tBodies[0].rows].map((row) => [sortValue(row.cells[column]), row]);
+  rows.sort(([a], [b]) => {
+    if (a === null || b === null) return (a === null) - (b === null); // missing last, either way
+    const order = typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b));
+    return descending ? -order : order;
+  });
+  table.tBodies[0].append(...rows.map(([, row]) => row));
+}
+
+for (const table of $$("table.sortable")) {
+  const heads = [...table.tHead.rows[0].cells];
+  heads.forEach((head, column) => {
+    if ("fixed" in head.dataset) return;
+    const button = document.createElement("button");
+    button.type = "button";
+    button.append(...head.childNodes);
+    head.append(button);
+    button.addEventListener("click", () => {
+      const descending = head.getAttribute("aria-sort") === "ascending";
+      heads.forEach((other) => other.removeAttribute("aria-sort"));
+      head.setAttribute("aria-sort", descending ? "descending" : "ascending");
+      sort(table, column, descending);
+    });
+  });
+}
+
+// ---- downloads ---------------------------------------------------------------------------------
+
+const MIME = { csv: "text/csv", json: "application/json", svg: "image/svg+xml", pdf: "application/pdf" };
+
+async function contentOf(name) {
+  const packed = new Blob([bytesOf($(`[data-file="${CSS.escape(name)}"]`).textContent)]).stream();
+  return new Response(packed.pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
+}
+$$("[data-save]").forEach((button) => button.addEventListener("click", async () => {
+  const name = button.dataset.save;
+  const blob = new Blob([await contentOf(name)], { type: MIME[name.split(".").pop()] });
+  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}));
+
+// ---- where we are ------------------------------------------------------------------------------
+
+const links = new Map($$("nav a").map((link) => [link.hash.slice(1), link]));
+const here = new IntersectionObserver((entries) => {
+  for (const { isIntersecting, target } of entries) links.get(target.id).classList.toggle("here", isIntersecting);
+}, { rootMargin: "-30% 0px -60% 0px" });
+$$("main > section").forEach((section) => here.observe(section));

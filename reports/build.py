@@ -1,0 +1,93 @@
+"""Tables in, one self-contained HTML file out: ``python -m reports.build TABLES OUT``."""
+
+from __future__ import annotations
+
+import importlib.resources
+from pathlib import Path
+from typing import Annotated, Any
+
+import jinja2
+import typer
+
+from reports import sections, theme
+from reports.page import Page, pack, pack_json
+from reports.tables import ReportError, Tables
+from workflows.records import SchemaError
+
+HERE = Path(__file__).parent
+
+
+def build(tables_dir: Path, out: Path) -> None:
+    """Write the report of the tables in `tables_dir` to `out`, with static figures beside it.
+
+    Parameters
+    ----------
+    tables_dir : Path
+        ``results/<experiment>/tables``.
+    out : Path
+        The HTML file; static figures go to ``figures/`` in its folder.
+
+    Raises
+    ------
+    ReportError, SchemaError
+        When a table is missing or incomplete, or when planned runs and outcomes do not add up.
+    """
+    out = Path(out)
+    tables = Tables.load(Path(tables_dir))
+    page = Page(tables, theme.method_styles(tables), out.parent / "figures")
+    parts = [(part, part.context(page)) for part in sections.ORDER]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(_render(page, parts), encoding="utf-8")
+
+
+def _render(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(HERE / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "number": theme.number,
+        "percent": theme.percent,
+        "seconds": theme.seconds,
+        "integer": theme.integer,
+        "sortable": theme.sortable,
+        "words": theme.words,
+    }
+    environment.globals |= {"page": page, "cards": page.tables.cards, "styles": page.styles}
+    bodies = [
+        {
+            "id": part.ID,
+            "title": part.TITLE,
+            "html": environment.get_template(f"sections/{part.ID}.html").render(context),
+        }
+        for part, context in parts
+    ]
+    plotly = importlib.resources.files("plotly") / "package_data" / "plotly.min.js"
+    return environment.get_template("page.html").render(
+        sections=bodies,
+        css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
+        variables=theme.css_variables(page.styles.values()),
+        script=(HERE / "assets" / "report.js").read_text(encoding="utf-8"),
+        plotly=pack(plotly.read_bytes()),
+        data={figure.id: pack_json(figure.payload) for figure in page.figures.values()},
+    )
+
+
+def main(
+    tables: Annotated[Path, typer.Argument(help="folder with runs, traces, accounting, ...")],
+    out: Annotated[Path, typer.Argument(help="HTML file to write")],
+) -> None:
+    """Build the report of one experiment."""
+    try:
+        build(tables, out)
+    except (ReportError, SchemaError) as error:
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(2) from error
+    typer.echo(f"{out} ({out.stat().st_size / 1e6:.1f} MB)")
+
+
+if __name__ == "__main__":
+    typer.run(main)

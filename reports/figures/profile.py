@@ -1,0 +1,49 @@
+"""One glance over everything: share of the attempted runs that are at least this good."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from reports.figures.grid import Grid, Panel
+from reports.page import Figure
+from reports.tables import Tables, attempted
+from reports.theme import Style
+
+_COLUMNS = {"rmse": "RMSE", "time_solve_s": "time (s)"}
+_MOST_STEPS = 250
+
+
+def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:
+    """Empirical distribution of error and time per method; runs without a pose count as missing."""
+    runs = attempted(tables.runs)
+    runs = runs[runs["model"] == model]
+    grid, traces = Grid(column_titles=["error", "time"]), []
+    for column, (name, title) in enumerate(_COLUMNS.items()):
+        panel = Panel(0, column, title, "share of runs", x_type="log", share_x=False)
+        axes = grid.add(panel)
+        for method, style in styles.items():
+            part = runs[runs["method"] == method]
+            if part[name].notna().any():
+                traces.append(_steps(part, name, axes, style))
+    view = {"data": traces, "layouts": grid.layouts()}
+    payload = {"views": {"": view}, "scales": {"x": grid.axes("x", {0})}}
+    return Figure(f"profile-{model}", f"Error and time profile, {model}", "plain", payload)
+
+
+def _steps(part: pd.DataFrame, name: str, axes: tuple[str, str], style: Style) -> dict[str, Any]:
+    values = np.sort(part[name].dropna().to_numpy())
+    share = np.arange(1, len(values) + 1) / len(part)
+    if len(values) > _MOST_STEPS:
+        index = np.unique(np.linspace(0, len(values) - 1, _MOST_STEPS).astype(int))
+        values, share = values[index], share[index]
+    return {
+        "x": np.maximum(values, 1e-6), "y": share, "xaxis": axes[0], "yaxis": axes[1],
+        "mode": "lines", "name": style.name,
+        "line": {"shape": "hv", "width": 2, "dash": style.dash},
+        "hovertemplate": f"{style.name}<br>%{{y:.0%}} of {len(part)} runs ≤ %{{x:.3g}}"
+        "<extra></extra>",
+        "meta": {"role": "profile", "method": style.label},
+    }  # fmt: skip

@@ -1,0 +1,16 @@
+"""Sections of the page, in order. Each is a module with ID, TITLE and ``context(page) -> dict``;
+its template is ``templates/sections/<ID>.html``.
+"""
+
+from reports.sections import (
+    attribution,
+    bounds,
+    downloads,
+    failures,
+    gallery,
+    levels,
+    overview,
+    provenance,
+)
+
+ORDER = (overview, levels, bounds, gallery, failures, attribution, provenance, downloads)

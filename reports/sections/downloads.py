@@ -1,0 +1,53 @@
+"""The raw tables, inside the page."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from reports.page import Page
+from reports.tables import thin_trace
+
+ID = "downloads"
+TITLE = "Raw tables"
+
+MOST_TRACE_BYTES = 2_000_000  # compressed; beyond it the page carries the step changes only
+
+
+def context(page: Page) -> dict[str, Any]:
+    tables = page.tables
+    page.add_download(
+        "runs.csv", _csv(tables.directory / "runs.csv", tables.runs), "one row per planned run"
+    )
+    full = _csv(tables.directory / "traces.csv", tables.traces)
+    if len(gzip.compress(full)) <= MOST_TRACE_BYTES:
+        page.add_download("traces.csv", full, "bound histories, every event")
+    else:
+        groups = tables.traces.groupby(["run_id", "stage"], sort=False)
+        thin = pd.concat([thin_trace(part, most=50) for _, part in groups])
+        page.add_download(
+            "traces-steps.csv",
+            _csv(None, thin),
+            "bound histories, step changes only; all events are in tables/traces.csv "
+            "beside the report",
+        )
+    page.add_download(
+        "accounting.csv",
+        _csv(tables.directory / "accounting.csv", tables.accounting),
+        "planned runs and their outcomes per method",
+    )
+    path = tables.directory / "provenance.json"
+    if path.exists():
+        page.add_download("provenance.json", path.read_bytes(), "versions, machine, config, cards")
+    names = ("runs.csv", "traces.csv", "traces-steps.csv", "accounting.csv", "provenance.json")
+    return {"files": [page.downloads[name] for name in names if name in page.downloads]}
+
+
+def _csv(path: Path | None, table: pd.DataFrame) -> bytes:
+    """The very file of the aggregate stage where there is one."""
+    if path is not None and path.exists():
+        return path.read_bytes()
+    return table.to_csv(index=False).encode("utf-8")

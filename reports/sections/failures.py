@@ -1,0 +1,37 @@
+"""Every run that did not finish, with its reason; equal reasons share a row."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from reports.page import Page
+from reports.theme import words
+from workflows.records import OUTCOMES
+
+ID = "failures"
+TITLE = "Runs that did not finish"
+
+
+def context(page: Page) -> dict[str, Any]:
+    runs = page.tables.runs
+    rest = runs[runs["outcome"] != "finished"]
+    groups = []
+    for (outcome, method, status, message), part in rest.groupby(
+        ["outcome", "method", "status", "message"], sort=False
+    ):
+        tests = part.groupby("test", sort=False).size()
+        groups.append(
+            {
+                "outcome": outcome,
+                "method": method,
+                "status": status,
+                "message": message,
+                "count": len(part),
+                "where": ", ".join(f"{words(test)} ({n})" for test, n in tests.items()),
+                "runs": list(part["run_id"]),
+            }
+        )
+    groups.sort(
+        key=lambda g: (OUTCOMES.index(g["outcome"]), page.tables.methods.index(g["method"]))
+    )
+    return {"groups": groups, "count": len(rest), "planned": len(runs)}

@@ -1,0 +1,64 @@
+"""Accounting, one row per method and test, and the profile over everything."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pandas as pd
+
+from reports.figures import profile
+from reports.page import Page
+from reports.tables import Tables, attempted, count_outcomes
+from workflows.records import OUTCOMES
+from workflows.summary import summarise
+
+ID = "overview"
+TITLE = "Overview"
+
+
+def context(page: Page) -> dict[str, Any]:
+    counts = count_outcomes(page.tables.runs).loc[page.tables.methods]
+    models = list(dict.fromkeys(page.tables.runs["model"]))
+    wrong = page.tables.runs["bound_violation"].fillna(0) > 0
+    solved = attempted(page.tables.runs)["model"]
+    return {
+        "outcomes": OUTCOMES,
+        "accounting": [(method, row) for method, row in counts.iterrows()],
+        "total": counts.sum(),
+        "wrong_certificates": list(page.tables.runs.loc[wrong, "run_id"]),
+        "summary": summary(page.tables),
+        "models": models,
+        "tests": list(dict.fromkeys(page.tables.runs["test"])),
+        "profiles": [
+            page.add_figure(profile.build(page.tables, page.styles, model))
+            for model in models
+            if (solved == model).any()
+        ],
+    }
+
+
+def summary(tables: Tables) -> list[dict[str, Any]]:
+    """Model × test × method, as the harness summarises them, with what could not be attempted."""
+    keys = ["model", "test", "method"]
+    planned = tables.runs.groupby(keys, sort=False)["outcome"].agg(_outcomes).reset_index()
+    sizes = tables.runs.groupby(keys, sort=False).size()
+    done = summarise(tables.runs).set_index(keys)
+    rows = []
+    for row in planned.to_dict("records"):
+        key = tuple(row[name] for name in keys)
+        rows.append(
+            {
+                **row,
+                "planned": int(sizes[key]),
+                "complete": row["outcome"] == f"{sizes[key]} finished",
+                "result": done.loc[key] if key in done.index else None,
+            }
+        )
+    # a block of methods per test, as a reader compares them
+    groups = list(dict.fromkeys((row["model"], row["test"]) for row in rows))
+    return sorted(rows, key=lambda row: groups.index((row["model"], row["test"])))
+
+
+def _outcomes(outcomes: pd.Series) -> str:
+    counts = outcomes.value_counts()
+    return ", ".join(f"{counts[name]} {name}" for name in OUTCOMES if name in counts)

@@ -1,0 +1,288 @@
+"""Every folder in baselines/ keeps the one contract; methods are found, never listed here."""
+
+from __future__ import annotations
+
+import ast
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from baselines import registry
+from baselines._poses import apply, homogeneous, rms_radius
+from baselines.contract import Baseline, Instance, Limits, Solution
+from dcreg.result import Status
+
+NAMES = registry.names()
+PAIRS = [(name, model) for name in NAMES for model in registry.read_card(name).models]
+LIMITS = Limits(time_s=20.0)
+
+
+def easy_instance(model: str) -> Instance:
+    """A small asymmetric shape, moved a little, with a few points missing from the target."""
+    generator = np.random.default_rng(7)
+    if model == "similarity2d":
+        angle = np.linspace(0, 2 * np.pi, 26)[:-1]  # a fish-like contour
+        body = np.column_stack([np.cos(angle) + 0.4 * np.cos(2 * angle), 0.6 * np.sin(angle)])
+        source = 0.4 * body + 0.1 * np.column_stack([np.sin(3 * angle), np.cos(5 * angle)])
+        c, s = np.cos(0.3), np.sin(0.3)
+        truth = homogeneous(1.1, np.array([[c, -s], [s, c]]), np.array([0.1, -0.05]))
+        scale_range = (0.5, 1.5)
+    else:
+        # A bent, lopsided shell: a surface, since some methods estimate normals or covariances.
+        shell = generator.standard_normal((42, 3))
+        shell /= np.linalg.norm(shell, axis=1, keepdims=True)
+        source = shell * [0.6, 0.4, 0.3] + 0.3 * shell[:, [0]] ** 2 * [0.0, 0.4, 1.0]
+        rotation = Rotation.from_rotvec([0.1, -0.15, 0.1]).as_matrix()
+        truth = homogeneous(1.0, rotation, np.array([0.05, 0.02, -0.04]))
+        scale_range = (1.0, 1.0)
+    target = generator.permutation(apply(truth, source))[2:]
+    target += 0.002 * generator.standard_normal(target.shape)
+    return Instance(
+        instance_id=f"easy-{model}",
+        source=source,
+        target=target,
+        model=model,
+        n_inliers=len(target),
+        scale_range=scale_range,
+        noise_bound=0.02,
+        seed=11,
+    )
+
+
+def runnable(name: str) -> Baseline:
+    """The method; where it is not installed, its reason is checked instead of its results."""
+    method = registry.load(name)
+    reason = method.available()
+    if reason is not None:
+        assert_tells_the_remedy(method, reason)
+        pytest.skip(f"{name}: {reason}")
+    return method
+
+
+def assert_tells_the_remedy(method: Baseline, reason: str) -> None:
+    assert method.card.how_to_get
+    assert reason.strip().endswith(method.card.how_to_get) or "front end" in reason
+    assert len(reason) > len(method.card.how_to_get), "the reason itself is missing"
+
+
+@pytest.fixture(scope="module")
+def solutions() -> dict[tuple[str, str], Solution]:
+    """One run per method and model, shared by the tests that only look at it."""
+    return {}
+
+
+def solved(solutions: dict, name: str, model: str) -> Solution:
+    if (name, model) not in solutions:
+        method = runnable(name)
+        method.warm_up(easy_instance(model))
+        solutions[name, model] = method.solve(easy_instance(model), LIMITS)
+    return solutions[name, model]
+
+
+def test_the_first_set_of_methods_is_found() -> None:
+    assert {"dcreg", "bilinear_bnb", "icp", "cpd", "teaserpp", "kiss_matcher"} <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+class TestFolder:
+    def test_card_is_complete(self, name: str) -> None:
+        card = registry.read_card(name)
+        for text in (card.display_name, card.summary, card.citation, card.licence):
+            assert text.strip()
+        assert card.models
+        assert card.how_to_get or not card.requires
+        assert card.provides_bounds == (card.certifies != "nothing")
+        if card.provenance == "reconstruction":
+            assert "reconstruction" in card.summary.lower()
+
+    def test_colour_and_name_are_its_own(self, name: str) -> None:
+        cards = [registry.read_card(other) for other in NAMES]
+        card = registry.read_card(name)
+        assert Counter(other.color.lower() for other in cards)[card.color.lower()] == 1
+        assert Counter(other.display_name for other in cards)[card.display_name] == 1
+
+    def test_its_parameters_are_accepted(self, name: str) -> None:
+        card = registry.read_card(name)
+        assert registry.load(name, **card.parameters).options == card.parameters
+
+    def test_unknown_option_is_refused(self, name: str) -> None:
+        with pytest.raises(registry.BaselineError, match="no_such_option"):
+            registry.load(name, no_such_option=1)
+
+    def test_available_or_says_how_to_get_it(self, name: str) -> None:
+        method = registry.load(name)
+        reason = method.available()
+        if reason is not None:
+            assert_tells_the_remedy(method, reason)
+
+    def test_other_models_are_unsupported_with_a_reason(self, name: str) -> None:
+        method = registry.load(name)
+        for model in ("similarity2d", "rigid3d"):
+            reason = method.supports(easy_instance(model))
+            assert (reason is None) == (model in method.card.models)
+            assert reason is None or model in reason
+
+    def test_shared_helpers_are_in_depends(self, name: str) -> None:
+        """Otherwise an edit of a helper would not rerun the method's solves."""
+        card = registry.read_card(name)
+        todo, imported = [registry.ROOT / name / "adapter.py"], set()
+        while todo:
+            for path in project_imports(todo.pop()) - imported:
+                imported.add(path)
+                todo.append(path)
+        assert {path.relative_to(registry.ROOT.parent).as_posix() for path in imported} <= set(
+            card.depends
+        )
+
+
+def project_imports(path: Path) -> set[Path]:
+    """Shared helper modules (``baselines._*``) and ``dcreg`` itself that a file imports."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        modules = []
+        if isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            modules = [f"{node.module}.{alias.name}" for alias in node.names] + [f"{node.module}"]
+        for module in modules:
+            parts = module.split(".")
+            if parts[0] == "baselines" and len(parts) > 1 and parts[1].startswith("_"):
+                found.add(registry.ROOT / f"{parts[1]}.py")
+    return found
+
+
+@pytest.mark.parametrize(("name", "model"), PAIRS)
+class TestSolve:
+    def test_pose_is_proper(self, solutions: dict, name: str, model: str) -> None:
+        solution = solved(solutions, name, model)
+        instance = easy_instance(model)
+        if solution.T_target_source is None:
+            assert solution.status is Status.FAILED
+            assert solution.message
+            return
+        pose, d = solution.T_target_source, instance.dim
+        assert pose.shape == (d + 1, d + 1)
+        assert np.isfinite(pose).all()
+        np.testing.assert_array_equal(pose[d], np.eye(d + 1)[d])
+        scale = np.linalg.det(pose[:d, :d]) ** (1 / d)
+        low, high = instance.scale_range
+        assert low - 1e-9 <= scale <= high + 1e-9
+        gram = pose[:d, :d].T @ pose[:d, :d]
+        np.testing.assert_allclose(gram, scale**2 * np.eye(d), atol=1e-8)
+
+    def test_status_is_true(self, solutions: dict, name: str, model: str) -> None:
+        solution = solved(solutions, name, model)
+        card = registry.read_card(name)
+        if solution.status is Status.OPTIMAL:
+            assert card.provides_bounds
+            assert solution.certificate_scope
+        else:
+            ends = (Status.CONVERGED, Status.FAILED)
+            assert solution.status in ends or solution.status.is_limit
+
+    def test_bounds_are_consistent(self, solutions: dict, name: str, model: str) -> None:
+        solution = solved(solutions, name, model)
+        if not registry.read_card(name).provides_bounds:
+            assert solution.lower_bound is None
+            assert solution.upper_bound is None
+            assert solution.trace == []
+            return
+        slack = 1e-9 * max(1.0, abs(solution.upper_bound))
+        assert solution.lower_bound <= solution.upper_bound + slack
+        if solution.status is Status.OPTIMAL:
+            assert solution.upper_bound - solution.lower_bound <= solution.gap_tol + slack
+        assert solution.trace
+        for stage in {row.get("stage", "") for row in solution.trace}:
+            rows = [row for row in solution.trace if row.get("stage", "") == stage]
+            for key, sign in (("lower_bound", 1), ("upper_bound", -1), ("n_nodes", 1)):
+                values = np.array([row[key] for row in rows], dtype=float)
+                before, after = values[:-1], values[1:]
+                assert (sign * after >= sign * before - slack).all(), (stage, key)
+
+    def test_repeats_itself_when_it_says_so(self, solutions: dict, name: str, model: str) -> None:
+        first = solved(solutions, name, model)
+        second = runnable(name).solve(easy_instance(model), LIMITS)
+        if not registry.read_card(name).deterministic or first.status is Status.TIME_LIMIT:
+            return
+        assert second.status is first.status
+        assert second.counters == first.counters
+        if first.T_target_source is not None:
+            np.testing.assert_array_equal(first.T_target_source, second.T_target_source)
+
+    def test_leaves_its_inputs_alone(self, name: str, model: str) -> None:
+        method = runnable(name)
+        instance, untouched = easy_instance(model), easy_instance(model)
+        instance.source.setflags(write=False)
+        instance.target.setflags(write=False)
+        method.solve(instance, Limits(time_s=2.0))
+        np.testing.assert_array_equal(instance.source, untouched.source)
+        np.testing.assert_array_equal(instance.target, untouched.target)
+
+    def test_returns_near_its_time_limit(self, solutions: dict, name: str, model: str) -> None:
+        solved(solutions, name, model)  # imports and compilation are done
+        instance = easy_instance(model)
+        start = time.perf_counter()
+        solution = registry.load(name).solve(instance, Limits(time_s=0.05))
+        assert time.perf_counter() - start < 3.0  # generous: a loaded machine, one library call
+        finished = solution.status in (Status.CONVERGED, Status.OPTIMAL, Status.FAILED)
+        assert finished or solution.status is Status.TIME_LIMIT
+        assert solution.T_target_source is not None or solution.status is Status.FAILED
+
+    def test_survives_awkward_sizes(self, name: str, model: str) -> None:
+        """Few points, one pair, n != m, coinciding points: a pose or a reason, no exception."""
+        method = runnable(name)
+        easy = easy_instance(model)
+        cases = [
+            (easy.source[:5], easy.target[:9], 4),
+            (easy.source[:6], easy.target[:4], 1),
+            (np.repeat(easy.source[:2], 3, axis=0), easy.target[:7], 3),
+        ]
+        for source, target, n_inliers in cases:
+            instance = Instance(
+                "awkward", source, target, easy.model, n_inliers, easy.scale_range, 0.02, 0
+            )
+            solution = method.solve(instance, Limits(time_s=2.0, nodes=200))
+            if solution.T_target_source is None:
+                assert solution.status is Status.FAILED
+                assert solution.message
+            else:
+                assert np.isfinite(solution.T_target_source).all()
+
+
+# Methods that start close to the answer or search everywhere must solve the easy instance. Feature
+# matches on 40 points carry no promise, so correspondence methods are judged on their own test.
+ACCURATE = [
+    (name, model) for name, model in PAIRS if not registry.read_card(name).input.startswith("FPFH")
+]
+
+
+@pytest.mark.parametrize(("name", "model"), ACCURATE)
+def test_raw_point_methods_solve_the_easy_instance(solutions: dict, name: str, model: str) -> None:
+    solution = solved(solutions, name, model)
+    if solution.status.is_limit:
+        pytest.skip(f"{name} stopped at {solution.status.value}")
+    instance = easy_instance(model)
+    moved = apply(solution.T_target_source, instance.source)
+    distances = np.linalg.norm(moved[:, None] - instance.target[None], axis=2).min(axis=0)
+    assert np.sqrt((distances**2).mean()) < 0.05 * rms_radius(instance.target)
+
+
+def test_the_template_keeps_the_contract(tmp_path: Path) -> None:
+    folder = registry.new_baseline("my_method", root=tmp_path)
+    assert sorted(path.name for path in folder.iterdir()) == ["adapter.py", "card.yaml"]
+    assert registry.names(tmp_path) == ["my_method"]
+    method = registry.load("my_method", root=tmp_path)
+    assert method.available() is None
+    assert method.card.display_name == "my_method"
+    for model in method.card.models:
+        instance = easy_instance(model)
+        solution = method.solve(instance, LIMITS)
+        assert solution.status is Status.CONVERGED
+        moved = apply(solution.T_target_source, instance.source)
+        np.testing.assert_allclose(moved.mean(axis=0), instance.target.mean(axis=0), atol=1e-12)
+    with pytest.raises(registry.BaselineError, match="exists already"):
+        registry.new_baseline("my_method", root=tmp_path)

@@ -1,0 +1,177 @@
+"""Correspondence methods on planted pairs, the front ends, and the official solver's wiring."""
+
+from __future__ import annotations
+
+import sys
+import types
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from baselines import registry
+from baselines._frontends import FrontEndError, all_pairs, fpfh_mutual
+from baselines._poses import apply, homogeneous, median_spacing
+from baselines.contract import Instance, Limits
+from dcreg.result import Status
+
+LIMITS = Limits(time_s=20.0)
+NOISE = 0.01
+
+
+def planted(outlier_share: float, n: int = 200) -> tuple[Instance, np.ndarray]:
+    """Row i of the source corresponds to row i of the target, but for a share of random rows."""
+    generator = np.random.default_rng(3)
+    source = generator.uniform(-0.5, 0.5, (n, 3))
+    rotation = Rotation.from_rotvec([1.1, -0.7, 1.9]).as_matrix()
+    truth = homogeneous(1.0, rotation, np.array([5.0, -3.0, 2.0]))
+    target = apply(truth, source) + NOISE / 3 * generator.standard_normal((n, 3))
+    wrong = int(outlier_share * n)
+    target[:wrong] = generator.uniform(-0.5, 0.5, (wrong, 3)) + target.mean(axis=0)
+    return Instance("planted", source, target, "rigid3d", n - wrong, (1, 1), NOISE, 5), truth
+
+
+def angle_between(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.degrees(Rotation.from_matrix(first[:3, :3] @ second[:3, :3].T).magnitude()))
+
+
+@pytest.mark.parametrize(
+    ("name", "outlier_share"), [("fpfh_ransac", 0.6), ("fpfh_fgr", 0.3), ("kiss_matcher", 0.8)]
+)
+def test_planted_pose_is_recovered_despite_outliers(name: str, outlier_share: float) -> None:
+    method = registry.load(name)
+    if reason := method.available():
+        pytest.skip(reason)
+    instance, truth = planted(outlier_share)
+    rows = np.arange(len(instance.source))
+    pose = method.solve_pairs(instance, np.column_stack([rows, rows]), LIMITS)
+    assert angle_between(pose, truth) < 2.0
+    np.testing.assert_allclose(
+        apply(pose, instance.source).mean(axis=0),
+        apply(truth, instance.source).mean(axis=0),
+        atol=NOISE,
+    )
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_kiss_matcher_does_not_depend_on_the_unit_of_length(unit: float) -> None:
+    method = registry.load("kiss_matcher")
+    if reason := method.available():
+        pytest.skip(reason)
+    instance, truth = planted(0.5)
+    scaled = Instance(
+        "scaled", unit * instance.source, unit * instance.target, "rigid3d",
+        instance.n_inliers, (1, 1), unit * NOISE, 5,
+    )  # fmt: skip
+    rows = np.arange(len(instance.source))
+    pose = method.solve_pairs(scaled, np.column_stack([rows, rows]), LIMITS)
+    assert angle_between(pose, truth) < 1.0
+    np.testing.assert_allclose(pose[:3, 3] / unit, truth[:3, 3], atol=NOISE)
+
+
+def test_all_pairs_is_complete_and_capped() -> None:
+    instance, _ = planted(0.0, n=7)
+    pairs = all_pairs(instance, max_pairs=49)
+    assert sorted(map(tuple, pairs)) == [(i, j) for i in range(7) for j in range(7)]
+    with pytest.raises(FrontEndError, match="49 pairs, more than max_pairs = 48"):
+        all_pairs(instance, max_pairs=48)
+
+
+def test_too_many_pairs_is_a_failure_with_a_reason() -> None:
+    method = registry.load("kiss_matcher", front_end="all-pairs", max_pairs=10)
+    if reason := method.available():
+        pytest.skip(reason)
+    solution = method.solve(planted(0.0)[0], LIMITS)
+    assert solution.status is Status.FAILED
+    assert "max_pairs = 10" in solution.message
+
+
+def test_fpfh_pairs_are_mutual_and_mostly_right_on_a_moved_surface() -> None:
+    pytest.importorskip("open3d", exc_type=ImportError)
+    generator = np.random.default_rng(1)
+    x, y = generator.uniform(-1, 1, (2, 1500))
+    surface = np.column_stack([x, y, 0.3 * np.sin(4 * x) * np.cos(3 * y + x) + 0.2 * x**2])
+    pose = homogeneous(1.0, Rotation.from_rotvec([0.3, 0.2, -0.4]).as_matrix(), np.ones(3))
+    order = generator.permutation(len(surface))
+    instance = Instance(
+        "moved", surface, apply(pose, surface)[order], "rigid3d", 1500, (1, 1), NOISE, 0
+    )
+    pairs = fpfh_mutual(instance, normal_radius=3.2, feature_radius=8.0)
+    assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs) > 300
+    off = apply(pose, instance.source[pairs[:, 0]]) - instance.target[pairs[:, 1]]
+    right = np.linalg.norm(off, axis=1) < 2 * median_spacing(instance.target)
+    assert right.mean() > 0.5
+
+
+class StandInSolver:
+    """The parts of ``teaserpp_python.RobustRegistrationSolver`` that the adapter uses."""
+
+    clique_size = 5
+    ROTATION_ESTIMATION_ALGORITHM = types.SimpleNamespace(GNC_TLS="gnc")
+    last: Any = None
+
+    class Params(types.SimpleNamespace):
+        pass
+
+    def __init__(self, settings: Any) -> None:
+        self.settings = settings
+        StandInSolver.last = self
+
+    def solve(self, source: np.ndarray, target: np.ndarray) -> None:
+        self.shapes = source.shape, target.shape
+        centred = [points - points.mean(axis=1, keepdims=True) for points in (source, target)]
+        self.rotation = Rotation.align_vectors(centred[1].T, centred[0].T)[0].as_matrix()
+        self.translation = target.mean(axis=1) - self.rotation @ source.mean(axis=1)
+
+    def getSolution(self) -> Any:
+        return types.SimpleNamespace(
+            scale=1.0, rotation=self.rotation, translation=self.translation
+        )
+
+    def getInlierMaxClique(self) -> list[int]:
+        return list(range(self.clique_size))
+
+
+@pytest.fixture
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> type[StandInSolver]:
+    module = types.ModuleType("teaserpp_python")
+    module.RobustRegistrationSolver = StandInSolver
+    monkeypatch.setitem(sys.modules, "teaserpp_python", module)
+    return StandInSolver
+
+
+def test_official_teaser_gets_columns_and_the_noise_bound(stand_in: type[StandInSolver]) -> None:
+    instance, truth = planted(0.0)
+    rows = np.arange(len(instance.source))
+    method = registry.load("teaserpp", noise_factor=2.0)
+    pose = method.solve_pairs(instance, np.column_stack([rows, rows]), LIMITS)
+    assert angle_between(pose, truth) < 0.5
+    assert stand_in.last.shapes == ((3, 200), (3, 200))
+    settings = stand_in.last.settings
+    assert settings.noise_bound == pytest.approx(2 * NOISE)
+    assert settings.estimate_scaling is False
+    assert settings.max_clique_time_limit == LIMITS.time_s
+
+
+def test_a_clique_of_one_is_a_failure(
+    stand_in: type[StandInSolver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stand_in, "clique_size", 1)
+    method = registry.load("teaserpp", front_end="all-pairs")
+    solution = method.solve(planted(0.0, n=20)[0], LIMITS)
+    assert solution.status is Status.FAILED
+    assert "no consistent" in solution.message
+    assert solution.counters["n_correspondences"] == 400
+
+
+def test_two_pairs_are_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    method = registry.load("fpfh_ransac")
+    if reason := method.available():
+        pytest.skip(reason)
+    monkeypatch.setattr(
+        "baselines._frontends.putative_pairs", lambda *_: np.array([[0, 0], [1, 1]])
+    )
+    solution = method.solve(planted(0.0)[0], LIMITS)
+    assert solution.status is Status.FAILED
+    assert solution.message == "2 correspondences, a pose needs 3"

@@ -1,0 +1,201 @@
+"""Fits, lengths and start lists shared by the adapters."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from baselines import registry
+from baselines._poses import (
+    apply,
+    fit_pose,
+    homogeneous,
+    median_spacing,
+    proper_rotation,
+    rigid_pose,
+    rms_radius,
+)
+from baselines._starts import STARTS, best_of_starts, start_poses
+from baselines.contract import Instance, Limits
+from dcreg.result import Status
+
+
+def instance_of(model: str, seed: int = 0, n: int = 30) -> Instance:
+    generator = np.random.default_rng(seed)
+    d = 2 if model == "similarity2d" else 3
+    source = generator.standard_normal((n, d)) + 4.0
+    target = 1.2 * generator.standard_normal((n + 5, d)) - 2.0
+    scale_range = (0.6, 1.4) if d == 2 else (1.0, 1.0)
+    return Instance("random", source, target, model, n // 2, scale_range, 0.1, seed)
+
+
+@given(seed=st.integers(0, 10_000), d=st.sampled_from([2, 3]), low=st.floats(0.3, 1.5))
+@settings(max_examples=50, deadline=None)
+def test_fit_recovers_an_exact_pose_inside_the_range(seed: int, d: int, low: float) -> None:
+    generator = np.random.default_rng(seed)
+    rotation = proper_rotation(generator.standard_normal((d, d)))
+    truth = homogeneous(low + 0.1, rotation, generator.standard_normal(d))
+    source = generator.standard_normal((8, d))
+    found = fit_pose(source, apply(truth, source), (low, low + 0.2))
+    np.testing.assert_allclose(found, truth, atol=1e-9)
+
+
+def test_clipped_fit_is_the_constrained_optimum() -> None:
+    generator = np.random.default_rng(2)
+    source = generator.standard_normal((12, 2))
+    target = 2.0 * source @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    target += 0.3 * generator.standard_normal((12, 2))
+
+    def cost(parameters: np.ndarray) -> float:
+        scale, angle, *shift = parameters
+        c, s = np.cos(angle), np.sin(angle)
+        pose = homogeneous(scale, np.array([[c, -s], [s, c]]), np.array(shift))
+        return float(((apply(pose, source) - target) ** 2).sum())
+
+    pose = fit_pose(source, target, (0.5, 1.5))
+    value = ((apply(pose, source) - target) ** 2).sum()
+    others = [
+        minimize(cost, [1.0, angle, 0, 0], bounds=[(0.5, 1.5), (None, None)] + 2 * [(None, None)])
+        for angle in (-1.5, 0.0, 1.5)
+    ]
+    assert value == pytest.approx(min(other.fun for other in others), rel=1e-6)
+    assert np.linalg.det(pose[:2, :2]) == pytest.approx(1.5**2)
+
+
+def test_fit_of_mirrored_points_stays_a_rotation() -> None:
+    source = np.random.default_rng(0).standard_normal((10, 3))
+    pose = fit_pose(source, source * [-1, 1, 1], (1.0, 1.0))
+    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
+
+
+def test_fit_of_one_pair_moves_it_there() -> None:
+    pose = fit_pose(np.array([[1.0, 2.0]]), np.array([[3.0, 5.0]]), (0.5, 1.5))
+    np.testing.assert_allclose(apply(pose, np.array([[1.0, 2.0]])), [[3.0, 5.0]])
+
+
+def test_rigid_pose_cleans_single_precision_and_refuses_nan() -> None:
+    rotation = Rotation.random(random_state=0).as_matrix().astype(np.float32)
+    pose = rigid_pose(homogeneous(1.0, rotation, np.ones(3)))
+    np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-14)
+    assert rigid_pose(np.full((4, 4), np.nan)) is None
+
+
+def test_lengths() -> None:
+    square = np.array([[0, 0], [2, 0], [2, 2], [0, 2], [0, 2]], dtype=float)
+    assert median_spacing(square) == 2.0
+    assert rms_radius(square[:4]) == pytest.approx(np.sqrt(2))
+    assert median_spacing(np.zeros((3, 2))) == rms_radius(np.zeros((3, 2))) == 1.0
+
+
+def test_the_default_tolerance_is_the_library_s() -> None:
+    instance = instance_of("similarity2d")
+    expected = dcreg.default_gap_tol(instance.target, instance.n_inliers)
+    assert registry.load("dcreg").gap_tol(instance) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("model", "count"), [("similarity2d", 2 + 36), ("rigid3d", 2 + 24)])
+def test_start_lists_are_as_documented(model: str, count: int) -> None:
+    instance = instance_of(model)
+    d = instance.dim
+    assert [len(start_poses(instance, starts)) for starts in STARTS] == [1, 1, count]
+    np.testing.assert_array_equal(start_poses(instance, "identity")[0], np.eye(d + 1))
+    for index, pose in enumerate(start_poses(instance, "multi")):
+        scale = np.linalg.det(pose[:d, :d]) ** (1 / d)
+        assert instance.scale_range[0] <= scale <= instance.scale_range[1] + 1e-12
+        if index != 1:  # the identity is the one that does not align the centroids
+            moved = apply(pose, instance.source).mean(axis=0)
+            np.testing.assert_allclose(moved, instance.target.mean(axis=0), atol=1e-12)
+
+
+def test_out_of_time_gives_the_best_so_far() -> None:
+    def slow(pose: np.ndarray, _deadline: float) -> np.ndarray:
+        time.sleep(0.06)
+        return pose
+
+    solution = best_of_starts(instance_of("rigid3d"), "multi", Limits(time_s=0.1), slow)
+    assert solution.status is Status.TIME_LIMIT
+    assert solution.T_target_source is not None
+    assert 1 <= solution.counters["n_starts"] <= 3
+
+
+def test_breakdown_everywhere_is_a_failure() -> None:
+    solution = best_of_starts(
+        instance_of("rigid3d"), "multi", Limits(time_s=5.0), lambda pose, _deadline: None
+    )
+    assert solution.status is Status.FAILED
+    assert solution.counters["n_starts"] == 26
+
+
+@pytest.mark.parametrize("angle", [2.5, -1.7, np.pi])
+def test_multi_start_icp_finds_a_large_rotation(angle: float) -> None:
+    generator = np.random.default_rng(4)
+    source = generator.standard_normal((60, 2)) * [1.0, 0.4] + [0.5, 0.0]
+    c, s = np.cos(angle), np.sin(angle)
+    truth = homogeneous(0.8, np.array([[c, -s], [s, c]]), np.array([1.0, 2.0]))
+    instance = Instance(
+        "turned", source, apply(truth, source), "similarity2d", 60, (0.5, 1.5), 0.01, 0
+    )
+    found = registry.load("icp").solve(instance, Limits(time_s=20.0))
+    np.testing.assert_allclose(found.T_target_source, truth, atol=1e-6)
+
+
+def test_trimming_lets_icp_ignore_outliers() -> None:
+    generator = np.random.default_rng(6)
+    source = generator.standard_normal((50, 2))
+    target = source + 0.02
+    cluttered = np.vstack([source, [[8.0, 8.0]] * 10])
+    instance = Instance("clutter", cluttered, target, "similarity2d", 50, (0.5, 1.5), 0.01, 0)
+    errors = {}
+    for trim in (True, False):
+        pose = registry.load("icp", starts="identity", trim=trim).solve(
+            instance, Limits(time_s=20.0)
+        )
+        moved = apply(pose.T_target_source, source)
+        errors[trim] = np.abs(moved - target).max()
+    assert errors[True] < 1e-9 < 0.05 < errors[False]
+
+
+class TestCpd:
+    @pytest.fixture
+    def exact(self) -> tuple[Instance, np.ndarray]:
+        generator = np.random.default_rng(8)
+        source = generator.standard_normal((40, 2)) * [1.0, 0.5]
+        truth = homogeneous(1.3, np.eye(2), np.array([0.1, -0.1]))
+        target = apply(truth, source)
+        return Instance("exact", source, target, "similarity2d", 40, (0.5, 1.5), 0.01, 0), truth
+
+    @pytest.fixture(autouse=True)
+    def _installed(self) -> None:
+        if reason := registry.load("cpd").available():
+            pytest.skip(reason)
+
+    def test_finds_the_scale(self, exact: tuple[Instance, np.ndarray]) -> None:
+        instance, truth = exact
+        found = registry.load("cpd").solve(instance, Limits(time_s=20.0))
+        np.testing.assert_allclose(found.T_target_source, truth, atol=0.02)
+
+    def test_keeps_the_scale_in_its_range(self, exact: tuple[Instance, np.ndarray]) -> None:
+        instance, _ = exact
+        narrow = Instance(
+            "narrow", instance.source, instance.target, "similarity2d", 40, (0.9, 1.1), 0.01, 0
+        )
+        found = registry.load("cpd").solve(narrow, Limits(time_s=20.0))
+        assert np.linalg.det(found.T_target_source[:2, :2]) == pytest.approx(1.1**2)
+
+    def test_does_not_depend_on_the_unit(self, exact: tuple[Instance, np.ndarray]) -> None:
+        instance, _ = exact
+        big = Instance(
+            "big", 1e3 * instance.source, 1e3 * instance.target, "similarity2d", 40,
+            (0.5, 1.5), 10.0, 0,
+        )  # fmt: skip
+        small = registry.load("cpd").solve(instance, Limits(time_s=20.0)).T_target_source
+        large = registry.load("cpd").solve(big, Limits(time_s=20.0)).T_target_source
+        np.testing.assert_allclose(large[:2, :2], small[:2, :2], atol=1e-6)
+        np.testing.assert_allclose(large[:2, 2] / 1e3, small[:2, 2], atol=1e-6)

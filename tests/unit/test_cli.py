@@ -1,0 +1,522 @@
+"""The command line: options, exit codes, outputs, messages; with a made-up and the real search."""
+
+import io
+import json
+import math
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+import dcreg
+from dcreg import cli
+from dcreg.progress import Progress
+from dcreg.result import Result, Status
+from dcreg.trace import Event, Trace
+
+ISSUE_KEYS = {
+    *("status", "T_target_source", "scale", "n_inliers", "bound", "mode", "lower_bound"),
+    *("upper_bound", "gap", "gap_tol", "n_nodes", "n_assignments", "time_solve_s"),
+    *("certificate_scope", "rmse_matched", "assignment"),
+}
+
+
+def run(*arguments):
+    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+def event(kind="bound", stage="search", time_s=0.0, n_nodes=1, lower=0.0, upper=1.0, status=""):
+    return Event(kind, stage, time_s, n_nodes, 16 * n_nodes, 3, lower, upper, status)
+
+
+@pytest.fixture
+def clouds(tmp_path):
+    """A small 2D pair with a known pose: 12 points, turned by 0.4, scaled by 1.2, moved."""
+    source = np.random.default_rng(3).random((12, 2))
+    turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    target = 1.2 * source @ turn.T + [5.0, -2.0]
+    np.savetxt(tmp_path / "source.txt", source)
+    np.savez(tmp_path / "target.npz", a=target, b=target[:6])
+    return tmp_path / "source.txt", f"{tmp_path / 'target.npz'}:a"
+
+
+@pytest.fixture
+def call(clouds):
+    """The arguments of a good call; others are appended."""
+    return ["register", *clouds, "--model", "similarity2d", "--n-inliers", "0.8"]
+
+
+@pytest.fixture
+def fake(monkeypatch):
+    """`dcreg.register` replaced by one that records its arguments and returns at once."""
+
+    class Fake:
+        status = Status.OPTIMAL
+        lower_bound = 0.5
+        stages = ()
+        error: Exception | None = None
+        called = None
+
+        def __call__(self, source, target, **options):
+            self.called = {"source": source, "target": target, **options}
+            if self.error is not None:
+                raise self.error
+            options["listener"](event("end", upper=1.0, status=self.status.value))
+            d = source.shape[1]
+            return Result(
+                status=self.status,
+                model=options["model"],
+                mode="paper",
+                bound=options["bound"],
+                T_target_source=np.eye(d + 1),
+                T_certified=np.eye(d + 1),
+                assignment=np.array([[0, 0]]),
+                n_inliers=options["n_inliers"],
+                lower_bound=self.lower_bound,
+                upper_bound=1.0,
+                gap_tol=options["gap_tol"],
+                certificate_scope="similarity pose",
+                objective=1.0,
+                objective_certified=1.0,
+                n_nodes=np.int64(7),
+                n_assignments=112,
+                n_bound_evals=7,
+                time_setup_s=0.1,
+                time_solve_s=0.2,
+                stages=list(self.stages),
+                trace=Trace([event(), event("end", status=self.status.value)]),
+            )
+
+    made = Fake()
+    monkeypatch.setattr(dcreg, "register", made)
+    return made
+
+
+# --- options --------------------------------------------------------------------------------------
+
+
+def test_options_reach_the_library(call, fake):
+    outcome = run(
+        *(*call, "--scale-range", 0.9, 1.1, "--mode", "paper", "--bound", "edges"),
+        *("--gap-tol", 0.25, "--time-limit", 9, "--node-limit", 77, "--threads", 2, "--no-polish"),
+    )
+    assert outcome.exit_code == 0
+    expected = {
+        **{"model": "similarity2d", "n_inliers": 9, "scale_range": (0.9, 1.1), "mode": "paper"},
+        **{"bound": "edges", "gap_tol": 0.25, "time_limit": 9.0, "node_limit": 77, "threads": 2},
+        **{"polish": False},
+    }
+    assert {name: fake.called[name] for name in expected} == expected
+
+
+def test_defaults(call, clouds, fake):
+    assert run(*call).exit_code == 0
+    assert fake.called["scale_range"] == (0.5, 1.5)
+    assert fake.called["bound"] == "paper"
+    assert fake.called["polish"] is True
+    assert fake.called["gap_tol"] == dcreg.default_gap_tol(fake.called["target"], 9)
+    assert [fake.called[name] for name in ("mode", "time_limit", "node_limit")] == [None] * 3
+
+
+@pytest.mark.parametrize(("text", "pairs"), [("1", 1), ("1.0", 12), ("7", 7), ("0.5", 6)])
+def test_count_or_fraction(clouds, fake, text, pairs):
+    run("register", *clouds, "--model", "similarity2d", "--n-inliers", text)
+    assert fake.called["n_inliers"] == pairs
+
+
+def test_key_options(clouds, fake):
+    source, target = clouds
+    path = target.removesuffix(":a")
+    arguments = ["register", source, path, "--model", "similarity2d", "--n-inliers", "3"]
+    assert run(*arguments, "--target-key", "b").exit_code == 0
+    assert len(fake.called["target"]) == 6
+    assert "a, b; name one" in run(*arguments).stderr
+
+
+def test_help_and_version():
+    outcome = run("--help")
+    assert outcome.exit_code == 0
+    assert "register" in outcome.stdout
+    assert "version" in outcome.stdout
+    outcome = run("version")
+    assert outcome.exit_code == 0
+    assert outcome.stdout.startswith(f"dcreg {dcreg.__version__}\npython 3.")
+
+
+# --- bad input ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"--n-inliers": "lots"}, ["--n-inliers: 'lots'", "such as 40"]),
+        ({"--n-inliers": "13"}, ["--n-inliers: 13", "between 1 and 12"]),
+        ({"--n-inliers": "0"}, ["--n-inliers: 0"]),
+        ({"--n-inliers": "1.5"}, ["--n-inliers", "1.5", "(0, 1]"]),
+        ({"--n-inliers": "nan"}, ["--n-inliers", "nan"]),
+        ({"--model": "rigid3d"}, ["source.txt", "2 coordinates", "use --model similarity2d"]),
+        ({"--model": "affine"}, ["--model", "affine", "similarity2d", "rigid3d"]),
+        ({"--scale-range": ("2", "1")}, ["--scale-range: (2.0, 1.0)", "low <= high"]),
+        ({"--scale-range": ("nan", "1")}, ["--scale-range"]),
+        ({"--bound": "magic"}, ["--bound: 'magic'", "termwise-r1"]),
+        ({"--mode": "magic"}, ["--mode: 'magic'", "paper"]),
+        ({"--gap-tol": "-1"}, ["--gap-tol: -1"]),
+        ({"--gap-tol": "nan"}, ["--gap-tol: nan"]),
+        ({"--time-limit": "0"}, ["--time-limit: 0"]),
+        ({"--node-limit": "-3"}, ["--node-limit: -3"]),
+        ({"--threads": "0"}, ["--threads: 0"]),
+        ({"--threads": "two"}, ["--threads", "'two'", "whole number"]),
+        ({"--node-limit": "1e3"}, ["--node-limit", "'1e3'", "whole number"]),
+        ({"--time-limit": "1h"}, ["--time-limit", "'1h'", "not a number"]),
+        ({"--scale-range": ("half", "1")}, ["--scale-range", "'half'", "not a number"]),
+    ],
+)
+def test_bad_values_exit_2(clouds, change, words):
+    options = {"--model": "similarity2d", "--n-inliers": "5"} | change
+    arguments = ["register", *clouds]
+    for name, value in options.items():
+        arguments += [name, *([value] if isinstance(value, str) else value)]
+    outcome = run(*arguments)
+    assert outcome.exit_code == 2, outcome.output
+    assert outcome.stdout == ""
+    assert "Traceback" not in outcome.stderr
+    for word in words:
+        assert word in outcome.stderr
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_bad_file_exits_2_and_names_it(call, tmp_path, fake, which):
+    bad = tmp_path / "bad.csv"
+    bad.write_text("1,2\n3,nan\n")
+    call[1 + which] = bad
+    outcome = run(*call)
+    assert outcome.exit_code == 2
+    assert outcome.stderr == f"error: {bad}: line 2 holds NaN or infinity; remove that point\n"
+    assert fake.called is None
+
+
+def test_too_few_arguments_exit_2():
+    outcome = run("register", "a.txt", "b.txt", "--model", "similarity2d")
+    assert outcome.exit_code == 2
+    assert "--n-inliers" in outcome.stderr
+
+
+@pytest.mark.parametrize("option", ["--json", "--trace", "--plot"])
+def test_unwritable_outputs_stop_before_the_search(call, clouds, tmp_path, fake, option):
+    source, _ = clouds
+    before = source.read_bytes()
+    for path, words in [
+        (tmp_path / "absent" / "out.html", ["no folder", "create it first"]),
+        (tmp_path, ["not a plain file"]),
+        (source, ["is an input as well"]),
+        (source / "out", ["no folder"]),
+    ]:
+        outcome = run(*call, option, path)
+        assert outcome.exit_code == 2
+        assert f"{option} {path}" in outcome.stderr
+        for word in words:
+            assert word in outcome.stderr
+    assert fake.called is None
+    assert source.read_bytes() == before
+
+
+def test_outputs_must_differ(call, tmp_path, fake):
+    outcome = run(*call, "--json", tmp_path / "out", "--plot", tmp_path / "." / "out")
+    assert outcome.exit_code == 2
+    assert "is the file of --json as well" in outcome.stderr
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_folder_without_write_permission(call, tmp_path, fake):
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o555)
+    outcome = run(*call, "--json", locked / "out.json")
+    assert outcome.exit_code == 2
+    assert "cannot write" in outcome.stderr
+
+
+# --- results --------------------------------------------------------------------------------------
+
+
+def test_outputs(call, tmp_path, fake):
+    fake.lower_bound = -math.inf
+    paths = [tmp_path / name for name in ("o.json", "o.jsonl", "o.html")]
+    before = set(tmp_path.iterdir())
+    outcome = run(*call, "--json", paths[0], "--trace", paths[1], "--plot", paths[2])
+    assert outcome.exit_code == 0
+    assert set(tmp_path.iterdir()) - before == set(paths)  # no half-written neighbours stay
+    content = json.loads(paths[0].read_text(), parse_constant=pytest.fail)
+    assert set(content) >= ISSUE_KEYS
+    assert content["lower_bound"] is None  # infinite
+    assert content["n_nodes"] == 7
+    assert content["T_target_source"] == np.eye(3).tolist()
+    kinds = [json.loads(line)["kind"] for line in paths[1].read_text().splitlines()]
+    assert kinds == ["bound", "end"]
+    assert "Plotly.newPlot" in paths[2].read_text()
+
+
+def test_json_on_standard_output_stands_alone(call, fake):
+    outcome = run(*call, "--json", "-")
+    assert json.loads(outcome.stdout)["status"] == "optimal"
+    assert "T_target_source" in outcome.stderr
+
+
+@pytest.mark.parametrize(
+    ("status", "code"),
+    [
+        *((Status.OPTIMAL, 0), (Status.CONVERGED, 0), (Status.TIME_LIMIT, 3)),
+        *((Status.NODE_LIMIT, 3), (Status.MEMORY_LIMIT, 3), (Status.STOPPED, 3)),
+    ],
+)
+def test_exit_code_by_status(call, tmp_path, fake, status, code):
+    fake.status = status
+    outcome = run(*call, "--gap-tol", "0.1", "--json", tmp_path / "o.json")
+    assert outcome.exit_code == code
+    assert json.loads((tmp_path / "o.json").read_text())["status"] == status.value
+    assert status.value in outcome.stdout
+    assert ("not certified" in outcome.stdout) == (status is not Status.OPTIMAL)
+
+
+def test_summary_is_complete(call, fake):
+    text = run(*call).stdout
+    for name in ("T_target_source", "scale", "rotation", "lower bound", "upper bound", "gap"):
+        assert name in text
+    for value in ("similarity pose", "7 nodes, 112 assignments", "0.20 s solving", "RMSE"):
+        assert value in text
+
+
+def test_summary_tells_a_closed_stage_from_an_open_one(call, fake):
+    fake.status = Status.TIME_LIMIT
+    common = {"n_nodes": 5, "n_assignments": 9, "time_s": 1.25}
+    fake.stages = (
+        {"stage": "search", "status": "optimal", "lower_bound": 0.5, "upper_bound": 1.0, **common},
+        {"stage": "rotation", "status": "time_limit", "lower_bound": 2, "upper_bound": 9, **common},
+        {"stage": "polish", "objective_before": 9.0, "objective_after": 1.0},
+    )
+    text = " ".join(run(*call, "--gap-tol", "0.6").stdout.split())
+    assert "time_limit: best pose so far; certified for the similarity pose, but a later" in text
+    assert "search stage optimal, bounds [0.5, 1], 5 nodes, 1.25 s" in text
+    assert "rotation stage time_limit, bounds [2, 9]" in text
+    assert "not certified" in run(*call, "--gap-tol", "0.4").stdout
+
+
+def test_full_disk_is_reported_after_the_pose(call, tmp_path, fake, monkeypatch):
+    """A real write failure: files may not grow beyond 100 bytes once the search is over."""
+    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+    path = tmp_path / "o.json"
+    path.write_text("earlier result")
+    print_summary = cli._print_summary
+
+    def summary_then_limit(*arguments):
+        print_summary(*arguments)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, old[1]))
+
+    monkeypatch.setattr(cli, "_print_summary", summary_then_limit)
+    try:
+        outcome = run(*call, "--json", path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+    assert outcome.exit_code == 1
+    assert "T_target_source" in outcome.stdout
+    assert f"error: cannot write {path}: File too large" in outcome.stderr
+    assert path.read_text() == "earlier result"
+    assert not list(tmp_path.glob(".*.part"))
+
+
+@pytest.mark.parametrize(
+    ("rotvec", "degrees"), [((0, 0, 0.1), 5.7296), ((0, np.pi, 0), 180), ((0, 0, 0), 0)]
+)
+def test_rotation_angle(rotvec, degrees):
+    from scipy.spatial.transform import Rotation
+
+    R = Rotation.from_rotvec(rotvec).as_matrix()
+    assert cli._rotation_deg(R) == pytest.approx(degrees, abs=1e-4)
+    assert cli._rotation_deg(np.array([[0.0, 1.0], [-1.0, 0.0]])) == pytest.approx(-90)
+
+
+# --- advice ---------------------------------------------------------------------------------------
+
+
+def test_advice_on_large_clouds_and_units(tmp_path, fake):
+    cloud = np.random.default_rng(0).random((4500, 3))
+    np.save(tmp_path / "a.npy", cloud)
+    np.save(tmp_path / "b.npy", 1000 * cloud[:50])
+    arguments = ["register", tmp_path / "a.npy", tmp_path / "b.npy"]
+    arguments += ["--model", "rigid3d", "--n-inliers", "20"]
+    outcome = run(*arguments)
+    assert outcome.exit_code == 0
+    assert "warning: 4500 x 50 points" in outcome.stderr
+    assert "Downsample" in outcome.stderr
+    assert "hint: the RMS radii differ a lot" in outcome.stderr
+    assert run(*arguments, "--quiet").stderr == ""
+
+
+def test_no_advice_without_reason(call, fake):
+    outcome = run(*call)
+    assert "warning" not in outcome.stderr
+    assert "hint" not in outcome.stderr
+
+
+# --- progress -------------------------------------------------------------------------------------
+
+
+def show(events, *, terminal=False, **options):
+    stream = io.StringIO()
+    console = Console(file=stream, force_terminal=terminal, width=80)
+    with Progress(console, **options) as progress:
+        for each in events:
+            assert progress(each) is False
+    return stream.getvalue()
+
+
+def test_plain_lines_are_few_aligned_and_end_with_the_last_event():
+    events = [event(time_s=i / 100, n_nodes=i + 1, upper=9.0 - i % 2) for i in range(50)]
+    events.append(event("end", time_s=0.5, n_nodes=99, upper=0.125, status="optimal"))
+    lines = show(events, gap_tol=0.5).splitlines()
+    assert "gap 0.5" in lines[0]
+    assert lines[1].startswith("* better pose")
+    header, first, last = lines[2:]
+    assert first.startswith("* search")
+    assert last.startswith("* search")
+    assert last.split()[2:] == ["99", "3", "1584", "0", "0.125", "0.125", "0.5s", "optimal"]
+    for column in ("nodes", "lower bound", "upper bound", "gap", "time"):
+        end = header.index(column) + len(column)
+        assert first[end - 1] != " "
+        assert first[end : end + 1] in ("", " ")
+    assert max(map(len, (header, first))) <= 80
+
+
+def test_infinite_bounds_and_new_stage_marks():
+    events = [event(lower=-math.inf, upper=math.inf), event("end", upper=1.0)]
+    events.append(event("end", stage="rotation", upper=5.0))
+    first, second, third = show(events).splitlines()[3:]
+    assert first.split() == ["search", "1", "3", "16", "-", "-", "-", "0.0s"]
+    assert second.startswith("*")
+    assert third.startswith("* rotation")  # a larger value, but of another objective
+
+
+def test_the_last_event_is_shown_even_without_an_end():
+    lines = show([event(n_nodes=1), event(n_nodes=2), event(n_nodes=3)]).splitlines()
+    assert [line.split()[-7] for line in lines[3:]] == ["1", "3"]
+
+
+def test_terminal_shows_one_live_line():
+    text = show([event(n_nodes=n) for n in (41, 42, 43)], terminal=True)
+    assert "search         43" in text
+    assert "\x1b[" in text  # redrawn in place
+
+
+def test_quiet_shows_nothing():
+    assert show([event("end")], quiet=True) == ""
+
+
+def test_interrupt_asks_to_stop_then_quits_and_restores_the_handler():
+    before = signal.getsignal(signal.SIGINT)
+    with Progress(Console(file=io.StringIO())) as progress:
+        assert progress(event()) is False
+        signal.raise_signal(signal.SIGINT)
+        assert progress(event()) is True
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_progress_works_outside_the_main_thread():
+    texts = []
+    thread = threading.Thread(target=lambda: texts.append(show([event("end")])))
+    thread.start()
+    thread.join()
+    assert "search" in texts[0]
+
+
+# --- the real search ------------------------------------------------------------------------------
+
+
+def test_real_registration_2d(clouds, tmp_path):
+    outcome = run(
+        *("register", *clouds, "--model", "similarity2d", "--n-inliers", "1.0"),
+        *("--json", tmp_path / "o.json", "--trace", tmp_path / "o.jsonl"),
+        *("--plot", tmp_path / "o.html"),
+    )
+    assert outcome.exit_code == 0, outcome.output
+    content = json.loads((tmp_path / "o.json").read_text())
+    assert content["status"] == "optimal"
+    assert content["scale"] == pytest.approx(1.2, abs=1e-6)
+    T = np.array(content["T_target_source"])
+    np.testing.assert_allclose(T[:2, 2], [5.0, -2.0], atol=1e-6)  # in the files' coordinates
+    assert sorted(content["assignment"]) == [[i, i] for i in range(12)]
+    assert content["gap"] <= content["gap_tol"]
+    last = json.loads((tmp_path / "o.jsonl").read_text().splitlines()[-1])
+    assert (last["kind"], last["status"]) == ("end", "optimal")
+
+
+def test_real_registration_3d(tmp_path):
+    from scipy.spatial.transform import Rotation
+
+    source = np.random.default_rng(5).normal(size=(15, 3)) * [0.6, 0.4, 0.2]
+    turn = Rotation.from_euler("xyz", [20, 40, 60], degrees=True).as_matrix()
+    np.savetxt(tmp_path / "a.xyz", source)
+    np.savetxt(tmp_path / "b.csv", source @ turn.T + [1.0, 2.0, 3.0], delimiter=",")
+    outcome = run(
+        *("register", tmp_path / "a.xyz", tmp_path / "b.csv", "--model", "rigid3d"),
+        *("--n-inliers", "15", "--json", tmp_path / "o.json", "--plot", tmp_path / "o.html"),
+    )
+    assert outcome.exit_code == 0, outcome.output
+    content = json.loads((tmp_path / "o.json").read_text())
+    assert content["certificate_scope"] == "translation in norm space"
+    T = np.array(content["T_target_source"])
+    np.testing.assert_allclose(T[:3, :3], turn, atol=1e-6)
+    np.testing.assert_allclose(T[:3, 3], [1.0, 2.0, 3.0], atol=1e-6)
+
+
+def test_real_limit_exits_3_with_a_pose(tmp_path):
+    outcome = run(*hard_case(tmp_path), "--node-limit", "40")
+    assert outcome.exit_code == 3
+    content = json.loads((tmp_path / "o.json").read_text())
+    assert content["status"] == "node_limit"
+    assert np.isfinite(content["T_target_source"]).all()
+
+
+def hard_case(folder):
+    """Two unrelated clouds and no tolerance: a search that does not end by itself."""
+    generator = np.random.default_rng(8)
+    for name in ("a.txt", "b.txt"):
+        np.savetxt(folder / name, generator.random((60, 2)))
+    return [
+        *("register", folder / "a.txt", folder / "b.txt", "--model", "similarity2d"),
+        *("--n-inliers", "0.5", "--gap-tol", "0", "--time-limit", "120"),
+        *("--json", folder / "o.json"),
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_process_keeps_the_pose(tmp_path, number):
+    command = [sys.executable, "-m", "dcreg.cli", *map(str, hard_case(tmp_path))]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    watchdog = threading.Timer(180, process.kill)
+    watchdog.start()
+    try:
+        lines = []
+        for line in process.stderr:  # plain lines in a pipe
+            lines.append(line)
+            if " search " in line:
+                break
+        time.sleep(0.2)
+        process.send_signal(number)
+        stdout, rest = process.communicate()
+    finally:
+        watchdog.cancel()
+        process.kill()
+    assert process.returncode == 3, "".join(lines) + rest
+    assert "stopped: best pose so far" in stdout
+    assert "Traceback" not in rest
+    assert json.loads((tmp_path / "o.json").read_text())["status"] == "stopped"

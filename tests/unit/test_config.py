@@ -1,0 +1,113 @@
+"""A wrong config is refused before anything runs, with file, key, and a way out."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import yaml
+
+from workflows import config
+from workflows.config import ConfigError
+
+GOOD = {
+    "name": "small",
+    "datasets": [{"dataset": "embedded", "shapes": ["fish"], "tests": {"noise": [0.0, 0.01]}}],
+    "methods": [{"name": "dcreg", "baseline": "dcreg"}, {"name": "icp", "baseline": "icp"}],
+}
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(content) -> str:
+        path = tmp_path / "small.yaml"
+        path.write_text(content if isinstance(content, str) else yaml.safe_dump(content))
+        return str(path)
+
+    return write
+
+
+@pytest.mark.parametrize("name", ["demo", "real2d"])
+def test_the_configs_of_the_checkout_are_valid(name):
+    assert config.load(name).name == name
+
+
+def test_a_small_config_gets_the_documented_defaults(write):
+    settings = config.load(write(GOOD))
+    assert settings.datasets[0].trials == 1
+    assert settings.limits.memory_mb == 2048
+    assert settings.method("dcreg").n_inliers_ratio == 1.0
+
+
+@pytest.mark.parametrize(
+    ("place", "key", "value", "expected"),
+    [
+        ((), "limit", {}, "limit: unknown key; did you mean 'limits'?"),
+        ((), "limits", {"time": 3}, "limits.time: unknown key; did you mean 'time_s'?"),
+        ((), "limits", {"time_s": -1}, "limits.time_s: Input should be greater than 0"),
+        ((), "name", "a/b", "name: String should match pattern"),
+        (("datasets", 0), "trial", 2, "datasets[0].trial: unknown key; did you mean 'trials'?"),
+        (("datasets", 0), "dataset", "embeded", "no dataset 'embeded'; did you mean 'embedded'?"),
+        (("datasets", 0), "shapes", ["fisch"], "no shape 'fisch'; did you mean 'fish'?"),
+        (("datasets", 0), "tests", {"nois": [1]}, "tests.nois: no such test; did you mean 'noise'"),
+        (("datasets", 0), "tests", {"noise": [1, 1]}, "noise: give one or more different levels"),
+        (("methods", 0), "option", {}, "methods[0].option: unknown key; did you mean 'options'?"),
+        (("methods", 0), "baseline", "dcregg", "no method 'dcregg'; did you mean 'dcreg'?"),
+        (("methods", 0), "options", {"boun": 1}, "options.boun: unknown option; did you mean 'bo"),
+        (("methods", 0), "limits", {"nods": 1}, "methods[0].limits.nods: unknown key; did you mea"),
+        (("methods", 1), "name", "dcreg", "name 'dcreg' is used 2 times"),
+    ],
+)
+def test_errors_name_the_file_the_key_and_a_remedy(write, place, key, value, expected):
+    content = copy.deepcopy(GOOD)
+    part = content
+    for step in place:
+        part = part[step]
+    part[key] = value
+    with pytest.raises(ConfigError) as error:
+        config.load(write(content))
+    assert "small.yaml: " in str(error.value)
+    assert expected in str(error.value)
+
+
+def test_all_errors_are_listed_at_once(write):
+    content = copy.deepcopy(GOOD)
+    content["methods"] += [{"name": "a", "baseline": "nope"}, {"name": "b", "baseline": "nope"}]
+    with pytest.raises(ConfigError) as error:
+        config.load(write(content))
+    assert str(error.value).count("no method 'nope'") == 2
+
+
+def test_a_recorded_dataset_has_only_its_levels_and_trials(write):
+    content = copy.deepcopy(GOOD)
+    content["datasets"] = [{"dataset": "chui_rangarajan", "tests": {"def": [9]}, "trials": 1000}]
+    with pytest.raises(ConfigError, match=r"(?s)no level 9.*trials, not 1000"):
+        config.load(write(content))
+
+
+def test_a_key_given_twice_is_an_error(write):
+    with pytest.raises(ConfigError, match="key 'name' is given twice"):
+        config.load(write("name: a\nname: b\n"))
+
+
+def test_text_that_is_no_config_is_refused(write):
+    with pytest.raises(ConfigError, match="must be a mapping"):
+        config.load(write("- 1"))
+    with pytest.raises(ConfigError, match="not valid YAML"):
+        config.load(write("a: ["))
+
+
+def test_an_unknown_experiment_is_named_with_a_suggestion():
+    with pytest.raises(ConfigError, match="no experiment 'deno'; did you mean 'demo'"):
+        config.load("deno")
+
+
+@pytest.mark.parametrize("text", ["noise", "test=noise", "levels=high"])
+def test_a_wrong_selection_is_refused(text):
+    with pytest.raises(ConfigError, match="selection"):
+        config.parse_selection([text])
+
+
+def test_a_selection_is_parsed_by_axis():
+    chosen = config.parse_selection(["tests=noise, def", "levels=0.1", "methods="])
+    assert (chosen.tests, chosen.levels, chosen.methods) == (["noise", "def"], [0.1], [])

@@ -1,0 +1,474 @@
+"""Reading clouds: every format, and errors that name file, place and remedy."""
+
+import contextlib
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from dcreg.io import _lzf_decompress, read_points
+from dcreg.problem import InputError
+
+POINTS3 = np.array([[0.5, -1.0, 2.0], [3.25, 4.0, -5.5], [1e-3, 0.0, 7.0], [8.0, 9.0, 10.0]])
+POINTS2 = POINTS3[:, :2]
+
+
+def write(path, text):
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return path
+
+
+def rows(points, separator=" "):
+    return "\n".join(separator.join(repr(float(v)) for v in point) for point in points) + "\n"
+
+
+# --- text -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("separator", [" ", "\t", ",", ", ", ";", "   "])
+@pytest.mark.parametrize("points", [POINTS2, POINTS3], ids=["2d", "3d"])
+@pytest.mark.parametrize("header", ["", "# made by hand\n", "x{s}y{s}z\n", "4\n", "\n\n"])
+def test_text_forms(tmp_path, separator, points, header):
+    header = header.format(s=separator if separator.strip() else " ")
+    if points.shape[1] == 2:
+        header = header.replace("z", "").rstrip(",; \t\n") + "\n" * header.endswith("\n")
+    path = write(tmp_path / "cloud.txt", header + rows(points, separator))
+    np.testing.assert_array_equal(read_points(path), points)
+
+
+def test_line_ends_bom_comments_and_trailing_separator(tmp_path):
+    text = "\ufeff4\r\n0.5,-1,2, % first\r\n3.25,4,-5.5, // second\r\n\r\n1e-3,0,7,\r\n8,9,10,\r\n"
+    np.testing.assert_array_equal(read_points(write(tmp_path / "a.csv", text)), POINTS3)
+
+
+def test_old_mac_line_ends(tmp_path):
+    path = write(tmp_path / "a.txt", rows(POINTS2).replace("\n", "\r"))
+    np.testing.assert_array_equal(read_points(path), POINTS2)
+
+
+def test_header_names_choose_columns(tmp_path):
+    text = 'label,"Z","X","Y"\na,2.0,0.5,-1\nb,-5.5,3.25,4\n'
+    np.testing.assert_array_equal(read_points(write(tmp_path / "a.csv", text)), POINTS3[:2])
+
+
+def test_xyz_takes_three_columns_of_more(tmp_path):
+    path = write(tmp_path / "a.xyz", rows(np.hstack([POINTS3, POINTS3 * 7])))
+    np.testing.assert_array_equal(read_points(path), POINTS3)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["is empty"]),
+        ("# only a comment\n", ["is empty"]),
+        ("x y z\n", ["holds no points"]),
+        ("5\n1 2 3\n4 5 6\n", ["announces 5 points, 2 follow"]),
+        ("1\n1 2 3\n4 5 6\n", ["announces 1 points, 2 follow"]),
+        ("1 2 3\n\n4 5\n", ["line 3 has 2 values, expected 3"]),
+        ("1,2,3\n4,,6\n", ["line 2", "'' is not a number"]),
+        ("1,2\n4,5,6\n", ["line 2 has 3 values, expected 2"]),
+        ("1 2 3\n4 5 six\n", ["line 2", "'six' is not a number"]),
+        ("1 2 3\n4 nan 6\n", ["line 2 holds NaN or infinity"]),
+        ("1 2\n4 -inf\n", ["line 2 holds NaN or infinity"]),
+        ("1\n2\n3\n", ["announces 1 points"]),
+        ("1.5\n2.5\n", ["1 column;"]),
+        ("1 2 3 4\n5 6 7 8\n", ["4 columns", "header row"]),
+        (b"1 2\0 3\n", ["not plain text"]),
+        ("1 2 3\n".encode("utf-16"), ["not plain text"]),
+    ],
+)
+def test_text_errors_name_file_and_line(tmp_path, text, words):
+    path = write(tmp_path / "bad.txt", text)
+    with pytest.raises(InputError) as error:
+        read_points(path)
+    assert str(path) in str(error.value)
+    assert ";" in str(error.value)  # problem; remedy
+    for word in words:
+        assert word in str(error.value)
+
+
+# --- paths ----------------------------------------------------------------------------------------
+
+
+def test_missing_folder_and_unknown_extension(tmp_path):
+    with pytest.raises(InputError, match=r"absent\.txt: no such file; check the path"):
+        read_points(tmp_path / "absent.txt")
+    with pytest.raises(InputError, match="is a folder"):
+        read_points(tmp_path)
+    with pytest.raises(InputError, match=r"unknown extension '\.las'.*\.txt .*\.pcd \.off"):
+        read_points(write(tmp_path / "a.las", "1 2 3"))
+    with pytest.raises(InputError, match=r"key 'x' given.*drop the key"):
+        read_points(f"{write(tmp_path / 'a.txt', '1 2')}:x")
+
+
+def test_extension_in_capitals(tmp_path):
+    np.testing.assert_array_equal(read_points(write(tmp_path / "A.TXT", "1 2\n")), [[1, 2]])
+
+
+# --- arrays ---------------------------------------------------------------------------------------
+
+
+def test_npy(tmp_path):
+    np.save(tmp_path / "a.npy", POINTS3.astype(np.float32))
+    points = read_points(tmp_path / "a.npy")
+    assert points.dtype == np.float64
+    np.testing.assert_array_equal(points, POINTS3.astype(np.float32))
+    np.save(tmp_path / "i.npy", np.arange(6).reshape(3, 2))
+    np.testing.assert_array_equal(read_points(tmp_path / "i.npy"), [[0, 1], [2, 3], [4, 5]])
+
+
+@pytest.mark.parametrize(
+    ("array", "words"),
+    [
+        (np.zeros((2, 50)), "looks transposed"),
+        (np.zeros(3), r"shape \(3,\)"),
+        (np.zeros((0, 3)), "no points"),
+        (np.zeros((4, 3), complex), "complex128"),
+        (np.array([[1.0, 2], [3, np.nan], [np.inf, 1]]), r"in 2 of 3 points, first in point 1"),
+    ],
+)
+def test_npy_errors(tmp_path, array, words):
+    np.save(tmp_path / "a.npy", array)
+    with pytest.raises(InputError, match=words):
+        read_points(tmp_path / "a.npy")
+
+
+def test_pickled_data_are_refused(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return (pytest.fail, ("a pickle was loaded",))
+
+    np.save(tmp_path / "a.npy", np.array([Trap(), 1], dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match=r"not a readable \.npy"):
+        read_points(tmp_path / "a.npy")
+    trap = np.array([[Trap(), 1]], dtype=object)
+    np.savez(tmp_path / "a.npz", trap=trap, cloud=POINTS3)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.npz"), POINTS3)
+    with pytest.raises(InputError, match="holds objects"):
+        read_points(tmp_path / "a.npz", key="trap")
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".mat"])
+def test_named_arrays(tmp_path, suffix):
+    def save(name, **arrays):
+        (np.savez if suffix == ".npz" else savemat)(
+            tmp_path / name, **({"mdict": arrays} if suffix == ".mat" else arrays)
+        )
+        return tmp_path / name
+
+    one = save("one" + suffix, cloud=POINTS3, other=np.zeros((1, 7)))
+    np.testing.assert_array_equal(read_points(one), POINTS3)
+    two = save("two" + suffix, a=POINTS3, b=POINTS2)
+    np.testing.assert_array_equal(read_points(f"{two}:b"), POINTS2)
+    np.testing.assert_array_equal(read_points(two, key="a"), POINTS3)
+    with pytest.raises(InputError, match=f"ambiguous.*a, b; name one, for example 'two{suffix}:a'"):
+        read_points(two)
+    with pytest.raises(InputError, match="no array 'c'; choose one of: a, b"):
+        read_points(two, key="c")
+    none = save("none" + suffix, t=np.zeros((1, 5)))
+    with pytest.raises(InputError, match="no numeric array with 2 or 3 columns; arrays found: t"):
+        read_points(none)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".mat"])
+@pytest.mark.parametrize("content", [b"", b"garbage", b"PK\x03\x04 broken"])
+def test_damaged_arrays(tmp_path, suffix, content):
+    path = write(tmp_path / f"a{suffix}", content)
+    with pytest.raises(InputError, match=f"is not a readable {suffix}|holds"):
+        read_points(path)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".mat"])
+def test_truncated_arrays(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    cloud = np.random.default_rng(0).random((200, 3))
+    if suffix == ".mat":
+        savemat(path, {"cloud": cloud}, do_compression=True)
+    else:
+        (np.save if suffix == ".npy" else np.savez_compressed)(path, cloud)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(InputError, match="not a readable"):
+        read_points(path)
+
+
+def test_matlab_hdf5_gets_the_right_remedy(tmp_path):
+    header = b"MATLAB 7.3 MAT-file, created for a test".ljust(124) + b"\x00\x02IM"
+    with pytest.raises(InputError, match=r"v7\.3.*save -v7$"):
+        read_points(write(tmp_path / "a.mat", header + bytes(512)))
+
+
+def test_member_damaged_inside_an_archive(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, cloud=POINTS3)
+    content = bytearray(path.read_bytes())
+    at = content.index(POINTS3.tobytes()[:8])
+    content[at] ^= 0xFF  # the checksum of the member no longer fits
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="not a readable"):
+        read_points(path)
+
+
+# --- ply ------------------------------------------------------------------------------------------
+
+FACE = b"element face 1\nproperty list uchar int vertex_indices\n"
+VERTEX = (
+    b"element vertex 4\nproperty uchar red\nproperty float x\nproperty double y\nproperty float z\n"
+)
+
+
+def ply(order, before_vertex):
+    """A cloud with a face of list type, placed before or after the vertices."""
+    mark = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[order]
+    elements = FACE + VERTEX if before_vertex else VERTEX + FACE
+    header = b"ply\nformat " + order.encode() + b" 1.0\ncomment a, 100% test\n" + elements
+    if mark:
+        face = struct.pack(mark + "B3i", 3, 0, 1, 2)
+        vertices = b"".join(struct.pack(mark + "Bfdf", 200, *point) for point in POINTS3)
+    else:
+        face = b"3 0 1 2\n"
+        vertices = b"".join(b"200 %r %r %r \n" % tuple(map(float, p)) for p in POINTS3)
+    body = face + vertices if before_vertex else vertices + face
+    return header + b"end_header\n" + body
+
+
+@pytest.mark.parametrize("before_vertex", [False, True])
+@pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply(tmp_path, order, before_vertex):
+    points = read_points(write(tmp_path / "a.ply", ply(order, before_vertex)))
+    np.testing.assert_allclose(points, POINTS3, rtol=1e-7)
+
+
+def test_ply_without_z_is_2d_and_crlf_header(tmp_path):
+    header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float y\nproperty float x\n"
+    path = write(tmp_path / "a.ply", (header + "end_header\n2 1\n").replace("\n", "\r\n"))
+    np.testing.assert_array_equal(read_points(path), [[1, 2]])
+
+
+@pytest.mark.parametrize("order", ["binary_little_endian", "binary_big_endian"])
+def test_ply_truncated(tmp_path, order):
+    path = write(tmp_path / "a.ply", ply(order, before_vertex=True)[:-3])
+    with pytest.raises(InputError, match="announces 4 points, the file holds 3"):
+        read_points(path)
+    start = ply(order, before_vertex=True).index(b"end_header\n") + len(b"end_header\n")
+    path = write(tmp_path / "b.ply", ply(order, before_vertex=True)[: start + 5])
+    with pytest.raises(InputError, match="truncated"):
+        read_points(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b"ply\n", b"obj\n", "no complete .ply header"),
+        (b"end_header", b"end", "no complete .ply header"),
+        (b"format ascii 1.0\n", b"", "states no format"),
+        (b"ascii", b"text", "header line 2 is not valid PLY"),
+        (b"element vertex", b"element point", "declares no element 'vertex'"),
+        (b"double y", b"double v", r"no x and y \(properties: red, x, v, z\)"),
+        (b"float x", b"half x", "header line 6 is not valid PLY: 'property half x'"),
+        (b"uchar red", b"list uchar int red", "list properties"),
+        (b"vertex 4", b"vertex 9", "announces 9 points, the file holds"),
+        (b"3.25", b"3.2.5", "line 13: '3.2.5' is not a number"),
+        (b"3.25", b"nan", "line 13 holds NaN"),
+        (b"200 3.25 ", b"200 ", "line 13 has 3 values, expected 4"),
+        (b"vertex 4", b"vertex 0", "no points"),
+    ],
+)
+def test_ply_errors(tmp_path, old, new, words):
+    content = ply("ascii", before_vertex=False)
+    assert old in content
+    path = write(tmp_path / "a.ply", content.replace(old, new, 1))
+    with pytest.raises(InputError, match=words):
+        read_points(path)
+
+
+# --- pcd ------------------------------------------------------------------------------------------
+
+
+def pcd_header(kind, n=4):
+    return (
+        f"# .PCD v0.7\nVERSION 0.7\nFIELDS rgb x y z hist\nSIZE 4 4 8 4 2\nTYPE U F F F I\n"
+        f"COUNT 1 1 1 1 2\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA {kind}\n"
+    ).encode()
+
+
+def pcd(kind):
+    if kind == "ascii":
+        body = "".join(f"7 {x!r} {y!r} {z!r} 1 2\n" for x, y, z in POINTS3.tolist()).encode()
+    elif kind == "binary":
+        body = b"".join(struct.pack("<Ifdf2h", 7, *p, 1, 2) for p in POINTS3)
+    else:
+        n = len(POINTS3)
+        x, y, z = POINTS3.T
+        data = struct.pack(f"<{n}I", *[7] * n) + x.astype("<f4").tobytes() + y.tobytes()
+        data += z.astype("<f4").tobytes() + struct.pack(f"<{2 * n}h", *[1, 2] * n)
+        packed = lzf_compress(data)
+        body = struct.pack("<II", len(packed), len(data)) + packed
+    return pcd_header(kind) + body
+
+
+def lzf_compress(data):
+    """A plain greedy LZF packer for tests, written from the description of the format."""
+    out, i, literal = bytearray(), 0, bytearray()
+
+    def flush():
+        while literal:
+            run = literal[:32]
+            out.append(len(run) - 1)
+            out.extend(run)
+            del literal[:32]
+
+    while i < len(data):
+        best_length, best_distance = 0, 0
+        for distance in range(1, min(i, 8192) + 1):
+            length = 0
+            while length < 264 and i + length < len(data):
+                if data[i + length] != data[i + length - distance]:
+                    break
+                length += 1
+            if length > best_length:
+                best_length, best_distance = length, distance
+        if best_length < 3:
+            literal.append(data[i])
+            i += 1
+            continue
+        flush()
+        code, offset = best_length - 2, best_distance - 1
+        out.append(min(code, 7) << 5 | offset >> 8)
+        if code >= 7:
+            out.append(code - 7)
+        out.append(offset & 255)
+        i += best_length
+    flush()
+    return bytes(out)
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary", "binary_compressed"])
+def test_pcd(tmp_path, kind):
+    points = read_points(write(tmp_path / "a.pcd", pcd(kind)))
+    np.testing.assert_allclose(points, POINTS3, rtol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary", "binary_compressed"])
+def test_pcd_truncated(tmp_path, kind):
+    path = write(tmp_path / "a.pcd", pcd(kind)[:-10])
+    with pytest.raises(InputError, match=r"truncated|damaged or cut off|expected 6"):
+        read_points(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b"DATA ascii", b"DATA text", "unknown DATA kind 'text'"),
+        (b"SIZE 4 4 8 4 2", b"SIZE 4 4 8 4", "do not fit together"),
+        (b"SIZE 4 4", b"SIZE 4 3", "do not fit together"),
+        (b"POINTS 4", b"POINTS many", "no valid number of points"),
+        (b"POINTS 4", b"POINTS 5", "announces 5 points, the file holds 4"),
+        (b"FIELDS rgb x", b"FIELDS rgb u", "no x and y"),
+        (b"COUNT 1 1", b"COUNT 1 2", "several values per point"),
+    ],
+)
+def test_pcd_errors(tmp_path, old, new, words):
+    content = pcd("ascii")
+    assert old in content
+    path = write(tmp_path / "a.pcd", content.replace(old, new))
+    with pytest.raises(InputError, match=words):
+        read_points(path)
+
+
+def test_pcd_invalid_points_are_reported(tmp_path):
+    body = struct.pack("<Ifdf2h", 7, np.nan, 0, 0, 1, 2) * 4
+    with pytest.raises(InputError, match="NaN or infinity in 4 of 4 points"):
+        read_points(write(tmp_path / "a.pcd", pcd_header("binary") + body))
+
+
+def test_lzf_known_stream():
+    # literal run of 3, then a copy of 7 bytes at distance 3 that overlaps its own end
+    assert _lzf_decompress(b"\x02abc\xa0\x02", 10) == b"abcabcabca"
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.lists(st.sampled_from([b"a", b"ab", b"xyz" * 30, b"\0" * 300, b"q"]), max_size=12))
+def test_lzf_round_trip(parts):
+    data = b"".join(parts)
+    assert _lzf_decompress(lzf_compress(data), len(data)) == data
+
+
+# --- off ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "head", ["OFF\n4 1 0\n", "OFF\n# note\n\n4 1\n", "OFF 4 1 0\n", "COFF\n4 1 0\n"]
+)
+def test_off(tmp_path, head):
+    extra = " 255 0 0 255" if head.startswith("C") else ""
+    body = rows(POINTS3).replace("\n", extra + "\n")
+    path = write(tmp_path / "a.off", head + body + "3 0 1 2\n")
+    np.testing.assert_array_equal(read_points(path), POINTS3)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is empty"),
+        ("PLY\n", "'PLY' is not the start"),
+        ("4OFF\n1 0 0\n1 2 3 4\n", "'4OFF' is not the start"),
+        ("OFF\n", "line 1 states no number"),
+        ("OFF\nfour 0 0\n", "line 2 states no number"),
+        ("OFF\n3 0 0\n1 2 3\n", "announces 3 points, the file holds 1"),
+        ("OFF\n2 0 0\n1 2 3\n4 5\n", "line 4 has 2 values, expected 3"),
+        ("OFF\n1 0 0\n1 2\n", "line 3 has 2 values, expected 3"),
+    ],
+)
+def test_off_errors(tmp_path, text, words):
+    with pytest.raises(InputError, match=words):
+        read_points(write(tmp_path / "a.off", text))
+
+
+# --- anything -------------------------------------------------------------------------------------
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    suffix=st.sampled_from([".txt", ".xyz", ".npy", ".npz", ".mat", ".ply", ".pcd", ".off"]),
+    seed=st.integers(0, 2**32 - 1),
+    data=st.data(),
+)
+def test_damage_never_escapes_as_another_error(tmp_path, suffix, seed, data):
+    """Cut and flip valid files anywhere: a cloud of finite points or an InputError, no crash."""
+    content = _valid(tmp_path, suffix, data)
+    rng = np.random.default_rng(seed)
+    damaged = bytearray(content[: rng.integers(1, len(content) + 1)])
+    for at in rng.integers(0, len(damaged), rng.integers(0, 4)):
+        damaged[at] = rng.integers(0, 256)
+    path = write(tmp_path / f"damaged{suffix}", bytes(damaged))
+    with contextlib.suppress(InputError):
+        points = read_points(path)
+        assert points.ndim == 2
+        assert points.shape[1] in (2, 3)
+        assert np.isfinite(points).all()
+
+
+def _valid(tmp_path, suffix, data):
+    if suffix == ".ply":
+        kinds = ["ascii", "binary_little_endian", "binary_big_endian"]
+        return ply(data.draw(st.sampled_from(kinds)), data.draw(st.booleans()))
+    if suffix == ".pcd":
+        return pcd(data.draw(st.sampled_from(["ascii", "binary", "binary_compressed"])))
+    if suffix == ".off":
+        return b"OFF\n4 0 0\n" + rows(POINTS3).encode()
+    path = tmp_path / f"valid{suffix}"
+    if suffix == ".npy":
+        np.save(path, POINTS3)
+    elif suffix == ".npz":
+        np.savez_compressed(path, a=POINTS3)
+    elif suffix == ".mat":
+        savemat(path, {"a": POINTS3})
+    else:
+        path.write_text("4\n" + rows(POINTS3))
+    return path.read_bytes()

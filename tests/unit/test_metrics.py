@@ -1,0 +1,150 @@
+"""Metrics against values known by construction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from workflows.evaluate import judge, relate
+from workflows.instances import Problem, Truth
+from workflows.metrics import METRICS, Case, fit_rigid, rmse, rmse_floor, rotation_error_deg
+
+
+def similarity(angle_deg: float, scale: float, shift: tuple[float, float]) -> np.ndarray:
+    T = np.eye(3)
+    angle = np.radians(angle_deg)
+    T[:2, :2] = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    T[:2, 2] = shift
+    return T
+
+
+def case(T: np.ndarray, T_true: np.ndarray, rng, n: int = 8, outliers: int = 3, **more) -> Case:
+    """A noise-free case whose last points are outliers on both sides."""
+    d = len(T) - 1
+    inliers = rng.random((n, d))
+    source = np.vstack([inliers, 5 + rng.random((outliers, d))])
+    target = np.vstack([inliers @ T_true[:d, :d].T + T_true[:d, d], -5 - rng.random((outliers, d))])
+    rows = np.arange(n)
+    fields = {"n_inliers": n, "dataset": "embedded", **more}
+    return Case(T, T_true, source, target, np.column_stack([rows, rows]), **fields)
+
+
+def values(judged: Case) -> dict[str, float]:
+    return {name: metric.compute(judged) for name, metric in METRICS.items() if metric.compute}
+
+
+def test_the_true_pose_is_perfect_whatever_the_outliers(rng):
+    T = similarity(200, 1.3, (0.2, -0.1))
+    found = values(case(T, T, rng))
+    for name in ("rmse", "rmse_over_scale", "rotation_error_deg", "translation_error"):
+        assert found[name] == pytest.approx(0, abs=1e-7)
+    assert found["objective"] == pytest.approx(0, abs=1e-12)
+    assert found["success"]
+
+
+def test_a_shift_gives_exactly_its_length(rng):
+    T_true = similarity(30, 2.0, (0, 0))
+    found = values(case(similarity(30, 2.0, (0.3, 0.4)), T_true, rng))
+    assert found["rmse"] == pytest.approx(0.5)
+    assert found["rmse_over_scale"] == pytest.approx(0.25)
+    assert found["translation_error"] == pytest.approx(0.5)
+    assert found["rotation_error_deg"] == pytest.approx(0, abs=1e-9)
+    assert found["scale_error"] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.001, 1, 90, 179, 180])
+def test_rotation_error_in_both_dimensions(rng, angle):
+    flat = case(similarity(20 + angle, 0.7, (0, 0)), similarity(20, 1.2, (0, 0)), rng)
+    assert rotation_error_deg(flat) == pytest.approx(angle, rel=1e-6)
+    start = Rotation.random(rng=rng)
+    axis = Rotation.random(rng=rng).apply([0, 0, 1])
+    T, T_true = np.eye(4), np.eye(4)
+    T_true[:3, :3] = start.as_matrix()
+    T[:3, :3] = (Rotation.from_rotvec(np.radians(angle) * axis) * start).as_matrix()
+    assert rotation_error_deg(case(T, T_true, rng)) == pytest.approx(angle, rel=1e-6)
+
+
+def test_scale_error_is_relative(rng):
+    found = values(case(similarity(0, 1.5, (0, 0)), similarity(0, 1.0, (0, 0)), rng))
+    assert found["scale_error"] == pytest.approx(0.5)
+
+
+def test_success_is_relative_to_the_inliers_but_metric_for_3dmatch(rng):
+    T_true = np.eye(3)
+    near = similarity(0, 1, (0.15, 0))  # 0.15 of a target about 1 long
+    assert not METRICS["success"].compute(case(near, T_true, rng))
+    assert METRICS["success"].compute(case(near, T_true, rng, dataset="threedmatch"))
+
+
+def test_objective_takes_the_best_pairs_at_the_pose(rng):
+    shift = similarity(0, 1, (0.01, 0))
+    judged = case(shift, np.eye(3), rng, n_inliers=5)
+    assert judged.objective <= 5 * 0.01**2 + 1e-12
+    assert judged.objective_true == pytest.approx(0, abs=1e-12)
+
+
+def test_a_bound_above_what_the_truth_attains_is_a_violation(rng):
+    T = np.eye(3)
+    assert METRICS["bound_violation"].compute(case(T, T, rng, lower_bound=0.1)) == pytest.approx(
+        0.1
+    )
+    assert METRICS["bound_violation"].compute(case(T, T, rng, lower_bound=0.0)) == 0
+    assert METRICS["bound_violation"].compute(case(T, T, rng)) == 0
+
+
+def test_the_floor_is_below_every_pose(rng):
+    T_true = np.eye(4)
+    judged = case(T_true, T_true, rng)
+    noisy = Case(
+        T_true, T_true, judged.source, judged.target + 0.05 * rng.standard_normal((11, 3)),
+        judged.pairs, 8, "embedded",
+    )  # fmt: skip
+    assert 0 < rmse_floor(noisy) <= rmse(noisy)
+
+
+def test_fit_rigid_is_proper_and_exact(rng):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    T[:3, 3] = [1, 2, 3]
+    points = rng.random((6, 3))
+    assert np.allclose(fit_rigid(points, points @ T[:3, :3].T + T[:3, 3]), T)
+
+
+def test_a_run_without_pose_has_no_metrics_and_no_success(rng):
+    judged = case(np.eye(3), np.eye(3), rng)
+    problem = Problem("i", "similarity2d", judged.source, judged.target, (0.5, 1.5), 8, 0.1)
+    run = {
+        "run_id": "r",
+        "instance_id": "i",
+        "n_inliers": 8,
+        "T_target_source": "",
+        "lower_bound": np.nan,
+    }
+    row = judge(run, problem, Truth("i", np.eye(3), judged.pairs), "embedded")
+    assert np.isnan(row["rmse"])
+    assert row["success"] is False
+    assert row["objective_true"] == pytest.approx(0, abs=1e-12)  # known without any pose
+
+
+def test_regret_is_against_every_known_pose_of_the_same_prior():
+    table = pd.DataFrame(
+        {
+            "instance_id": ["a", "a", "a", "b"],
+            "n_inliers": [5, 5, 2, 5],
+            "objective": [3.0, 1.0, 0.5, np.nan],
+            "objective_true": [2.0, 2.0, 0.1, 2.0],
+        }
+    )
+    related = relate(table)
+    assert list(related["objective_best"]) == [1.0, 1.0, 0.1, 2.0]
+    assert list(related["objective_regret"][:3]) == [2.0, 0.0, 0.4]
+    assert np.isnan(related["objective_regret"][3])
+
+
+def test_every_metric_is_documented_and_has_a_worst_value():
+    for name, metric in METRICS.items():
+        assert metric.meaning
+        assert metric.unit
+        assert metric.better in ("lower", "higher", "none"), name

@@ -1,0 +1,122 @@
+"""The plan is a pure function of config and selection."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from workflows import CHECKOUT
+from workflows.config import ConfigError, Experiment, parse_selection
+from workflows.plan import expand
+
+
+def experiment(**changes) -> Experiment:
+    fields = {
+        "name": "small",
+        "chunk_size": 3,
+        "datasets": [
+            {
+                "dataset": "embedded",
+                "shapes": ["fish", "pony"],
+                "tests": {"noise": [0.0, 0.01]},
+                "trials": 2,
+            }
+        ],
+        "methods": [
+            {"name": "dcreg", "baseline": "dcreg"},
+            {"name": "half", "baseline": "dcreg", "n_inliers_ratio": 0.5},
+            {"name": "bnb", "baseline": "bilinear_bnb", "models": ["similarity2d"]},
+        ],
+    }
+    return Experiment(**{**fields, **changes})
+
+
+def test_the_grid_is_complete_and_has_no_run_twice():
+    plan = expand(experiment())
+    runs = list(plan.runs())
+    assert len(runs) == 8 + 8 + 4  # the last method is asked to treat 2D only
+    assert len({run.run_id for run in runs}) == len(runs)
+    assert len({run.instance.instance_id for run in runs}) == 8
+
+
+def test_methods_share_their_instances():
+    plan = expand(experiment())
+    seen = {
+        name: {run.instance.instance_id for run in plan.runs() if run.method.name == name}
+        for name in ("dcreg", "half")
+    }
+    assert seen["dcreg"] == seen["half"]
+
+
+def test_chunks_hold_one_model_and_no_more_than_asked():
+    plan = expand(experiment())
+    assert all(len(chunk.instances) <= 3 for chunk in plan.chunks)
+    assert all({i.model for i in chunk.instances} == {chunk.model} for chunk in plan.chunks)
+    assert sum(len(chunk.instances) for chunk in plan.chunks) == 8
+
+
+def test_ids_are_the_same_in_another_process():
+    code = (
+        "from workflows.config import load; from workflows.plan import expand;"
+        "print([run.run_id for run in expand(load('demo')).runs()])"
+    )
+    outputs = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=CHECKOUT,
+            env={"PYTHONHASHSEED": seed, "PATH": ""},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(outputs) == 1
+    assert len(next(iter(outputs))) > 100
+
+
+def ids(settings: Experiment, method: str = "dcreg") -> list[str]:
+    return [run.run_id for run in expand(settings).runs() if run.method.name == method]
+
+
+@pytest.mark.parametrize(
+    "change", [{"seed": 1}, {"limits": {"time_s": 1}}, {"limits": {"nodes": 5}}]
+)
+def test_what_can_change_a_result_changes_the_run_id(change):
+    assert not set(ids(experiment())) & set(ids(experiment(**change)))
+
+
+@pytest.mark.parametrize("change", [{"name": "other"}, {"title": "x"}, {"chunk_size": 100}])
+def test_what_cannot_change_a_result_keeps_the_run_id(change):
+    assert set(ids(experiment())) == set(ids(experiment(**change)))
+
+
+def test_another_method_or_label_does_not_touch_the_first():
+    methods = [
+        {"name": "dcreg", "baseline": "dcreg", "label": "new words"},
+        {"name": "icp", "baseline": "icp"},
+    ]
+    assert ids(experiment()) == ids(experiment(methods=methods))
+
+
+def test_a_selection_is_a_part_of_the_whole_in_chunks_of_its_own():
+    whole = expand(experiment())
+    part = expand(experiment(), parse_selection(["methods=half", "shapes=fish", "levels=0.01"]))
+    assert {run.run_id for run in part.runs()} < {run.run_id for run in whole.runs()}
+    assert len(list(part.runs())) == 2
+    assert not {chunk.name for chunk in part.chunks} & {chunk.name for chunk in whole.chunks}
+
+
+def test_a_selection_that_matches_nothing_says_what_there_is():
+    with pytest.raises(ConfigError, match="METHODS=ipc matches nothing"):
+        expand(experiment(), parse_selection(["methods=ipc"]))
+    with pytest.raises(ConfigError, match="leaves no run"):
+        expand(experiment(), parse_selection(["methods=bnb", "shapes=pony"]))
+
+
+def test_an_instance_planned_twice_is_refused():
+    entry = {"dataset": "embedded", "shapes": ["fish"], "tests": {"noise": [0.0]}}
+    with pytest.raises(ConfigError, match="planned twice"):
+        expand(experiment(datasets=[entry, entry]))

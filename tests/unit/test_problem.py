@@ -1,0 +1,79 @@
+"""Bad input is refused with field, value and remedy before anything is searched."""
+
+import numpy as np
+import pytest
+
+import dcreg
+from dcreg.problem import Problem, default_gap_tol
+
+GOOD = np.random.default_rng(0).random((6, 2))
+
+
+def with_value(value):
+    points = GOOD.copy()
+    points[2, 1] = value
+    return points
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"source": with_value(np.nan)}, r"source: 1 point.*row 2.*remove"),
+        ({"target": with_value(np.inf)}, r"target: 1 point.*row 2.*remove"),
+        ({"source": np.empty((0, 2))}, r"source: no points"),
+        ({"source": np.zeros((4, 3))}, r"source: shape \(4, 3\).*needs \(n, 2\)"),
+        ({"target": np.zeros(4)}, r"target: shape \(4,\)"),
+        ({"source": [["a", "b"]]}, r"source: not an array of numbers"),
+        ({"model": "affine"}, r"model: 'affine' is unknown.*similarity2d"),
+        ({"n_inliers": 0}, r"n_inliers: 0 pairs.*between 1 and 6"),
+        ({"n_inliers": 7}, r"n_inliers: 7 pairs.*between 1 and 6"),
+        ({"n_inliers": 1.5}, r"n_inliers: the fraction 1.5 is outside"),
+        ({"n_inliers": "many"}, r"n_inliers: 'many' is not a number"),
+        ({"n_inliers": True}, r"n_inliers: True is not a number"),
+        ({"scale_range": (0.0, 1.0)}, r"scale_range: \(0.0, 1.0\)"),
+        ({"scale_range": (2.0, 1.0)}, r"scale_range: \(2.0, 1.0\)"),
+        ({"scale_range": 3}, r"scale_range: 3 is not a pair"),
+        ({"gap_tol": -1.0}, r"gap_tol: -1.0"),
+        ({"time_limit": 0.0}, r"time_limit: 0.0"),
+        ({"node_limit": 0}, r"node_limit: 0"),
+        ({"threads": 0}, r"threads: 0"),
+        ({"bound": "papr"}, r"bound: 'papr' is unknown"),
+        ({"mode": "best"}, r"mode: 'best' is unknown"),
+        ({"start_box": "tiny"}, r"start_box: 'tiny' is unknown"),
+    ],
+)
+def test_bad_input_is_named(change, message):
+    arguments = {"source": GOOD, "target": GOOD, "n_inliers": 6, "model": "similarity2d"} | change
+    with pytest.raises(dcreg.InputError, match=message):
+        dcreg.register(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"), [(3, 3), (0.5, 3), (1.0, 6), (0.29, 1), (np.int64(4), 4), (1e-9, 1)]
+)
+def test_n_inliers_is_a_count_or_a_fraction(given, expected):
+    assert Problem(GOOD, GOOD, given, "similarity2d").n_inliers == expected
+
+
+def test_fraction_does_not_lose_a_pair_to_rounding():
+    points = np.random.default_rng(0).random((100, 2))
+    assert Problem(points, points, 0.29, "similarity2d").n_inliers == 29
+
+
+def test_problem_copies_its_input():
+    points = GOOD.copy()
+    problem = Problem(points, points, 3, "similarity2d")
+    points[:] = 0
+    assert (problem.source != 0).all()
+
+
+def test_default_gap_tol_scales_with_the_square_of_the_target():
+    assert default_gap_tol(3 * GOOD, 4) == pytest.approx(9 * default_gap_tol(GOOD, 4))
+    radius = np.sqrt(((GOOD - GOOD.mean(0)) ** 2).sum(1).mean())
+    assert default_gap_tol(GOOD, 4) == pytest.approx(4 * (0.03 * radius) ** 2)
+
+
+def test_clouds_beyond_memory_are_refused_before_any_work():
+    large = np.zeros((20_000, 2))
+    with pytest.raises(dcreg.InputError, match="downsample"):
+        dcreg.register(large, large, n_inliers=5, model="similarity2d")

@@ -1,0 +1,146 @@
+"""Tables keep their documented form, and files are whole or not there."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from baselines.contract import Instance
+from dcreg.result import Status
+from workflows import records
+from workflows.aggregate import accounting
+from workflows.instances import (
+    Problem,
+    Truth,
+    content_digest,
+    read_problems,
+    read_truths,
+    write_problems,
+    write_truths,
+)
+
+
+def test_a_table_survives_parquet_and_csv(tmp_path):
+    rows = [{"run_id": "a", "time_solve_s": 0.1 + 0.2, "status": "optimal"}]
+    rows += [{"run_id": "b", "n_source": 3}]
+    columns = {name: records.RAW[name] for name in ("run_id", "status", "time_solve_s", "message")}
+    table = records.frame(rows, columns)
+    path = tmp_path / "t.parquet"
+    records.write(table, path, csv=True)
+    pd.testing.assert_frame_equal(records.read(path, columns), table)
+    assert pd.read_csv(path.with_suffix(".csv"))["time_solve_s"][0] == 0.1 + 0.2
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["t.csv", "t.parquet"]
+
+
+def test_a_missing_or_wrong_column_is_named(tmp_path):
+    path = tmp_path / "t.parquet"
+    pd.DataFrame({"run_id": ["a"]}).to_parquet(path)
+    with pytest.raises(records.SchemaError, match=r"t\.parquet: column 'chunk_id' is missing"):
+        records.read(path, records.PLAN)
+    table = pd.DataFrame({"level": ["much"]})
+    with pytest.raises(records.SchemaError, match="column 'level'"):
+        records.conform(table, {"level": records.PLAN["level"]}, "here")
+    with pytest.raises(records.SchemaError, match="no such table"):
+        records.read(tmp_path / "none.parquet", records.PLAN)
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_no_part(tmp_path):
+    path = tmp_path / "file"
+    path.write_text("old")
+    with contextlib.suppress(RuntimeError), records.replacing(path) as part:
+        part.write_text("half")
+        raise RuntimeError
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_every_status_of_a_run_has_its_place_in_the_accounting():
+    for status in Status:
+        if status is Status.NOT_RUN:
+            with pytest.raises(records.SchemaError):
+                records.outcome(status)
+        else:
+            assert records.outcome(status) in records.OUTCOMES
+
+
+def test_accounting_adds_up_and_keeps_methods_that_never_ran():
+    runs = pd.DataFrame(
+        {
+            "method": ["a", "a", "a", "b"],
+            "outcome": ["finished", "limited", "failed", "unavailable"],
+        }
+    )
+    table = accounting(runs).set_index("method")
+    assert table.loc["a"].to_dict() == {
+        "planned": 3, "finished": 1, "limited": 1, "failed": 1, "unsupported": 0, "unavailable": 0,
+    }  # fmt: skip
+    assert table.loc["b", "unavailable"] == 1
+
+
+def test_accounting_refuses_an_outcome_it_does_not_know():
+    with pytest.raises(AssertionError):
+        accounting(pd.DataFrame({"method": ["a"], "outcome": ["lost"]}))
+
+
+def test_all_columns_are_documented():
+    assert all(column.meaning for column in records.runs_columns().values())
+    assert all(column.meaning for column in records.TRACES.values())
+
+
+@pytest.fixture
+def problems(rng) -> list[Problem]:
+    return [
+        Problem(
+            instance_id=f"id{n}",
+            model="similarity2d",
+            source=rng.random((n, 2)),
+            target=rng.random((n + 1, 2)),
+            scale_range=(0.5, 1.5),
+            n_inliers_prior=n,
+            noise_bound=0.1,
+        )
+        for n in (4, 7)
+    ]
+
+
+def test_packed_instances_come_back_bit_for_bit(problems, tmp_path):
+    write_problems(tmp_path / "i.npz", problems)
+    for old, new in zip(problems, read_problems(tmp_path / "i.npz"), strict=True):
+        assert np.array_equal(old.source, new.source)
+        assert np.array_equal(old.target, new.target)
+        fields = ("instance_id", "model", "scale_range", "n_inliers_prior", "noise_bound")
+        assert all(getattr(old, field) == getattr(new, field) for field in fields)
+
+
+def test_truths_come_back_and_are_in_no_file_of_instances(problems, tmp_path, rng):
+    truths = [
+        Truth(p.instance_id, rng.random((3, 3)), np.array([[0, 1], [1, 0]])) for p in problems
+    ]
+    write_truths(tmp_path / "t.npz", truths)
+    write_problems(tmp_path / "i.npz", problems)
+    back = read_truths(tmp_path / "t.npz")
+    assert np.array_equal(back["id7"].T_true, truths[1].T_true)
+    assert np.array_equal(back["id7"].pairs, truths[1].pairs)
+    with np.load(tmp_path / "i.npz") as file:
+        assert not {"T_true", "pairs"} & set(file.files)
+    assert not {"T_true", "pairs"} & set(Instance.__dataclass_fields__)
+
+
+@pytest.mark.parametrize(("ratio", "told"), [(1.0, 7), (0.5, 4), (0.01, 1), (2.0, 7)])
+def test_the_prior_is_a_rounded_share_within_what_can_be_matched(problems, ratio, told):
+    assert problems[1].for_solver(ratio, 0).n_inliers == told
+
+
+def test_the_content_digest_sees_every_change(problems):
+    given = problems[0].for_solver(1.0, 0)
+    moved = Problem(**{**vars(problems[0]), "source": problems[0].source + 1e-12})
+    others = [
+        problems[0].for_solver(0.5, 0),
+        problems[0].for_solver(1.0, 1),
+        moved.for_solver(1.0, 0),
+    ]
+    assert content_digest(given) not in {content_digest(other) for other in others}
+    assert content_digest(given) == content_digest(problems[0].for_solver(1.0, 0))

@@ -1,0 +1,237 @@
+"""`register` end to end: optimum against dense search, units, invariances, awkward problems."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from dcreg.models import Similarity2D, Translation3D
+from dcreg.registration import Frame
+from dcreg.result import Status
+from tests.problems import KINDS, cloud
+
+BOUNDS_2D = ["paper", "edges", "termwise", "paper+edges"]
+
+
+def similarity(angle, scale, translation):
+    c, s = scale * np.cos(angle), scale * np.sin(angle)
+    return np.array([[c, -s, translation[0]], [s, c, translation[1]], [0, 0, 1]])
+
+
+def apply(T, points):
+    d = points.shape[1]
+    return points @ T[:d, :d].T + T[:d, d]
+
+
+@pytest.fixture
+def planar(rng):
+    source = rng.random((25, 2)) * [3.0, 1.0]
+    T = similarity(2.1, 1.2, (40.0, -7.0))
+    return source, apply(T, source), T
+
+
+@pytest.fixture
+def spatial(rng):
+    source = rng.standard_normal((30, 3)) * [1.0, 0.6, 0.3]
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([0.4, 1.9, -0.8]).as_matrix()
+    T[:3, 3] = [5.0, -3.0, 11.0]
+    return source, apply(T, source), T
+
+
+@pytest.mark.parametrize("bound", BOUNDS_2D)
+def test_similarity_is_recovered_with_a_certificate(planar, bound):
+    source, target, T = planar
+    result = dcreg.register(source, target, n_inliers=25, model="similarity2d", bound=bound)
+    assert result.status is Status.OPTIMAL
+    np.testing.assert_allclose(result.T_target_source, T, atol=1e-6)
+    assert result.lower_bound <= result.upper_bound
+    assert result.gap <= result.gap_tol
+    assert result.certificate_scope == "similarity pose"
+    assert result.scale == pytest.approx(1.2)
+    assert (result.assignment[:, 0] == result.assignment[:, 1]).all()
+
+
+def test_rigid_pose_is_recovered_and_proper(spatial):
+    source, target, T = spatial
+    result = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode="paper")
+    assert result.status is Status.OPTIMAL
+    np.testing.assert_allclose(result.T_target_source, T, atol=1e-5)
+    assert np.linalg.det(result.rotation) == pytest.approx(1.0)
+    assert result.certificate_scope == "translation in norm space"
+    assert [stage["stage"] for stage in result.stages] == ["search", "rotation", "polish"]
+
+
+def test_mirrored_cloud_never_gives_a_reflection(spatial):
+    source, target, _ = spatial
+    result = dcreg.register(source * [-1, 1, 1], target, n_inliers=30, model="rigid3d")
+    assert np.linalg.det(result.T_target_source[:3, :3]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e4])
+def test_units_of_the_files_scale_pose_and_bounds(planar, unit, rng):
+    source, target, _ = planar
+    target = target + 0.02 * rng.standard_normal(target.shape)
+    one = dcreg.register(source, target, n_inliers=20, model="similarity2d")
+    other = dcreg.register(unit * source, unit * target, n_inliers=20, model="similarity2d")
+    assert other.n_nodes == one.n_nodes
+    for name in ("lower_bound", "upper_bound", "gap_tol", "objective"):
+        assert getattr(other, name) == pytest.approx(unit**2 * getattr(one, name), rel=1e-6)
+    np.testing.assert_allclose(other.translation, unit * one.translation, rtol=1e-6)
+
+
+def test_bounds_and_objective_speak_of_the_file_coordinates(planar, rng):
+    source, target, _ = planar
+    target = target + 0.05 * rng.standard_normal(target.shape)
+    result = dcreg.register(source, target, n_inliers=25, model="similarity2d")
+    value, pairs = dcreg.objective(source, target, result.T_target_source, 25)
+    assert result.objective == pytest.approx(value)
+    assert result.lower_bound <= value <= result.upper_bound + 1e-9
+    assert result.rmse_matched == pytest.approx(np.sqrt(value / 25))
+    residuals = apply(result.T_target_source, source)[pairs[:, 0]] - target[pairs[:, 1]]
+    assert (residuals**2).sum() == pytest.approx(value)
+
+
+def test_polish_is_apart_from_the_certificate(spatial, rng):
+    source, target, _ = spatial
+    target = target + 0.03 * rng.standard_normal(target.shape)
+    polished = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode="paper")
+    plain = dcreg.register(
+        source, target, n_inliers=30, model="rigid3d", mode="paper", polish=False
+    )
+    np.testing.assert_array_equal(plain.T_target_source, plain.T_certified)
+    np.testing.assert_array_equal(plain.T_certified, polished.T_certified)
+    assert polished.upper_bound == plain.upper_bound
+    assert polished.objective <= polished.objective_certified == plain.objective
+
+
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
+def test_threads_and_repetition_change_nothing(model, planar, spatial, rng):
+    source, target, _ = planar if model == "similarity2d" else spatial
+    target = target + 0.05 * rng.standard_normal(target.shape)
+    results = [
+        dcreg.register(source, target, n_inliers=0.8, model=model, bound="paper", threads=threads)
+        for threads in (1, 1, 2)
+    ]
+    for other in results[1:]:
+        assert other.n_nodes == results[0].n_nodes
+        assert other.n_assignments == results[0].n_assignments
+        assert other.lower_bound == results[0].lower_bound
+        np.testing.assert_array_equal(other.T_target_source, results[0].T_target_source)
+
+
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
+def test_node_limit_returns_the_best_pose_with_valid_bounds(model, planar, spatial, rng):
+    source, target, _ = planar if model == "similarity2d" else spatial
+    target = target + 0.2 * rng.standard_normal(target.shape)
+    result = dcreg.register(
+        source, target, n_inliers=0.6, model=model, bound="paper", node_limit=3, gap_tol=1e-9
+    )
+    assert result.status is Status.NODE_LIMIT
+    assert np.isfinite(result.T_target_source).all()
+    assert 0 <= result.lower_bound <= result.upper_bound < np.inf
+
+
+def dense_minimum(model, steps):
+    """Least objective over descents from a regular grid of the start box."""
+    box = model.start_box()
+    axes = [
+        np.linspace(a, b, steps if b > a else 1) for a, b in zip(box.lower, box.upper, strict=True)
+    ]
+    return min(model.refine(np.array(theta))[1] for theta in itertools.product(*axes))
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from(KINDS),
+    n=st.integers(1, 5),
+    m=st.integers(1, 5),
+    bound=st.sampled_from(["paper", "edges"]),
+)
+def test_similarity_optimum_equals_dense_search(seed, kind, n, m, bound):
+    generator = np.random.default_rng(seed)
+    source, target = cloud(generator, n, 2, kind), cloud(generator, m, 2, kind)
+    n_inliers = int(generator.integers(1, min(n, m) + 1))
+    result = dcreg.register(
+        source, target, n_inliers=n_inliers, model="similarity2d", bound=bound, node_limit=20_000
+    )
+    frame = Frame.of(dcreg.Problem(source, target, n_inliers, "similarity2d"))
+    model = Similarity2D(frame.source(source), frame.target(target), n_inliers, (0.5, 1.5))
+    least = frame.unit**2 * dense_minimum(model, 7)
+    assert result.lower_bound <= least + 1e-7
+    if result.status is Status.OPTIMAL:
+        assert result.upper_bound <= least + result.gap_tol + 1e-7
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from(KINDS),
+    n=st.integers(1, 6),
+    m=st.integers(1, 6),
+    bound=st.sampled_from(["paper", "edges"]),
+)
+def test_norm_translation_optimum_equals_dense_search(seed, kind, n, m, bound):
+    generator = np.random.default_rng(seed)
+    source, target = cloud(generator, n, 3, kind), cloud(generator, m, 3, kind)
+    n_inliers = int(generator.integers(1, min(n, m) + 1))
+    result = dcreg.register(
+        source,
+        target,
+        n_inliers=n_inliers,
+        model="rigid3d",
+        mode="paper",
+        bound=bound,
+        node_limit=5_000,
+    )
+    frame = Frame.of(dcreg.Problem(source, target, n_inliers, "rigid3d"))
+    model = Translation3D(frame.source(source), frame.target(target), n_inliers)
+    least = frame.unit**2 * dense_minimum(model, 6)
+    assert result.lower_bound <= least + 1e-7
+    if result.stages[0]["status"] == "optimal":
+        assert result.upper_bound <= least + result.gap_tol + 1e-7
+
+
+def test_one_pair_and_single_points():
+    result = dcreg.register([[1.0, 2.0]], [[5.0, 5.0]], n_inliers=1, model="similarity2d")
+    assert result.status is Status.OPTIMAL
+    assert result.objective == pytest.approx(0.0, abs=1e-12)
+
+
+def test_all_target_points_equal():
+    source = np.random.default_rng(3).random((6, 2))
+    target = np.zeros((6, 2)) + 4.0
+    result = dcreg.register(source, target, n_inliers=6, model="similarity2d")
+    assert result.scale == pytest.approx(0.5)  # the least admissible scale is best
+
+
+def test_result_is_json_ready(planar):
+    import json
+
+    source, target, _ = planar
+    result = dcreg.register(source, target, n_inliers=25, model="similarity2d")
+    record = json.loads(json.dumps(result.to_dict()))
+    expected = {
+        "status", "T_target_source", "scale", "n_inliers", "bound", "mode", "lower_bound",
+        "upper_bound", "gap", "gap_tol", "n_nodes", "n_assignments", "time_solve_s",
+        "certificate_scope", "rmse_matched", "assignment",
+    }  # fmt: skip
+    assert expected <= set(record)
+
+
+def test_trace_is_monotone_within_a_stage_and_ends(spatial, tmp_path):
+    source, target, _ = spatial
+    result = dcreg.register(source, target, n_inliers=20, model="rigid3d")
+    for stage in ("search", "rotation"):
+        events = [event for event in result.trace if event.stage == stage]
+        assert events[-1].kind == "end"
+        lower = [event.lower_bound for event in events]
+        assert lower == sorted(lower)
+    path = tmp_path / "trace.jsonl"
+    result.trace.write_jsonl(path)
+    assert len(path.read_text().splitlines()) == len(result.trace)

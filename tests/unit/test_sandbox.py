@@ -1,0 +1,109 @@
+"""Every way a worker can be lost costs one run its status, and nothing else."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from baselines.contract import Instance
+from workflows.config import LimitSettings, MethodSettings
+from workflows.sandbox import Sandbox, Worker
+
+FAULTS = Path(__file__).parents[1] / "workflow" / "baselines"
+LIMITS = LimitSettings(time_s=0.3, memory_mb=600, warm_up_s=30)
+
+
+@pytest.fixture(autouse=True)
+def _extra_baselines(monkeypatch):
+    monkeypatch.setenv("DCREG_BASELINES_PATH", str(FAULTS))
+
+
+def instance(n_points: int) -> Instance:
+    points = np.random.default_rng(n_points).random((n_points, 2))
+    return Instance("id", points, points, "similarity2d", 5, (0.5, 1.5), 0.1, 0)
+
+
+def three_runs(fault: str, log: Path) -> list[dict]:
+    """A good instance, the unlucky one, a good one."""
+    method = MethodSettings(name="fault", baseline="fault", options={"fault": fault})
+    with Sandbox(method, LIMITS, log) as sandbox:
+        return [sandbox.solve(instance(n)) for n in (10, 13, 11)]
+
+
+@pytest.mark.parametrize(
+    ("fault", "status", "message"),
+    [
+        ("none", "converged", ""),
+        ("raises", "failed", "ZeroDivisionError: planted (adapter.py:"),
+        ("hangs", "time_limit", "the limit is 0.3 s"),
+        ("grows", "memory_limit", "the limit is 600 MB"),
+        ("bursts", "memory_limit", "MemoryError"),
+        ("exits", "failed", "worker ended with exit code 3"),
+        ("is_killed", "failed", "worker died of SIGKILL"),
+        ("crashes", "failed", "worker died of SIGSEGV"),
+        ("gives_no_pose", "failed", "gave no pose"),
+        ("gives_nan", "failed", "not finite"),
+    ],
+)
+def test_a_fault_becomes_its_status_and_the_rest_completes(fault, status, message, tmp_path):
+    before, unlucky, after = three_runs(fault, tmp_path / "log")
+    assert unlucky["status"] == status
+    assert message in unlucky["message"]
+    assert before["status"] == after["status"] == "converged"
+    assert (unlucky.get("T_target_source") is None) == (fault != "none")
+
+
+def test_a_hang_ends_soon_after_its_limit_with_all_its_children(tmp_path):
+    start = time.monotonic()
+    three_runs("hangs_with_child", tmp_path / "log")
+    assert time.monotonic() - start < LIMITS.kill_after_s + 10  # two workers start in this time
+    (line,) = [x for x in (tmp_path / "log").read_text().splitlines() if x.startswith("child")]
+    child = int(line.split()[1])
+    deadline = time.monotonic() + 5
+    while alive(child) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not alive(child)
+
+
+def alive(pid: int) -> bool:
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def test_unavailable_says_how_to_get_it_without_warm_up(tmp_path, monkeypatch):
+    folder = tmp_path / "absent"
+    folder.mkdir()
+    card = (FAULTS / "fault" / "card.yaml").read_text()
+    extra = "requires: no_such_module\nhow_to_get: ask nobody\n"
+    (folder / "card.yaml").write_text(card + extra)
+    (folder / "adapter.py").write_text((FAULTS / "fault" / "adapter.py").read_text())
+    monkeypatch.setenv("DCREG_BASELINES_PATH", str(tmp_path))
+    with Sandbox(MethodSettings(name="x", baseline="absent"), LIMITS, tmp_path / "log") as sandbox:
+        answers = [sandbox.solve(instance(n)) for n in (10, 11)]
+    assert [answer["status"] for answer in answers] == ["unavailable"] * 2
+    assert "ask nobody" in answers[1]["message"]
+
+
+def test_unsupported_is_a_status(tmp_path):
+    method = MethodSettings(name="ransac", baseline="fpfh_ransac")  # 3D only
+    limits = LimitSettings(time_s=5, warm_up_s=60)
+    with Sandbox(method, limits, tmp_path / "log") as sandbox:
+        answer = sandbox.solve(instance(10))
+    assert answer["status"] in ("unsupported", "unavailable")  # where open3d cannot be imported
+
+
+def test_a_worker_starts_with_capped_threads(tmp_path, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    worker = Worker(threads=1, memory_mb=600, log=tmp_path / "log")
+    try:
+        environ = psutil.Process(worker.process.pid).environ()
+    finally:
+        worker.kill()
+    assert environ["OMP_NUM_THREADS"] == environ["NUMBA_NUM_THREADS"] == "1"
+    assert not alive(worker.process.pid)

@@ -1,0 +1,129 @@
+"""Algorithm 1 on a function without geometry, so that its own promises are tested alone."""
+
+import numpy as np
+import pytest
+
+from dcreg.box import Box, LongestEdge
+from dcreg.result import Status
+from dcreg.search import Evaluation, Limits, branch_and_bound
+
+
+class Ripples:
+    """f(t) = |t - c|^2 + 0.3 (1 - cos 8 t_1) with the bound f(centre) - L * radius, kept honest by L."""
+
+    centre = np.array([0.3, -0.2])
+    lipschitz = 8.0
+
+    def __init__(self):
+        self.n_assignments = 0
+
+    def value(self, thetas):
+        return ((thetas - self.centre) ** 2).sum(axis=1) + 0.3 * (1 - np.cos(8 * thetas[:, 0]))
+
+    def evaluate(self, lower, upper, cutoff):
+        centres = 0.5 * (lower + upper)
+        values = self.value(centres)
+        self.n_assignments += len(values)
+        radius = np.linalg.norm(0.5 * (upper - lower), axis=1)
+        return Evaluation(values - self.lipschitz * radius, centres, values)
+
+
+ROOT = [Box(-np.ones(2), np.ones(2))]
+
+
+def solve(**options):
+    options = {"gap_tol": 1e-3, "branching": LongestEdge(np.ones(2)), **options}
+    return branch_and_bound(Ripples(), ROOT, **options)
+
+
+def dense_minimum():
+    axis = np.linspace(-1, 1, 801)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    return Ripples().value(grid).min()
+
+
+def test_bounds_enclose_the_minimum_and_close():
+    found = solve()
+    assert found.status is Status.OPTIMAL
+    assert found.upper_bound - found.lower_bound <= 1e-3
+    assert found.lower_bound <= dense_minimum() <= found.upper_bound + 1e-4
+    assert Ripples().value(found.theta[None])[0] == found.upper_bound
+
+
+@pytest.mark.parametrize("round_size", [1, 7, 64])
+def test_any_round_size_reaches_the_same_optimum(round_size):
+    assert solve(round_size=round_size).upper_bound == pytest.approx(dense_minimum(), abs=1.1e-3)
+
+
+def test_history_is_monotone_and_has_an_end():
+    events = solve(round_size=1).events
+    lower = [event.lower_bound for event in events]
+    upper = [event.upper_bound for event in events]
+    assert lower == sorted(lower)
+    assert upper == sorted(upper, reverse=True)
+    assert [event.kind for event in events].count("end") == 1
+    assert events[-1].kind == "end"
+    assert events[-1].status == "optimal"
+
+
+@pytest.mark.parametrize(
+    ("limits", "status"),
+    [
+        (Limits(nodes=50), Status.NODE_LIMIT),
+        (Limits(time_s=1e-9), Status.TIME_LIMIT),
+        (Limits(memory_mb=0.003), Status.MEMORY_LIMIT),
+    ],
+)
+def test_limits_keep_valid_bounds(limits, status):
+    found = solve(limits=limits)
+    assert found.status is status
+    assert found.lower_bound <= dense_minimum() <= found.upper_bound
+    assert found.events[-1].status == status.value
+
+
+def test_listener_stops_the_search_and_sees_its_end():
+    seen = []
+
+    def listener(event):
+        seen.append(event)
+        return event.n_nodes > 20
+
+    found = solve(listener=listener)
+    assert found.status is Status.STOPPED
+    assert seen[-1].kind == "end"
+    assert seen[-1].status == "stopped"
+    assert found.lower_bound <= dense_minimum() <= found.upper_bound
+
+
+def test_two_runs_are_equal():
+    first, second = solve(), solve()
+    assert first.n_nodes == second.n_nodes
+    np.testing.assert_array_equal(first.theta, second.theta)
+
+
+def test_root_without_admissible_parameter_is_not_searched():
+    class Nothing:
+        n_assignments = 0
+
+        def evaluate(self, lower, upper, cutoff):
+            size = len(lower)
+            return Evaluation(np.full(size, np.inf), lower.copy(), np.full(size, np.inf))
+
+    start = (np.zeros(2), 1.0)
+    found = branch_and_bound(
+        Nothing(), ROOT, branching=LongestEdge(np.ones(2)), gap_tol=0.1, start=start
+    )
+    assert found.upper_bound == 1.0
+    assert found.n_nodes == 1
+
+
+def test_children_cover_their_parent_along_the_weighted_longest_edge():
+    lower, upper = np.array([[0.0, 0.0]]), np.array([[1.0, 0.9]])
+    child_lower, child_upper = LongestEdge(np.array([1.0, 2.0]))(lower, upper)
+    np.testing.assert_allclose(child_lower, [[0, 0], [0, 0.45]])
+    np.testing.assert_allclose(child_upper, [[1, 0.45], [1, 0.9]])
+
+
+def test_box_refuses_crossed_limits():
+    with pytest.raises(ValueError, match="not a box"):
+        Box(np.ones(2), np.zeros(2))

@@ -1,0 +1,64 @@
+"""A method that goes wrong in a chosen way, on instances of 13 points and no others."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+from baselines.contract import Baseline, Instance, Limits, Solution
+from dcreg.result import Status
+
+UNLUCKY = 13
+
+
+class Adapter(Baseline):
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
+        solution = Solution(Status.CONVERGED, np.eye(instance.dim + 1))
+        if len(instance.source) == UNLUCKY:
+            return getattr(self, f"_{self.options['fault']}")(solution) or solution
+        return solution
+
+    def _none(self, solution: Solution) -> None:
+        """No fault."""
+
+    def _raises(self, solution: Solution) -> None:
+        raise ZeroDivisionError("planted")
+
+    def _hangs(self, solution: Solution) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a polite request will not do
+        while True:
+            time.sleep(0.01)
+
+    def _hangs_with_child(self, solution: Solution) -> None:
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        print(f"child {child.pid}", flush=True)
+        self._hangs(solution)
+
+    def _grows(self, solution: Solution) -> None:
+        kept = []
+        while True:
+            kept.append(np.ones(2**22))  # 32 MB, touched
+            time.sleep(0.01)
+
+    def _bursts(self, solution: Solution) -> None:
+        np.empty(2**37)  # 1 TB at once, more than any machine gives
+
+    def _exits(self, solution: Solution) -> None:
+        os._exit(3)
+
+    def _is_killed(self, solution: Solution) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def _crashes(self, solution: Solution) -> None:
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+    def _gives_no_pose(self, solution: Solution) -> Solution:
+        return Solution(Status.OPTIMAL, None)
+
+    def _gives_nan(self, solution: Solution) -> Solution:
+        return Solution(Status.CONVERGED, solution.T_target_source * np.nan)

@@ -1,0 +1,291 @@
+"""The report in a real browser: opened from a file, no network, everything clickable works."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
+import report_fixture
+
+from reports.build import build
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+DRIVER = shutil.which("chromedriver")
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(
+        not (CHROMIUM and DRIVER),
+        reason="chromium or chromedriver is missing: apt-get install chromium chromium-driver",
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    report_fixture.write_tables(folder / "tables")
+    build(folder / "tables", folder / "index.html")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for argument in (
+        "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run",
+        "--disable-background-networking", "--disable-component-update", "--disable-sync",
+        "--enable-unsafe-swiftshader",  # 3D without a graphics card
+        f"--user-data-dir={tmp_path_factory.mktemp('profile')}",
+    ):  # fmt: skip
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+    driver.set_script_timeout(60)
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture
+def page(browser, made):
+    """The page freshly opened, wide and light; afterwards no error and no request was made."""
+    view(browser, 1400, "light")
+    browser.get_log("performance")
+    browser.get_log("browser")
+    browser.get((made / "index.html").as_uri())
+    yield browser
+    errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert errors == []
+    assert requests(browser) == {(made / "index.html").as_uri()}
+
+
+def view(browser, width: int, scheme: str) -> None:
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+
+
+def requests(browser) -> set[str]:
+    """Addresses asked for, apart from data inside the page."""
+    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    urls = {
+        message["params"]["request"]["url"]
+        for message in messages
+        if message["method"] == "Network.requestWillBeSent"
+    }
+    return {url for url in urls if not url.startswith(("data:", "blob:"))}
+
+
+def wait(browser, script: str, seconds: float = 60):
+    """The value of `script` once it is true."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if value := browser.execute_script(f"return {script}"):
+            return value
+        time.sleep(0.1)
+    raise AssertionError(f"still false after {seconds} s: {script}")
+
+
+def drawn(browser, figure: str) -> str:
+    """Scroll to a figure and wait for it; returns a script expression for its element."""
+    element = f"document.getElementById('fig-{figure}')"
+    browser.execute_script(f"{element}.scrollIntoView()")
+    wait(browser, f"{element}.dataset.drawn")
+    return element
+
+
+def choose(browser, selector: str, action: str) -> None:
+    browser.execute_script(
+        f"const c = document.querySelector(arguments[0]); {action};"
+        "c.dispatchEvent(new Event('change', {bubbles: true}))",
+        selector,
+    )
+
+
+def redrawn(browser, element: str, selector: str, action: str) -> None:
+    before = browser.execute_script(f"return {element}.dataset.drawn")
+    choose(browser, selector, action)
+    wait(browser, f"{element}.dataset.drawn !== '{before}'")
+
+
+def column(browser, table: str, index: int) -> list[str]:
+    return browser.execute_script(
+        "return [...document.querySelectorAll(`#${arguments[0]} tbody tr`)]"
+        ".map(row => row.cells[arguments[1]].dataset.sort ?? row.cells[arguments[1]].innerText)",
+        table,
+        index,
+    )
+
+
+def test_accounting_is_visible_and_adds_up(page):
+    text = page.find_element("css selector", ".headline").text
+    assert text.startswith("378 planned = 247 finished + 21 limited + 2 failed")
+    rows = [list(map(float, column(page, "accounting", i))) for i in range(3, 9)]
+    assert all(p == sum(rest) for p, *rest in zip(*rows, strict=True))
+
+
+def test_every_figure_is_drawn_when_reached(page):
+    for figure in page.execute_script("return figures.map(f => f.dataset.figure)"):
+        element = drawn(page, figure)
+        assert page.execute_script(f"return {element}.querySelectorAll('.trace').length") > 0
+
+
+def test_sorting_puts_missing_values_last_both_ways(page):
+    head = page.find_elements("css selector", "#summary thead th button")[4]
+    for way in ("ascending", "descending"):
+        page.execute_script("arguments[0].click()", head)
+        assert head.find_element("xpath", "..").get_attribute("aria-sort") == way
+        values = column(page, "summary", 4)
+        known = [float(value) for value in values if value]
+        assert known == sorted(known, reverse=way == "descending")
+        assert known
+        assert set(values[len(known) :]) == {""}
+
+
+def test_filter_narrows_the_summary(page):
+    page.find_element("css selector", "[data-filter-text]").send_keys("icp noise")
+    rows = page.execute_script(
+        "return $$('#summary tbody tr').filter(r => !r.hidden).map(r => r.innerText)"
+    )
+    assert len(rows) == 2
+    assert all("ICP" in row and "noise" in row for row in rows)
+
+
+def test_bounds_follow_the_chosen_instance_and_work(page):
+    element = drawn(page, "bounds")
+    assert page.execute_script("return pick('level').value") != "0"  # opens with a long history
+    redrawn(page, element, '[data-for="bounds"][data-pick="level"]', "c.value = '0'")
+    assert page.execute_script(f"return {element}.querySelectorAll('.point').length") > 0
+    first = page.execute_script(f"return JSON.stringify({element}.data.map(t => [t.x, t.y]))")
+    redrawn(page, element, '[data-for="bounds"][data-pick="level"]', "c.value = '0.04'")
+    redrawn(page, element, '[data-for="bounds"][data-pick="trial"]', "c.value = '0'")
+    second = page.execute_script(f"return JSON.stringify({element}.data.map(t => [t.x, t.y]))")
+    assert first != second
+    assert "time_limit" in page.find_element("css selector", "#bounds-runs").text
+    redrawn(page, element, '[data-for="bounds"][data-pick="work"]', "c.value = 'assignments'")
+    assert page.execute_script(f"return {element}.layout.xaxis4.title.text") == "assignments"
+    before = page.execute_script(f"return {element}.dataset.drawn")
+    page.execute_script("document.querySelector('[data-step=\"1\"]').click()")
+    wait(page, f"{element}.dataset.drawn !== '{before}'")
+    assert page.execute_script("return pick('trial').value") == "1"
+
+
+def test_bounds_show_what_the_trace_table_holds(page, made):
+    import pandas as pd
+
+    element = drawn(page, "bounds")
+    run = page.execute_script("return $('#bounds-runs tbody tr').lastElementChild.innerText")
+    shown = page.execute_script(f"return {element}.data.map(t => [t.meta.role, t.x, t.y])[0]")
+    traces = pd.read_csv(made / "tables" / "traces.csv", dtype={"run_id": str})
+    events = traces[(traces["run_id"] == run) & (traces["stage"] == "search")]
+    assert shown[0] == "lower bound"
+    assert shown[1] == pytest.approx(list(events["time_s"]), rel=1e-5)
+    assert shown[2] == pytest.approx(list(events["lower_bound"]), rel=1e-5)
+
+
+def test_statistic_and_scale_switches(page):
+    element = drawn(page, "levels-similarity2d")
+
+    def roles():
+        return set(page.execute_script(f"return {element}.data.map(t => t.meta.role)"))
+
+    assert roles() == {"median", "band", "floor"}
+    base = '[data-for="levels-similarity2d"]'
+    redrawn(page, element, f'{base}[data-role="mean"]', "c.checked = true")
+    redrawn(page, element, f'{base}[data-role="band"]', "c.checked = false")
+    assert roles() == {"median", "mean", "floor"}
+    assert page.execute_script(f"return {element}.layout.yaxis.type") == "linear"
+    redrawn(page, element, f'{base}[data-scale="error"]', "c.checked = true")
+    assert page.execute_script(f"return {element}.layout.yaxis.type") == "log"
+    redrawn(page, element, f"{base}[data-view]", "c.value = 'rotation_error_deg'")
+    assert "°" in page.execute_script(f"return {element}.layout.yaxis.title.text")
+
+
+def test_a_method_is_hidden_everywhere(page):
+    element = drawn(page, "levels-similarity2d")
+    page.execute_script("document.querySelector('[data-toggle-method=icp]').click()")
+    wait(page, f"!{element}.data.some(t => t.meta.method === 'icp')")
+    assert page.execute_script(
+        "return $$('#summary tr[data-method=icp], .card[data-method=icp]').every(r => r.hidden)"
+    )
+
+
+@pytest.mark.parametrize(("test", "kind"), [("deformation", "scatter"), ("noise", "scatter3d")])
+def test_overlay_enlarges_with_its_replay_command(page, test, kind):
+    model = "similarity2d" if kind == "scatter" else "rigid3d"
+    page.execute_script(
+        "const s = document.querySelector('[data-filter=group]');"
+        "s.value = arguments[0]; s.dispatchEvent(new Event('input', {bubbles: true}));"
+        "document.getElementById('gallery').scrollIntoView()",
+        f"{model}|{test}",
+    )
+    card = ".card:not([hidden])"
+    wait(page, f"document.querySelector('{card} canvas').dataset.drawn")
+    colours = page.execute_script(
+        f"const c = document.querySelector('{card} canvas');"
+        "const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        "return d.filter((v, i) => i % 4 === 3 && v > 0).length"
+    )
+    assert colours > 100  # something is drawn
+    page.execute_script(f"document.querySelector('{card} .view').click()")
+    wait(page, "document.getElementById('overlay-plot').dataset.drawn")
+    kinds = page.execute_script("return $('#overlay-plot').data.map(t => t.type)")
+    assert kinds == [kind] * 4
+    assert "workflows replay made-up" in page.find_element("css selector", ".replay code").text
+
+
+def test_downloads_are_the_tables(page, made, tmp_path):
+    page.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)}
+    )
+    for name in ("runs.csv", "traces.csv", "accounting.csv", "provenance.json"):
+        page.execute_script(f"document.querySelector('[data-save=\"{name}\"]').click()")
+        end = time.monotonic() + 30
+        while not (tmp_path / name).exists() and time.monotonic() < end:
+            time.sleep(0.1)
+        assert (tmp_path / name).read_bytes() == (made / "tables" / name).read_bytes()
+
+
+def background(browser) -> list[int]:
+    text = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+    return [int(part) for part in text[4:-1].split(",")]
+
+
+def test_dark_follows_the_system_and_the_button(page):
+    element = drawn(page, "levels-similarity2d")
+    assert min(background(page)) > 200
+    light = page.execute_script(f"return {element}.layout.font.color")
+    before = page.execute_script(f"return {element}.dataset.drawn")
+    view(page, 1400, "dark")
+    wait(page, f"{element}.dataset.drawn !== '{before}'")
+    assert max(background(page)) < 60
+    assert page.execute_script(f"return {element}.layout.font.color") != light
+    page.execute_script("document.getElementById('theme').click()")
+    assert min(background(page)) > 200
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_phone_has_no_sideways_scroll_and_stacked_panels(page, scheme):
+    view(page, 390, scheme)
+    page.refresh()
+    element = drawn(page, "levels-similarity2d")
+    drawn(page, "bounds")
+    assert page.execute_script("return document.documentElement.scrollWidth") <= 390
+    domains = page.execute_script(
+        f"return Object.entries({element}.layout).filter(([k]) => /^xaxis/.test(k))"
+        ".map(([, axis]) => axis.domain)"
+    )
+    assert all(domain == [0, 1] for domain in domains)
+    height = page.execute_script(f"return [{element}.layout.height, {element}.clientHeight]")
+    assert height[1] >= height[0] > 1000

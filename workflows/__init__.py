@@ -1,0 +1,5 @@
+"""The benchmark: plan, fetch, generate, solve, evaluate, aggregate, report, compare."""
+
+from pathlib import Path
+
+CHECKOUT = Path(__file__).resolve().parents[1]

@@ -1,0 +1,305 @@
+"""``python -m workflows``: the stages, as the Snakefile calls them, and what a person asks for.
+
+Modules are imported inside the commands: a stage should not wait for what another one needs.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from workflows import CHECKOUT
+
+if TYPE_CHECKING:
+    from workflows.plan import Plan
+
+app = typer.Typer(
+    help=__doc__, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
+)
+
+Experiment = Annotated[str, typer.Argument(help="Name of a config, or path of one.")]
+Select = Annotated[
+    list[str] | None,
+    typer.Option(help="Part of the grid, as tests=noise,deformation; can be repeated."),
+]
+Axis = Annotated[str, typer.Option(help="Only these, comma-separated.", rich_help_panel="Part of")]
+Folder = Annotated[Path, typer.Argument(help="Results of an experiment: results/<name>.")]
+Out = Annotated[Path, typer.Option()]
+
+
+def user_errors(command: Callable[..., Any]) -> Callable[..., Any]:
+    """End with exit code 2 and a message, without a traceback, for what a user can mend."""
+
+    @wraps(command)
+    def checked(*arguments: Any, **options: Any) -> Any:
+        from baselines.registry import BaselineError
+        from data.contract import DataError
+        from workflows.compare import CompareError
+        from workflows.config import ConfigError
+        from workflows.records import SchemaError
+
+        try:
+            return command(*arguments, **options)
+        except (BaselineError, CompareError, ConfigError, DataError, SchemaError) as error:
+            _stop(str(error))
+
+    return checked
+
+
+# --- what a person asks for --------------------------------------------------------------------
+
+
+@app.command()
+@user_errors
+def run(
+    experiment: Experiment,
+    methods: Axis = "",
+    datasets: Axis = "",
+    shapes: Axis = "",
+    tests: Axis = "",
+    levels: Axis = "",
+    trials: Axis = "",
+    cores: Annotated[str, typer.Option(help="Number of cores, or all.")] = "all",
+    directory: Annotated[Path, typer.Option(help="Where results/ lies.")] = CHECKOUT,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what is to do.")] = False,
+    timing: Annotated[bool, typer.Option("--timing", help="One solve job at a time.")] = False,
+) -> None:
+    """Run an experiment, or a selected part of it, and print the summary."""
+    axes = {
+        "methods": methods,
+        "datasets": datasets,
+        "shapes": shapes,
+        "tests": tests,
+        "levels": levels,
+        "trials": trials,
+    }
+    select = [f"{axis}={values}" for axis, values in axes.items() if values]
+    plan = _plan(experiment, select)
+    print(
+        f"plan      {plan.experiment.name}: {len(list(plan.runs()))} runs of "
+        f"{sum(len(chunk.instances) for chunk in plan.chunks)} instances "
+        f"and {len(plan.methods)} methods"
+    )
+    if Path(experiment).is_file():
+        experiment = str(Path(experiment).resolve())
+    command = [
+        *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
+        *("--workflow-profile", str(CHECKOUT / "workflows" / "profiles" / "default")),
+        *("--directory", str(directory), "--cores", cores),
+        *(["--resources", "timing=1"] if timing else []),
+        *(["--dry-run", "--quiet", "host", "reason"] if dry_run else []),
+        *("--config", f"experiment={experiment}", f"select={' '.join(select)}"),
+    ]
+    if code := subprocess.run(command).returncode:
+        print(
+            "error: not all stages came through; their messages are above. Runs that finished are "
+            "kept: the same command goes on from here.",
+            file=sys.stderr,
+        )
+        raise typer.Exit(code)
+    if not dry_run:
+        summary(directory / "results" / plan.experiment.name)
+
+
+@app.command()
+@user_errors
+def summary(folder: Folder) -> None:
+    """Method × test: median RMSE, success, median time, certified share; path of the report."""
+    from workflows.summary import print_summary
+
+    print_summary(folder)
+
+
+@app.command()
+@user_errors
+def record(
+    folders: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Results to keep; by default demo and real2d, where present."),
+    ] = None,
+    version: Annotated[str, typer.Option(help="Name; by default from git.")] = "",
+    history: Annotated[Path, typer.Option()] = Path("history"),
+) -> None:
+    """Keep the small tables of experiments under a version, for later comparison."""
+    from workflows.compare import record as keep
+    from workflows.compare import results_to_record
+
+    for folder in folders or results_to_record():
+        print(f"recorded  {keep(folder, history, version)}")
+
+
+@app.command()
+@user_errors
+def compare(
+    base: Annotated[str, typer.Argument(help="Recorded version, or a folder of records.")],
+    head: Annotated[str, typer.Argument(help="The version to judge.")],
+    history: Annotated[Path, typer.Option()] = Path("history"),
+    json_out: Annotated[Path | None, typer.Option("--json", help="Verdicts as a file.")] = None,
+) -> None:
+    """Verdict per metric. Exit code 0: no regression, 1: regression, 2: not comparable."""
+    from workflows.compare import compare as judge
+    from workflows.compare import print_verdicts, regressed
+
+    verdicts = judge(base, head, history)
+    print_verdicts(verdicts, base, head)
+    if json_out:
+        json_out.write_text(verdicts.to_json(orient="records", indent=1), encoding="utf-8")
+    raise typer.Exit(1 if regressed(verdicts) else 0)
+
+
+@app.command()
+@user_errors
+def replay(experiment: Experiment, run_id: str) -> None:
+    """Repeat one run outside the sandbox and print what the method answers."""
+    from workflows.replay import replay as repeat
+
+    print(json.dumps(repeat(_plan(experiment), run_id), indent=1))
+
+
+@app.command()
+@user_errors
+def forget(
+    folder: Folder,
+    status: Annotated[str, typer.Option(help="Statuses, comma-separated.")] = "failed",
+) -> None:
+    """Drop runs that ended so, so that the next `run` repeats them and no others."""
+    from workflows.solve import forget as drop
+
+    print(f"forgot {drop(folder / 'runs', set(status.split(',')))} runs")
+
+
+@app.command()
+@user_errors
+def baselines() -> None:
+    """Every method: available or why not, version, what it certifies, citation."""
+    from workflows.summary import print_baselines
+
+    print_baselines()
+
+
+@app.command()
+@user_errors
+def new_baseline(name: str) -> None:
+    """Create ``baselines/NAME`` from the template."""
+    from baselines import registry
+
+    print(f"created {registry.new_baseline(name).relative_to(CHECKOUT)}")
+
+
+# --- the stages, as the rules call them --------------------------------------------------------
+
+
+@app.command(hidden=True)
+@user_errors
+def plan(experiment: Experiment, out: Out, select: Select = None) -> None:
+    """Write the table of planned runs."""
+    from workflows import records
+    from workflows.aggregate import plan_table
+
+    records.write(plan_table(_plan(experiment, select)), out)
+
+
+@app.command(hidden=True)
+@user_errors
+def fetch(
+    experiment: Experiment,
+    dataset: Annotated[str, typer.Option()],
+    out: Out,
+    select: Select = None,
+) -> None:
+    """Fetch and verify the files of a dataset that the experiment needs."""
+    from workflows.generate import fetch as fetch_dataset
+
+    fetch_dataset(_plan(experiment, select), dataset, out)
+    print(f"fetch     {dataset}")
+
+
+@app.command(hidden=True)
+@user_errors
+def generate(
+    experiment: Experiment,
+    chunk: Annotated[str, typer.Option()],
+    instances: Out,
+    truth: Out,
+    select: Select = None,
+) -> None:
+    """Make the instances of a chunk, and apart from them their truth."""
+    from workflows.generate import generate as generate_chunk
+
+    specs = _plan(experiment, select).chunk(chunk)
+    generate_chunk(specs, instances, truth)
+    print(f"generate  {chunk}: {len(specs.instances)} instances")
+
+
+@app.command(hidden=True)
+@user_errors
+def solve(
+    experiment: Experiment,
+    method: Annotated[str, typer.Option()],
+    instances: Out,
+    out: Out,
+    select: Select = None,
+) -> None:
+    """Run a method on a chunk of instances."""
+    from workflows.config import load
+    from workflows.solve import solve as solve_chunk
+
+    settings = load(experiment)
+    solve_chunk(
+        settings, settings.method(method), instances, out, lambda line: print(line, flush=True)
+    )
+
+
+@app.command(hidden=True)
+@user_errors
+def evaluate(folder: Folder, out: Out) -> None:
+    """Compute all metrics."""
+    from workflows import records
+    from workflows.evaluate import evaluate as judge
+
+    metrics = judge(folder)
+    records.write(metrics, out)
+    print(f"evaluate  {len(metrics)} runs")
+
+
+@app.command(hidden=True)
+@user_errors
+def aggregate(experiment: Experiment, folder: Folder, select: Select = None) -> None:
+    """Write the tables."""
+    from workflows.aggregate import aggregate as join
+
+    join(_plan(experiment, select), folder)
+    print(f"aggregate {folder / 'tables'}")
+
+
+@app.command(hidden=True)
+@user_errors
+def report(tables: Path, out: Path) -> None:
+    """Build the HTML report."""
+    from reports.build import build
+
+    build(tables, out)
+    print(f"report    {out} ({out.stat().st_size / 1e6:.1f} MB)")
+
+
+def _plan(experiment: str, select: list[str] | None = None) -> Plan:
+    from workflows.config import load, parse_selection
+    from workflows.plan import expand
+
+    return expand(load(experiment), parse_selection(select or []))
+
+
+def _stop(message: str) -> NoReturn:
+    print(f"error: {message}", file=sys.stderr)
+    raise typer.Exit(2)
+
+
+if __name__ == "__main__":
+    app()

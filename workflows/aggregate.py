@@ -1,0 +1,197 @@
+"""Everything the report needs, in one folder of tables."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from workflows import methods, provenance, records
+from workflows.config import MethodSettings
+from workflows.instances import read_problems
+from workflows.plan import Plan
+
+MAX_OVERLAY_POINTS = 400  # per set
+
+
+def aggregate(plan: Plan, folder: Path) -> None:
+    """Join plan, raw results and metrics, and write ``tables/``."""
+    out = folder / "tables"
+    runs = join_runs(plan, folder)
+    records.write(runs, out / "runs.parquet", csv=True)
+    records.write(join_traces(plan, folder, runs), out / "traces.parquet", csv=True)
+    with records.replacing(out / "accounting.csv") as part:
+        accounting(runs).to_csv(part, index=False)
+    _write_json(out / "provenance.json", _provenance(plan, runs))
+    _write_json(out / "overlays.json", overlays(plan, folder, runs))
+
+
+def plan_table(plan: Plan) -> pd.DataFrame:
+    """The plan as a table, one row per planned run."""
+    rows = [
+        {
+            "run_id": run.run_id,
+            "chunk_id": run.chunk.name,
+            "method": run.method.name,
+            "baseline": run.method.baseline,
+            "options": json.dumps(run.method.options, sort_keys=True),
+            "instance_id": run.instance.instance_id,
+            **{axis: getattr(run.instance, axis) for axis in ("dataset", "shape", "test")},
+            **{axis: getattr(run.instance, axis) for axis in ("level", "trial", "model")},
+        }
+        for run in plan.runs()
+    ]
+    return records.frame(rows, records.PLAN)
+
+
+def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
+    """Exactly one row per planned run, in the documented columns."""
+    planned = plan_table(plan)
+    raw = _raw(plan, folder, "", records.RAW)
+    metrics = pd.read_parquet(folder / "metrics" / "metrics.parquet")
+    runs = planned.merge(
+        raw.drop(columns="instance_id"), on="run_id", how="left", validate="one_to_one"
+    ).merge(
+        metrics.drop(columns=["instance_id", "n_inliers"]),
+        on="run_id",
+        how="left",
+        validate="one_to_one",
+    )
+    without = runs.loc[runs["status"].isna() | runs["dim"].isna(), "method"]
+    if len(without):
+        raise records.SchemaError(
+            f"{folder}: {len(without)} planned runs of {without.iloc[0]} have no result; "
+            "repeat the solve and evaluate stages"
+        )
+    by_name = {method.name: method for method in plan.methods}
+    cards = {name: methods.card(method.baseline) for name, method in by_name.items()}
+    runs = runs.assign(
+        schema_version=records.SCHEMA_VERSION,
+        experiment=plan.experiment.name,
+        display_name=runs["method"].map(lambda name: display_name(by_name[name])),
+        provenance=runs["method"].map(lambda name: cards[name].provenance),
+        n_inliers_ratio=runs["method"].map(lambda name: by_name[name].n_inliers_ratio),
+        outcome=runs["status"].map(records.outcome),
+    )
+    return records.conform(runs, records.runs_columns(), str(folder / "tables" / "runs.parquet"))
+
+
+def display_name(method: MethodSettings) -> str:
+    """How figures and tables call a line: its label, or the card's name and an unusual prior."""
+    if method.label:
+        return method.label
+    name = methods.card(method.baseline).display_name
+    return name if method.n_inliers_ratio == 1 else f"{name} (n_p × {method.n_inliers_ratio:g})"
+
+
+def join_traces(plan: Plan, folder: Path, runs: pd.DataFrame) -> pd.DataFrame:
+    """Bound histories of all runs, in the order of the runs."""
+    traces = _raw(plan, folder, ".trace", records.RAW_TRACES)
+    traces = traces.merge(runs[["run_id", "method"]], on="run_id", validate="many_to_one")
+    return records.conform(traces, records.TRACES, "traces")
+
+
+def accounting(runs: pd.DataFrame) -> pd.DataFrame:
+    """Planned runs and how they ended, per method; asserted to add up."""
+    counts = pd.crosstab(runs["method"], runs["outcome"])
+    counts = counts.reindex(runs["method"].unique())
+    counts = counts.reindex(columns=list(records.OUTCOMES), fill_value=0)
+    counts.insert(0, "planned", runs.groupby("method").size().reindex(counts.index))
+    if not (counts["planned"] == counts[list(records.OUTCOMES)].sum(axis=1)).all():
+        raise AssertionError("planned = finished + limited + failed + unsupported + unavailable")
+    return counts.rename_axis("method").reset_index()
+
+
+def overlays(plan: Plan, folder: Path, runs: pd.DataFrame) -> list[dict[str, Any]]:
+    """Points and pose of the best, median and worst run of every method and test."""
+    problems = {
+        problem.instance_id: problem
+        for chunk in plan.chunks
+        for problem in read_problems(folder / f"instances/{chunk.name}.npz")
+    }
+    posed = runs[runs["rmse"].notna()]
+    entries = []
+    for _, group in posed.groupby(["method", "test", "model"], sort=False):
+        ranked = group.sort_values("rmse", kind="stable")
+        picks = {"best": 0, "median": (len(ranked) - 1) // 2, "worst": len(ranked) - 1}
+        for rank, position in picks.items():
+            run = ranked.iloc[position]
+            problem = problems[run["instance_id"]]
+            entries.append(
+                {
+                    **{key: run[key] for key in ("run_id", "method", "dataset", "shape", "test")},
+                    **{key: run[key].item() for key in ("level", "trial", "rmse")},
+                    **{key: run[key] for key in ("status", "model")},
+                    "rank": rank,
+                    "source": _points(problem.source),
+                    "target": _points(problem.target),
+                    "T_target_source": json.loads(run["T_target_source"]),
+                    "replay": replay_command(plan, run["run_id"]),
+                }
+            )
+    return entries
+
+
+def run_command(plan: Plan) -> str:
+    """The command line that makes these tables."""
+    chosen = plan.selection.model_dump().items()
+    parts = [f"--select {axis}={','.join(map(str, values))}" for axis, values in chosen if values]
+    return " ".join(["python -m workflows run", plan.experiment.name, *parts])
+
+
+def replay_command(plan: Plan, run_id: str) -> str:
+    """A command line that repeats exactly this run and shows it."""
+    return f"python -m workflows replay {plan.experiment.name} {run_id}"
+
+
+def _points(points: np.ndarray) -> list[list[float]]:
+    """Rounded to four digits after the leading ones of the set's size; evenly thinned if many."""
+    step = -(-len(points) // MAX_OVERLAY_POINTS)
+    digits = 4 - int(np.floor(np.log10(max(np.ptp(points, axis=0).max(), 1e-12))))
+    return np.round(points[::step], max(0, digits)).tolist()
+
+
+def _raw(plan: Plan, folder: Path, suffix: str, columns: dict[str, records.Column]) -> pd.DataFrame:
+    tables = [
+        records.read(folder / f"runs/{method.name}/{chunk.name}{suffix}.parquet", columns)
+        for method, chunk in plan.jobs()
+    ]
+    filled = [table for table in tables if len(table)]
+    return pd.concat(filled, ignore_index=True) if filled else tables[0]
+
+
+def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
+    chosen = {axis: value for axis, value in plan.selection.model_dump().items() if value}
+    reasons = runs[runs["outcome"] == "unavailable"].groupby("method")["message"].first()
+    return {
+        "schema_version": records.SCHEMA_VERSION,
+        "experiment": plan.experiment.name,
+        "config": plan.experiment.model_dump(),
+        "selection": chosen,
+        "machine": provenance.machine_card(),
+        "machines_of_runs": sorted(runs["machine_id"].unique()),
+        "versions": provenance.versions(),
+        "git": provenance.git_state(),
+        "created": provenance.now(),
+        "commands": [run_command(plan)],
+        "methods": {
+            method.name: {
+                **methods.card(method.baseline).model_dump(),
+                "baseline": method.baseline,
+                "display_name": display_name(method),
+                "options": method.options,
+                "n_inliers_ratio": method.n_inliers_ratio,
+                "limits": plan.experiment.limits_of(method).model_dump(),
+                "unavailable": reasons.get(method.name, ""),
+            }
+            for method in plan.methods
+        },
+    }
+
+
+def _write_json(path: Path, content: Any) -> None:
+    with records.replacing(path) as part:
+        part.write_text(json.dumps(content, indent=1), encoding="utf-8")

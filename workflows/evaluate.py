@@ -1,0 +1,68 @@
+"""Raw results and truth to metrics: pure, cheap, and repeatable without any new run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from workflows import records
+from workflows.instances import Problem, Truth, read_problems, read_truths
+from workflows.metrics import METRICS, Case
+
+
+def evaluate(folder: Path) -> pd.DataFrame:
+    """One row of metrics for every planned run of the experiment in `folder`."""
+    plan = records.read(folder / "plan" / "plan.parquet", records.PLAN)
+    tables = []
+    for chunk_id, planned in plan.groupby("chunk_id", sort=False):
+        problems = {p.instance_id: p for p in read_problems(folder / f"instances/{chunk_id}.npz")}
+        truths = read_truths(folder / f"truth/{chunk_id}.npz")
+        datasets = dict(zip(planned["instance_id"], planned["dataset"], strict=True))
+        for method in planned["method"].unique():
+            raw = records.read(folder / f"runs/{method}/{chunk_id}.parquet", records.RAW)
+            rows = [
+                judge(run, problems[run["instance_id"]], truths[run["instance_id"]], dataset)
+                for run in raw.to_dict("records")
+                if (dataset := datasets.get(run["instance_id"])) is not None
+            ]
+            tables.append(pd.DataFrame(rows))
+    return relate(pd.concat(tables, ignore_index=True))
+
+
+def judge(run: dict[str, Any], problem: Problem, truth: Truth, dataset: str) -> dict[str, Any]:
+    """Metrics of one run. Without a pose all of them are empty, except ``success``, which is no."""
+    row: dict[str, Any] = {
+        "run_id": run["run_id"],
+        "instance_id": run["instance_id"],
+        "n_inliers": run["n_inliers"],
+        "n_inliers_true": len(truth.pairs),
+        "dim": problem.source.shape[1],
+    }
+    found = json.loads(run["T_target_source"]) if run["T_target_source"] else None
+    case = Case(
+        T=np.array(truth.T_true if found is None else found),
+        T_true=truth.T_true,
+        source=problem.source,
+        target=problem.target,
+        pairs=truth.pairs,
+        n_inliers=run["n_inliers"],
+        dataset=dataset,
+        lower_bound=run["lower_bound"],
+    )
+    for name, metric in METRICS.items():
+        # What speaks of the truth alone is known also where no pose was found.
+        known = metric.compute and (found is not None or metric.better == "none")
+        row[name] = metric.compute(case) if known else np.nan
+    row["success"] = found is not None and bool(row["success"])
+    return row
+
+
+def relate(metrics: pd.DataFrame) -> pd.DataFrame:
+    """Add the metrics that compare a run with the others on its instance and prior."""
+    alike = metrics.groupby(["instance_id", "n_inliers"])["objective"]
+    best = np.fmin(alike.transform("min"), metrics["objective_true"])
+    return metrics.assign(objective_best=best, objective_regret=metrics["objective"] - best)

@@ -1,0 +1,42 @@
+"""Stable hashes: the same on every machine and in every process."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def digest(value: Any, length: int = 12) -> str:
+    """Hash of a JSON-like value; keys in any order, floats by their shortest exact text."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:length]
+
+
+def seed(*axes: Any) -> int:
+    """A 32-bit seed from the axes it may depend on."""
+    return int(digest(list(axes), 8), 16)
+
+
+def digest_arrays(*arrays: Any, length: int = 12) -> str:
+    """Hash of the exact content of arrays or numbers."""
+    total = hashlib.sha256()
+    for array in map(np.ascontiguousarray, arrays):
+        total.update(f"{array.dtype.str}{array.shape}".encode() + array.tobytes())
+    return total.hexdigest()[:length]
+
+
+def digest_files(root: Path, entries: Iterable[str], length: int = 12) -> str:
+    """Hash of files and folders below `root`: names and text, no times; absent ones count too."""
+    total = hashlib.sha256()
+    for entry in entries:
+        path = root / entry
+        files = sorted(path.rglob("*")) if path.is_dir() else [path]
+        for file in files:
+            if file.is_file() and "__pycache__" not in file.parts:
+                total.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
+    return total.hexdigest()[:length]

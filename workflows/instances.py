@@ -1,0 +1,123 @@
+"""Packed files: the instances, and apart from them their truth, which no solver sees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from baselines.contract import Instance
+from workflows.hashing import digest_arrays, seed
+from workflows.records import replacing
+
+
+@dataclass(frozen=True)
+class Problem:
+    """An instance as the harness keeps it; `for_solver` is what a worker gets.
+
+    ``n_inliers_prior`` is the true number of pairs. The paper derives the prior n_p from it, so the
+    solver is told a stated ratio of it, and nothing else that comes from the truth but
+    ``noise_bound``, the same for all.
+    """
+
+    instance_id: str
+    model: str
+    source: np.ndarray
+    target: np.ndarray
+    scale_range: tuple[float, float]
+    n_inliers_prior: int
+    noise_bound: float
+
+    def for_solver(self, n_inliers_ratio: float, experiment_seed: int) -> Instance:
+        most = min(len(self.source), len(self.target))
+        n_inliers = min(most, max(1, round(n_inliers_ratio * self.n_inliers_prior)))
+        return Instance(
+            instance_id=self.instance_id,
+            source=self.source,
+            target=self.target,
+            model=self.model,  # type: ignore[arg-type]
+            n_inliers=n_inliers,
+            scale_range=self.scale_range,
+            noise_bound=self.noise_bound,
+            seed=seed("solver", experiment_seed, self.instance_id),
+        )
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What only the evaluation sees: the pose and the true pairs (rows of source and target)."""
+
+    instance_id: str
+    T_true: np.ndarray
+    pairs: np.ndarray
+
+
+def content_digest(instance: Instance) -> str:
+    """Hash of everything in an instance that a solver could react to."""
+    low, high = instance.scale_range
+    numbers = np.array([instance.n_inliers, low, high, instance.noise_bound, instance.seed], float)
+    return digest_arrays(instance.source, instance.target, numbers)
+
+
+def write_problems(path: Path, problems: Iterable[Problem]) -> None:
+    problems = list(problems)
+    with replacing(path) as part, part.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            instance_id=[p.instance_id for p in problems],
+            model=[p.model for p in problems],
+            scale_range=[p.scale_range for p in problems],
+            n_inliers_prior=[p.n_inliers_prior for p in problems],
+            noise_bound=[p.noise_bound for p in problems],
+            **_packed("source", [p.source for p in problems]),
+            **_packed("target", [p.target for p in problems]),
+        )
+
+
+def read_problems(path: Path) -> list[Problem]:
+    with np.load(path, allow_pickle=False) as archive:
+        file = dict(archive)
+    return [
+        Problem(
+            instance_id=str(file["instance_id"][i]),
+            model=str(file["model"][i]),
+            source=source,
+            target=target,
+            scale_range=(float(file["scale_range"][i, 0]), float(file["scale_range"][i, 1])),
+            n_inliers_prior=int(file["n_inliers_prior"][i]),
+            noise_bound=float(file["noise_bound"][i]),
+        )
+        for i, (source, target) in enumerate(
+            zip(_unpacked("source", file), _unpacked("target", file), strict=True)
+        )
+    ]
+
+
+def write_truths(path: Path, truths: Iterable[Truth]) -> None:
+    truths = list(truths)
+    with replacing(path) as part, part.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            instance_id=[t.instance_id for t in truths],
+            T_true=[t.T_true for t in truths],
+            **_packed("pairs", [t.pairs for t in truths]),
+        )
+
+
+def read_truths(path: Path) -> dict[str, Truth]:
+    with np.load(path, allow_pickle=False) as archive:
+        file = dict(archive)
+    names = [str(name) for name in file["instance_id"]]
+    rows = zip(names, file["T_true"], _unpacked("pairs", file), strict=True)
+    return {name: Truth(name, T_true, pairs) for name, T_true, pairs in rows}
+
+
+def _packed(name: str, arrays: list[np.ndarray]) -> dict[str, np.ndarray]:
+    """Arrays of different lengths as one, with the row at which each ends."""
+    return {name: np.concatenate(arrays), f"{name}_ends": np.cumsum([len(a) for a in arrays])}
+
+
+def _unpacked(name: str, file: dict[str, np.ndarray]) -> list[np.ndarray]:
+    return np.split(file[name], file[f"{name}_ends"][:-1])

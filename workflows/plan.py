@@ -1,0 +1,208 @@
+"""Expands an experiment into its instances, chunks of instances, and planned runs.
+
+A pure function of the config and the selection: the same plan on every machine. A chunk is a list
+of instances of one model that travel together; its name carries a hash of its content, so that a
+partial selection never overwrites the results of the whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+from data import registry
+from workflows.config import (
+    ConfigError,
+    DatasetSettings,
+    Experiment,
+    MethodSettings,
+    Selection,
+    suggest,
+)
+from workflows.hashing import digest
+
+SHORT = {"similarity2d": "2d", "rigid3d": "3d"}
+
+
+@dataclass(frozen=True)
+class InstanceSpec:
+    """One registration problem, by the axes that decide it."""
+
+    dataset: str
+    shape: str
+    test: str
+    level: float
+    trial: int
+    n_points: int | None
+    model: str
+
+    @cached_property
+    def instance_id(self) -> str:
+        return digest(asdict(self))
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Instances of one model, generated into one file and solved in one job per method."""
+
+    name: str
+    model: str
+    instances: tuple[InstanceSpec, ...]
+
+    @property
+    def datasets(self) -> list[str]:
+        return sorted({instance.dataset for instance in self.instances})
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """One execution: an instance under a method with its options and limits."""
+
+    run_id: str
+    chunk: Chunk
+    method: MethodSettings
+    instance: InstanceSpec
+
+
+@dataclass(frozen=True)
+class Plan:
+    experiment: Experiment
+    selection: Selection
+    chunks: tuple[Chunk, ...]
+    methods: tuple[MethodSettings, ...]
+
+    def jobs(self) -> Iterator[tuple[MethodSettings, Chunk]]:
+        """Methods with the chunks they are asked to treat."""
+        for method, chunk in product(self.methods, self.chunks):
+            if not method.models or chunk.model in method.models:
+                yield method, chunk
+
+    def runs(self) -> Iterator[PlannedRun]:
+        for method, chunk in self.jobs():
+            for instance in chunk.instances:
+                run_id = run_identity(self.experiment, method, instance.instance_id)
+                yield PlannedRun(run_id, chunk, method, instance)
+
+    def chunk(self, name: str) -> Chunk:
+        return next(chunk for chunk in self.chunks if chunk.name == name)
+
+
+def run_identity(experiment: Experiment, method: MethodSettings, instance_id: str) -> str:
+    """The ``run_id``: a hash of everything in the config that can change the run's result."""
+    return digest([instance_id, method_identity(experiment, method)])
+
+
+def method_identity(experiment: Experiment, method: MethodSettings) -> dict[str, Any]:
+    """What of a method's settings can change its results: not its label, nor where it is asked."""
+    return {
+        "method": method.name,
+        "baseline": method.baseline,
+        "options": method.options,
+        "n_inliers_ratio": method.n_inliers_ratio,
+        "seed": experiment.seed,
+        "limits": experiment.limits_of(method).model_dump(),
+    }
+
+
+def expand(experiment: Experiment, selection: Selection | None = None) -> Plan:
+    """All instances and runs of the selected part of an experiment.
+
+    Raises
+    ------
+    ConfigError
+        When the selection names something the experiment does not have, or leaves nothing.
+    """
+    selection = selection or Selection()
+    instances = _instances(experiment)
+    _check_selection(experiment, selection, instances)
+    chosen = [instance for instance in instances if _selected(instance, selection)]
+    chosen_methods = tuple(
+        method
+        for method in experiment.methods
+        if not selection.methods or method.name in selection.methods
+    )
+    plan = Plan(
+        experiment, selection, tuple(_chunks(chosen, experiment.chunk_size)), chosen_methods
+    )
+    run_ids = [run.run_id for run in plan.runs()]
+    if not run_ids:
+        raise ConfigError(
+            f"experiment {experiment.name}: the selection leaves no run; "
+            "select a method and tests of the same model"
+        )
+    assert len(set(run_ids)) == len(run_ids)
+    return plan
+
+
+def _instances(experiment: Experiment) -> list[InstanceSpec]:
+    known = registry.datasets()
+    specs = [
+        InstanceSpec(entry.dataset, *axes, entry.n_points, known[entry.dataset].model(axes[0]))
+        for entry in experiment.datasets
+        for axes in _grid(entry, known[entry.dataset].shapes())
+    ]
+    twice = (
+        [spec for spec in specs if specs.count(spec) > 1] if len(set(specs)) < len(specs) else []
+    )
+    if twice:
+        first = twice[0]
+        raise ConfigError(
+            f"experiment {experiment.name}: {first.dataset} {first.shape} {first.test} "
+            f"{first.level:g} is planned twice; merge the two entries of datasets"
+        )
+    return specs
+
+
+def _grid(entry: DatasetSettings, shapes: list[str]) -> Iterator[tuple[str, str, float, int]]:
+    for shape, (test, levels) in product(entry.shapes or shapes, entry.tests.items()):
+        for level, trial in product(levels, range(entry.trials)):
+            yield shape, test, level, trial
+
+
+def _chunks(instances: Sequence[InstanceSpec], size: int) -> Iterator[Chunk]:
+    for model in sorted({instance.model for instance in instances}):
+        alike = [instance for instance in instances if instance.model == model]
+        n_chunks = -(-len(alike) // size)
+        for index in range(n_chunks):
+            # Every n-th instance: chunks get alike shares of easy and hard levels.
+            members = tuple(alike[index::n_chunks])
+            content = digest([member.instance_id for member in members], 6)
+            yield Chunk(f"{SHORT[model]}-{index:02d}-{content}", model, members)
+
+
+def _selected(instance: InstanceSpec, selection: Selection) -> bool:
+    return all(
+        not wanted or value in wanted
+        for value, wanted in [
+            (instance.dataset, selection.datasets),
+            (instance.shape, selection.shapes),
+            (instance.test, selection.tests),
+            (instance.level, selection.levels),
+            (instance.trial, selection.trials),
+        ]
+    )
+
+
+def _check_selection(
+    experiment: Experiment, selection: Selection, instances: Iterable[InstanceSpec]
+) -> None:
+    instances = list(instances)
+    have: dict[str, set[Any]] = {
+        "methods": {method.name for method in experiment.methods},
+        "datasets": {instance.dataset for instance in instances},
+        "shapes": {instance.shape for instance in instances},
+        "tests": {instance.test for instance in instances},
+        "levels": {instance.level for instance in instances},
+        "trials": {instance.trial for instance in instances},
+    }
+    for axis, known in have.items():
+        for value in getattr(selection, axis):
+            if value not in known:
+                words = [f"{word:g}" if isinstance(word, float) else str(word) for word in known]
+                raise ConfigError(
+                    f"experiment {experiment.name}: selection {axis.upper()}={value} matches "
+                    f"nothing{suggest(str(value), words)}"
+                )

@@ -1,0 +1,100 @@
+"""Where results come from: machine, versions, state of the checkout."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from datetime import UTC, datetime
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from workflows import CHECKOUT
+from workflows.hashing import digest
+
+PACKAGES = [
+    "numpy",
+    "scipy",
+    "numba",
+    "pandas",
+    "pyarrow",
+    "open3d",
+    "pycpd",
+    "kiss_matcher",
+    "kiss-icp",
+    "small_gicp",
+    "teaserpp_python",
+    "scikit-image",
+    "highspy",
+    "clarabel",
+    "snakemake",
+    "plotly",
+]
+
+
+@cache
+def machine_card() -> dict[str, Any]:
+    """What of a machine decides how long a run takes. Names no host and no user."""
+    import psutil
+
+    card = {
+        "cpu": _cpu_model(),
+        "cores": os.cpu_count(),
+        "memory_gb": round(psutil.virtual_memory().total / 2**30),
+        "system": platform.system(),
+        "architecture": platform.machine(),
+        "python": ".".join(platform.python_version_tuple()[:2]),
+    }
+    return {**card, "machine_id": digest(card, 8)}
+
+
+def versions() -> dict[str, str]:
+    """Installed versions of the packages that matter; absent ones are named as such."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def git_state() -> dict[str, Any]:
+    """Commit of the checkout and whether tracked files differ from it; empty outside git."""
+    commit = _git("rev-parse", "HEAD")
+    changed = _git("status", "--porcelain", "--untracked-files=no")
+    return {"commit": commit or "", "dirty": bool(changed)}
+
+
+def default_version() -> str:
+    """Name under which results are recorded: ``git describe``, or version of the library."""
+    from dcreg._version import __version__
+
+    described = _git("describe", "--always", "--dirty", "--tags")
+    return f"{__version__}-{described}" if described else __version__
+
+
+def now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _git(*arguments: str) -> str | None:
+    try:
+        done = subprocess.run(
+            ["git", *arguments], cwd=CHECKOUT, capture_output=True, text=True, timeout=10
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None
+
+
+def _cpu_model() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or "unknown"

@@ -1,0 +1,46 @@
+"""One run again, alone and in this process: for debugging what a table shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from baselines.contract import Limits
+from workflows import methods
+from workflows.config import ConfigError
+from workflows.generate import instance_of
+from workflows.plan import Plan
+from workflows.worker import COUNTERS
+
+
+def replay(plan: Plan, run_id: str) -> dict[str, Any]:
+    """Make the instance anew, solve it, and say what came out, with the pose and the bounds."""
+    run = next((run for run in plan.runs() if run.run_id == run_id), None)
+    if run is None:
+        raise ConfigError(
+            f"experiment {plan.experiment.name}: no run {run_id!r}; "
+            "take one from column run_id of its tables/runs.csv"
+        )
+    instance = instance_of(run.instance, run.method.n_inliers_ratio, plan.experiment.seed)
+    method = methods.load(run.method.baseline, run.method.options)
+    if reason := method.available() or method.supports(instance):
+        raise ConfigError(f"{run.method.name}: {reason}")
+    method.warm_up(instance)
+    limits = plan.experiment.limits_of(run.method)
+    solution = method.solve(
+        instance, Limits(limits.time_s, limits.nodes, limits.memory_mb, limits.threads)
+    )
+    pose = solution.T_target_source
+    return {
+        "method": run.method.name,
+        "test": f"{run.instance.shape} {run.instance.test} {run.instance.level:g}",
+        "trial": run.instance.trial,
+        "status": solution.status,
+        "message": solution.message,
+        "T_target_source": None if pose is None else np.asarray(pose).tolist(),
+        "lower_bound": solution.lower_bound,
+        "upper_bound": solution.upper_bound,
+        "certificate_scope": solution.certificate_scope,
+        **{name: solution.counters.get(name) for name in COUNTERS},
+    }

@@ -1,0 +1,53 @@
+# What all stages share. The experiment and the selection are checked here, before anything runs.
+
+import os
+import sys
+from pathlib import Path
+
+sys.path.insert(0, workflow.basedir)
+
+from snakemake.exceptions import WorkflowError
+
+from workflows import methods
+from workflows.config import ConfigError, load, parse_selection
+from workflows.hashing import digest, digest_files
+from workflows.plan import expand, method_identity
+
+CONFIG = str(config.get("experiment", "demo"))
+SELECT = str(config.get("select") or "").split()  # as in "methods=icp,cpd tests=noise"
+
+try:
+    PLAN = expand(load(CONFIG), parse_selection(SELECT))
+except ConfigError as error:
+    raise WorkflowError(str(error))
+
+EXPERIMENT = PLAN.experiment
+OUT = f"results/{EXPERIMENT.name}"
+JOBS = [(method.name, chunk.name) for method, chunk in PLAN.jobs()]
+
+# Every stage is `{STAGE} <name> {CHOICE} ...` in a process of its own.
+CHOICE = " ".join([f"'{CONFIG}'", *(f"--select '{part}'" for part in SELECT)])
+STAGE = f"'{sys.executable}' -m workflows"
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [workflow.basedir, *filter(None, [os.environ.get("PYTHONPATH")])]
+)
+os.environ["DCREG_PARALLEL_JOBS"] = str(workflow.cores or 1)
+
+
+# Snakemake compares `params` with those of the last run. A hash of the sources that decide a
+# stage's output makes exactly the stages run again that a change concerns.
+def sources(*entries):
+    return digest_files(Path(workflow.basedir), entries)
+
+
+def solve_identity(wildcards):
+    return method_identity(EXPERIMENT, EXPERIMENT.method(wildcards.method))
+
+
+def solve_fingerprint(wildcards):
+    return methods.fingerprint(EXPERIMENT.method(wildcards.method).baseline)
+
+
+wildcard_constraints:
+    chunk=r"[23]d-\d+-[0-9a-f]{6}",
+    method=r"[A-Za-z0-9._+-]+",

@@ -1,0 +1,8 @@
+# Keeps the small tables of this experiment under a version: snakemake record --config version=v1
+rule record:
+    input:
+        rules.aggregate.output,
+    params:
+        version=f"--version '{config['version']}'" if config.get("version") else "",
+    shell:
+        "{STAGE} record {OUT} {params.version}"

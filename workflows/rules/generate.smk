@@ -1,0 +1,22 @@
+# Instances, and apart from them their truth, which no solve job has among its inputs.
+def fetched(wildcards):
+    return [f"{OUT}/fetched/{name}.json" for name in PLAN.chunk(wildcards.chunk).datasets]
+
+
+def generate_sources(wildcards):
+    from workflows.generate import sources_digest
+
+    return sources_digest(PLAN.chunk(wildcards.chunk).datasets)
+
+
+rule generate:
+    input:
+        fetched,
+    output:
+        instances=f"{OUT}/instances/{{chunk}}.npz",
+        truth=f"{OUT}/truth/{{chunk}}.npz",
+    params:
+        sources=generate_sources,
+    shell:
+        "{STAGE} generate {CHOICE} --chunk {wildcards.chunk}"
+        " --instances {output.instances} --truth {output.truth}"

@@ -1,0 +1,8 @@
+rule plan:
+    output:
+        f"{OUT}/plan/plan.parquet",
+    params:
+        plan=digest([EXPERIMENT.model_dump(), PLAN.selection.model_dump()]),
+        sources=sources("workflows/plan.py", "workflows/records.py"),
+    shell:
+        "{STAGE} plan {CHOICE} --out {output}"

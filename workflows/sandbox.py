@@ -1,0 +1,243 @@
+"""Runs a method in a worker process that can be lost without losing anything else.
+
+The worker lives through many instances, so that imports and JIT compilation are paid once. It is
+killed, with all its children, at the hard time limit or the memory limit, and replaced for the
+next instance; a crash is noticed as the end of the pipe. Each of these costs one run its status.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from multiprocessing import Pipe
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import psutil
+
+from baselines.contract import Instance, Limits
+from dcreg.result import Status
+from workflows import CHECKOUT
+from workflows.config import LimitSettings, MethodSettings
+
+WATCH_S = 0.05  # between two looks at a busy worker's memory
+FAMILY_S = 1.0  # between two searches for its children
+MB = 2**20
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+
+
+class WorkerLostError(Exception):
+    """The worker was killed or died; `status` is what the run becomes."""
+
+    def __init__(self, status: Status, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+        self.message = message
+
+
+class Worker:
+    """One worker process and the pipe to it."""
+
+    def __init__(self, threads: int, memory_mb: int, log: Path) -> None:
+        self.memory_mb = memory_mb
+        self._alive = True
+        self._family: list[psutil.Process] = []
+        self._family_until = 0.0
+        self.connection, far_end = Pipe()
+        environment = {
+            **os.environ,
+            **dict.fromkeys(THREAD_VARIABLES, str(threads)),
+            "PYTHONPATH": os.pathsep.join(
+                [str(CHECKOUT), *filter(None, [os.environ.get("PYTHONPATH")])]
+            ),
+            "PYTHONHASHSEED": "0",
+        }
+        with far_end, log.open("ab") as stream:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "workflows.worker", str(far_end.fileno())],
+                pass_fds=[far_end.fileno()],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=stream,
+                start_new_session=True,  # its own group, so that its children die with it
+            )
+
+    def ask(self, command: str, *arguments: Any, timeout_s: float, limit: str) -> dict[str, Any]:
+        """The worker's answer to a request.
+
+        Raises
+        ------
+        WorkerLostError
+            At the time or memory limit, or when the worker dies. It is gone then.
+        """
+        deadline = time.monotonic() + timeout_s
+        peak_mb = 0.0
+        try:
+            self.connection.send((command, arguments))
+            while not self.connection.poll(max(0.0, min(WATCH_S, deadline - time.monotonic()))):
+                peak_mb = max(peak_mb, self._memory_mb())
+                if peak_mb > self.memory_mb:
+                    self.kill()
+                    raise WorkerLostError(
+                        Status.MEMORY_LIMIT,
+                        f"killed at {peak_mb:.0f} MB; the limit is {self.memory_mb} MB",
+                    )
+                if time.monotonic() >= deadline:
+                    self.kill()
+                    raise WorkerLostError(
+                        Status.TIME_LIMIT, f"killed after {timeout_s:.1f} s without answer; {limit}"
+                    )
+            return self.connection.recv()
+        except (EOFError, OSError) as error:
+            self.kill(patience_s=2.0)  # its own exit code tells more than our signal
+            raise WorkerLostError(Status.FAILED, f"worker {self._obituary()}") from error
+
+    def kill(self, patience_s: float = 0.0) -> None:
+        """End the worker and all its children; with patience, one that is ending ends by itself."""
+        if not self._alive:
+            return
+        self._alive = False
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(timeout=patience_s)
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        self.connection.close()
+
+    def close(self) -> None:
+        """Hang up, let the worker end by itself, then make sure of it."""
+        self.connection.close()
+        self.kill(patience_s=2.0)
+
+    def _memory_mb(self) -> float:
+        """Resident memory of the worker and its children."""
+        total = 0
+        if time.monotonic() > self._family_until:  # finding children reads all of /proc
+            self._family_until = time.monotonic() + FAMILY_S
+            with suppress(psutil.Error):
+                worker = psutil.Process(self.process.pid)
+                self._family = [worker, *worker.children(recursive=True)]
+        for process in self._family:
+            with suppress(psutil.Error):
+                total += process.memory_info().rss
+        return total / MB
+
+    def _obituary(self) -> str:
+        code = self.process.returncode
+        if code is not None and code < 0:
+            return f"died of {signal.Signals(-code).name}"
+        return f"ended with exit code {code}"
+
+
+class Sandbox:
+    """A method ready to solve, one instance after the other, whatever happens to its worker."""
+
+    def __init__(self, method: MethodSettings, limits: LimitSettings, log: Path) -> None:
+        self.method = method
+        self.limits = limits
+        self.log = log
+        self.time_warmup_s = float("nan")  # of the present worker
+        self.time_started_s = 0.0  # of all workers so far
+        self._worker: Worker | None = None
+        self._verdict: tuple[Status, str] | None = None  # on all runs: it cannot run here
+        self._warm_up = True
+
+    def __enter__(self) -> Sandbox:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        where: TracebackType | None,
+    ) -> None:
+        if self._worker and kind is None:
+            self._worker.close()
+        elif self._worker:  # interrupted: it may be busy for long
+            self._worker.kill()
+
+    def prepare(self, instance: Instance) -> None:
+        """Have a worker that has imported and compiled what instances of this kind need.
+
+        Raises
+        ------
+        WorkerLostError
+            When the worker did not live through it.
+        """
+        if self._worker or self._verdict:
+            return
+        start = time.perf_counter()
+        try:
+            self._worker = self._started(instance)
+        finally:
+            self.time_warmup_s = time.perf_counter() - start
+            self.time_started_s += self.time_warmup_s
+
+    def _started(self, instance: Instance) -> Worker | None:
+        patience: Any = {"timeout_s": self.limits.warm_up_s, "limit": "this was the warm-up"}
+        worker = Worker(self.limits.threads, self.limits.memory_mb, self.log)
+        try:
+            method, threads = self.method, self.limits.threads
+            answer = worker.ask("open", method.baseline, method.options, threads, **patience)
+            if "error" in answer:
+                self._verdict = Status.FAILED, answer["error"]
+            elif answer["reason"]:
+                self._verdict = Status.UNAVAILABLE, answer["reason"]
+            elif self._warm_up:
+                # A warm-up that raises is no reason not to try. One that takes the worker with it
+                # is not tried again, so that it cannot cost more than one run.
+                self._warm_up = False
+                worker.ask("warm_up", instance, self.limits.memory_mb, **patience)
+                self._warm_up = True
+        except BaseException:
+            worker.kill()
+            raise
+        if self._verdict:
+            worker.close()
+            return None
+        return worker
+
+    def solve(self, instance: Instance) -> dict[str, Any]:
+        """The worker's answer, or the status that took its place; never raises for a run's sake."""
+        waiting_since = time.perf_counter()
+        try:
+            self.prepare(instance)
+            waiting_since = time.perf_counter()
+            return {**self._answer(instance), "time_warmup_s": self.time_warmup_s}
+        except WorkerLostError as loss:
+            self._worker = None
+            return {
+                "status": loss.status,
+                "message": loss.message,
+                "time_solve_s": time.perf_counter() - waiting_since,
+            }
+
+    def _answer(self, instance: Instance) -> dict[str, Any]:
+        if self._worker is None:
+            assert self._verdict is not None
+            status, message = self._verdict
+            return {"status": status, "message": message}
+        limits = self.limits
+        answer = self._worker.ask(
+            "solve",
+            instance,
+            Limits(limits.time_s, limits.nodes, limits.memory_mb, limits.threads),
+            timeout_s=limits.kill_after_s,
+            limit=f"the limit is {limits.time_s:g} s",
+        )
+        if "error" in answer:
+            return {"status": Status.FAILED, "message": answer["error"]}
+        return answer

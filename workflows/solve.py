@@ -1,0 +1,167 @@
+"""One solve job: a method on a chunk of instances, every finished run kept at once.
+
+Beside the final file lies a journal with one line per finished run. A job that was interrupted,
+or whose chunk has changed, takes from the method's journals all runs whose run_id, given content
+and method fingerprint are the same, and solves the rest.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from baselines.contract import Instance
+from dcreg.result import Status
+from workflows import methods, provenance, records
+from workflows.config import Experiment, MethodSettings
+from workflows.instances import content_digest, read_problems
+from workflows.plan import run_identity
+from workflows.sandbox import Sandbox
+
+PROGRESS_S = 10.0  # between two lines of progress
+
+
+def solve(
+    experiment: Experiment,
+    method: MethodSettings,
+    instances_path: Path,
+    runs_path: Path,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Write ``<chunk>.parquet`` and ``<chunk>.trace.parquet`` with a row for every instance."""
+    instances = [
+        problem.for_solver(method.n_inliers_ratio, experiment.seed)
+        for problem in read_problems(instances_path)
+    ]
+    runs_path.parent.mkdir(parents=True, exist_ok=True)
+    title = f"solve     {method.name:<16} {runs_path.stem:<14}"
+    start = last_said = time.monotonic()
+    rows = []
+    for row in _rows(experiment, method, instances, runs_path):
+        rows.append(row)
+        if time.monotonic() - last_said > PROGRESS_S:
+            last_said = time.monotonic()
+            say(f"{title} {len(rows)}/{len(instances)} …")
+    counts = Counter(row["status"] for row in rows)
+    ended = ", ".join(f"{count} {status}" for status, count in counts.most_common())
+    say(f"{title} {len(rows)} runs: {ended}; {time.monotonic() - start:.1f} s")
+
+    events = [
+        {"run_id": row["run_id"], "instance_id": row["instance_id"], **event}
+        for row in rows
+        for event in row.get("trace", ())
+    ]
+    records.write(
+        records.frame(events, records.RAW_TRACES), runs_path.with_suffix(".trace.parquet")
+    )
+    records.write(records.frame(rows, records.RAW), runs_path)
+
+
+def forget(runs_folder: Path, statuses: set[str]) -> int:
+    """Drop runs that ended so from a folder of results, so that the next run repeats them."""
+    dropped = 0
+    for path in sorted(runs_folder.glob("*/*.journal.jsonl")):
+        kept, lines = [], path.read_text(encoding="utf-8").splitlines()
+        for line in lines:
+            entry = _parsed(line)
+            if entry and entry["status"] not in statuses:
+                kept.append(line)
+        if len(kept) < len(lines):
+            dropped += len(lines) - len(kept)
+            with records.replacing(path) as part:
+                part.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
+            path.with_name(path.name.replace(".journal.jsonl", ".parquet")).unlink(missing_ok=True)
+    return dropped
+
+
+def _rows(
+    experiment: Experiment, method: MethodSettings, instances: list[Instance], runs_path: Path
+) -> Iterator[dict[str, Any]]:
+    """A row per instance, in order: from a journal, or solved now."""
+    constant = {
+        "fingerprint": methods.fingerprint(method.baseline),
+        "machine_id": provenance.machine_card()["machine_id"],
+        "parallel_jobs": float(os.environ.get("DCREG_PARALLEL_JOBS", 1)),
+    }
+    finished = _journalled(runs_path.parent)
+    log = runs_path.with_suffix(".log")
+    journal_path = runs_path.with_suffix(".journal.jsonl")
+    limits = experiment.limits_of(method)
+    with Sandbox(method, limits, log) as sandbox, _appending(journal_path) as journal:
+        for instance in instances:
+            since = time.perf_counter()
+            identity = {
+                "run_id": run_identity(experiment, method, instance.instance_id),
+                "instance_id": instance.instance_id,
+                "instance_digest": content_digest(instance),
+                "n_source": len(instance.source),
+                "n_target": len(instance.target),
+                "n_inliers": instance.n_inliers,
+                "seed": instance.seed,
+                **constant,
+            }
+            if row := finished.get(_key(identity)):
+                yield row
+                continue
+            started = sandbox.time_started_s
+            row = {**identity, **_plain(sandbox.solve(instance))}
+            waited = time.perf_counter() - since - (sandbox.time_started_s - started)
+            if "peak_memory_mb" in row:  # an answer, not an obituary
+                row["time_overhead_s"] = waited - row["time_solve_s"]
+            if row["status"] != Status.UNAVAILABLE:
+                # Flushed, not synced: safe when the job is killed, which is what happens.
+                journal.write(json.dumps(row) + "\n")
+                journal.flush()
+            yield row
+    if log.is_file() and not log.stat().st_size:
+        log.unlink()
+
+
+def _plain(answer: dict[str, Any]) -> dict[str, Any]:
+    """A worker's answer in the columns of `records.RAW`."""
+    lower, upper = answer.get("lower_bound"), answer.get("upper_bound")
+    pose = answer.get("T_target_source")
+    return {
+        **answer,
+        "status": Status(answer["status"]).value,
+        "T_target_source": json.dumps(pose) if pose else "",
+        "gap": max(0.0, upper - lower) if lower is not None and upper is not None else None,
+        "extra": json.dumps(answer.get("extra", {})),
+    }
+
+
+def _key(row: dict[str, Any]) -> tuple[str, str, str]:
+    """What must be equal for an old result to stand for a new run."""
+    return row["run_id"], row["instance_digest"], row["fingerprint"]
+
+
+def _journalled(folder: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
+    """Finished runs of all journals of a method; the last line of a run counts."""
+    rows = {}
+    for path in sorted(folder.glob("*.journal.jsonl")):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if entry := _parsed(line):
+                rows[_key(entry)] = entry
+    return rows
+
+
+def _parsed(line: str) -> dict[str, Any] | None:
+    """A line of a journal, or None for one that was cut off by a kill."""
+    try:
+        return json.loads(line)
+    except json.JSONDecodeError:
+        return None
+
+
+def _appending(path: Path) -> IO[str]:
+    """The journal, open for whole lines, also after one that was cut off."""
+    cut_off = path.is_file() and not path.read_bytes().endswith(b"\n") and path.stat().st_size > 0
+    stream = path.open("a", encoding="utf-8")
+    if cut_off:
+        stream.write("\n")
+    return stream

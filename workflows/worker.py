@@ -1,0 +1,187 @@
+"""The process in which a method runs. It gets instances through a pipe, and never any truth.
+
+``python -m workflows.worker FD`` serves requests on the inherited connection FD until it closes.
+Every request is answered with a dict, or the process dies; the parent (`sandbox`) copes with both.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import signal
+import sys
+import time
+import traceback
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines.contract import Baseline, Instance, Limits, Solution
+from dcreg.result import Status
+
+MAX_TRACE = 500  # events kept of one run
+COUNTERS = ("n_nodes", "n_assignments", "n_bound_evals")
+MB = 2**20
+
+
+class Server:
+    """Answers the parent's requests; one method, opened once."""
+
+    method: Baseline
+
+    def open(self, baseline: str, options: dict[str, Any], threads: int) -> dict[str, Any]:
+        """Import and configure the method; ``reason`` says why it cannot run here."""
+        from workflows import methods
+
+        self.threads = threads
+        self.method = methods.load(baseline, options)
+        reason = self.method.available()
+        _cap_threads(threads)
+        return {"reason": reason}
+
+    def warm_up(self, instance: Instance, memory_mb: int) -> dict[str, Any]:
+        """Compile and import what instances of this kind need, before anything is timed."""
+        if self.method.supports(instance) is None:
+            self.method.warm_up(instance)
+        _cap_threads(self.threads)  # also of libraries that the warm-up loaded
+        _cap_memory(memory_mb)
+        return {}
+
+    def solve(self, instance: Instance, limits: Limits) -> dict[str, Any]:
+        """Solve one instance; whatever Python can catch becomes a status."""
+        if reason := self.method.supports(instance):
+            return {"status": Status.UNSUPPORTED, "message": reason}
+        _reset_peak()
+        start = time.perf_counter()
+        try:
+            solution = self.method.solve(instance, limits)
+            time_solve_s = time.perf_counter() - start
+            answer = _checked(solution, instance.dim)
+        except MemoryError as error:
+            time_solve_s = time.perf_counter() - start
+            message = f"MemoryError: {error}; the limit is {limits.memory_mb} MB"
+            answer = {"status": Status.MEMORY_LIMIT, "message": message}
+        except Exception as error:
+            time_solve_s = time.perf_counter() - start
+            traceback.print_exc()
+            answer = {"status": Status.FAILED, "message": _described(error)}
+        return {**answer, "time_solve_s": time_solve_s, "peak_memory_mb": _peak_memory_mb()}
+
+
+def serve(connection: Connection) -> None:
+    """Answer requests ``(command, arguments)`` until the parent hangs up."""
+    server = Server()
+    while True:
+        try:
+            command, arguments = connection.recv()
+        except EOFError:
+            return
+        start = time.perf_counter()
+        try:
+            answer = getattr(server, command)(*arguments)
+        except Exception as error:
+            traceback.print_exc()
+            answer = {"error": _described(error)}
+        connection.send({"time_s": time.perf_counter() - start, **answer})
+
+
+def _checked(solution: Solution, dim: int) -> dict[str, Any]:
+    """A solution as plain values; one without a usable pose is a failure, whatever it claims."""
+    status, message, pose = Status(solution.status), solution.message, solution.T_target_source
+    if status in (Status.UNSUPPORTED, Status.UNAVAILABLE):
+        return {"status": status, "message": message}
+    if status is not Status.FAILED:
+        shape = (dim + 1, dim + 1)
+        if pose is None and not status.is_limit:
+            message, status = f"said {status} but gave no pose", Status.FAILED
+        elif pose is not None and np.shape(pose) != shape:
+            message, status = f"gave a pose of shape {np.shape(pose)}, not {shape}", Status.FAILED
+        elif pose is not None and not np.isfinite(pose).all():
+            message, status = "gave a pose that is not finite", Status.FAILED
+    if status is Status.FAILED:
+        pose = None
+    return {
+        "status": status,
+        "message": message,
+        "T_target_source": None if pose is None else np.asarray(pose, dtype=float).tolist(),
+        "lower_bound": solution.lower_bound,
+        "upper_bound": solution.upper_bound,
+        "gap_tol": solution.gap_tol,
+        "certificate_scope": solution.certificate_scope,
+        **{name: solution.counters.get(name) for name in COUNTERS},
+        "extra": dict(solution.extra),
+        "trace": _thinned(solution.trace),
+    }
+
+
+def _thinned(events: list[Any]) -> list[Any]:
+    """At most `MAX_TRACE` events: the first, the last, and an even share between."""
+    if len(events) <= MAX_TRACE:
+        return events
+    kept = np.unique(np.linspace(0, len(events) - 1, MAX_TRACE).round().astype(int))
+    return [events[index] for index in kept]
+
+
+def _described(error: Exception) -> str:
+    """Type and text of an error, with the innermost line that raised it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {error}{where}"
+
+
+def _cap_threads(threads: int) -> None:
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(threads)
+
+
+def _cap_memory(memory_mb: int) -> None:
+    """A backstop for one huge allocation, which the parent's watch would see too late.
+
+    It lies well above the limit, as libraries reserve more than they touch.
+    """
+    import resource
+
+    with suppress(OSError, ValueError):
+        used = _proc_status("VmData") or 0
+        ceiling = int((used + 2 * memory_mb) * MB)
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        resource.setrlimit(resource.RLIMIT_DATA, (ceiling, hard))
+
+
+def _reset_peak() -> None:
+    """Let the kernel's record of the peak start anew, where it can (Linux)."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def _peak_memory_mb() -> float:
+    """Most resident memory since `_reset_peak`, or since the start where that is not possible."""
+    import resource
+
+    return _proc_status("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def _proc_status(field: str) -> float | None:
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith(f"{field}:"):
+                return int(line.split()[1]) / 1024
+    return None
+
+
+def _die_with_parent() -> None:
+    """A worker whose parent was killed must not go on alone (Linux)."""
+    with suppress(OSError, AttributeError):
+        PR_SET_PDEATHSIG = 1
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    faulthandler.enable()
+    _die_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    serve(Connection(int(sys.argv[1])))
