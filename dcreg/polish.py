@@ -71,10 +71,12 @@ def polish(
     """
     T = T_target_source
     value, pairs = objective(source, target, T, n_inliers)
-    for rounds in range(1, _MAX_ROUNDS + 1):
+    spent = 1
+    for _ in range(_MAX_ROUNDS):
         trial = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
         trial_value, trial_pairs = objective(source, target, trial, n_inliers)
+        spent += 1
         if trial_value >= value * (1.0 - 1e-12):
             break
         T, value, pairs = trial, trial_value, trial_pairs
-    return T, value, pairs, rounds + 1
+    return T, value, pairs, spent

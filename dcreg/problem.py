@@ -43,7 +43,7 @@ class Problem:
     target: np.ndarray
     n_inliers: int
     model: ModelName
-    scale_range: tuple[float, float] = (0.5, 1.5)
+    scale_range: tuple[float, float]
 
     def __init__(
         self,
@@ -56,16 +56,12 @@ class Problem:
         if model not in MODEL_DIM:
             raise InputError(f"model: {model!r} is unknown; choose one of {sorted(MODEL_DIM)}")
         dim = MODEL_DIM[model]
-        values = {
-            "source": check_points("source", source, dim, model),
-            "target": check_points("target", target, dim, model),
-            "model": model,
-        }
-        limit = min(len(values["source"]), len(values["target"]))
-        values["n_inliers"] = check_n_inliers(n_inliers, limit)
-        values["scale_range"] = (1.0, 1.0) if dim == 3 else check_scale_range(scale_range)
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        source = check_points("source", source, dim, model)
+        target = check_points("target", target, dim, model)
+        n_inliers = check_n_inliers(n_inliers, min(len(source), len(target)))
+        scale_range = (1.0, 1.0) if dim == 3 else check_scale_range(scale_range)
+        for name in ("source", "target", "n_inliers", "model", "scale_range"):
+            object.__setattr__(self, name, locals()[name])
 
     @property
     def dim(self) -> int:
@@ -130,5 +126,8 @@ def rms_radius(points: np.ndarray) -> float:
 
 
 def default_gap_tol(target: np.ndarray, n_inliers: int, tau: float = 0.03) -> float:
-    """``n_inliers * (tau * RMS radius of the target)^2``, in squared units of the target."""
+    """``n_inliers * (tau * RMS radius of the target)^2``, in squared units of the target.
+
+    A target without extent has no scale to measure a residual by: 0.
+    """
     return n_inliers * (tau * rms_radius(np.asarray(target, dtype=np.float64))) ** 2

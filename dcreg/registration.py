@@ -1,4 +1,4 @@
-"""`register`: from two clouds to a pose with a certificate. Composes model, bound, search, polish."""
+"""`register`: from two clouds to a certified pose. Composes model, bound, search and polish."""
 
 from __future__ import annotations
 
@@ -197,9 +197,9 @@ def register(
     """Register two clouds without correspondences, globally and with a certificate.
 
     Minimises, over poses T of the model and one-to-one matchings P of exactly `n_inliers` pairs,
-    ``sum_ij p_ij |T(x_i) - y_j|^2`` by branch and bound over the pose (DC-Reg, arXiv 2603.25442). In 3D
-    the paper's mode certifies the translation of the norm objective ``sum p_ij (|x_i + t| - |y_j|)^2``
-    and recovers the rotation after it.
+    ``sum_ij p_ij |T(x_i) - y_j|^2`` by branch and bound over the pose (DC-Reg, arXiv 2603.25442).
+    In 3D the paper's mode certifies the translation of the norm objective
+    ``sum p_ij (|x_i + t| - |y_j|)^2`` and recovers the rotation after it.
 
     Parameters
     ----------
@@ -213,8 +213,8 @@ def register(
     bound : str
         Bounding function, see `dcreg.bounds.bound_names`; ``a+b`` takes the greater one.
     start_box : {"reduced", "safe"}
-        Both hold every optimum. ``safe`` follows from the radii of the clouds alone; ``reduced`` uses
-        that an optimal pose is stationary, so its translation is a difference of means of
+        Both hold every optimum. ``safe`` follows from the radii of the clouds alone; ``reduced``
+        uses that an optimal pose is stationary, so its translation is a difference of means of
         `n_inliers` points (a single value when all points match).
     scale_range : (low, high)
         Admissible scale, 2D only.
@@ -264,7 +264,10 @@ def register(
         raise InputError(f"mode: {mode!r} is unknown for {model}; choose from {list(MODES[model])}")
     if start_box not in START_BOXES:
         raise InputError(f"start_box: {start_box!r} is unknown; choose from {list(START_BOXES)}")
-    gap_tol = default_gap_tol(problem.target, problem.n_inliers) if gap_tol is None else gap_tol
+    if gap_tol is None:  # a target without extent is measured by the source
+        gap_tol = default_gap_tol(problem.target, problem.n_inliers) or default_gap_tol(
+            problem.source, problem.n_inliers
+        )
     _check_settings(
         gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,

@@ -1,4 +1,4 @@
-"""What a registration returns: status vocabulary, bounds, pose, work and the scope of the certificate."""
+"""What a registration returns: status, pose, bounds, work and the scope of the certificate."""
 
 from __future__ import annotations
 

@@ -43,7 +43,8 @@ class Evaluation:
 class Bound(Protocol):
     """A lower bounding function: the part that the paper's comparison exchanges."""
 
-    n_assignments: int
+    @property
+    def n_assignments(self) -> int: ...
 
     def evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
         """Bound B boxes (rows of `lower`, `upper`); above `cutoff` precision is of no use."""
@@ -111,7 +112,8 @@ class OpenNodes:
 
     def pop(self, count: int, cutoff: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Up to `count` best boxes whose bound lies below `cutoff`."""
-        slots, bounds = [], []
+        slots: list[int] = []
+        bounds: list[float] = []
         while self._heap and len(slots) < count and self._heap[0][0] < cutoff:
             bound, _, serial = heapq.heappop(self._heap)
             slots.append(self._slot_of.pop(serial))
@@ -153,7 +155,7 @@ def branch_and_bound(
     gap_tol : float
         Stop when ``upper_bound - lower_bound <= gap_tol`` (the paper's epsilon).
     refine : callable, optional
-        Local descent, tried from the best parameter of each round.
+        Local descent, tried from the most promising parameter of each round.
     start : (theta, value), optional
         A known admissible parameter and its objective: the first incumbent.
     limits : Limits, optional
@@ -211,7 +213,8 @@ def branch_and_bound(
         if found.values[best] < upper_bound:
             theta, upper_bound = found.thetas[best].copy(), float(found.values[best])
         if refine is not None:
-            candidate, value, spent = refine(found.thetas[int(np.argmin(bounds))])
+            promising = best if np.isfinite(found.values[best]) else int(np.argmin(bounds))
+            candidate, value, spent = refine(found.thetas[promising])
             n_refining += spent
             if value < upper_bound:
                 theta, upper_bound = candidate, value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -46,7 +47,7 @@ class ModelBound(abc.ABC):
             return
         parts = min(count, 4 * self._threads)
         edges = np.linspace(0, count, parts + 1).astype(int)
-        slices = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        slices = [slice(a, b) for a, b in itertools.pairwise(edges)]
         self.n_assignments += sum(self._pool.map(work, slices))
 
 

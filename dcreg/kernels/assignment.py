@@ -8,13 +8,12 @@ for `dual_bound`.
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
-_JIT = {"cache": True, "nogil": True}
+from dcreg.kernels.compiling import jit
 
 
-@nb.njit(**_JIT)
+@jit
 def k_assignment_duals(cost, k):
     """Value, column of every row (-1: unmatched) and duals ``b`` of the cheapest k pairs."""
     n, m = cost.shape
@@ -46,14 +45,14 @@ def k_assignment_duals(cost, k):
     return value, col_of, b
 
 
-@nb.njit(**_JIT)
+@jit
 def k_assignment(cost, k):
     """Value and column of every row (-1: unmatched) of the cheapest k pairs."""
     value, col_of, _ = k_assignment_duals(cost, k)
     return value, col_of
 
 
-@nb.njit(**_JIT)
+@jit
 def _assign_rows(cost, col_of, row_of, row_dual, col_dual):
     """Match every row (n <= m). Duals: row_dual_i + col_dual_j <= cost_ij, tight on matches."""
     n, m = cost.shape
@@ -124,7 +123,7 @@ def _assign_rows(cost, col_of, row_of, row_dual, col_dual):
                 break
 
 
-@nb.njit(**_JIT)
+@jit
 def _augment_k(cost, k, col_of, b):
     """k shortest augmenting paths from all free rows to any free column (k < min(n, m))."""
     n, m = cost.shape
@@ -205,7 +204,7 @@ def _augment_k(cost, k, col_of, b):
         b[j] = max(0.0, pot_sink - pot_col[j])
 
 
-@nb.njit(**_JIT)
+@jit
 def dual_bound(cost, k, b):
     """Lower bound on the k-assignment from any ``b >= 0``: k smallest min_j(c_ij+b_j), minus sum b."""
     n, m = cost.shape

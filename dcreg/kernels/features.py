@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
+
+from dcreg.kernels.compiling import jit
 
 SIMILARITY2D = 0  # theta = (s cos, s sin, t_x, t_y)
 NORM3D = 1  # theta = t, feature |x + t|
 
-_JIT = {"cache": True, "nogil": True}
 
-
-@nb.njit(**_JIT)
+@jit
 def move(kind, source, theta, out):
     """Features of the moved source: out[(n, 2)] in 2D, out[(n, 1)] in norm space."""
     n = source.shape[0]
@@ -33,7 +32,7 @@ def move(kind, source, theta, out):
             out[i, 0] = math.sqrt(a * a + b * b + c * c)
 
 
-@nb.njit(**_JIT)
+@jit
 def curvature(kind, source, delta, out):
     """R_i(delta) = |J_i delta|^2: what the tangent at theta0 misses at theta0 + delta."""
     n = source.shape[0]
@@ -49,7 +48,7 @@ def curvature(kind, source, delta, out):
             out[i] = r
 
 
-@nb.njit(**_JIT)
+@jit
 def enclose(kind, source, lower, upper, centre, radius):
     """Intervals centre +- radius that hold the features for every theta of the box."""
     n = source.shape[0]
@@ -78,7 +77,7 @@ def enclose(kind, source, lower, upper, centre, radius):
             radius[i, 0] = 0.5 * (far - near)
 
 
-@nb.njit(**_JIT)
+@jit
 def pair_costs(moved, target, cost):
     """cost_ij = squared distance of features; `target` is (q, m) so that the inner loop streams."""
     n, q = moved.shape
@@ -96,7 +95,7 @@ def pair_costs(moved, target, cost):
                 cost[i, j] = dx * dx
 
 
-@nb.njit(**_JIT)
+@jit
 def interval_costs(centre, radius, target, cost):
     """cost_ij = squared distance of the target feature from the source's interval."""
     n, q = centre.shape
@@ -111,12 +110,12 @@ def interval_costs(centre, radius, target, cost):
             cost[i, j] = total
 
 
-@nb.njit(**_JIT)
+@jit
 def feature_dim(kind):
     return 2 if kind == SIMILARITY2D else 1
 
 
-@nb.njit(**_JIT)
+@jit
 def n_vertices(lower, upper):
     """Distinct vertices of a box: axes of zero width do not count."""
     count = 1
@@ -126,7 +125,7 @@ def n_vertices(lower, upper):
     return count
 
 
-@nb.njit(**_JIT)
+@jit
 def vertex(lower, upper, index, out):
     """The index-th distinct vertex of a box, bit a of the index choosing the a-th wide axis."""
     for a in range(lower.size):
@@ -137,7 +136,7 @@ def vertex(lower, upper, index, out):
             index >>= 1
 
 
-@nb.njit(**_JIT)
+@jit
 def allocate(kind, n, m):
     """Buffers one evaluation thread needs: features, curvature, costs."""
     return np.empty((n, feature_dim(kind))), np.empty(n), np.empty((n, m))

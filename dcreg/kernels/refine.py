@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
+from dcreg.kernels.compiling import jit
 from dcreg.kernels.features import NORM3D, SIMILARITY2D
 from dcreg.kernels.vertices import objective
 
-_JIT = {"cache": True, "nogil": True}
 _MAX_ROUNDS = 100
 
 
-@nb.njit(**_JIT)
+@jit
 def fit_similarity2d(source, target, col_of, low, high, out):
     """Least-squares similarity of the matched pairs, its scale clipped to [low, high].
 
@@ -51,7 +50,7 @@ def fit_similarity2d(source, target, col_of, low, high, out):
     out[3] = uy - (out[1] * mx + out[0] * my)
 
 
-@nb.njit(**_JIT)
+@jit
 def refine_similarity2d(source, target, k, low, high, theta):
     """Admissible theta, its objective and the assignments spent, from any start `theta`."""
     best = theta.copy()
@@ -71,7 +70,7 @@ def refine_similarity2d(source, target, k, low, high, theta):
     return best, value, spent
 
 
-@nb.njit(**_JIT)
+@jit
 def fit_norm3d(source, target, col_of, theta, out):
     """One majorise-minimise step for fixed pairs: put x_i + t at length |y_j| along its direction."""
     count = 0
@@ -93,7 +92,7 @@ def fit_norm3d(source, target, col_of, theta, out):
     out /= count
 
 
-@nb.njit(**_JIT)
+@jit
 def refine_norm3d(source, target, k, theta):
     """Better theta, its objective and the assignments spent, from any start `theta`."""
     best = theta.copy()

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from dcreg.kernels.assignment import k_assignment_duals
+from dcreg.kernels.compiling import jit
 
-_JIT = {"cache": True, "nogil": True}
 _MAX_ROUNDS = 100
 
 
-@nb.njit(**_JIT)
+@jit
 def lift_matrix(Q):
     """Linear map from symmetric 4x4 matrices to 3x3 ones that takes q q^T (|q| = 1) to R(q)."""
     M = np.empty((3, 3))
@@ -34,7 +33,7 @@ def lift_matrix(Q):
     return M
 
 
-@nb.njit(**_JIT)
+@jit
 def chord_matrix(q, r):
     """Image of (q r^T + r q^T) / (2 q.r): R(q) if q = r, else a point outside the rotations."""
     Q = np.empty((4, 4))
@@ -45,12 +44,12 @@ def chord_matrix(q, r):
     return lift_matrix(Q)
 
 
-@nb.njit(**_JIT)
+@jit
 def rotation_matrix(q):
     return chord_matrix(q, q)
 
 
-@nb.njit(**_JIT)
+@jit
 def box_corners(lower, upper):
     """Distinct corners of a box of quaternions, numbered so that i and j ^ i differ in bits j."""
     free = np.flatnonzero(upper > lower)
@@ -63,7 +62,7 @@ def box_corners(lower, upper):
     return corners
 
 
-@nb.njit(**_JIT)
+@jit
 def box_angle(centre, corners):
     """Largest angle (at most pi) between the rotation `centre` and any rotation of the box."""
     unit = centre / math.sqrt((centre**2).sum())
@@ -75,7 +74,7 @@ def box_angle(centre, corners):
     return min(math.pi, 4.0 * math.asin(min(1.0, 0.5 * math.sqrt(chord))))
 
 
-@nb.njit(**_JIT)
+@jit
 def pair_costs(M, source, target):
     """|a_i|^2 + |y_j|^2 - 2 y_j.(M a_i): affine in M, the squared residual if M is a rotation."""
     moved = M @ source
@@ -89,7 +88,7 @@ def pair_costs(M, source, target):
     return out
 
 
-@nb.njit(**_JIT)
+@jit
 def cap_costs(R, angle, source, target):
     """Least squared residual of every pair when R a_i may turn by `angle` in any direction."""
     moved = R @ source
@@ -109,7 +108,7 @@ def cap_costs(R, angle, source, target):
     return out
 
 
-@nb.njit(**_JIT)
+@jit
 def matched_cost(R, source, target, col_of):
     """Sum of squared residuals of given pairs at one rotation: an upper bound on E there."""
     moved = R @ source
@@ -122,12 +121,12 @@ def matched_cost(R, source, target, col_of):
     return total
 
 
-@nb.njit(**_JIT)
+@jit
 def sum_of_smallest(values, k):
     return np.partition(values, k - 1)[:k].sum() if k < values.size else values.sum()
 
 
-@nb.njit(**_JIT)
+@jit
 def nearest_bound(costs, k):
     """Sum of the k smallest row or column minima, the greater: no more than a k-assignment."""
     n, m = costs.shape
@@ -139,7 +138,7 @@ def nearest_bound(costs, k):
     return max(sum_of_smallest(rows, k), sum_of_smallest(cols, k))
 
 
-@nb.njit(**_JIT)
+@jit
 def dual_bound_at(M, source, target, k, b):
     """`dual_bound` of `pair_costs` at M, without forming the matrix."""
     n = source.shape[1]
@@ -156,7 +155,7 @@ def dual_bound_at(M, source, target, k, b):
     return sum_of_smallest(low, k) - b.sum()
 
 
-@nb.njit(**_JIT)
+@jit
 def vertex_bound(corners, source, target, k, b, floor, cutoff):
     """B2 as far as it decides: the least vertex value and the assignments solved.
 
@@ -197,7 +196,7 @@ def vertex_bound(corners, source, target, k, b, floor, cutoff):
     return values.min(), spent
 
 
-@nb.njit(**_JIT)
+@jit
 def bound_boxes(lower, upper, cutoff, source, target, k, bounds, values):
     """max(B1, B2) of every box, cheapest test first; returns the assignments solved.
 
@@ -225,7 +224,7 @@ def bound_boxes(lower, upper, cutoff, source, target, k, bounds, values):
     return spent
 
 
-@nb.njit(**_JIT)
+@jit
 def best_rotation(col_of, source, target):
     """Quaternion of the rotation that fits the matched pairs best, without centring (Horn 1987).
 
@@ -253,7 +252,7 @@ def best_rotation(col_of, source, target):
     return vectors[:, 3].copy()
 
 
-@nb.njit(**_JIT)
+@jit
 def objective(q, source, target, k):
     """E(R(q)) and the column matched to every source point (-1: none)."""
     R = rotation_matrix(q)
@@ -262,7 +261,7 @@ def objective(q, source, target, k):
     return matched_cost(R, source, target, col_of), col_of
 
 
-@nb.njit(**_JIT)
+@jit
 def refine(q, source, target, k):
     """Alternate matching and best rotation until E no longer falls: quaternion, E, assignments."""
     best = q
@@ -276,7 +275,7 @@ def refine(q, source, target, k):
     return best, value, spent
 
 
-@nb.njit(**_JIT)
+@jit
 def nearest_scores(quaternions, source, target, k):
     """`nearest_bound` at every rotation: a cheap, one-sided guess of E."""
     scores = np.empty(len(quaternions))

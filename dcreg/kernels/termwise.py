@@ -11,12 +11,10 @@ replaces each monomial of each pair by its least value over the box.
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
 from dcreg.kernels.assignment import k_assignment
-
-_JIT = {"cache": True, "nogil": True}
+from dcreg.kernels.compiling import jit
 
 N_FEATURES = 7  # xx, x1, x2, d, w, y1, y2
 
@@ -28,7 +26,7 @@ _TRILINEAR = np.array(
 _BILINEAR = np.array([[3, 0], [4, 1], [5, 2], [6, 3]])
 
 
-@nb.njit(**_JIT)
+@jit
 def pair_features(source, target, out):
     """out[f, i, j] for the seven features, then yy as the eighth plane."""
     for i in range(source.shape[0]):
@@ -45,7 +43,7 @@ def pair_features(source, target, out):
             out[7, i, j] = u * u + v * v
 
 
-@nb.njit(**_JIT)
+@jit
 def feature_ranges(features, k, low, high):
     """Least and greatest aggregate of each feature over all k-matchings (14 assignments)."""
     for f in range(N_FEATURES):
@@ -54,7 +52,7 @@ def feature_ranges(features, k, low, high):
         high[f] = -value
 
 
-@nb.njit(**_JIT)
+@jit
 def _product_range(a, b, lower, upper):
     """Range of t_a t_b over the box."""
     if a == b:
@@ -66,7 +64,7 @@ def _product_range(a, b, lower, upper):
     return min(p, q, r, s), max(p, q, r, s)
 
 
-@nb.njit(**_JIT)
+@jit
 def _relax_product(c, ul, uh, vl, vh):
     """c u v >= cu u + cv v + c0 on the rectangle: the mean of the two active McCormick facets."""
     um, vm = 0.5 * (ul + uh), 0.5 * (vl + vh)
@@ -74,7 +72,7 @@ def _relax_product(c, ul, uh, vl, vh):
     return c * vm, c * um, -0.5 * c * corner
 
 
-@nb.njit(**_JIT)
+@jit
 def _relax_square(c, low, high):
     """c t^2 >= c1 t + c0: the tangent at the middle when convex, the secant otherwise."""
     if c >= 0.0:
@@ -83,7 +81,7 @@ def _relax_square(c, low, high):
     return c * (low + high), -c * low * high
 
 
-@nb.njit(**_JIT)
+@jit
 def aggregated_bound(features, low, high, k, lower, upper, bounds, thetas):
     """R1: one assignment and one separable box QP a box. Returns the number of assignments."""
     n, m = features.shape[1], features.shape[2]
@@ -134,12 +132,12 @@ def aggregated_bound(features, low, high, k, lower, upper, bounds, thetas):
     return lower.shape[0]
 
 
-@nb.njit(**_JIT)
+@jit
 def _least(c, low, high):
     return c * low if c >= 0.0 else c * high
 
 
-@nb.njit(**_JIT)
+@jit
 def entry_bound(features, k, lower, upper, bounds):
     """R2: each monomial of each pair at its least value over the box. One assignment a box."""
     n, m = features.shape[1], features.shape[2]

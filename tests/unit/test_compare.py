@@ -1,0 +1,179 @@
+"""Planted changes are found, unchanged re-runs are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from workflows.__main__ import app
+from workflows.compare import RECORDED, CompareError, compare, judge_experiment, sign_test
+
+N_RUNS = 20
+
+
+def table(rng: np.random.Generator, method: str = "dcreg") -> pd.DataFrame:
+    """A recorded version of one bounding method: certified runs, the last two ended by the clock."""
+    runs = pd.DataFrame(
+        {
+            "run_id": [f"r{i}" for i in range(N_RUNS)],
+            "method": method,
+            "instance_id": [f"i{i}" for i in range(N_RUNS)],
+            "instance_digest": [f"d{i}" for i in range(N_RUNS)],
+            "n_inliers": 10,
+            "status": ["optimal"] * (N_RUNS - 2) + ["time_limit"] * 2,
+            "n_nodes": rng.integers(100, 1000, N_RUNS),
+            "n_assignments": rng.integers(1000, 10000, N_RUNS),
+            "n_bound_evals": rng.integers(100, 1000, N_RUNS),
+            "gap": rng.random(N_RUNS),
+            "objective": rng.random(N_RUNS),
+            "rmse": rng.random(N_RUNS),
+            "success": True,
+            "bound_violation": 0.0,
+            "time_solve_s": 0.1 + rng.random(N_RUNS),
+            "machine_id": "m",
+        }
+    )
+    return runs.reindex(columns=RECORDED)
+
+
+def verdicts(base: pd.DataFrame, head: pd.DataFrame) -> dict[str, str]:
+    return {v.metric: v.verdict for v in judge_experiment("e", base, head)}
+
+
+@pytest.fixture
+def base(rng) -> pd.DataFrame:
+    return table(rng)
+
+
+def test_an_unchanged_version_has_no_finding(base):
+    assert set(verdicts(base, base.copy()).values()) == {"same"}
+
+
+def test_a_rerun_differs_by_the_clock_only(base, rng):
+    head = base.copy()
+    head["time_solve_s"] *= rng.uniform(0.9, 1.1, N_RUNS)
+    clocked = head["status"] == "time_limit"
+    for column in ("n_nodes", "n_assignments", "gap", "rmse", "objective"):
+        head.loc[clocked, column] *= 2  # what the clock cuts off is different every time
+    assert "worse" not in verdicts(base, head).values()
+    assert verdicts(base, head)["n_nodes"] == "same"
+
+
+def test_one_node_more_in_one_run_is_found(base):
+    head = base.copy()
+    head.loc[3, "n_nodes"] += 1
+    found = verdicts(base, head)
+    assert found["n_nodes"] == "worse"
+    assert {word for metric, word in found.items() if metric != "n_nodes"} == {"same"}
+    assert verdicts(head, base)["n_nodes"] == "better"
+
+
+def test_equal_totals_do_not_hide_a_change(base):
+    head = base.copy()
+    head.loc[3, "n_nodes"] += 1
+    head.loc[4, "n_nodes"] -= 1
+    assert verdicts(base, head)["n_nodes"] == "changed"
+
+
+def test_worse_quality_everywhere_is_found_and_rounding_is_not(base):
+    head = base.assign(rmse=base["rmse"] * 1.01)
+    assert verdicts(base, head)["median rmse"] == "worse"
+    assert verdicts(head, base)["median rmse"] == "better"
+    head = base.assign(rmse=base["rmse"] * (1 + 1e-9))
+    assert verdicts(base, head)["median rmse"] == "same"
+
+
+def test_quality_that_goes_both_ways_is_unclear(base):
+    head = base.copy()
+    head["objective"] *= np.where(np.arange(N_RUNS) % 2, 1.1, 0.9)
+    assert verdicts(base, head)["median objective"] == "unclear"
+
+
+def test_a_pose_that_is_gone_counts_as_worst(base):
+    head = base.copy()
+    head.loc[:9, ["rmse", "objective"]] = np.nan
+    head.loc[:9, "status"] = "failed"
+    found = verdicts(base, head)
+    assert found["failed"] == "worse"
+    assert found["median rmse"] == "worse"
+
+
+def test_a_bound_above_the_truth_is_a_regression(base):
+    head = base.copy()
+    head.loc[0, "bound_violation"] = 1e-3
+    assert verdicts(base, head)["wrong bounds"] == "worse"
+
+
+@pytest.mark.parametrize(
+    ("status", "slower", "expected"),
+    [("node_limit", 1.0, "worse"), ("time_limit", 1.1, "unclear"), ("time_limit", 3.0, "worse")],
+)
+def test_a_lost_certificate_is_a_regression_unless_the_clock_may_have_taken_it(
+    base, status, slower, expected
+):
+    head = base.copy()
+    head.loc[0, "status"] = status
+    head.loc[0, "time_solve_s"] *= slower
+    assert verdicts(base, head)["certified"] == expected
+
+
+def test_times_compare_within_one_machine_and_never_fail(base):
+    head = base.assign(time_solve_s=base["time_solve_s"] * 3)
+    assert verdicts(base, head)["time_solve_s"] == "slower"
+    assert "worse" not in verdicts(base, head).values()
+    elsewhere = head.assign(machine_id="other")
+    assert verdicts(base, elsewhere)["time_solve_s"] == "not compared"
+
+
+def test_other_content_of_an_instance_is_not_compared(base):
+    head = base.assign(instance_digest="new", rmse=99.0)
+    assert verdicts(base, head) == {"runs": "not compared"}
+
+
+def test_sign_test_needs_enough_evidence():
+    assert sign_test(0, 0) == "same"
+    assert sign_test(0, 3) == "unclear"
+    assert sign_test(0, 6) == "worse"
+    assert sign_test(9, 1) == "better"
+
+
+@pytest.fixture
+def history(base, tmp_path):
+    def keep(version: str, runs: pd.DataFrame) -> None:
+        folder = tmp_path / version / "demo"
+        folder.mkdir(parents=True)
+        runs.to_csv(folder / "runs.csv", index=False)
+
+    keep("v1", base)
+    keep("same", base)
+    worse = base.copy()
+    worse["n_nodes"] += 1
+    keep("worse", worse)
+    keep("elsewhere", base.assign(instance_digest="new"))
+    (tmp_path / "broken" / "demo").mkdir(parents=True)
+    (tmp_path / "broken" / "demo" / "runs.csv").write_text("a,b\n1,2\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("head", "code", "says"),
+    [
+        ("same", 0, "no regression"),
+        ("worse", 1, "1 regressions"),
+        ("none", 2, "known: broken, elsewhere, same, v1, worse"),
+        ("broken", 2, "column 'run_id' is missing"),
+        ("elsewhere", 2, "share no instance"),
+    ],
+)
+def test_exit_codes_for_ci(history, capfd, head, code, says):
+    from typer.testing import CliRunner
+
+    result = CliRunner().invoke(app, ["compare", "v1", head, "--history", str(history)])
+    assert result.exit_code == code
+    assert says in result.output + capfd.readouterr().err
+
+
+def test_an_empty_history_says_how_to_record(tmp_path):
+    with pytest.raises(CompareError, match="workflows record --version v1"):
+        compare("v1", "v2", tmp_path)

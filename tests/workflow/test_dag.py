@@ -1,0 +1,269 @@
+"""The whole path on a tiny experiment: what runs, what does not run again, what faults become.
+
+The stages run in a copy of the checkout, so that sources can be edited as a developer would.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+CHECKOUT = Path(__file__).parents[2]
+PARTS = ("Snakefile", "workflows", "baselines", "data", "dcreg", "reports")
+
+CONFIG = """
+name: tiny
+chunk_size: 4
+limits: {time_s: 1, memory_mb: 600}
+datasets:
+  - {dataset: embedded, shapes: [fish], n_points: 12, tests: {noise: [0.0, 0.02]}}
+  - {dataset: embedded, shapes: [fish], n_points: 13, tests: {deformation: [0.01]}}
+methods:
+  - {name: dcreg, baseline: dcreg}
+  - {name: icp, baseline: icp}
+"""
+FAULTS = ("raises", "hangs", "grows", "is_killed")
+
+# Every finite bound of every box is lowered by half its size: still valid, and weaker.
+WEAKER = """
+
+_evaluate = ModelBound.evaluate
+
+
+def _weaker(self, lower, upper, cutoff):
+    found = _evaluate(self, lower, upper, cutoff)
+    finite = np.isfinite(found.lower_bounds)
+    found.lower_bounds[finite] -= 0.5 * np.abs(found.lower_bounds[finite])
+    return found
+
+
+ModelBound.evaluate = _weaker
+"""
+
+pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("workflow")]
+
+
+class Checkout:
+    """A copy of the sources with one experiment."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        ignored = shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc")
+        for part in PARTS:
+            if (CHECKOUT / part).is_dir():
+                shutil.copytree(CHECKOUT / part, root / part, ignore=ignored)
+            else:
+                shutil.copy(CHECKOUT / part, root / part)
+        self.write(CONFIG)
+
+    def write(self, config: str) -> None:
+        (self.root / "workflows" / "configs" / "tiny.yaml").write_text(config)
+
+    def command(self, *arguments: str, ok: bool = True) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", "workflows", *arguments],
+            cwd=self.root,
+            env={
+                **os.environ,
+                "PYTHONPATH": str(self.root),
+                "DCREG_BASELINES_PATH": str(CHECKOUT / "tests" / "workflow" / "baselines"),
+                "NUMBA_CACHE_DIR": str(self.root / "numba"),
+            },
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        output = done.stdout + done.stderr
+        assert (done.returncode == 0) == ok, output
+        return output
+
+    def run(self, *arguments: str) -> list[str]:
+        """Run the experiment; the stages that did something, in words of their own lines."""
+        known = ("fetch", "generate", "solve", "evaluate", "aggregate", "report ")
+        lines = self.command("run", "tiny", "--cores", "2", *arguments).splitlines()
+        return sorted(
+            " ".join(line.split()[:2] if line.startswith("solve") else line.split()[:1])
+            for line in lines
+            if line.startswith(known) and "…" not in line
+        )
+
+    def append(self, file: str, text: str) -> None:
+        path = self.root / file
+        path.write_text(path.read_text() + text)
+
+    def runs(self) -> pd.DataFrame:
+        return pd.read_parquet(self.root / "results/tiny/tables/runs.parquet")
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory) -> Checkout:
+    copy = Checkout(tmp_path_factory.mktemp("checkout"))
+    copy.first = copy.run()
+    return copy
+
+
+ALL = ["aggregate", "evaluate", "fetch", "generate", "report", "solve dcreg", "solve icp"]
+AFTER_SOLVE = ["aggregate", "evaluate", "report"]
+
+
+def test_the_whole_path_leads_to_complete_tables(checkout):
+    assert checkout.first == ALL
+    runs = checkout.runs()
+    assert len(runs) == 6
+    assert set(runs["status"]) == {"optimal", "converged"}
+    assert runs.loc[runs["method"] == "dcreg", "success"].all()
+    assert (runs["objective_regret"] >= 0).all()
+    assert (runs["bound_violation"] == 0).all()
+    assert runs["time_overhead_s"].median() < 0.005
+    tables = checkout.root / "results/tiny/tables"
+    counts = pd.read_csv(tables / "accounting.csv")
+    assert list(counts["planned"]) == [3, 3]
+    known = json.loads((tables / "provenance.json").read_text())
+    assert set(known["methods"]) == {"dcreg", "icp"}
+    assert len(json.loads((tables / "overlays.json").read_text())) == 12
+    traces = pd.read_parquet(tables / "traces.parquet")
+    assert set(traces["run_id"]) == set(runs.loc[runs["method"] == "dcreg", "run_id"])
+    report = (checkout.root / "results/tiny/report/index.html").read_text()
+    assert "tiny" in report
+
+
+def test_a_second_run_does_nothing(checkout):
+    assert checkout.run() == []
+
+
+def test_an_edited_figure_reruns_only_the_report(checkout):
+    figure = next((checkout.root / "reports" / "figures").glob("[a-z]*.py"))
+    checkout.append(str(figure.relative_to(checkout.root)), "\n# edited\n")
+    assert checkout.run() == ["report"]
+
+
+def test_an_edited_method_reruns_only_its_solves(checkout):
+    checkout.append("baselines/icp/adapter.py", "\n# edited\n")
+    assert checkout.run() == [*AFTER_SOLVE, "solve icp"]
+
+
+def test_an_edited_metric_repeats_no_run(checkout):
+    checkout.append("workflows/metrics.py", "\n# edited\n")
+    assert set(checkout.run()) <= {*AFTER_SOLVE}
+
+
+def test_an_added_method_solves_only_its_own_runs(checkout):
+    checkout.write(CONFIG + "  - {name: half, baseline: icp, n_inliers_ratio: 0.5}\n")
+    assert checkout.run() == [*AFTER_SOLVE, "solve half"]
+    checkout.write(CONFIG)
+    assert not any(stage.startswith("solve") for stage in checkout.run())
+
+
+def test_a_selection_takes_finished_runs_from_the_whole(checkout):
+    before = checkout.runs().set_index("run_id")
+    stages = checkout.run("--tests", "noise", "--methods", "dcreg")
+    assert "solve icp" not in stages
+    part = checkout.runs().set_index("run_id")
+    assert len(part) == 2
+    # The very same runs, with their times, not new ones.
+    assert part["time_solve_s"].equals(before.loc[part.index, "time_solve_s"])
+    refused = checkout.command("record", "results/tiny", "--version", "x", ok=False)
+    assert "selection" in refused
+    assert checkout.run()[0] == "aggregate"
+
+
+def test_an_interrupted_job_keeps_what_it_had(checkout):
+    """As after a kill: no final file, and a journal whose last line is cut off."""
+    folder = checkout.root / "results/tiny/runs/dcreg"
+    before = checkout.runs().set_index("run_id")
+    whole = [path for path in folder.glob("*.journal.jsonl") if len(_lines(path)) == 3]
+    for path in folder.glob("*.parquet"):
+        path.unlink()
+    for path in folder.glob("*.journal.jsonl"):
+        if path not in whole:
+            path.unlink()
+    (journal,) = whole
+    lines = _lines(journal)
+    journal.write_text("\n".join([*lines[:2], lines[2][:40]]))
+    assert "solve dcreg" in checkout.run()
+    after = checkout.runs().set_index("run_id")
+    kept = [json.loads(line)["run_id"] for line in lines[:2]]
+    again = json.loads(lines[2])["run_id"]
+    assert after.loc[kept, "time_solve_s"].equals(before.loc[kept, "time_solve_s"])
+    assert after.loc[again, "time_solve_s"] != before.loc[again, "time_solve_s"]
+    assert len(_lines(journal)) == 4  # two old lines, the broken one, the new one
+
+
+def _lines(path: Path) -> list[str]:
+    return path.read_text().splitlines()
+
+
+def test_a_planted_change_of_the_bound_is_found_and_a_rerun_is_not(checkout):
+    checkout.command("record", "results/tiny", "--version", "v1")
+    shutil.rmtree(checkout.root / "results")
+    checkout.run()
+    checkout.command("record", "results/tiny", "--version", "again")
+    assert "no regression" in checkout.command("compare", "v1", "again")
+
+    checkout.append("dcreg/bounds/base.py", WEAKER)
+    assert "solve dcreg" in checkout.run()
+    checkout.command("record", "results/tiny", "--version", "weaker")
+    found = checkout.command("compare", "v1", "weaker", ok=False)
+    assert "worse" in found
+    assert "n_nodes" in found
+
+
+def test_planted_faults_cost_their_runs_and_nothing_else(checkout):
+    lines = [
+        f"  - {{name: {fault}, baseline: fault, options: {{fault: {fault}}}}}\n" for fault in FAULTS
+    ]
+    checkout.write(CONFIG + "".join(lines))
+    checkout.run()
+    runs = checkout.runs().set_index("method")
+    ended = {
+        fault: dict(runs.loc[fault].groupby("test")["status"].agg(lambda s: "/".join(sorted(s))))
+        for fault in FAULTS
+    }
+    fine = {"noise": "converged/converged"}
+    assert ended == {
+        "raises": {**fine, "deformation": "failed"},
+        "hangs": {**fine, "deformation": "time_limit"},
+        "grows": {**fine, "deformation": "memory_limit"},
+        "is_killed": {**fine, "deformation": "failed"},
+    }
+    counts = pd.read_csv(checkout.root / "results/tiny/tables/accounting.csv", index_col="method")
+    assert (counts["planned"] == 3).all()
+    assert (counts.drop(columns="planned").sum(axis=1) == 3).all()
+    assert list(runs.loc["dcreg", "status"]) == ["optimal"] * 3
+
+
+def test_a_wrong_config_stops_before_anything_runs(tmp_path):
+    (tmp_path / "bad.yaml").write_text(CONFIG.replace("time_s", "time"))
+    for command in (
+        ["workflows", "run", str(tmp_path / "bad.yaml"), "--directory", str(tmp_path)],
+        ["snakemake", "--snakefile", str(CHECKOUT / "Snakefile"), "--directory", str(tmp_path),
+         "--dry-run", "--config", f"experiment={tmp_path / 'bad.yaml'}"],
+    ):  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-m", *command], cwd=CHECKOUT, capture_output=True, text=True
+        )
+        assert done.returncode != 0
+        assert "limits.time: unknown key; did you mean 'time_s'?" in done.stdout + done.stderr
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("experiment", ["demo", "real2d"])
+def test_the_dag_of_every_experiment_can_be_planned(experiment, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "workflows", "run", experiment, "--dry-run"]
+        + ["--directory", str(tmp_path)],
+        cwd=CHECKOUT,
+        capture_output=True,
+        text=True,
+    )
+    output = done.stdout + done.stderr
+    assert done.returncode == 0, output
+    assert f"results/{experiment}/report/index.html" in output
+    assert not (tmp_path / "results").exists()
