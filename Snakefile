@@ -22,3 +22,8 @@ include: "workflows/rules/evaluate.smk"
 include: "workflows/rules/aggregate.smk"
 include: "workflows/rules/report.smk"
 include: "workflows/rules/compare.smk"
+
+# Everything but the report.
+rule tables:
+    input:
+        rules.aggregate.output,

@@ -82,7 +82,7 @@ class Solve:
     def search(self, model: Model, limits: Limits) -> SearchResult:
         """Algorithm 1 over `model` with this solve's bound."""
         bound = make_bound(self.bound, model, self.threads)
-        theta, value, spent = model.refine(model.identity)
+        theta, value, spent = model.first_incumbent()
         self.n_assignments += spent
         found = branch_and_bound(
             bound,
@@ -172,7 +172,7 @@ MODES: dict[str, dict[str, Callable[[Solve], None]]] = {
     "similarity2d": {"paper": _similarity2d},
     "rigid3d": {"paper": _rigid3d_paper},
 }
-DEFAULT_BOUND = "paper"
+DEFAULT_BOUND = "tight"
 START_BOXES = ("reduced", "safe")
 
 

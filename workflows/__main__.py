@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from workflows import CHECKOUT
+from data.contract import DataError
+from workflows import CHECKOUT, UserError
 
 if TYPE_CHECKING:
     from workflows.plan import Plan
@@ -39,16 +40,14 @@ def user_errors(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(command)
     def checked(*arguments: Any, **options: Any) -> Any:
-        from baselines.registry import BaselineError
-        from data.contract import DataError
-        from workflows.compare import CompareError
-        from workflows.config import ConfigError
-        from workflows.records import SchemaError
-
         try:
             return command(*arguments, **options)
-        except (BaselineError, CompareError, ConfigError, DataError, SchemaError) as error:
-            _stop(str(error))
+        except (ValueError, DataError) as error:
+            from baselines.registry import BaselineError
+
+            if isinstance(error, UserError | BaselineError | DataError):
+                _stop(str(error))
+            raise
 
     return checked
 
@@ -70,6 +69,7 @@ def run(
     directory: Annotated[Path, typer.Option(help="Where results/ lies.")] = CHECKOUT,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what is to do.")] = False,
     timing: Annotated[bool, typer.Option("--timing", help="One solve job at a time.")] = False,
+    no_report: Annotated[bool, typer.Option("--no-report", help="End with the tables.")] = False,
 ) -> None:
     """Run an experiment, or a selected part of it, and print the summary."""
     axes = {
@@ -92,6 +92,7 @@ def run(
     command = [
         *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
         *("--workflow-profile", str(CHECKOUT / "workflows" / "profiles" / "default")),
+        *(["tables"] if no_report else []),
         *("--directory", str(directory), "--cores", cores),
         *(["--resources", "timing=1"] if timing else []),
         *(["--dry-run", "--quiet", "host", "reason"] if dry_run else []),
@@ -170,9 +171,15 @@ def forget(
     status: Annotated[str, typer.Option(help="Statuses, comma-separated.")] = "failed",
 ) -> None:
     """Drop runs that ended so, so that the next `run` repeats them and no others."""
+    import shutil
+
     from workflows.solve import forget as drop
 
-    print(f"forgot {drop(folder / 'runs', set(status.split(',')))} runs")
+    dropped = drop(folder / "runs", set(status.split(",")))
+    if dropped:  # Snakemake makes nothing anew whose descendants are all there
+        for made_from_runs in ("metrics", "tables", "report"):
+            shutil.rmtree(folder / made_from_runs, ignore_errors=True)
+    print(f"forgot {dropped} runs")
 
 
 @app.command()

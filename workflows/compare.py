@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from workflows import provenance, records
+from workflows import UserError, provenance, records
 from workflows.metrics import METRICS
 
 RECORDED = [
@@ -63,7 +63,7 @@ SIGNIFICANT = 0.05
 NOTICEABLE = 1.2  # ratio of times
 
 
-class CompareError(ValueError):
+class CompareError(UserError):
     """Two versions cannot be compared; the message names file, value and remedy."""
 
 

@@ -10,14 +10,14 @@ from typing import Annotated, Any, Literal, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from workflows import CHECKOUT, methods
+from workflows import CHECKOUT, UserError, methods
 
 CONFIGS = CHECKOUT / "workflows" / "configs"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$")]
 Positive = Annotated[float, Field(gt=0)]
 
 
-class ConfigError(ValueError):
+class ConfigError(UserError):
     """The experiment cannot be run; the message names file, key, value and remedy."""
 
 

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from dcreg.result import Status
+from workflows import UserError
 
 SCHEMA_VERSION = 1
 
@@ -25,7 +26,7 @@ class Column(NamedTuple):
     meaning: str
 
 
-class SchemaError(ValueError):
+class SchemaError(UserError):
     """A table does not have the documented form; the message names file, column and remedy."""
 
 

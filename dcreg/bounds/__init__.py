@@ -5,11 +5,14 @@ from __future__ import annotations
 from dcreg.bounds.base import ModelBound, Strongest
 from dcreg.bounds.dc import PaperBound
 from dcreg.bounds.edges import EdgeBound
+from dcreg.bounds.shared import SharedBound, TightBound
 from dcreg.bounds.termwise import TermwiseR1, TermwiseR2
 from dcreg.models import Model
 from dcreg.problem import InputError
 
 BOUNDS: dict[str, type[ModelBound]] = {
+    "tight": TightBound,
+    "shared": SharedBound,
     "paper": PaperBound,
     "edges": EdgeBound,
     "termwise-r1": TermwiseR1,

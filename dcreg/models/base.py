@@ -9,6 +9,9 @@ import numpy as np
 from dcreg.box import Box
 from dcreg.kernels import features, vertices
 
+# Descents for the first incumbent: enough for a good upper bound, cheap beside any search.
+N_DESCENTS = 6
+
 
 class Model(abc.ABC):
     """A parameterised family of poses over a normalised problem.
@@ -34,7 +37,7 @@ class Model(abc.ABC):
     n_inliers: int
     axis_weights: np.ndarray
     scope: str
-    identity: np.ndarray  # the pose that moves nothing: the first incumbent descends from it
+    identity: np.ndarray  # the pose that moves nothing
 
     @abc.abstractmethod
     def start_box(self) -> Box:
@@ -51,6 +54,23 @@ class Model(abc.ABC):
     @abc.abstractmethod
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Alternate matching and closed-form fit from `theta`: admissible theta, objective, work."""
+
+    @abc.abstractmethod
+    def seeds(self) -> np.ndarray:
+        """(S, dim) parameters spread over the family, to start descents from."""
+
+    def first_incumbent(self) -> tuple[np.ndarray, float, int]:
+        """The best of a few descents from the most promising seeds: theta, objective, work."""
+        seeds = self.seeds()
+        values = np.empty(len(seeds))
+        spent = vertices.objectives(
+            self.kind, self.source, self.target_features, self.n_inliers, seeds, values
+        )
+        descents = [
+            self.refine(seed) for seed in seeds[np.argsort(values, kind="stable")[:N_DESCENTS]]
+        ]
+        theta, value, _ = min(descents, key=lambda descent: descent[1])
+        return theta, value, spent + sum(descent[2] for descent in descents)
 
     def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
         """E(theta) and the column matched to every source row (-1: none)."""

@@ -81,6 +81,14 @@ class Similarity2D(Model):
             self.source, self.target_features, self.n_inliers, low, high, theta
         )
 
+    def seeds(self) -> np.ndarray:
+        """Every 15 degrees, at the scale that gives both clouds the same spread."""
+        spread = self.axis_weights[0]
+        scale = np.clip(np.sqrt((self.target**2).sum(axis=1).mean()) / spread, *self.scale_range)
+        angles = np.arange(24) * (np.pi / 12)
+        centre = np.zeros((24, 2))
+        return np.hstack([scale * np.stack([np.cos(angles), np.sin(angles)], axis=1), centre])
+
     def pose(self, theta: np.ndarray) -> np.ndarray:
         a, b, tx, ty = theta
         return np.array([[a, -b, tx], [b, a, ty], [0.0, 0.0, 1.0]])

@@ -56,5 +56,10 @@ class Translation3D(Model):
     def touches(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         return np.ones(len(lower), dtype=bool)
 
+    def seeds(self) -> np.ndarray:
+        """The identity and the 26 neighbours of a coarse grid around it."""
+        steps = 0.5 * np.array([0.0, -1.0, 1.0])
+        return np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         return refine_norm3d(self.source, self.target_features, self.n_inliers, theta)

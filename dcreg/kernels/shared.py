@@ -1,0 +1,215 @@
+"""Vertex values shared between boxes, and the DC bound at its best linearisation point.
+
+Boxes made by bisection have their vertices on a dyadic lattice of the start box. A vertex is stored
+once under its integer coordinates, whichever boxes it belongs to.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.kernels.assignment import k_assignment_duals
+from dcreg.kernels.compiling import jit
+from dcreg.kernels.features import allocate, curvature, move, n_vertices, pair_costs, vertex
+
+LATTICE = 2.0**30  # cells per axis; finer boxes are not told apart
+
+
+@jit
+def _hash(q0, q1, q2, q3):
+    h = np.uint64(q0) * np.uint64(0x9E3779B97F4A7C15)
+    h = (h ^ np.uint64(q1)) * np.uint64(0xBF58476D1CE4E5B9)
+    h = (h ^ (h >> np.uint64(29)) ^ np.uint64(q2)) * np.uint64(0x94D049BB133111EB)
+    h = (h ^ (h >> np.uint64(32)) ^ np.uint64(q3)) * np.uint64(0x9E3779B97F4A7C15)
+    return h ^ (h >> np.uint64(31))
+
+
+@jit
+def rebuild(table, keys, used):
+    """Hash table over the first `used` keys."""
+    table[:] = -1
+    mask = np.uint64(table.size - 1)
+    for slot in range(used):
+        at = _hash(keys[slot, 0], keys[slot, 1], keys[slot, 2], keys[slot, 3]) & mask
+        while table[at] >= 0:
+            at = (at + np.uint64(1)) & mask
+        table[at] = slot
+
+
+@jit
+def find_or_add(table, keys, thetas, used, origin, width, lower, upper, slots):
+    """Slot of every distinct vertex of every box (-1 beyond the last); new ones are appended.
+
+    Returns the number of slots in use. The caller guarantees room.
+    """
+    dim = origin.size
+    mask = np.uint64(table.size - 1)
+    theta = np.empty(dim)
+    q = np.zeros(4, np.int64)
+    for box in range(lower.shape[0]):
+        slots[box] = -1
+        for index in range(n_vertices(lower[box], upper[box])):
+            vertex(lower[box], upper[box], index, theta)
+            for a in range(dim):
+                if width[a] > 0.0:
+                    q[a] = np.int64(round((theta[a] - origin[a]) / width[a] * LATTICE))
+            at = _hash(q[0], q[1], q[2], q[3]) & mask
+            slot = table[at]
+            while slot >= 0 and (
+                keys[slot, 0] != q[0]
+                or keys[slot, 1] != q[1]
+                or keys[slot, 2] != q[2]
+                or keys[slot, 3] != q[3]
+            ):
+                at = (at + np.uint64(1)) & mask
+                slot = table[at]
+            if slot < 0:
+                slot = used
+                used += 1
+                table[at] = slot
+                keys[slot] = q
+                thetas[slot] = theta
+            slots[box, index] = slot
+    return used
+
+
+@jit
+def best_linearisation(vertices, values, weights, cutoff, steps, point):
+    """Best theta0 for ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]``, and that value.
+
+    Its dual is the least of ``sum_v w_v (E(v) - Q(v)) + Q(sum_v w_v v)`` over weights w on the
+    vertices. Pairwise Frank-Wolfe steps with exact line search; theta0 is the weighted vertex and every
+    iterate is valid, so the best one is kept. Stops once `cutoff` is reached.
+    """
+    count, dim = vertices.shape
+    w = np.full(count, 1.0 / count)
+    centre = np.zeros(dim)
+    for v in range(count):
+        for a in range(dim):
+            centre[a] += w[v] * vertices[v, a]
+    best = -np.inf
+    for _ in range(steps):
+        low, high = np.inf, -np.inf
+        toward, away = 0, 0
+        for v in range(count):
+            term = values[v]
+            for a in range(dim):
+                d = vertices[v, a] - centre[a]
+                term -= weights[a] * d * d
+            if term < low:
+                low, toward = term, v
+            if w[v] > 0.0 and term > high:
+                high, away = term, v
+        if low > best:
+            best = low
+            point[:] = centre
+        if best >= cutoff or high - low <= 1e-3 * (abs(low) + 1e-12):
+            break
+        curve = 0.0
+        for a in range(dim):
+            d = vertices[toward, a] - vertices[away, a]
+            curve += weights[a] * d * d
+        step = w[away]
+        if curve > 0.0:
+            step = min(step, (high - low) / (2.0 * curve))
+        w[toward] += step
+        w[away] -= step
+        for a in range(dim):
+            centre[a] += step * (vertices[toward, a] - vertices[away, a])
+    return best
+
+
+@jit
+def solve_vertices(kind, source, target, k, thetas, values, profiles):
+    """E at every row of `thetas` and, where `profiles` has columns, its dual profile r.
+
+    With optimal duals b, r_i = min_j (c_ij + b_j) - (sum b) / k: the k smallest r_i add up to E(v), and
+    for any charge R_i on the rows ``sum of the k smallest (r_i - R_i)`` is a lower bound on the
+    k-assignment of c_ij - R_i. Returns the number of assignments.
+    """
+    moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
+    n, m = cost.shape
+    for row in range(thetas.shape[0]):
+        move(kind, source, thetas[row], moved)
+        pair_costs(moved, target, cost)
+        values[row], _, b = k_assignment_duals(cost, k)
+        if profiles.shape[1] > 0:
+            share = b.sum() / k
+            for i in range(n):
+                low = np.inf
+                for j in range(m):
+                    low = min(low, cost[i, j] + b[j])
+                profiles[row, i] = low - share
+    return thetas.shape[0]
+
+
+@jit
+def charged_value(kind, source, k, value, profile, delta, missed):
+    """Lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from the vertex value and profile."""
+    curvature(kind, source, delta, missed)
+    n = missed.size
+    if profile.size == 0:  # all R_i alike, or all rows matched
+        return value - (k / n) * missed.sum()
+    for i in range(n):
+        missed[i] = profile[i] - missed[i]
+    return np.partition(missed, k - 1)[:k].sum()
+
+
+@jit
+def shared_bound(
+    kind,
+    source,
+    k,
+    weights,
+    thetas,
+    values,
+    profiles,
+    slots,
+    lower,
+    upper,
+    cutoff,
+    moves,
+    bounds,
+    best_slots,
+):
+    """``max_theta0 min_v min_P sum p_ij [E_ij(v) - R_i(v - theta0)]`` per box, from shared values.
+
+    Starts with theta0 at the centre (`moves` = 0: the shared bound) and moves it up to `moves` times to
+    the best place of a quadratic model of the loss with diagonal `weights`; the bound itself is always
+    evaluated with the true R_i.
+    """
+    dim = lower.shape[1]
+    missed = np.empty(source.shape[0])
+    corner, value, charged = np.empty((16, dim)), np.empty(16), np.empty(16)
+    delta, point = np.empty(dim), np.empty(dim)
+    for box in range(lower.shape[0]):
+        count = n_vertices(lower[box], upper[box])
+        top = np.inf
+        for v in range(count):
+            slot = slots[box, v]
+            corner[v] = thetas[slot]
+            value[v] = values[slot]
+            if value[v] < top:
+                top = value[v]
+                best_slots[box] = slot
+        point[:] = 0.5 * (lower[box] + upper[box])
+        bounds[box] = -np.inf
+        for step in range(moves + 1):
+            bound = np.inf
+            for v in range(count):
+                for a in range(dim):
+                    delta[a] = corner[v, a] - point[a]
+                slot = slots[box, v]
+                charged[v] = charged_value(kind, source, k, value[v], profiles[slot], delta, missed)
+                bound = min(bound, charged[v])
+            previous = bounds[box]
+            bounds[box] = max(previous, bound)
+            if step == moves or bounds[box] >= cutoff:
+                break
+            if step > 1 and bound <= previous + 1e-3 * abs(previous):
+                break
+            # the loss at theta0 as if it were quadratic with these weights
+            for v in range(count):
+                for a in range(dim):
+                    charged[v] += weights[a] * (corner[v, a] - point[a]) ** 2
+            best_linearisation(corner[:count], charged[:count], weights, np.inf, 40, point)
