@@ -74,6 +74,8 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	@workflows/system_packages.sh "open3d (its methods stay 'unavailable' without)" $(SYSTEM_PACKAGES)
+	@echo "Compiling the kernels (once) …"
+	@$(BIN)/python -c "import dcreg; dcreg.warm_up()"
 	@touch $@
 
 # Only the tests of the report need a browser; without one they skip and say so.

@@ -3,7 +3,7 @@
 from dcreg._version import __version__
 from dcreg.polish import objective
 from dcreg.problem import InputError, Problem, default_gap_tol
-from dcreg.registration import register
+from dcreg.registration import register, warm_up
 from dcreg.result import Result, Status
 
 __all__ = [
@@ -15,4 +15,5 @@ __all__ = [
     "default_gap_tol",
     "objective",
     "register",
+    "warm_up",
 ]

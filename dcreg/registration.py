@@ -364,6 +364,15 @@ def _in_file_units(listener: Listener | None, area: float) -> Listener | None:
     return lambda event: listener(_scaled(event, area))
 
 
+def warm_up() -> None:
+    """Compile every kernel into the on-disk cache, so that no later process waits for it."""
+    for model, modes in MODES.items():
+        for mode in modes:
+            for bound in (DEFAULT_BOUND, "paper", "edges"):
+                _warm_up(model, mode, bound)
+    _warm_up("similarity2d", next(iter(MODES["similarity2d"])), "termwise")
+
+
 @functools.cache
 def _warm_up(model: str, mode: str, bound: str) -> None:
     """Compile (or load from cache) every kernel of a mode on a tiny problem, once a process."""

@@ -65,6 +65,30 @@ class Limits:
     memory_mb: float | None = None
 
 
+class Leaves:
+    """The undivided boxes at the end of a search: together they cover the roots exactly.
+
+    ``reason`` is PRUNED (bound at least upper_bound - gap_tol), EMPTY (no admissible parameter) or
+    OPEN (a limit came first).
+    """
+
+    PRUNED, EMPTY, OPEN = 0, 1, 2
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def add(
+        self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray, is_open: bool = False
+    ) -> None:
+        reason = np.where(np.isinf(bounds), self.EMPTY, self.OPEN if is_open else self.PRUNED)
+        self._parts.append((lower.copy(), upper.copy(), bounds.copy(), reason.astype(np.int8)))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """``lower`` (L, d), ``upper`` (L, d), ``bounds`` (L,) and ``reason`` (L,)."""
+        names = ("lower", "upper", "bounds", "reason")
+        return dict(zip(names, map(np.concatenate, zip(*self._parts, strict=True)), strict=True))
+
+
 @dataclass
 class SearchResult:
     status: Status
@@ -141,6 +165,7 @@ def branch_and_bound(
     round_size: int = 16,
     listener: Listener | None = None,
     stage: str = "search",
+    leaves: Leaves | None = None,
 ) -> SearchResult:
     """Minimise a function over boxes to within `gap_tol`, by Algorithm 1 of DC-Reg.
 
@@ -163,6 +188,8 @@ def branch_and_bound(
         Open boxes divided per round.
     listener : callable, optional
         Receives an `Event` whenever a bound moved; returning True stops the search.
+    leaves : Leaves, optional
+        Collects the leaf boxes with their bounds, for a certificate.
 
     Returns
     -------
@@ -222,6 +249,8 @@ def branch_and_bound(
         keep = bounds < upper_bound - gap_tol
         if not keep.all():
             pruned_bound = min(pruned_bound, float(bounds[~keep].min()))
+            if leaves is not None:
+                leaves.add(lower[~keep], upper[~keep], bounds[~keep])
         nodes.push(lower[keep], upper[keep], bounds[keep])
         # terminate
         if lower_bound() >= upper_bound - gap_tol:
@@ -240,10 +269,13 @@ def branch_and_bound(
             lower, upper, inherited = nodes.pop(round_size, upper_bound - gap_tol)
             lower, upper = branching(lower, upper)
             inherited = np.repeat(inherited, 2)
+    final_bound = lower_bound()
+    if leaves is not None and len(nodes):
+        leaves.add(*nodes.pop(len(nodes), np.inf), is_open=status is not Status.OPTIMAL)
     return SearchResult(
         status,
         theta,
-        lower_bound(),
+        final_bound,
         upper_bound,
         n_nodes,
         bound.n_assignments + n_refining,

@@ -73,7 +73,7 @@ def print_baselines(console: Console | None = None) -> None:
             available = "yes" if row["available"] else f"no: {row['reason']}"
             cells = [row[key] for key in ("method", "models", "version", "provenance", "bounds")]
             table.add_row(*map(str, cells), available, row["citation"])
-    (console or Console()).print(table)
+    (console or Console(width=None if os.isatty(1) else 180)).print(table)
 
 
 def _table(model: str, part: pd.DataFrame) -> Table:

@@ -43,7 +43,7 @@ class ModelBound(abc.ABC):
     def _run(self, work: Callable[[slice], int], count: int) -> None:
         """Apply `work` to slices that cover `count` items; it returns assignments spent."""
         if self._pool is None or count < 2:
-            self.n_assignments += work(slice(0, count))
+            self.n_assignments += work(slice(0, count)) if count else 0
             return
         parts = min(count, 4 * self._threads)
         edges = np.linspace(0, count, parts + 1).astype(int)

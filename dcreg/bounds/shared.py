@@ -5,10 +5,11 @@ For any linearisation point theta0 the DC bound of a box is
     LB(M; theta0) = min_{v in V(M)} min_P sum p_ij [ E_ij(v) - R_i(v - theta0) ].
 
 The costs E_ij(v) do not depend on the box, and R_i charges whole rows. So one exact assignment at a
-vertex, kept with its dual profile r (`dcreg.kernels.shared.solve_vertices`), bounds the inner minimum for every
-box that has the vertex and for every theta0: by the sum of the k smallest r_i - R_i, which is exact when
-all source points match or all R_i are alike. A bisection needs its new vertices only, and theta0 may be
-moved to where the bound is greatest without any assignment. Derived in this project, not in the paper.
+vertex, kept with its dual profile r (`dcreg.kernels.shared.solve_vertices`), bounds the inner minimum for
+every box that has the vertex and for every theta0. A bisection needs its new vertices only, and theta0
+may be moved to where the bound is greatest without any assignment. Most vertices need no assignment
+either: the duals of a neighbour give a profile nearly as good, and only where such a vertex limits a box
+that is not yet pruned is it solved. Derived in this project, not in the paper.
 """
 
 from __future__ import annotations
@@ -26,28 +27,33 @@ MAX_CACHE_BYTES = 400 * 2**20
 
 
 class VertexCache:
-    """E and dual profile at the vertices met so far, by their place on the start box's lattice.
+    """What is known at the vertices met so far, by their place on the start box's dyadic lattice.
+
+    ``lows`` bounds E from below; ``values`` is E where it was solved, else infinite; ``duals`` and
+    ``profiles`` as in `dcreg.kernels.shared`.
 
     Parameters
     ----------
     start : Box
         Every box asked for is made from it by bisection.
-    profile_size : int
-        Entries of a dual profile; 0 where none is needed.
+    profile_size, duals_size : int
+        Entries of a profile and of a dual vector; 0 where none is needed.
     """
 
-    def __init__(self, start: Box, profile_size: int) -> None:
+    _ARRAYS = ("keys", "thetas", "lows", "values", "profiles", "duals")
+
+    def __init__(self, start: Box, profile_size: int, duals_size: int) -> None:
         self.origin, self.width = start.lower, start.upper - start.lower
-        self.profile_size = profile_size
-        self.max_vertices = MAX_CACHE_BYTES // (8 * (profile_size + 14))
+        self._sizes = (profile_size, duals_size)
+        self.max_vertices = MAX_CACHE_BYTES // (8 * (profile_size + duals_size + 16))
         self._empty()
 
     def _empty(self, capacity: int = 1024) -> None:
         self.used = 0
         self.keys = np.empty((capacity, 4), np.int64)
         self.thetas = np.empty((capacity, self.origin.size))
-        self.values = np.empty(capacity)
-        self.profiles = np.empty((capacity, self.profile_size))
+        self.lows, self.values = np.empty(capacity), np.empty(capacity)
+        self.profiles, self.duals = (np.empty((capacity, size)) for size in self._sizes)
         self.table = np.full(4 * capacity, -1, np.int64)
 
     def _reserve(self, count: int) -> None:
@@ -57,7 +63,7 @@ class VertexCache:
         while capacity < self.used + count:
             capacity *= 2
         if capacity > len(self.keys):
-            for name in ("keys", "thetas", "values", "profiles"):
+            for name in self._ARRAYS:
                 old = getattr(self, name)
                 new = np.empty((capacity, *old.shape[1:]), old.dtype)
                 new[: self.used] = old[: self.used]
@@ -65,15 +71,15 @@ class VertexCache:
             self.table = np.empty(4 * capacity, np.int64)
             shared.rebuild(self.table, self.keys, self.used)
 
-    def find(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, slice]:
-        """Slots of the boxes' vertices, and the range of slots that are new and lack a value."""
-        slots = np.empty((len(lower), 2**self.origin.size), np.int64)
+    def find(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, int]:
+        """Slots of the boxes' vertices (-1 beyond the last), and the first slot that is new."""
+        slots = np.full((len(lower), 2**self.origin.size), -1, np.int64)
         self._reserve(slots.size)
         before = self.used
         self.used = shared.find_or_add(
             self.table, self.keys, self.thetas, before, self.origin, self.width, lower, upper, slots
         )
-        return slots, slice(before, self.used)
+        return slots, before
 
 
 class SharedBound(ModelBound):
@@ -83,39 +89,92 @@ class SharedBound(ModelBound):
 
     def __init__(self, model: Model, threads: int = 1) -> None:
         super().__init__(model, threads)
-        # in norm space all R_i are alike, and a matching of all rows is charged for all of them
-        rows_differ = model.axis_weights.size == 4 and model.n_inliers < len(model.source)
-        self.cache = VertexCache(model.start_box(), len(model.source) if rows_differ else 0)
+        n, m = len(model.source), model.target_features.shape[1]
+        # in norm space all R_i are alike: the value alone gives every bound exactly
+        sizes = (0, 0) if model.axis_weights.size == 3 else (n, m)
+        self.cache = VertexCache(model.start_box(), *sizes)
         self.loss_weights = model.n_inliers * model.axis_weights**2
 
     def _evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
-        model, cache = self.model, self.cache
-        slots, new = cache.find(lower, upper)
+        cache = self.cache
+        slots, before = cache.find(lower, upper)
+        self._estimate(slots, before)
+        bounds = np.empty(len(lower))
+        binding = np.empty(len(lower), np.int64)
+        rows = np.arange(len(lower))
+        while rows.size:
+            bounds[rows], binding[rows] = self._bound(slots[rows], lower[rows], upper[rows], cutoff)
+            # a bound that rests on an estimate and does not prune yet deserves the true value
+            rows = rows[(bounds[rows] < cutoff) & np.isinf(cache.values[binding[rows]])]
+            self._solve(np.unique(binding[rows]))
+        best = np.where(slots >= 0, cache.values[slots], np.inf).argmin(axis=1)
+        best = slots[np.arange(len(slots)), best]
+        return Evaluation(bounds, cache.thetas[best], cache.values[best])
 
-        def solve(part: slice) -> int:
-            rows = slice(new.start + part.start, new.start + part.stop)
+    def _estimate(self, slots: np.ndarray, before: int) -> None:
+        """Value or lower bound of the vertices from `before` on."""
+        cache, model = self.cache, self.model
+        new = np.arange(before, cache.used)
+        donors = np.full(new.size, -1, np.int64)
+        if cache.duals.shape[1]:
+            shared.nearest_solved(
+                slots, before, cache.thetas, cache.values, self.loss_weights, donors
+            )
+        self._solve(new[donors < 0])
+        new, donors = new[donors >= 0], donors[donors >= 0]
+
+        def work(part: slice) -> int:
+            shared.estimate_vertices(
+                model.kind,
+                model.source,
+                model.target_features,
+                model.n_inliers,
+                new[part],
+                donors[part],
+                cache.thetas,
+                cache.lows,
+                cache.values,
+                cache.profiles,
+                cache.duals,
+            )
+            return 0
+
+        self._run(work, new.size)
+
+    def _solve(self, which: np.ndarray) -> None:
+        """Exact values, duals and profiles at the vertices `which`."""
+        cache, model = self.cache, self.model
+
+        def work(part: slice) -> int:
             return shared.solve_vertices(
                 model.kind,
                 model.source,
                 model.target_features,
                 model.n_inliers,
-                cache.thetas[rows],
-                cache.values[rows],
-                cache.profiles[rows],
+                which[part],
+                cache.thetas,
+                cache.lows,
+                cache.values,
+                cache.profiles,
+                cache.duals,
             )
 
-        self._run(solve, new.stop - new.start)
-        bounds = np.empty(len(lower))
-        best = np.empty(len(lower), np.int64)
+        self._run(work, which.size)
 
-        def bound(part: slice) -> int:
+    def _bound(
+        self, slots: np.ndarray, lower: np.ndarray, upper: np.ndarray, cutoff: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        cache, model = self.cache, self.model
+        bounds, binding = np.empty(len(lower)), np.empty(len(lower), np.int64)
+
+        def work(part: slice) -> int:
             shared.shared_bound(
                 model.kind,
                 model.source,
                 model.n_inliers,
                 self.loss_weights,
                 cache.thetas,
-                cache.values,
+                cache.lows,
                 cache.profiles,
                 slots[part],
                 lower[part],
@@ -123,15 +182,15 @@ class SharedBound(ModelBound):
                 cutoff,
                 self.moves,
                 bounds[part],
-                best[part],
+                binding[part],
             )
             return 0
 
-        self._run(bound, len(lower))
-        return Evaluation(bounds, cache.thetas[best], cache.values[best])
+        self._run(work, len(lower))
+        return bounds, binding
 
 
 class TightBound(SharedBound):
     """Shared vertex values and the linearisation point that makes the bound greatest."""
 
-    moves = 4
+    moves = 2

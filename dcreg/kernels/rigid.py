@@ -12,12 +12,15 @@ import numpy as np
 
 from dcreg.kernels.assignment import dual_bound, k_assignment_duals
 from dcreg.kernels.compiling import jit
-from dcreg.kernels.rotation import best_rotation, matched_cost, rotation_matrix, sum_of_smallest
+from dcreg.kernels.rotation import best_rotation, rotation_matrix, sum_of_smallest
 
 _MAX_ROUNDS = 100
 _REFITS = 2
 _SWEEPS = 30
 _BIDS = 2
+# A box this far below the cutoff is divided before dearer bounds are tried.
+_WORTH_PAIRS = 0.2
+_WORTH_ASSIGNMENT = 0.4
 
 
 @jit
@@ -26,28 +29,26 @@ def relative_corners(centre, lower, upper, out):
 
     Fills rows of `out` (8, 3), returns their number; 0 where a corner lies a half-turn away or more.
     """
-    count = 1
+    count = 0
+    a, b, c, d = centre[0], -centre[1], -centre[2], -centre[3]  # the inverse of the centre
     for v in range(16):
-        w, x, y, z = lower[0], lower[1], lower[2], lower[3]
-        distinct = True
+        flat = False
         for axis in range(4):
-            if (v >> axis) & 1:
-                distinct = distinct and upper[axis] > lower[axis]
-        if not distinct:
+            flat |= (v >> axis) & 1 == 1 and upper[axis] <= lower[axis]
+        if flat:  # the same corner as another one
             continue
-        w = upper[0] if v & 1 else w
-        x = upper[1] if v & 2 else x
-        y = upper[2] if v & 4 else y
-        z = upper[3] if v & 8 else z
-        a, b, c, d = centre[0], -centre[1], -centre[2], -centre[3]
+        w = upper[0] if v & 1 else lower[0]
+        x = upper[1] if v & 2 else lower[1]
+        y = upper[2] if v & 4 else lower[2]
+        z = upper[3] if v & 8 else lower[3]
         real = w * a - x * b - y * c - z * d
         if real <= 0.0:
             return 0
-        out[count - 1, 0] = (w * b + x * a + y * d - z * c) / real
-        out[count - 1, 1] = (w * c - x * d + y * a + z * b) / real
-        out[count - 1, 2] = (w * d + x * c - y * b + z * a) / real
+        out[count, 0] = (w * b + x * a + y * d - z * c) / real
+        out[count, 1] = (w * c - x * d + y * a + z * b) / real
+        out[count, 2] = (w * d + x * c - y * b + z * a) / real
         count += 1
-    return count - 1
+    return count
 
 
 @jit
@@ -266,11 +267,11 @@ def dual_bound_at(terms, step, k, b, low):
 
 
 @jit
-def vertex_bound(moved, shifted, corners, half, k, floor, cutoff, col_of, b):
+def vertex_bound(moved, shifted, corners, half, k, floor, cutoff, col_of):
     """The linearised vertex bound as far as it decides, and the assignments solved.
 
-    `col_of`, `b`: a good matching at the centre and its duals. -inf once a first pass shows that
-    the bound will not exceed `floor`.
+    `col_of` is a good matching at the centre. -inf once a first pass shows that the bound will not
+    exceed `floor`.
     """
     n, m = moved.shape[1], shifted.shape[1]
     low_box, high_box = np.zeros(6), np.zeros(6)
@@ -290,12 +291,12 @@ def vertex_bound(moved, shifted, corners, half, k, floor, cutoff, col_of, b):
     delta = np.zeros(6)
     terms = np.empty((7, m, n))
     spent = 0
-    for refit in range(_REFITS):
+    for _ in range(_REFITS):
         fit_delta(moved, shifted, col_of, low_box, high_box, delta)
         residuals(moved, shifted, delta, terms)
         value, matching, b = k_assignment_duals(terms[0].T.copy(), k)
         spent += 1
-        if value <= floor * scale:
+        if value <= floor * scale:  # already at delta, which is a point of the box
             return -np.inf, spent
         if (matching == col_of).all():
             break
@@ -329,69 +330,71 @@ def vertex_bound(moved, shifted, corners, half, k, floor, cutoff, col_of, b):
 
 
 @jit
-def bound_boxes(lower, upper, cutoff, source, target, k, effort, effort2, bounds, values, work):
+def move(points, shift, out):
+    for c in range(3):
+        for j in range(points.shape[1]):
+            out[c, j] = points[c, j] - shift[c]
+
+
+@jit
+def matching_value(moved, shifted, col_of):
+    """Sum of squared residuals of given pairs."""
+    total = 0.0
+    for i in range(col_of.size):
+        j = col_of[i]
+        if j >= 0:
+            for c in range(3):
+                total += (moved[c, i] - shifted[c, j]) ** 2
+    return total
+
+
+@jit
+def bound_boxes(lower, upper, cutoff, source, target, k, bounds, values):
     """Bound every box, cheapest test first; returns the assignments solved.
 
-    `values` receives an upper bound on E at the box centre, +inf where the box was closed before.
-    `effort` = (share of the cutoff from which assignments are tried). `work` counts the stages.
+    `values` receives an upper bound on E at the box centre, +inf where the box was decided before.
     """
     n, m = source.shape[1], target.shape[1]
     reach = column_norms(source)
-    caps = np.empty((m, n))
-    corners = np.empty((8, 3))
-    shifted = np.empty((3, m))
+    radius = math.sqrt((reach**2).mean())
+    caps, costs = np.empty((m, n)), np.empty((n, m))
+    corners, shifted = np.empty((8, 3)), np.empty((3, m))
     spent = 0
-    costs = np.empty((n, m))
-    b = np.zeros(m)
     for box in range(len(lower)):
+        values[box] = np.inf
         centre = 0.5 * (lower[box] + upper[box])
         half = 0.5 * (upper[box, 4:] - lower[box, 4:])
-        values[box] = np.inf
         count = relative_corners(centre, lower[box], upper[box], corners)
         tangent = 0.0
         for a in range(count):
             tangent = max(tangent, math.sqrt((corners[a] ** 2).sum()))
         angle = 2.0 * math.atan(tangent) if count > 0 else math.pi
-        moved = rotation_matrix(centre[:4]) @ source
-        for c in range(3):
-            for j in range(m):
-                shifted[c, j] = target[c, j] - centre[4 + c]
         slack = math.sqrt((half**2).sum())
+        moved = rotation_matrix(centre[:4]) @ source
+        move(target, centre[4:], shifted)
+
         cap_costs(moved, reach, angle, shifted, caps)
         bounds[box] = nearest_bound(caps, slack, k)
-        work[0] += 1
-        if bounds[box] >= cutoff or bounds[box] < effort * cutoff:
+        # however low their bounds, the poses of a small box are alike and must be told from others
+        small = k * (angle * radius + slack) ** 2 < cutoff
+        if bounds[box] >= cutoff or not (small or bounds[box] > _WORTH_PAIRS * cutoff):
             continue
         pair_costs(moved, reach, angle, shifted, half, costs)
-        b[:] = 0.0
+        b = np.zeros(m)
         bid(costs, k, b)
-        dual = dual_bound(costs, k, b)
-        bounds[box] = max(bounds[box], dual)
-        if dual >= cutoff:
-            work[5] += 1
+        bounds[box] = max(bounds[box], dual_bound(costs, k, b))
+        if bounds[box] >= cutoff or not (small or bounds[box] > _WORTH_ASSIGNMENT * cutoff):
             continue
-        if dual < effort2 * cutoff:
-            continue
-        bounds[box], col_of, b = k_assignment_duals(costs, k)
+        value, col_of, b = k_assignment_duals(costs, k)
+        bounds[box] = max(bounds[box], value)
+        values[box] = matching_value(moved, shifted, col_of)
         spent += 1
-        work[1] += 1
-        total = 0.0
-        for i in range(n):
-            if col_of[i] >= 0:
-                for c in range(3):
-                    total += (moved[c, i] - shifted[c, col_of[i]]) ** 2
-        values[box] = total
         if bounds[box] >= cutoff or count == 0:
             continue
-        work[2] += 1
-        vertex, solved = vertex_bound(
-            moved, shifted, corners[:count], half, k, bounds[box], cutoff, col_of, b
+        value, solved = vertex_bound(
+            moved, shifted, corners[:count], half, k, bounds[box], cutoff, col_of
         )
-        if vertex > bounds[box]:
-            work[3] += 1
-        if vertex >= cutoff:
-            work[4] += 1
-        bounds[box] = max(bounds[box], vertex)
+        bounds[box] = max(bounds[box], value)
         spent += solved
     return spent
 
@@ -420,22 +423,35 @@ def fit_rigid(source, target, col_of, theta):
 @jit
 def objective(theta, source, target, k):
     """E at a pose and the column matched to every source point (-1: none)."""
-    n, m = source.shape[1], target.shape[1]
-    R = rotation_matrix(theta[:4])
-    moved = R @ source
-    shifted = np.empty((3, m))
-    for c in range(3):
-        for j in range(m):
-            shifted[c, j] = target[c, j] - theta[4 + c]
-    cost = np.empty((n, m))
-    for i in range(n):
-        for j in range(m):
-            total = 0.0
-            for c in range(3):
-                total += (moved[c, i] - shifted[c, j]) ** 2
-            cost[i, j] = total
-    _, col_of, _ = k_assignment_duals(cost, k)
-    return matched_cost(R, source, shifted, col_of), col_of
+    moved = rotation_matrix(theta[:4]) @ source
+    shifted = np.empty_like(target)
+    move(target, theta[4:], shifted)
+    cost = np.empty((source.shape[1], target.shape[1]))
+    for i in range(cost.shape[0]):
+        for j in range(cost.shape[1]):
+            x, y, z = (
+                moved[0, i] - shifted[0, j],
+                moved[1, i] - shifted[1, j],
+                moved[2, i] - shifted[2, j],
+            )
+            cost[i, j] = x * x + y * y + z * z
+    value, col_of, _ = k_assignment_duals(cost, k)
+    return value, col_of
+
+
+@jit
+def nearest_scores(thetas, source, target, k):
+    """Sum of the k smallest squared nearest distances at every pose: a cheap guess of E."""
+    scores = np.empty(len(thetas))
+    reach = column_norms(source)
+    caps = np.empty((target.shape[1], source.shape[1]))
+    shifted = np.empty_like(target)
+    for at in range(len(thetas)):
+        moved = rotation_matrix(thetas[at, :4]) @ source
+        move(target, thetas[at, 4:], shifted)
+        cap_costs(moved, reach, 0.0, shifted, caps)
+        scores[at] = nearest_bound(caps, 0.0, k)
+    return scores
 
 
 @jit

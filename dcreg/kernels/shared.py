@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.kernels.assignment import k_assignment_duals
-from dcreg.kernels.compiling import jit
+from dcreg.kernels.compiling import jit, jit_reduction
 from dcreg.kernels.features import allocate, curvature, move, n_vertices, pair_costs, vertex
 
 LATTICE = 2.0**30  # cells per axis; finer boxes are not told apart
@@ -120,39 +120,101 @@ def best_linearisation(vertices, values, weights, cutoff, steps, point):
 
 
 @jit
-def solve_vertices(kind, source, target, k, thetas, values, profiles):
-    """E at every row of `thetas` and, where `profiles` has columns, its dual profile r.
+def solve_vertices(kind, source, target, k, slots, thetas, lows, values, profiles, duals):
+    """E at the vertices `slots`, with optimal duals and dual profile. Returns the assignments spent.
 
-    With optimal duals b, r_i = min_j (c_ij + b_j) - (sum b) / k: the k smallest r_i add up to E(v), and
-    for any charge R_i on the rows ``sum of the k smallest (r_i - R_i)`` is a lower bound on the
-    k-assignment of c_ij - R_i. Returns the number of assignments.
+    With duals b >= 0 let r_i = min_j (c_ij + b_j) - (sum b) / k. For any charge R_i on the rows the sum
+    of the k smallest r_i - R_i is at most the k-assignment of c_ij - R_i, whatever b. With optimal b the
+    k smallest r_i add up to E(v).
     """
     moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
-    n, m = cost.shape
-    for row in range(thetas.shape[0]):
-        move(kind, source, thetas[row], moved)
+    for slot in slots:
+        move(kind, source, thetas[slot], moved)
         pair_costs(moved, target, cost)
-        values[row], _, b = k_assignment_duals(cost, k)
-        if profiles.shape[1] > 0:
-            share = b.sum() / k
-            for i in range(n):
-                low = np.inf
-                for j in range(m):
-                    low = min(low, cost[i, j] + b[j])
-                profiles[row, i] = low - share
-    return thetas.shape[0]
+        values[slot], _, b = k_assignment_duals(cost, k)
+        lows[slot] = values[slot]
+        if profiles.shape[1] == 0:
+            continue
+        duals[slot] = b
+        _dual_profile(cost, k, b, profiles[slot])
+    return slots.size
 
 
 @jit
-def charged_value(kind, source, k, value, profile, delta, missed):
-    """Lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from the vertex value and profile."""
+def estimate_vertices(
+    kind, source, target, k, slots, donors, thetas, lows, values, profiles, duals
+):
+    """Lower bounds on E and profiles at the vertices `slots` from the duals of nearby vertices.
+
+    One pass over the costs instead of an assignment. `values` stays infinite: no upper bound is known.
+    """
+    moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
+    for at in range(slots.size):
+        slot = slots[at]
+        move(kind, source, thetas[slot], moved)
+        pair_costs(moved, target, cost)
+        duals[slot] = duals[donors[at]]
+        lows[slot] = _dual_profile(cost, k, duals[slot], profiles[slot])
+        values[slot] = np.inf
+
+
+@jit_reduction
+def _row_minima(cost, b, out):
+    """out_i = min_j (c_ij + b_j)."""
+    n, m = cost.shape
+    for i in range(n):
+        low = cost[i, 0] + b[0]
+        for j in range(1, m):
+            value = cost[i, j] + b[j]
+            low = value if value < low else low
+        out[i] = low
+
+
+@jit
+def _dual_profile(cost, k, b, profile):
+    """Fill r_i = min_j (c_ij + b_j) - (sum b) / k and return the sum of its k smallest entries."""
+    _row_minima(cost, b, profile)
+    profile -= b.sum() / k
+    return smallest_sum(profile, k)
+
+
+@jit
+def smallest_sum(values, k):
+    """Sum of the k smallest numbers."""
+    return values.sum() if k == values.size else np.partition(values, k - 1)[:k].sum()
+
+
+@jit
+def nearest_solved(slots, before, thetas, values, weights, donors):
+    """Of every slot from `before` on: the nearest solved vertex in the first box that has it, or -1."""
+    donors[:] = -1
+    for box in range(slots.shape[0]):
+        for v in range(slots.shape[1]):
+            slot = slots[box, v]
+            if slot < before or donors[slot - before] >= 0:
+                continue
+            nearest = np.inf
+            for other in slots[box]:
+                if other < 0 or other >= before or values[other] == np.inf:
+                    continue
+                distance = 0.0
+                for a in range(weights.size):
+                    distance += weights[a] * (thetas[slot, a] - thetas[other, a]) ** 2
+                if distance < nearest:
+                    nearest = distance
+                    donors[slot - before] = other
+
+
+@jit
+def charged_value(kind, source, k, low, profile, delta, missed):
+    """Lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from a vertex's value and profile."""
     curvature(kind, source, delta, missed)
     n = missed.size
-    if profile.size == 0:  # all R_i alike, or all rows matched
-        return value - (k / n) * missed.sum()
+    if profile.size == 0:  # all R_i alike
+        return low - k * missed[0]
     for i in range(n):
         missed[i] = profile[i] - missed[i]
-    return np.partition(missed, k - 1)[:k].sum()
+    return smallest_sum(missed, k)
 
 
 @jit
@@ -162,7 +224,7 @@ def shared_bound(
     k,
     weights,
     thetas,
-    values,
+    lows,
     profiles,
     slots,
     lower,
@@ -170,40 +232,38 @@ def shared_bound(
     cutoff,
     moves,
     bounds,
-    best_slots,
+    binding,
 ):
     """``max_theta0 min_v min_P sum p_ij [E_ij(v) - R_i(v - theta0)]`` per box, from shared values.
 
     Starts with theta0 at the centre (`moves` = 0: the shared bound) and moves it up to `moves` times to
     the best place of a quadratic model of the loss with diagonal `weights`; the bound itself is always
-    evaluated with the true R_i.
+    evaluated with the true R_i. `binding` receives the slot of the vertex that limits it.
     """
     dim = lower.shape[1]
     missed = np.empty(source.shape[0])
-    corner, value, charged = np.empty((16, dim)), np.empty(16), np.empty(16)
+    corner, charged = np.empty((16, dim)), np.empty(16)
     delta, point = np.empty(dim), np.empty(dim)
     for box in range(lower.shape[0]):
         count = n_vertices(lower[box], upper[box])
-        top = np.inf
         for v in range(count):
-            slot = slots[box, v]
-            corner[v] = thetas[slot]
-            value[v] = values[slot]
-            if value[v] < top:
-                top = value[v]
-                best_slots[box] = slot
+            corner[v] = thetas[slots[box, v]]
         point[:] = 0.5 * (lower[box] + upper[box])
         bounds[box] = -np.inf
         for step in range(moves + 1):
-            bound = np.inf
+            bound, at = np.inf, 0
             for v in range(count):
                 for a in range(dim):
                     delta[a] = corner[v, a] - point[a]
                 slot = slots[box, v]
-                charged[v] = charged_value(kind, source, k, value[v], profiles[slot], delta, missed)
-                bound = min(bound, charged[v])
+                charged[v] = charged_value(
+                    kind, source, k, lows[slot], profiles[slot], delta, missed
+                )
+                if charged[v] < bound:
+                    bound, at = charged[v], slot
             previous = bounds[box]
-            bounds[box] = max(previous, bound)
+            if bound > previous:
+                bounds[box], binding[box] = bound, at
             if step == moves or bounds[box] >= cutoff:
                 break
             if step > 1 and bound <= previous + 1e-3 * abs(previous):

@@ -5,7 +5,7 @@ import pytest
 
 from dcreg.box import Box, LongestEdge
 from dcreg.result import Status
-from dcreg.search import Evaluation, Limits, branch_and_bound
+from dcreg.search import Evaluation, Leaves, Limits, branch_and_bound
 
 
 class Ripples:
@@ -93,6 +93,21 @@ def test_listener_stops_the_search_and_sees_its_end():
     assert seen[-1].kind == "end"
     assert seen[-1].status == "stopped"
     assert found.lower_bound <= dense_minimum() <= found.upper_bound
+
+
+@pytest.mark.parametrize("limits", [None, Limits(nodes=50)])
+def test_leaves_cover_the_root_exactly(limits):
+    leaves = Leaves()
+    found = solve(limits=limits, leaves=leaves)
+    parts = leaves.arrays()
+    assert (parts["upper"] - parts["lower"]).prod(axis=1).sum() == pytest.approx(4.0, abs=1e-12)
+    assert found.lower_bound == min(parts["bounds"].min(), found.upper_bound)
+    assert (Leaves.OPEN in parts["reason"]) == (limits is not None)
+    if limits is None:
+        assert (parts["bounds"] >= found.upper_bound - 1e-2).all()
+    points = np.random.default_rng(0).uniform(-1, 1, (200, 2))
+    inside = (points[:, None] >= parts["lower"]) & (points[:, None] <= parts["upper"])
+    assert (inside.all(axis=2).sum(axis=1) == 1).all()
 
 
 def test_two_runs_are_equal():
