@@ -197,7 +197,7 @@ def read(path: str | Path) -> Certificate:
         )
     del arrays["format"], arrays["format_version"]
     try:
-        certificate = Certificate(**arrays)  # type: ignore[arg-type]  # coerced there
+        certificate = Certificate(**arrays)
     except (TypeError, ValueError) as error:
         raise CertificateError(f"{path}: an entry has the wrong type ({error})") from None
     _check_shapes(certificate)

@@ -353,3 +353,239 @@ def _less_time(limits: Limits, spent: float) -> Limits:
     if limits.time_s is None:
         return limits
     return dataclasses.replace(limits, time_s=max(0.0, limits.time_s - spent))
+
+
+@dataclass(frozen=True)
+class Basin:
+    """A distinct low place of the norm objective, and what the rotation search made of it.
+
+    Attributes
+    ----------
+    translation : (3,) array
+        t of x + t, a local minimiser.
+    norm_value : float
+        The norm objective there.
+    T : (4, 4) array
+        The refined pose from this translation.
+    value : float
+        The rigid objective at `T`.
+    """
+
+    translation: np.ndarray
+    norm_value: float
+    T: np.ndarray
+    value: float
+
+
+@dataclass(frozen=True)
+class MultiResult(RigidResult):
+    """`RigidResult` whose bounds are those of the norm objective.
+
+    Attributes
+    ----------
+    value : float
+        The rigid objective at `T`.
+    basins : list of Basin
+        Best rigid objective first.
+    complete : bool
+        Whether every translation within the margin was looked at; if not, only the lowest found.
+    """
+
+    value: float = np.inf
+    basins: list[Basin] = field(default_factory=list)
+    complete: bool = False
+
+
+class _Collector:
+    """Descents in norm space, each end remembered."""
+
+    def __init__(self, model: Translation3D) -> None:
+        self.model = model
+        self.ends: list[tuple[float, np.ndarray]] = []
+        self.spent = 0
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        theta, value, spent = self.model.refine(theta)
+        self.ends.append((value, theta))
+        self.spent += spent
+        return theta, value, spent
+
+    def distinct(self, cutoff: float, separation: float, count: int) -> list[np.ndarray]:
+        """Up to `count` ends at or below `cutoff`, lowest first, `separation` apart."""
+        kept: list[np.ndarray] = []
+        for value, theta in sorted(self.ends, key=lambda end: end[0]):
+            if value > cutoff or len(kept) == count:
+                break
+            if all(np.linalg.norm(theta - other) > separation for other in kept):
+                kept.append(theta)
+        return kept
+
+
+def _low_boxes(
+    bound: object, root: Box, cutoff: float, width: float, node_limit: int, until: float | None
+) -> tuple[np.ndarray, bool]:
+    """Centres of boxes at most `width` wide that together hold every theta below `cutoff`.
+
+    Second is False where a limit ended the division early: then boxes are missing.
+    """
+    branching = LongestEdge(np.ones(root.dim))
+    stack = [(root.lower[None], root.upper[None])]
+    leaves: list[np.ndarray] = []
+    n_nodes = 0
+    while stack:
+        if n_nodes >= node_limit or (until is not None and time.perf_counter() > until):
+            return np.concatenate([*leaves, np.empty((0, root.dim))]), False
+        lower, upper = stack.pop()
+        found = bound.evaluate(lower, upper, cutoff)  # type: ignore[attr-defined]
+        n_nodes += len(lower)
+        low = found.lower_bounds < cutoff
+        fine = low & ((upper - lower).max(axis=1) <= width)
+        leaves.append(0.5 * (lower + upper)[fine])
+        lower, upper = lower[low & ~fine], upper[low & ~fine]
+        stack += [branching(lower[at : at + 16], upper[at : at + 16]) for at in range(0, len(lower), 16)]
+    return np.concatenate(leaves), True
+
+
+def search_multi(
+    source: np.ndarray,
+    target: np.ndarray,
+    n_inliers: int,
+    *,
+    gap_tol: float,
+    limits: Limits | None = None,
+    threads: int = 1,
+    listener: Listener | None = None,
+    start_box: str = "reduced",
+    bound: str = "paper",
+    margin: float | None = None,
+    separation: float = 0.1,
+    max_basins: int = 12,
+    basin_nodes: int = 20_000,
+) -> MultiResult:
+    """The paper's two stages over several translations: the best rigid objective wins.
+
+    First the translation in norm space, certified to `gap_tol`. Then every box of translations
+    whose norm objective may lie within `margin` of its optimum, each giving a descent; the distinct
+    ends, and the translation that joins the centroids, go through the rotation search and a joint
+    refinement of matching and pose. The certificate is that of the norm objective: nothing is said
+    of poses whose translation lies outside the margin.
+
+    Parameters
+    ----------
+    source, target, n_inliers, gap_tol, limits, threads, listener, start_box
+        As in `search_rigid`; `gap_tol` is used in every stage. ``limits.time_s`` is for all stages,
+        the other limits for each.
+    bound : str
+        Bounding function of the norm objective, see `dcreg.bounds`.
+    margin : float, optional
+        Translations with a norm objective this far above the best count; default `gap_tol`.
+    separation : float
+        Translations closer than this are one basin, in units of the points.
+    max_basins : int
+        Rotation searches made at most.
+    basin_nodes : int
+        Boxes spent on the enumeration of the basins.
+
+    Returns
+    -------
+    MultiResult
+    """
+    began = time.perf_counter()
+    limits = limits or Limits()
+    margin = gap_tol if margin is None else margin
+    model = Translation3D(source, target, n_inliers, reduced_box=start_box == "reduced")
+    bounding = make_bound(bound, model, threads)
+    descents = _Collector(model)
+    found = _search_norm(model, bounding, descents, gap_tol, limits, listener)
+    # half of what is left for finding basins, the rest for their rotations
+    left = _less_time(limits, time.perf_counter() - began).time_s
+    until = None if left is None else time.perf_counter() + 0.5 * left
+    cutoff = found.upper_bound + margin
+    centres, complete = _low_boxes(
+        bounding, model.start_box(), cutoff, separation, basin_nodes, until
+    )
+    for theta in centres[:: max(1, -(-len(centres) // 100))]:
+        descents.refine(theta)
+    translations = [
+        *descents.distinct(cutoff, separation, max_basins),
+        target.mean(axis=0) - source.mean(axis=0),
+    ]
+    complete = complete and len(translations) <= max_basins and len(centres) <= 100
+    rigid = RigidModel(source, target, n_inliers)
+    basins: list[Basin] = []
+    events = list(found.events)
+    n_nodes, status = found.n_nodes, found.status
+    n_assignments = bounding.n_assignments + descents.spent
+    for done, translation in enumerate(translations):
+        left = _less_time(limits, time.perf_counter() - began).time_s
+        if left == 0.0 and basins:
+            status = Status.TIME_LIMIT if status is Status.OPTIMAL else status
+            complete = False
+            break
+        turned = search_rotation(
+            source + translation,
+            target,
+            n_inliers,
+            gap_tol=gap_tol,
+            time_limit=None if left is None else left / (len(translations) - done),
+            node_limit=limits.nodes,
+            listener=listener,
+        )
+        theta, value, spent = rigid.refine(_theta(turned.rotation, translation))
+        basins.append(Basin(translation, model.objective(translation)[0], pose(theta), value))
+        n_nodes += turned.n_nodes
+        n_assignments += turned.n_assignments + spent
+        events += turned.events
+        if turned.status is Status.STOPPED:
+            status = turned.status
+            break
+        if status is Status.OPTIMAL:
+            status = turned.status
+    basins.sort(key=lambda basin: basin.value)
+    return MultiResult(
+        basins[0].T,
+        found.lower_bound,
+        found.upper_bound,
+        n_nodes,
+        n_assignments,
+        status,
+        time.perf_counter() - began,
+        SCOPE_MULTI,
+        events,
+        basins[0].value,
+        basins,
+        complete,
+    )
+
+
+def _search_norm(
+    model: Translation3D,
+    bound: object,
+    descents: _Collector,
+    gap_tol: float,
+    limits: Limits,
+    listener: Listener | None,
+) -> SearchResult:
+    theta, value, _ = descents.refine(model.identity)
+    time_s = limits.time_s and 0.5 * limits.time_s
+    return branch_and_bound(
+        bound,  # type: ignore[arg-type]
+        [model.start_box()],
+        branching=LongestEdge(model.axis_weights),
+        gap_tol=gap_tol,
+        refine=descents.refine,
+        start=(theta, value),
+        limits=dataclasses.replace(limits, time_s=time_s),
+        listener=listener,
+    )
+
+
+def _theta(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Parameters of y = R (x + t), by the fit to four moved points."""
+    corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    theta = np.empty(7)
+    moved = (corners + translation) @ rotation.T
+    kernels.fit_rigid(
+        np.ascontiguousarray(corners.T), np.ascontiguousarray(moved.T), np.arange(4), theta
+    )
+    return theta

@@ -233,10 +233,10 @@ def branch_and_bound(
     while status is None:
         # bound
         found = bound.evaluate(lower, upper, upper_bound - gap_tol)
-        bounds = np.maximum(found.lower_bounds, inherited)
+        bounds = np.maximum(_settled(found.lower_bounds, gap_tol), inherited)
         n_nodes += len(bounds)
         # update
-        best = int(np.argmin(found.values))
+        best = int(np.argmin(_settled(found.values, gap_tol)))
         if found.values[best] < upper_bound:
             theta, upper_bound = found.thetas[best].copy(), float(found.values[best])
         if refine is not None:
@@ -282,6 +282,16 @@ def branch_and_bound(
         clock() - began,
         events,
     )
+
+
+def _settled(values: np.ndarray, gap_tol: float) -> np.ndarray:
+    """The values lowered to a grid far below the tolerance.
+
+    Boxes that share a vertex often have equal bounds up to rounding. On the grid they are equal, so that
+    the order of the search, and with it all counters, does not hang on the last bits of a machine.
+    """
+    step = 1e-6 * gap_tol
+    return step * (np.round(values / step) - 1.0) if step > 0.0 else values
 
 
 def _same_bounds(a: Event, b: Event) -> bool:

@@ -32,7 +32,7 @@ class LimitSettings(Part):
     memory_mb: Annotated[int, Field(gt=0)] = 2048  # of the whole worker, its libraries included
     nodes: Annotated[int, Field(gt=0)] | None = None
     threads: Annotated[int, Field(gt=0)] = 1
-    warm_up_s: Positive = 120.0  # imports and JIT compilation, once per worker
+    warm_up_s: Positive = 300.0  # imports and JIT compilation, once per worker
 
     @property
     def kill_after_s(self) -> float:

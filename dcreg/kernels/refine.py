@@ -63,7 +63,7 @@ def refine_similarity2d(source, target, k, low, high, theta):
         fit_similarity2d(source, target, col_of, low, high, trial)
         trial_value, trial_col = objective(SIMILARITY2D, source, target, k, trial)
         spent += 1
-        if trial_value >= value * (1.0 - 1e-12):
+        if trial_value >= value * (1.0 - 1e-9):
             break
         value, col_of = trial_value, trial_col
         best[:] = trial

@@ -48,7 +48,7 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("icp", {"max_iterations": True}, "is a bool"),
         ("icp", {"trim": 1}, "is a int; give a bool"),
         ("cpd", {"w": 1.5}, r"w = 1\.5"),
-        ("dcreg", {"bound": "papper"}, r"bound = 'papper'; choose from paper"),
+        ("dcreg", {"bound": "papper"}, r"bound = 'papper'; choose from tight"),
         ("bilinear_bnb", {"bound": "paper"}, r"choose from termwise"),
         ("dcreg", {"mode": "quick"}, r"mode = 'quick'; choose one of \['paper'"),
         ("kiss_matcher", {"front_end": "sift"}, "fpfh-mutual, all-pairs"),
@@ -209,8 +209,8 @@ def library_imports(path: Path) -> set[Path]:
         (
             "bilinear_bnb",
             {
-                "bounds/dc.py", "bounds/edges.py", "kernels/rotation.py",
-                "models/translation3d.py", "rotation.py",
+                "bounds/dc.py", "bounds/edges.py", "bounds/shared.py", "kernels/rotation.py",
+                "kernels/shared.py", "models/translation3d.py", "rotation.py",
             },
         ),
     ],

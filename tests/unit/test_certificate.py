@@ -68,8 +68,9 @@ def certify(source, target, n_inliers, model, *, bound, tau=0.04, nodes=None, re
 
 @pytest.fixture(scope="module", params=["similarity2d", "translation3d"])
 def case(request):
-    source, target = clouds(request.param)
-    certificate = certify(source, target, 10, request.param, bound="paper")
+    source, target = clouds(request.param, extra=1)
+    tau = {"similarity2d": 0.06, "translation3d": 0.035}[request.param]
+    certificate = certify(source, target, 10, request.param, bound="paper", tau=tau)
     assert certificate.status == "optimal"
     assert len(certificate.leaf_bounds) > 20
     assert certificate.lower_bound > 0
@@ -316,7 +317,7 @@ def test_shifted_or_smaller_start_box_is_refused(tmp_path, case):
 
 
 def test_wrong_n_inliers_is_refused(tmp_path, case):
-    refused(tmp_path, case, "upper_bound: ", n_inliers=9)
+    refused(tmp_path, case, "start box", n_inliers=9)  # fewer pairs can have extremer means
     refused(tmp_path, case, "upper_bound: ", n_inliers=11)
     refused(tmp_path, case, "exceeds the smaller cloud", n_inliers=99)
 
@@ -330,6 +331,24 @@ def test_wrong_optimum_is_refused(tmp_path, case):
     refused(tmp_path, case, "was pruned with the bound", gap_tol=1e-9, status="stopped")
     refused(tmp_path, case, "unit", unit=-1.0)
     refused(tmp_path, case, "theta: not a finite number", theta=certificate.theta * np.nan)
+
+
+def test_a_local_optimum_passed_off_as_global_is_refused(tmp_path, case):
+    """All entries agree with each other, but the objective is lower elsewhere."""
+    certificate, source, target = case
+    family = FAMILIES[certificate.model](
+        (source - certificate.source_centre) / certificate.unit,
+        (target - certificate.target_centre) / certificate.unit,
+        certificate.n_inliers,
+        tuple(certificate.scale_range),
+    )
+    theta = certificate.theta + 0.05
+    value = family.objective(theta)
+    assert value > certificate.upper_bound + certificate.gap_tol
+    lower_bound = value - certificate.gap_tol
+    bounds = np.maximum(certificate.leaf_bounds, lower_bound)
+    claim = {"theta": theta, "upper_bound": value, "lower_bound": lower_bound}
+    refused(tmp_path, case, "bound is false", leaf_bounds=bounds, **claim)
 
 
 def test_inadmissible_leaves_must_be_so(tmp_path, case):
@@ -410,7 +429,7 @@ def tilings(draw):
 def test_tilings_are_recognised_and_broken_ones_refused(tiling):
     start, lower, upper, generator = tiling
     check_cover(*start, lower, upper)
-    check_cover(*start, lower + 1e-15, upper)  # rounding
+    check_cover(*start, lower - 1e-15, upper)  # rounding
     leaf = generator.integers(len(lower))
     if len(lower) > 1:
         with pytest.raises(CertificateError, match="gap"):

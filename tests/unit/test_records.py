@@ -21,6 +21,7 @@ from workflows.instances import (
     write_problems,
     write_truths,
 )
+from workflows.solve import forget
 
 
 def test_a_table_survives_parquet_and_csv(tmp_path):
@@ -144,3 +145,16 @@ def test_the_content_digest_sees_every_change(problems):
     ]
     assert content_digest(given) not in {content_digest(other) for other in others}
     assert content_digest(given) == content_digest(problems[0].for_solver(1.0, 0))
+
+
+def test_forget_drops_runs_by_status_and_lines_cut_off_and_nothing_else(tmp_path):
+    folder = tmp_path / "icp"
+    folder.mkdir()
+    lines = ['{"run_id": "a", "status": "failed"}', '{"run_id": "b", "status": "optimal"}']
+    (folder / "x.journal.jsonl").write_text("\n".join([*lines, '{"run_id"']))
+    (folder / "y.journal.jsonl").write_text(lines[1] + "\n")
+    for name in ("x.parquet", "y.parquet"):
+        (folder / name).touch()
+    assert forget(tmp_path, {"failed"}) == 2
+    assert (folder / "x.journal.jsonl").read_text() == lines[1] + "\n"
+    assert sorted(p.name for p in folder.glob("*.parquet")) == ["y.parquet"]
