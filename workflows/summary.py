@@ -67,13 +67,17 @@ def print_baselines(console: Console | None = None) -> None:
     """Table of all methods, those of extra folders included."""
     from baselines import registry
 
-    table = Table("method", "models", "version", "provenance", "certifies", "available", "citation")
+    table = Table("method", "models", "version", "provenance", "certifies", "available")
+    citations = []
     for root in methods.roots():
         for row in registry.availability(root):
             available = "yes" if row["available"] else f"no: {row['reason']}"
             cells = [row[key] for key in ("method", "models", "version", "provenance", "bounds")]
-            table.add_row(*map(str, cells), available, row["citation"])
-    (console or Console(width=None if os.isatty(1) else 180)).print(table)
+            table.add_row(*map(str, cells), available)
+            citations.append(f"{row['method']}: {row['citation']}")
+    console = console or Console(width=None if os.isatty(1) else 180)
+    console.print(table)
+    console.print("\n".join(citations), highlight=False, markup=False)
 
 
 def _table(model: str, part: pd.DataFrame) -> Table:
