@@ -22,11 +22,14 @@ from rich.table import Table
 import dcreg
 from dcreg._version import __version__
 from dcreg.bounds import bound_names
+from dcreg.certificate import write as write_certificate
 from dcreg.io import read_points
 from dcreg.plot import plot_registration
 from dcreg.problem import MODEL_DIM, InputError, Problem, default_gap_tol, rms_radius
 from dcreg.progress import Progress
+from dcreg.registration import DEFAULT_BOUND, MODES
 from dcreg.result import Result, Status
+from dcreg.verification import verify as verify_certificate
 
 EXIT_OK, EXIT_OUTPUT, EXIT_INPUT, EXIT_LIMIT = 0, 1, 2, 3
 _MANY_POINTS = 4000
@@ -106,7 +109,11 @@ def register(
         typer.Option(metavar="LO HI", parser=_number, help="Admissible scale (2D only)."),
     ] = (0.5, 1.5),
     mode: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Search mode; default: paper.")
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"Search mode; default: paper. In 3D one of {', '.join(MODES['rigid3d'])}.",
+        ),
     ] = None,
     bound: Annotated[
         str,
@@ -114,7 +121,7 @@ def register(
             metavar="NAME",
             help=f"Lower bounding function: {', '.join(bound_names())}; 'a+b' takes the greater.",
         ),
-    ] = "paper",
+    ] = DEFAULT_BOUND,
     gap_tol: Annotated[
         float | None,
         typer.Option(
@@ -151,6 +158,10 @@ def register(
     plot_path: Annotated[
         Path | None, typer.Option("--plot", metavar="OUT.html", help="Write a page with figures.")
     ] = None,
+    certificate_path: Annotated[
+        Path | None,
+        typer.Option("--certificate", metavar="OUT.npz", help="Write what `dcreg verify` checks."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no advice.")] = False,
 ) -> None:
     """Register SOURCE to TARGET and certify the result.
@@ -162,7 +173,12 @@ def register(
     """
     log = Console(stderr=True)
     try:
-        outputs = {"--json": json_path, "--trace": trace_path, "--plot": plot_path}
+        outputs = {
+            "--json": json_path,
+            "--trace": trace_path,
+            "--plot": plot_path,
+            "--certificate": certificate_path,
+        }
         _check_outputs(outputs, inputs=(source, target))
         problem = _problem(
             (source, source_key), (target, target_key), model.value, n_inliers, scale_range
@@ -186,6 +202,7 @@ def register(
                 node_limit=node_limit,
                 threads=threads,
                 polish=polish,
+                certificate=certificate_path is not None,
                 listener=progress,
             )
     except InputError as error:
@@ -202,9 +219,39 @@ def register(
         (trace_path, result.trace.write_jsonl),
         (plot_path, partial(plot_registration, problem.source, problem.target, result)),
     ]
+    if result.certificate is not None:
+        writers.append(
+            (certificate_path, partial(write_certificate, certificate=result.certificate))
+        )
     if not _write_outputs(log, writers):
         raise typer.Exit(EXIT_OUTPUT)
     raise typer.Exit(_exit_code(result.status))
+
+
+@app.command()
+def verify(
+    certificate: Annotated[Path, typer.Argument(metavar="CERT", help="File of --certificate.")],
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help="The cloud that was moved.")],
+    target: Annotated[str, typer.Argument(metavar="TARGET", help="The cloud that stayed.")],
+) -> None:
+    """Check a certificate against its clouds, in plain NumPy, without the search.
+
+    Exit code: 0 the claim is proven; 1 refused, with the reason; 2 bad input.
+    """
+    log = Console(stderr=True)
+    try:
+        if not certificate.is_file():
+            raise InputError(
+                f"{certificate}: no such file; `dcreg register --certificate` writes one"
+            )
+        report = verify_certificate(certificate, read_points(source), read_points(target))
+    except InputError as error:
+        _print_error(log, str(error))
+        raise typer.Exit(EXIT_INPUT) from None
+    for check in report.checks:
+        typer.echo(f"ok: {check}")
+    typer.echo(f"proven: {report.statement}" if report.accepted else f"refused: {report.reason}")
+    raise typer.Exit(0 if report.accepted else 1)
 
 
 # --- input ----------------------------------------------------------------------------------------

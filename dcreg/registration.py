@@ -12,47 +12,22 @@ from typing import Any
 import numpy as np
 
 from dcreg.bounds import make_bound
-from dcreg.box import LongestEdge
+from dcreg.box import Box, LongestEdge
+from dcreg.certificate import Certificate, of_search
+from dcreg.frame import Frame
 from dcreg.models import Model, Similarity2D, Translation3D
 from dcreg.polish import objective, polish
-from dcreg.problem import InputError, Problem, default_gap_tol, rms_radius
+from dcreg.problem import InputError, Problem, default_gap_tol
 from dcreg.result import Result, Status
+from dcreg.rigid import RigidResult, search_multi, search_rigid
 from dcreg.rotation import search_rotation
-from dcreg.search import Limits, SearchResult, branch_and_bound
+from dcreg.search import Leaves, Limits, SearchResult, branch_and_bound
 from dcreg.trace import Event, Listener, Trace
 
 # A dense cost matrix beyond this many pairs does not fit the memory of a common machine.
 MAX_PAIRS = 100_000_000
 # Share of the time limit that the translation search may use before the rotation gets its turn.
 TRANSLATION_SHARE = 0.8
-
-
-@dataclass(frozen=True)
-class Frame:
-    """The normalised coordinates of a solve: both sets centred, one common unit of length."""
-
-    source_centre: np.ndarray
-    target_centre: np.ndarray
-    unit: float
-
-    @classmethod
-    def of(cls, problem: Problem) -> Frame:
-        unit = rms_radius(problem.target) or rms_radius(problem.source) or 1.0
-        return cls(problem.source.mean(axis=0), problem.target.mean(axis=0), unit)
-
-    def source(self, points: np.ndarray) -> np.ndarray:
-        return np.ascontiguousarray((points - self.source_centre) / self.unit)
-
-    def target(self, points: np.ndarray) -> np.ndarray:
-        return np.ascontiguousarray((points - self.target_centre) / self.unit)
-
-    def pose(self, T: np.ndarray) -> np.ndarray:
-        """The pose `T` between normalised clouds, in the coordinates of the files."""
-        d = len(self.source_centre)
-        out = np.eye(d + 1)
-        out[:d, :d] = T[:d, :d]
-        out[:d, d] = self.unit * T[:d, d] + self.target_centre - T[:d, :d] @ self.source_centre
-        return out
 
 
 @dataclass
@@ -78,15 +53,19 @@ class Solve:
     n_bound_evals: int = 0
     stages: list[dict[str, Any]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
+    leaves: Leaves | None = None  # filled by the search when a certificate is asked for
+    found: SearchResult | None = None
+    start: Box | None = None
 
     def search(self, model: Model, limits: Limits) -> SearchResult:
         """Algorithm 1 over `model` with this solve's bound."""
         bound = make_bound(self.bound, model, self.threads)
         theta, value, spent = model.first_incumbent()
         self.n_assignments += spent
+        self.start = model.start_box()
         found = branch_and_bound(
             bound,
-            [model.start_box()],
+            [self.start],
             branching=LongestEdge(model.axis_weights),
             gap_tol=self.gap_tol,
             refine=model.refine,
@@ -94,7 +73,9 @@ class Solve:
             limits=limits,
             round_size=_round_size(len(self.source) * len(self.target)),
             listener=self.listener,
+            leaves=self.leaves,
         )
+        self.found = found
         self.status = found.status
         self.lower_bound, self.upper_bound = found.lower_bound, found.upper_bound
         self.scope = model.scope
@@ -116,6 +97,12 @@ class Solve:
             self.status = found.status
         self._account("rotation", found, found.events)
         return found.rotation
+
+    def rigid(self, found: RigidResult, stage: str) -> None:
+        """Take over the outcome of a search that ends with the whole rigid pose."""
+        self.T, self.status, self.scope = found.T, found.status, found.scope
+        self.lower_bound, self.upper_bound = found.lower_bound, found.upper_bound
+        self._account(stage, found, found.events)
 
     def _account(self, stage: str, found: Any, events: list[Event]) -> None:
         self.stages.append(
@@ -167,11 +154,44 @@ def _rigid3d_paper(solve: Solve) -> None:
     solve.T[:3, 3] = rotation @ found.theta
 
 
+def _rigid3d_full(solve: Solve) -> None:
+    """The true rigid objective over translation and rotation at once; certifies the pose."""
+    found = search_rigid(
+        solve.source,
+        solve.target,
+        solve.problem.n_inliers,
+        gap_tol=solve.gap_tol,
+        limits=solve.limits,
+        threads=solve.threads,
+        listener=solve.listener,
+        start_box=solve.start_box,
+    )
+    solve.rigid(found, "rigid")
+
+
+def _rigid3d_multi(solve: Solve) -> None:
+    """The paper's two stages from every near-optimal translation; the best rigid objective wins."""
+    found = search_multi(
+        solve.source,
+        solve.target,
+        solve.problem.n_inliers,
+        gap_tol=solve.gap_tol,
+        limits=solve.limits,
+        threads=solve.threads,
+        listener=solve.listener,
+        start_box=solve.start_box,
+        bound=solve.bound,
+    )
+    solve.rigid(found, "multi")
+
+
 # mode -> pipeline; the first one is the default of its model
 MODES: dict[str, dict[str, Callable[[Solve], None]]] = {
     "similarity2d": {"paper": _similarity2d},
-    "rigid3d": {"paper": _rigid3d_paper},
+    "rigid3d": {"paper": _rigid3d_paper, "multi": _rigid3d_multi, "full": _rigid3d_full},
 }
+# These end with a leaf cover that `dcreg.verification` can check.
+CERTIFIABLE = {"similarity2d": ("paper", "similarity2d"), "rigid3d": ("paper", "translation3d")}
 DEFAULT_BOUND = "tight"
 START_BOXES = ("reduced", "safe")
 
@@ -192,6 +212,7 @@ def register(
     memory_limit_mb: float | None = None,
     threads: int = 1,
     polish: bool = True,
+    certificate: bool = False,
     listener: Listener | None = None,
 ) -> Result:
     """Register two clouds without correspondences, globally and with a certificate.
@@ -231,6 +252,9 @@ def register(
         Threads that evaluate bounds; the result does not depend on it.
     polish : bool
         Refine the final pose locally on the full objective. Reported apart from the certificate.
+    certificate : bool
+        Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verification.verify`.
+        Modes ``paper`` only; in 3D it certifies the translation.
     listener : callable, optional
         Called with every `dcreg.trace.Event`; returning True stops (status ``stopped``).
 
@@ -262,6 +286,8 @@ def register(
     mode = mode or next(iter(MODES[model]))
     if mode not in MODES[model]:
         raise InputError(f"mode: {mode!r} is unknown for {model}; choose from {list(MODES[model])}")
+    if certificate and mode != CERTIFIABLE[model][0]:
+        raise InputError(f"certificate: mode {mode!r} keeps no leaf boxes; use mode 'paper'")
     if start_box not in START_BOXES:
         raise InputError(f"start_box: {start_box!r} is unknown; choose from {list(START_BOXES)}")
     if gap_tol is None:  # a target without extent is measured by the source
@@ -288,6 +314,7 @@ def register(
         Limits(time_limit, node_limit, memory_limit_mb),
         threads,
         _in_file_units(listener, area),
+        leaves=Leaves() if certificate else None,
     )
     MODES[model][mode](solve)
     T_certified = frame.pose(solve.T)
@@ -327,6 +354,27 @@ def register(
         time_solve_s=time.perf_counter() - began,
         trace=Trace([_scaled(event, area) for event in solve.events]),
         stages=[_stage_in_file_units(stage, area) for stage in solve.stages],
+        certificate=_certificate(solve, frame, mode),
+    )
+
+
+def _certificate(solve: Solve, frame: Frame, mode: str) -> Certificate | None:
+    if solve.leaves is None or solve.found is None or solve.start is None:
+        return None
+    problem = solve.problem
+    return of_search(
+        solve.found,
+        solve.leaves,
+        solve.start,
+        frame,
+        problem.source,
+        problem.target,
+        model=CERTIFIABLE[problem.model][1],
+        mode=mode,
+        bound=solve.bound,
+        n_inliers=problem.n_inliers,
+        scale_range=problem.scale_range,
+        gap_tol=solve.gap_tol,
     )
 
 

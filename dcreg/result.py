@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dcreg.trace import Trace
+
+if TYPE_CHECKING:
+    from dcreg.certificate import Certificate
 
 
 class Status(enum.StrEnum):
@@ -63,6 +66,8 @@ class Result:
         Bound history.
     stages : list of dict
         One row per stage (search, rotation, polish) with its own bounds, work and time.
+    certificate : Certificate, optional
+        The leaf boxes of the search, when asked for.
     """
 
     status: Status
@@ -86,6 +91,7 @@ class Result:
     time_solve_s: float
     trace: Trace
     stages: list[dict[str, Any]] = field(default_factory=list)
+    certificate: Certificate | None = None
 
     @property
     def gap(self) -> float:

@@ -10,7 +10,16 @@ import numpy as np
 
 from dcreg.kernels.assignment import k_assignment_duals
 from dcreg.kernels.compiling import jit, jit_reduction
-from dcreg.kernels.features import allocate, curvature, move, n_vertices, pair_costs, vertex
+from dcreg.kernels.features import (
+    NORM3D,
+    allocate,
+    curvature,
+    move,
+    n_vertices,
+    pair_costs,
+    vertex,
+)
+from dcreg.kernels.vertices import objectives
 
 LATTICE = 2.0**30  # cells per axis; finer boxes are not told apart
 
@@ -127,14 +136,18 @@ def solve_vertices(kind, source, target, k, slots, thetas, lows, values, profile
     of the k smallest r_i - R_i is at most the k-assignment of c_ij - R_i, whatever b. With optimal b the
     k smallest r_i add up to E(v).
     """
+    if kind == NORM3D:  # all R_i are alike, so values alone serve and no duals are kept
+        found = np.empty(slots.size)
+        objectives(kind, source, target, k, thetas[slots], found)
+        values[slots] = found
+        lows[slots] = found
+        return slots.size
     moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
     for slot in slots:
         move(kind, source, thetas[slot], moved)
         pair_costs(moved, target, cost)
         values[slot], _, b = k_assignment_duals(cost, k)
         lows[slot] = values[slot]
-        if profiles.shape[1] == 0:
-            continue
         duals[slot] = b
         _dual_profile(cost, k, b, profiles[slot])
     return slots.size

@@ -7,6 +7,7 @@ import numpy as np
 from dcreg.kernels.assignment import k_assignment
 from dcreg.kernels.compiling import jit
 from dcreg.kernels.features import (
+    NORM3D,
     allocate,
     curvature,
     enclose,
@@ -17,15 +18,36 @@ from dcreg.kernels.features import (
     pair_costs,
     vertex,
 )
+from dcreg.kernels.line import line_matching, line_value
 
 
 @jit
 def objective(kind, source, target, k, theta):
     """E(theta) and the column of every source row."""
-    moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
+    n, m = source.shape[0], target.shape[1]
+    if kind == NORM3D:  # the assignment is one-dimensional: no cost matrix
+        norms = np.empty((n, 1))
+        move(kind, source, theta, norms)
+        return match_on_line(norms[:, 0].copy(), target[0], k)
+    moved, _, cost = allocate(kind, n, m)
     move(kind, source, theta, moved)
     pair_costs(moved, target, cost)
     return k_assignment(cost, k)
+
+
+@jit
+def match_on_line(a, b, k):
+    """Value and column of every row of the cheapest k pairs with cost (a_i - b_j)^2."""
+    by_a, by_b = np.argsort(a, kind="mergesort"), np.argsort(b, kind="mergesort")
+    matched = line_matching(a[by_a], b[by_b], k)
+    col_of = np.full(a.size, -1, np.int64)
+    value = 0.0
+    for i in range(a.size):
+        if matched[i] >= 0:
+            row, column = by_a[i], by_b[matched[i]]
+            col_of[row] = column
+            value += (a[row] - b[column]) ** 2
+    return value, col_of
 
 
 @jit
@@ -79,6 +101,12 @@ def edge_bound(kind, source, target, k, lower, upper, bounds):
 @jit
 def objectives(kind, source, target, k, thetas, values):
     """E at every row of `thetas`. Returns the number of assignments."""
+    if kind == NORM3D:
+        norms, ordered = np.empty((source.shape[0], 1)), np.sort(target[0])
+        for row in range(thetas.shape[0]):
+            move(kind, source, thetas[row], norms)
+            values[row] = line_value(np.sort(norms[:, 0]), ordered, k)
+        return thetas.shape[0]
     moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
     for row in range(thetas.shape[0]):
         move(kind, source, thetas[row], moved)

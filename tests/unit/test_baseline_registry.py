@@ -50,7 +50,7 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("cpd", {"w": 1.5}, r"w = 1\.5"),
         ("dcreg", {"bound": "papper"}, r"bound = 'papper'; choose from tight"),
         ("bilinear_bnb", {"bound": "paper"}, r"choose from termwise"),
-        ("dcreg", {"mode": "quick"}, r"mode = 'quick'; choose one of \['paper'"),
+        ("dcreg", {"mode": "quick"}, r"mode = 'quick'; choose one of \['full'"),
         ("kiss_matcher", {"front_end": "sift"}, "fpfh-mutual, all-pairs"),
     ],
 )
@@ -210,7 +210,8 @@ def library_imports(path: Path) -> set[Path]:
             "bilinear_bnb",
             {
                 "bounds/dc.py", "bounds/edges.py", "bounds/shared.py", "kernels/rotation.py",
-                "kernels/shared.py", "models/translation3d.py", "rotation.py",
+                "certificate.py", "kernels/line.py", "kernels/rigid.py", "kernels/shared.py",
+                "models/translation3d.py", "rigid.py", "rotation.py",
             },
         ),
     ],

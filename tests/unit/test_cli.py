@@ -120,7 +120,7 @@ def test_options_reach_the_library(call, fake):
 def test_defaults(call, clouds, fake):
     assert run(*call).exit_code == 0
     assert fake.called["scale_range"] == (0.5, 1.5)
-    assert fake.called["bound"] == "paper"
+    assert fake.called["bound"] == dcreg.registration.DEFAULT_BOUND
     assert fake.called["polish"] is True
     assert fake.called["gap_tol"] == dcreg.default_gap_tol(fake.called["target"], 9)
     assert [fake.called[name] for name in ("mode", "time_limit", "node_limit")] == [None] * 3
@@ -520,3 +520,23 @@ def test_interrupted_process_keeps_the_pose(tmp_path, number):
     assert "stopped: best pose so far" in stdout
     assert "Traceback" not in rest
     assert json.loads((tmp_path / "o.json").read_text())["status"] == "stopped"
+
+
+def test_written_certificate_is_verified_and_a_damaged_one_refused(tmp_path):
+    points = np.random.default_rng(5).random((12, 2))
+    np.savetxt(tmp_path / "a.txt", points)
+    np.savetxt(tmp_path / "b.txt", points + 0.01 * np.random.default_rng(6).random((12, 2)) + 3.0)
+    a, b, proof = (str(tmp_path / name) for name in ("a.txt", "b.txt", "proof.npz"))
+    runner = CliRunner()
+    arguments = ["register", a, b, "--model", "similarity2d", "--n-inliers", "12"]
+    assert runner.invoke(cli.app, [*arguments, "--certificate", proof]).exit_code == 0
+    accepted = runner.invoke(cli.app, ["verify", proof, a, b])
+    assert accepted.exit_code == 0
+    assert "proven:" in accepted.output
+    refused = runner.invoke(cli.app, ["verify", proof, b, a])
+    assert refused.exit_code == 1
+    assert "refused:" in refused.output
+    whole = (tmp_path / "proof.npz").read_bytes()
+    (tmp_path / "proof.npz").write_bytes(whole[: len(whole) // 2])
+    assert runner.invoke(cli.app, ["verify", proof, a, b]).exit_code == 1
+    assert runner.invoke(cli.app, ["verify", str(tmp_path / "none.npz"), a, b]).exit_code == 2

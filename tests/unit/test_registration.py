@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import dcreg
+from dcreg.frame import Frame
 from dcreg.models import Similarity2D, Translation3D
-from dcreg.registration import Frame
 from dcreg.result import Status
 from tests.problems import KINDS, cloud
 
@@ -235,3 +235,47 @@ def test_trace_is_monotone_within_a_stage_and_ends(spatial, tmp_path):
     path = tmp_path / "trace.jsonl"
     result.trace.write_jsonl(path)
     assert len(path.read_text().splitlines()) == len(result.trace)
+
+
+@pytest.mark.parametrize(
+    ("mode", "scope"),
+    [("full", "rigid pose"), ("multi", "translation in norm space, best of its basins")],
+)
+def test_other_3d_modes_recover_the_pose_and_state_their_scope(spatial, mode, scope):
+    source, target, T = spatial
+    result = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode=mode)
+    assert result.status is Status.OPTIMAL
+    assert result.certificate_scope == scope
+    np.testing.assert_allclose(result.T_target_source, T, atol=1e-5)
+
+
+def test_full_mode_bounds_the_objective_it_reports(spatial, rng):
+    source, target, _ = spatial
+    target = target + 0.05 * rng.standard_normal(target.shape)
+    result = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode="full")
+    assert result.status is Status.OPTIMAL
+    assert result.lower_bound <= result.objective <= result.upper_bound + 1e-9
+
+
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
+def test_certificate_of_a_search_is_proven_apart_from_it(model, planar, spatial, rng, tmp_path):
+    from dcreg.certificate import write
+    from dcreg.verification import verify
+
+    source, target, _ = planar if model == "similarity2d" else spatial
+    target = target + 0.05 * rng.standard_normal(target.shape)
+    result = dcreg.register(
+        source, target, n_inliers=0.8, model=model, mode="paper", certificate=True
+    )
+    write(tmp_path / "proof.npz", result.certificate)
+    report = verify(tmp_path / "proof.npz", source, target)
+    assert report.accepted, report.reason
+    assert report.lower_bound == pytest.approx(result.lower_bound)
+    assert report.upper_bound == pytest.approx(result.upper_bound)
+    assert not verify(tmp_path / "proof.npz", source + 1e-3, target).accepted
+
+
+def test_mode_without_leaves_refuses_to_promise_a_certificate(spatial):
+    source, target, _ = spatial
+    with pytest.raises(dcreg.InputError, match="certificate: mode 'full' keeps no leaf boxes"):
+        dcreg.register(source, target, n_inliers=30, model="rigid3d", mode="full", certificate=True)

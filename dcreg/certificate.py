@@ -1,0 +1,265 @@
+"""Certificates on disk: the leaves of a finished search, with all that is needed to check them.
+
+A certificate is an .npz of plain arrays (never a pickle), sealed with a checksum over all of them. It
+states: over the start box, the objective of one model is nowhere less than `lower_bound`, and at
+`theta` it is `upper_bound`. The proof is a leaf cover: boxes that tile the start box, each with its own
+lower bound and the reason why it was not divided further. `dcreg.verification.verify` checks a file
+without the code that made it. Lengths are in the unit of the frame, objectives in its square.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dcreg._version import __version__
+
+if TYPE_CHECKING:  # a reader of certificates needs none of the code that makes them
+    from dcreg.box import Box
+    from dcreg.frame import Frame
+    from dcreg.search import Leaves, SearchResult
+
+FORMAT = "dcreg leaf cover"
+FORMAT_VERSION = 1
+MODELS = ("similarity2d", "translation3d")
+
+# Why a leaf was not divided further.
+PRUNED = 0  # its bound reached upper_bound - gap_tol
+INADMISSIBLE = 1  # it holds no admissible parameter
+OPEN = 2  # a limit ended the search first
+
+
+class CertificateError(ValueError):
+    """A certificate that cannot be accepted; the message is the reason."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Everything a certificate states.
+
+    Attributes
+    ----------
+    source_digest, target_digest : str
+        `digest` of the clouds as given to `dcreg.register`.
+    model : {"similarity2d", "translation3d"}
+        2D similarity poses, or translations in norm space about `target_centre`.
+    mode, bound, status : str
+        How the leaves came about; information only, nothing is concluded from it but that
+        ``status == "optimal"`` claims a closed gap.
+    n_inliers : int
+    scale_range : (2,) array
+    source_centre, target_centre : (dim,) arrays
+    unit : float
+        The frame: normalised points are ``(points - centre) / unit``.
+    start_lower, start_upper : (d,) arrays
+    leaf_lower, leaf_upper : (L, d) arrays
+    leaf_bounds : (L,) array
+        +inf only where the leaf is inadmissible.
+    leaf_reasons : (L,) int8 array
+        PRUNED, INADMISSIBLE or OPEN.
+    theta : (d,) array
+    lower_bound, upper_bound, gap_tol : float
+    """
+
+    source_digest: str
+    target_digest: str
+    model: str
+    mode: str
+    bound: str
+    status: str
+    n_inliers: int
+    scale_range: np.ndarray
+    source_centre: np.ndarray
+    target_centre: np.ndarray
+    unit: float
+    start_lower: np.ndarray
+    start_upper: np.ndarray
+    leaf_lower: np.ndarray
+    leaf_upper: np.ndarray
+    leaf_bounds: np.ndarray
+    leaf_reasons: np.ndarray
+    theta: np.ndarray
+    lower_bound: float
+    upper_bound: float
+    gap_tol: float
+    dcreg_version: str = field(default=__version__)
+
+    def __post_init__(self) -> None:
+        """Coerce every field to its one plain type, so that files differ in content alone."""
+        for entry in fields(self):
+            value: np.ndarray = np.array(
+                getattr(self, entry.name), dtype=_dtype(entry.name), order="C"
+            )
+            object.__setattr__(self, entry.name, value if value.ndim else value.item())
+
+
+def of_search(
+    found: SearchResult,
+    leaves: Leaves,
+    start: Box,
+    frame: Frame,
+    source: np.ndarray,
+    target: np.ndarray,
+    *,
+    model: str,
+    mode: str,
+    bound: str,
+    n_inliers: int,
+    scale_range: tuple[float, float],
+    gap_tol: float,
+) -> Certificate:
+    """The certificate of one search: `source`, `target` as given, `gap_tol` in normalised units."""
+    cover = leaves.arrays()
+    return Certificate(
+        source_digest=digest(source),
+        target_digest=digest(target),
+        model=model,
+        mode=mode,
+        bound=bound,
+        status=found.status.value,
+        n_inliers=n_inliers,
+        scale_range=np.array(scale_range),
+        source_centre=frame.source_centre,
+        target_centre=frame.target_centre,
+        unit=frame.unit,
+        start_lower=start.lower,
+        start_upper=start.upper,
+        leaf_lower=cover["lower"],
+        leaf_upper=cover["upper"],
+        leaf_bounds=cover["bounds"],
+        leaf_reasons=cover["reason"],
+        theta=found.theta,
+        lower_bound=found.lower_bound,
+        upper_bound=found.upper_bound,
+        gap_tol=gap_tol,
+    )
+
+
+def digest(points: np.ndarray) -> str:
+    """SHA-256 of a cloud: its shape and its coordinates as little-endian doubles."""
+    points = np.ascontiguousarray(points, dtype="<f8")
+    return hashlib.sha256(repr(points.shape).encode() + points.tobytes()).hexdigest()
+
+
+def write(path: str | Path, certificate: Certificate) -> None:
+    """Write `certificate` to an .npz file, whole or not at all."""
+    path = Path(path)
+    arrays = {
+        entry.name: np.array(getattr(certificate, entry.name)) for entry in fields(certificate)
+    }
+    arrays |= {"format": np.array(FORMAT), "format_version": np.array(FORMAT_VERSION)}
+    arrays["checksum"] = np.array(_checksum(arrays))
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:  # an open file keeps numpy from appending ".npz"
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read(path: str | Path) -> Certificate:
+    """The certificate in a file, complete and with the right checksum.
+
+    Raises
+    ------
+    CertificateError
+        With the reason, if the file is unreadable, truncated, changed or of another version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise CertificateError(f"{path}: no such file")
+    try:
+        with path.open("rb") as file:
+            loaded = np.load(file, allow_pickle=False)
+            arrays = dict(loaded) if isinstance(loaded, Mapping) else {}
+    except Exception as error:  # whatever numpy, zipfile and zlib raise on broken or hostile bytes
+        raise CertificateError(f"{path}: not a readable certificate ({error})") from None
+    stated = str(arrays.pop("checksum", ""))
+    if str(arrays.get("format")) != FORMAT:
+        raise CertificateError(f"{path}: not a {FORMAT}")
+    names = {entry.name for entry in fields(Certificate)} | {"format", "format_version"}
+    if int(arrays["format_version"]) != FORMAT_VERSION if "format_version" in arrays else True:
+        raise CertificateError(
+            f"{path}: format version is not {FORMAT_VERSION}, the one known here"
+        )
+    if names != set(arrays):
+        raise CertificateError(f"{path}: wrong entries: {sorted(names ^ set(arrays))}")
+    if stated != _checksum(arrays):
+        raise CertificateError(
+            f"{path}: the checksum does not match the content: changed or corrupt"
+        )
+    del arrays["format"], arrays["format_version"]
+    try:
+        certificate = Certificate(**arrays)
+    except (TypeError, ValueError) as error:
+        raise CertificateError(f"{path}: an entry has the wrong type ({error})") from None
+    _check_shapes(certificate)
+    return certificate
+
+
+def _dtype(name: str) -> type:
+    if name == "n_inliers":
+        return np.int64
+    if name == "leaf_reasons":
+        return np.int8
+    texts = ("source_digest", "target_digest", "model", "mode", "bound", "status", "dcreg_version")
+    return np.str_ if name in texts else np.float64
+
+
+def _checksum(arrays: dict[str, np.ndarray]) -> str:
+    """SHA-256 over names, types, shapes and bytes."""
+    sha = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        sha.update(f"{name} {array.dtype.str} {arrays[name].shape}\n".encode())
+        sha.update(array.tobytes())
+    return sha.hexdigest()
+
+
+def _check_shapes(c: Certificate) -> None:
+    """Sizes fit each other and numbers are numbers, so that later checks can rely on it."""
+    if c.model not in MODELS:
+        raise CertificateError(f"model {c.model!r} is unknown; a certificate speaks of {MODELS}")
+    dim, d = (2, 4) if c.model == "similarity2d" else (3, 3)
+    count = len(np.atleast_1d(c.leaf_bounds))
+    shapes = {
+        "scale_range": (2,),
+        "source_centre": (dim,),
+        "target_centre": (dim,),
+        "start_lower": (d,),
+        "start_upper": (d,),
+        "theta": (d,),
+        "leaf_lower": (count, d),
+        "leaf_upper": (count, d),
+        "leaf_bounds": (count,),
+        "leaf_reasons": (count,),
+        "unit": (),
+        "lower_bound": (),
+        "upper_bound": (),
+        "gap_tol": (),
+        "n_inliers": (),
+    }
+    for name, shape in shapes.items():
+        value = getattr(c, name)
+        if np.shape(value) != shape:
+            raise CertificateError(f"{name}: shape {np.shape(value)}, expected {shape}")
+        checked = c.leaf_bounds[c.leaf_reasons != INADMISSIBLE] if name == "leaf_bounds" else value
+        if not np.isfinite(checked).all():
+            raise CertificateError(f"{name}: not a finite number")
+    if count == 0:
+        raise CertificateError("no leaves")
+    if not np.isin(c.leaf_reasons, (PRUNED, INADMISSIBLE, OPEN)).all():
+        raise CertificateError("leaf_reasons: unknown reason")
+    if np.isnan(c.leaf_bounds).any():
+        raise CertificateError("leaf_bounds: not a number")
+    if c.unit <= 0 or c.gap_tol < 0 or c.n_inliers < 1:
+        raise CertificateError("unit, gap_tol or n_inliers: out of range")
+    if not 0 < c.scale_range[0] <= c.scale_range[1]:
+        raise CertificateError(f"scale_range: {c.scale_range} needs 0 < low <= high")

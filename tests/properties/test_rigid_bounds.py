@@ -1,0 +1,169 @@
+"""Bounds over boxes of rigid poses: below the objective, and tight where the search needs it."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from dcreg.box import Box
+from dcreg.kernels import rigid as kernels
+from dcreg.kernels.assignment import dual_bound, k_assignment
+from dcreg.polish import objective
+from dcreg.rigid import RigidBound, RigidModel, largest_subset_mean, pose
+from tests.problems import KINDS, cloud
+
+
+def centred(points):
+    return points - points.mean(axis=0)
+
+
+@st.composite
+def problems(draw, max_points=6):
+    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n, m = draw(st.integers(1, max_points)), draw(st.integers(1, max_points))
+    kind = draw(st.sampled_from([*KINDS, "mirrored"]))
+    source, target = cloud(generator, n, 3, kind), cloud(generator, m, 3, kind)
+    both = min(n, m)
+    if kind == "noisy copy":
+        target[:both] = source[:both] + 0.05 * generator.standard_normal((both, 3))
+    if kind == "mirrored":
+        target[:both] = source[:both] * [1.0, 1.0, -1.0]
+    return centred(source), centred(target), draw(st.integers(1, both))
+
+
+@st.composite
+def boxes(draw, halves=(1.0, 0.5, 0.1, 0.01)):
+    """Rotations and translations of any place and size, perhaps flat along some axes."""
+    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    root = draw(st.sampled_from(RigidModel(np.eye(3), np.eye(3), 1, reduced_box=False).roots()))
+    centre = np.append(generator.uniform(-1.0, 1.0, 4), generator.uniform(-0.7, 0.7, 3))
+    half = generator.uniform(0.2, 1.0, 7)
+    half[:4] *= draw(st.sampled_from(halves))
+    half[4:] *= draw(st.sampled_from(halves))
+    half[generator.random(7) < 0.1] = 0.0
+    return Box(
+        np.clip(centre - half, root.lower, root.upper),
+        np.clip(centre + half, root.lower, root.upper),
+    )
+
+
+def values_in(problem, box, count=40):
+    """E by the public objective, at poses of the box."""
+    thetas = np.concatenate([box.sample(np.random.default_rng(0), count), box.vertices()[::7]])
+    return [objective(*problem[:2], pose(theta), problem[2])[0] for theta in thetas]
+
+
+def evaluate(problem, box, cutoff):
+    return RigidBound(RigidModel(*problem)).evaluate(box.lower[None], box.upper[None], cutoff)
+
+
+class Parts:
+    """What `bound_boxes` computes for one box, each bound on its own."""
+
+    def __init__(self, problem, box):
+        self.k = problem[2]
+        model = RigidModel(*problem)
+        buffer = np.empty((8, 3))
+        count = kernels.relative_corners(box.centre, box.lower, box.upper, buffer)
+        self.corners = buffer[:count]
+        tangent = np.linalg.norm(self.corners, axis=1).max() if count else np.inf
+        self.angle = 2.0 * np.arctan(tangent)
+        self.half = box.half_widths[4:]
+        self.moved = pose(box.centre)[:3, :3] @ model.source
+        self.shifted = model.target - box.centre[4:, None]
+        self.reach = kernels.column_norms(model.source)
+
+    def costs(self):
+        out = np.empty((self.moved.shape[1], self.shifted.shape[1]))
+        kernels.pair_costs(self.moved, self.reach, self.angle, self.shifted, self.half, out)
+        return out
+
+    def vertex_bound(self, cutoff=np.inf):
+        _, col_of = k_assignment(self.costs(), self.k)
+        return kernels.vertex_bound(
+            self.moved, self.shifted, self.corners, self.half, self.k, -1.0, cutoff, col_of
+        )[0]
+
+
+@given(problems(), boxes(), st.sampled_from([0.5, 0.95, 1.0, 1.5, 10.0]))
+def test_bound_is_below_the_objective_anywhere_in_the_box(problem, box, tightness):
+    lowest = min(values_in(problem, box))
+    found = evaluate(problem, box, tightness * lowest)
+    assert 0.0 <= found.lower_bounds[0] <= lowest + 1e-9
+
+
+@given(problems(), boxes())
+def test_each_bound_alone_is_below_the_objective(problem, box):
+    lowest = min(values_in(problem, box))
+    parts = Parts(problem, box)
+    assert k_assignment(parts.costs(), parts.k)[0] <= lowest + 1e-9
+    if len(parts.corners):
+        assert parts.vertex_bound() <= lowest + 1e-9
+
+
+@given(problems(), boxes())
+def test_candidate_value_is_an_upper_bound_at_the_centre(problem, box):
+    exact = values_in(problem, Box(box.centre, box.centre), count=1)[0]
+    found = evaluate(problem, box, 2.0 * exact)
+    assert found.values[0] >= exact - 1e-9
+
+
+@given(problems(), boxes(halves=(0.0,)))
+def test_bound_at_a_single_pose_is_the_objective(problem, box):
+    exact = values_in(problem, box, count=1)[0]
+    bound = evaluate(problem, box, 1.01 * exact + 1e-6).lower_bounds[0]
+    assert bound == pytest.approx(exact, abs=1e-7)
+
+
+@given(problems(), boxes(halves=(0.5, 0.1)))
+def test_rotations_of_a_box_lie_within_its_angle(problem, box):
+    parts = Parts(problem, box)
+    centre = Rotation.from_quat(box.centre[:4], scalar_first=True)
+    for theta in box.sample(np.random.default_rng(1), 30):
+        turn = Rotation.from_quat(theta[:4], scalar_first=True) * centre.inv()
+        assert turn.magnitude() <= parts.angle + 1e-9
+
+
+@given(problems(), boxes(halves=(0.5, 0.1)), st.floats(0.5, 2.0))
+def test_auction_never_exceeds_the_assignment(problem, box, scale):
+    parts = Parts(problem, box)
+    costs = scale * parts.costs()
+    b = np.zeros(costs.shape[1])
+    kernels.bid(costs, parts.k, b)
+    assert (b >= 0.0).all()
+    assert dual_bound(costs, parts.k, b) <= k_assignment(costs, parts.k)[0] + 1e-9
+
+
+def test_cayley_residual_is_below_the_true_one(rng):
+    """The inequality under the second bound, at any rotation and translation."""
+    for _ in range(200):
+        x, y, t, r = rng.standard_normal((4, 3))
+        R = Rotation.from_quat(np.append(1.0, r), scalar_first=True)
+        true = ((R.apply(x) + t - y) ** 2).sum() * (1.0 + r @ r)
+        s = t - np.cross(r, t)
+        assert ((x - y + s + np.cross(r, x + y)) ** 2).sum() <= true + 1e-9
+
+
+@pytest.mark.parametrize(("k", "size"), [(12, 0.02), (10, 0.002)])
+def test_boxes_about_the_optimum_lose_little(k, size, rng):
+    """Curvature costs nothing while the matching holds: the bound falls by far less than width."""
+    source = centred(rng.standard_normal((12, 3)))
+    target = centred(source + 0.03 * rng.standard_normal((12, 3)))
+    model = RigidModel(source, target, k)
+    theta, best, _ = model.refine(np.array([1.0, 0, 0, 0, 0, 0, 0]))
+    half = size * np.array([0.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+    parts = Parts((source, target, k), Box(theta - half, theta + half))
+    assert k_assignment(parts.costs(), k)[0] < 0.7 * best  # first order only
+    assert parts.vertex_bound(0.8 * best) >= 0.8 * best
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 7))
+def test_subset_mean_is_bounded(seed, count):
+    points = np.random.default_rng(seed).standard_normal((7, 3))
+    means = [points[list(rows)].mean(axis=0) for rows in combinations(range(7), count)]
+    longest = np.linalg.norm(means, axis=1).max()
+    assert longest <= largest_subset_mean(points, count) + 1e-12
+    assert largest_subset_mean(points, count) <= 1.02 * longest + 1e-12

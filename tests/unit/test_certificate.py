@@ -1,0 +1,476 @@
+"""Certificates: real ones are accepted, broken ones refused with the reason, by independent code."""
+
+import ast
+import dataclasses
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import dcreg.verification
+from dcreg.bounds import make_bound
+from dcreg.box import LongestEdge
+from dcreg.certificate import Certificate, CertificateError, of_search, read, write
+from dcreg.frame import Frame
+from dcreg.models import Similarity2D, Translation3D
+from dcreg.problem import Problem
+from dcreg.search import Leaves, Limits, branch_and_bound
+from dcreg.verification import FAMILIES, Proof, check_cover, check_samples, verify
+from tests.problems import models_with_boxes
+
+DIM = {"similarity2d": 2, "translation3d": 3}
+
+
+def clouds(model, n=10, extra=3, seed=0):
+    """A rotated noisy copy among outliers."""
+    generator = np.random.default_rng(seed)
+    dim = DIM[model]
+    source = generator.standard_normal((n, dim)) * [1.0, 0.6, 0.4][:dim]
+    rotation, _ = np.linalg.qr(generator.standard_normal((dim, dim)))
+    rotation[0] *= np.linalg.det(rotation)
+    target = source @ rotation.T + 0.3 + 0.1 * generator.standard_normal((n, dim))
+    outliers = generator.standard_normal((2, extra, dim))
+    return np.vstack([source, outliers[0]]), np.vstack([target, outliers[1]])
+
+
+def certify(source, target, n_inliers, model, *, bound, tau=0.04, nodes=None, reduced=True):
+    """Search with the library's own parts and state the outcome."""
+    family = "rigid3d" if model == "translation3d" else model
+    problem = Problem(source, target, n_inliers, family)
+    frame = Frame.of(problem)
+    points = frame.source(source), frame.target(target), n_inliers
+    searched = (
+        Translation3D(*points, reduced)
+        if model == "translation3d"
+        else Similarity2D(*points, problem.scale_range, reduced)
+    )
+    theta, value, _ = searched.refine(searched.identity)
+    start, leaves, gap_tol = searched.start_box(), Leaves(), n_inliers * tau**2
+    found = branch_and_bound(
+        make_bound(bound, searched),
+        [start],
+        branching=LongestEdge(searched.axis_weights),
+        gap_tol=gap_tol,
+        refine=searched.refine,
+        start=(theta, value),
+        limits=Limits(nodes=nodes),
+        leaves=leaves,
+    )
+    return of_search(
+        found, leaves, start, frame, source, target,
+        model=model, mode="paper", bound=bound, n_inliers=n_inliers,
+        scale_range=problem.scale_range, gap_tol=gap_tol,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=["similarity2d", "translation3d"])
+def case(request):
+    source, target = clouds(request.param, extra=1)
+    tau = {"similarity2d": 0.06, "translation3d": 0.035}[request.param]
+    certificate = certify(source, target, 10, request.param, bound="paper", tau=tau)
+    assert certificate.status == "optimal"
+    assert len(certificate.leaf_bounds) > 20
+    assert certificate.lower_bound > 0
+    return certificate, source, target
+
+
+def check(tmp_path, certificate, source, target, **options):
+    path = tmp_path / "certificate.npz"
+    write(path, certificate)
+    return verify(path, source, target, **options)
+
+
+def family_of(case):
+    certificate, source, target = case
+    return FAMILIES[certificate.model](
+        (source - certificate.source_centre) / certificate.unit,
+        (target - certificate.target_centre) / certificate.unit,
+        certificate.n_inliers,
+        tuple(certificate.scale_range),
+    )
+
+
+def refused(tmp_path, case, reason, **changes):
+    """The certificate with some entries changed, and sealed again, is refused for `reason`.
+
+    Without samples: the proof has to find a false bound by itself.
+    """
+    certificate, source, target = case
+    changed = dataclasses.replace(certificate, **changes)
+    report = check(tmp_path, changed, source, target, n_samples=0)
+    assert not report.accepted
+    assert not report.statement
+    assert reason in report.reason
+
+
+# --- real certificates ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", DIM)
+@pytest.mark.parametrize(
+    ("bound", "options"),
+    [
+        ("paper", {}),
+        ("paper", {"reduced": False, "nodes": 3000}),
+        ("paper+edges", {"nodes": 40}),
+        ("edges", {"tau": 0.1, "nodes": 3000}),
+        ("tight", {}),
+    ],
+)
+@pytest.mark.parametrize("extra", [0, 3])
+def test_real_certificates_are_accepted(tmp_path, model, bound, options, extra):
+    source, target = clouds(model, n=8, extra=extra, seed=1)
+    certificate = certify(source, target, 8, model, bound=bound, **options)
+    report = check(tmp_path, certificate, source, target)
+    assert report.accepted, report.reason
+    area = certificate.unit**2
+    assert report.lower_bound == certificate.lower_bound * area
+    assert report.upper_bound == certificate.upper_bound * area
+    assert f"{report.upper_bound:.9g}" in report.statement
+    assert len(report.checks) == 8
+
+
+def test_termwise_bounds_are_confirmed_by_other_bounds(tmp_path):
+    source, target = clouds("similarity2d", n=8, extra=0)
+    certificate = certify(source, target, 8, "similarity2d", bound="termwise", nodes=2000)
+    assert check(tmp_path, certificate, source, target).accepted
+
+
+def test_limit_is_stated_with_its_valid_bounds(tmp_path):
+    source, target = clouds("similarity2d")
+    certificate = certify(source, target, 10, "similarity2d", bound="paper", nodes=200)
+    assert certificate.status == "node_limit"
+    assert (certificate.leaf_reasons == 2).any()
+    assert check(tmp_path, certificate, source, target).accepted
+    claims_more = dataclasses.replace(certificate, status="optimal")
+    report = check(tmp_path, claims_more, source, target)
+    assert "status optimal does not follow" in report.reason
+
+
+def test_file_holds_what_was_written_as_plain_arrays(tmp_path, case):
+    certificate = case[0]
+    write(tmp_path / "a.npz", certificate)
+    again = read(tmp_path / "a.npz")
+    for entry in dataclasses.fields(Certificate):
+        np.testing.assert_array_equal(
+            getattr(again, entry.name), getattr(certificate, entry.name), err_msg=entry.name
+        )
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as file:
+        assert all(file[name].dtype != object for name in file.files)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+
+
+# --- broken files -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
+def test_truncated_file_is_refused(tmp_path, case, share):
+    certificate, source, target = case
+    path = tmp_path / "certificate.npz"
+    write(path, certificate)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    report = verify(path, source, target)
+    assert not report.accepted
+    assert "not a readable certificate" in report.reason
+
+
+def test_flipped_bytes_never_change_what_is_accepted(tmp_path, case, rng):
+    certificate = case[0]
+    path = tmp_path / "certificate.npz"
+    write(path, certificate)
+    content = path.read_bytes()
+    n_refused = 0
+    for at in rng.integers(len(content), size=150):
+        broken = bytearray(content)
+        broken[at] ^= 0x55
+        path.write_bytes(broken)
+        try:
+            kept = read(path)  # a zip holds bytes without meaning, such as time stamps
+        except CertificateError:
+            n_refused += 1
+        else:
+            np.testing.assert_array_equal(kept.leaf_bounds, certificate.leaf_bounds)
+            np.testing.assert_array_equal(kept.theta, certificate.theta)
+    assert n_refused > 100
+
+
+def test_changed_entry_without_a_new_seal_is_refused(tmp_path, case):
+    certificate, source, target = case
+    path = tmp_path / "certificate.npz"
+    write(path, certificate)
+    with np.load(path) as file:
+        arrays = dict(file)
+    for name in ("leaf_bounds", "theta", "n_inliers", "source_digest"):
+        changed = arrays[name].copy()
+        changed.flat[0] = changed.flat[0] + (1 if changed.dtype.kind != "U" else "x")
+        if changed.dtype.kind == "U":
+            changed = np.array(str(arrays[name])[::-1])
+        np.savez(path, **(arrays | {name: changed}))
+        assert "checksum" in verify(path, source, target).reason
+    np.savez(path, **{name: array for name, array in arrays.items() if name != "leaf_bounds"})
+    assert "wrong entries: ['leaf_bounds']" in verify(path, source, target).reason
+    np.savez(path, **(arrays | {"format_version": np.array(99)}))
+    assert "format version" in verify(path, source, target).reason
+
+
+class Payload:
+    """Unpickling it leaves a mark."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def __reduce__(self):
+        return Path.touch, (self.mark,)
+
+
+def test_pickles_are_refused_and_not_run(tmp_path, case):
+    certificate, source, target = case
+    mark, path = tmp_path / "mark", tmp_path / "certificate.npz"
+    write(path, certificate)
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **(arrays | {"theta": np.array([Payload(mark)], dtype=object)}))
+    assert "not a readable certificate" in verify(path, source, target).reason
+    path.write_bytes(pickle.dumps(Payload(mark)))
+    assert "not a readable certificate" in verify(path, source, target).reason
+    assert not mark.exists()
+
+
+def test_other_files_are_refused(tmp_path, case):
+    _, source, target = case
+    path = tmp_path / "other.npz"
+    assert "no such file" in verify(path, source, target).reason
+    np.savez(path, x=np.zeros(3))
+    assert "not a dcreg leaf cover" in verify(path, source, target).reason
+    path.write_text("{}")
+    assert "not a readable certificate" in verify(path, source, target).reason
+    np.save(tmp_path / "one.npy", np.zeros(3))
+    assert "not a dcreg leaf cover" in verify(tmp_path / "one.npy", source, target).reason
+
+
+# --- false statements -------------------------------------------------------------------------
+
+
+def test_other_clouds_are_refused(tmp_path, case):
+    certificate, source, target = case
+    moved = source + 1e-12
+    assert "source: other data" in check(tmp_path, certificate, moved, target).reason
+    assert "target: other data" in check(tmp_path, certificate, source, target[::-1]).reason
+    assert "source: other data" in check(tmp_path, certificate, target, source).reason
+
+
+def test_raised_bound_is_refuted(tmp_path, case):
+    certificate = case[0]
+    at_optimum = np.flatnonzero(
+        ((certificate.leaf_lower <= certificate.theta)
+         & (certificate.theta <= certificate.leaf_upper)).all(axis=1)
+    )[0]  # fmt: skip
+    bounds = certificate.leaf_bounds.copy()
+    bounds[at_optimum] = 1.01 * certificate.upper_bound
+    refused(tmp_path, case, "bound is false", leaf_bounds=bounds)
+
+
+def test_every_bound_raised_above_its_minimum_is_refused(tmp_path, case, rng):
+    """Not only where it matters for the conclusion."""
+    certificate = case[0]
+    finite = np.flatnonzero(np.isfinite(certificate.leaf_bounds))
+    for leaf in rng.choice(finite, 5):
+        bounds = certificate.leaf_bounds.copy()
+        bounds[leaf] += 1e3
+        refused(tmp_path, case, "bound is false", leaf_bounds=bounds)
+
+
+def test_samples_find_a_false_bound(case):
+    certificate, family = case[0], family_of(case)
+    assert check_samples(family, certificate, 1e-9, 300) > 100
+    false = dataclasses.replace(certificate, leaf_bounds=certificate.leaf_bounds + 1e3)
+    with pytest.raises(CertificateError, match="bound is false"):
+        check_samples(family, false, 1e-9, 300)
+
+
+def test_lowered_bound_does_not_carry_the_conclusion(tmp_path, case):
+    bounds = case[0].leaf_bounds.copy()
+    bounds[7] = 0.0
+    refused(tmp_path, case, "does not follow: leaf 7", leaf_bounds=bounds)
+
+
+def test_removed_leaf_is_a_gap(tmp_path, case, rng):
+    certificate = case[0]
+    for leaf in rng.integers(len(certificate.leaf_bounds), size=10):
+        rest = {
+            name: np.delete(getattr(certificate, name), leaf, axis=0)
+            for name in ("leaf_lower", "leaf_upper", "leaf_bounds", "leaf_reasons")
+        }
+        # the worst leaf may be what the stated bound rests on; keep the statement consistent
+        refused(tmp_path, case, "a gap", **rest)
+
+
+def test_repeated_or_grown_leaf_is_an_overlap(tmp_path, case):
+    certificate = case[0]
+    twice = {
+        name: np.concatenate([getattr(certificate, name), getattr(certificate, name)[:1]])
+        for name in ("leaf_lower", "leaf_upper", "leaf_bounds", "leaf_reasons")
+    }
+    refused(tmp_path, case, "overlap", **twice)
+    inner = np.flatnonzero((certificate.leaf_upper < certificate.start_upper - 0.1).any(axis=1))[0]
+    grown = certificate.leaf_upper.copy()
+    axis = np.argmax(certificate.start_upper - grown[inner])
+    grown[inner, axis] += 0.03
+    refused(tmp_path, case, "leaves: ", leaf_upper=grown)
+
+
+def test_shifted_or_smaller_start_box_is_refused(tmp_path, case):
+    certificate = case[0]
+    names = ("start_lower", "start_upper", "leaf_lower", "leaf_upper")
+    shifted = {name: getattr(certificate, name) + 0.2 for name in names}
+    refused(tmp_path, case, "start box: axis 0", **shifted)
+    # a clean cover of half of the box
+    middle = 0.5 * (certificate.start_lower[0] + certificate.start_upper[0])
+    half = certificate.leaf_upper[:, 0] <= middle
+    leaves = ("leaf_lower", "leaf_upper", "leaf_bounds", "leaf_reasons")
+    kept = {name: getattr(certificate, name)[half] for name in leaves}
+    upper = certificate.start_upper.copy()
+    upper[0] = middle
+    refused(tmp_path, case, "start box: axis 0", start_upper=upper, **kept)
+
+
+def test_wrong_n_inliers_is_refused(tmp_path, case):
+    refused(tmp_path, case, "start box", n_inliers=9)  # fewer pairs can have extremer means
+    refused(tmp_path, case, "upper_bound: ", n_inliers=11)
+    refused(tmp_path, case, "exceeds the smaller cloud", n_inliers=99)
+
+
+def test_wrong_optimum_is_refused(tmp_path, case):
+    certificate = case[0]
+    refused(tmp_path, case, "upper_bound: ", theta=certificate.theta + 0.01)
+    refused(tmp_path, case, "upper_bound: ", upper_bound=0.99 * certificate.upper_bound)
+    refused(tmp_path, case, "does not follow", lower_bound=certificate.upper_bound)
+    refused(tmp_path, case, "does not lie in [0", lower_bound=-1.0)
+    refused(tmp_path, case, "was pruned with the bound", gap_tol=1e-9, status="stopped")
+    refused(tmp_path, case, "unit", unit=-1.0)
+    refused(tmp_path, case, "theta: not a finite number", theta=certificate.theta * np.nan)
+
+
+def test_a_local_optimum_passed_off_as_global_is_refused(tmp_path, case):
+    """All entries agree with each other, but the objective is lower elsewhere."""
+    certificate = case[0]
+    family = family_of(case)
+    theta = certificate.theta + 0.05
+    value = family.objective(theta)
+    assert value > certificate.upper_bound + certificate.gap_tol
+    lower_bound = value - certificate.gap_tol
+    bounds = np.maximum(certificate.leaf_bounds, lower_bound)
+    claim = {"theta": theta, "upper_bound": value, "lower_bound": lower_bound}
+    refused(tmp_path, case, "bound is false", leaf_bounds=bounds, **claim)
+
+
+def test_inadmissible_leaves_must_be_so(tmp_path, case):
+    certificate = case[0]
+    reasons, bounds = certificate.leaf_reasons.copy(), certificate.leaf_bounds.copy()
+    leaf = int(np.argmin(bounds))
+    reasons[leaf] = 1
+    bounds[leaf] = np.inf
+    refused(tmp_path, case, f"leaf {leaf}", leaf_reasons=reasons, leaf_bounds=bounds)
+
+
+def test_scale_outside_of_the_range_is_refused(tmp_path):
+    source, target = clouds("similarity2d")
+    certificate = certify(source, target, 10, "similarity2d", bound="paper")
+    case = certificate, source, target
+    refused(tmp_path, case, "theta: not an admissible", scale_range=np.array([0.1, 0.2]))
+    refused(tmp_path, case, "start box", scale_range=np.array([0.5, 3.0]))
+
+
+def test_too_many_pairs_for_plain_code_are_said_to_be(tmp_path, case, monkeypatch):
+    certificate, source, target = case
+    monkeypatch.setattr(dcreg.verification, "MAX_DENSE", 100)
+    assert "11 x 11 pairs exceed 100" in check(tmp_path, certificate, source, target).reason
+
+
+def test_any_number_of_points_is_checked_in_sorted_order(tmp_path, monkeypatch):
+    monkeypatch.setattr(dcreg.verification, "MAX_DENSE", 100)
+    source, target = clouds("translation3d", n=12, extra=0)
+    certificate = certify(source, target, 12, "translation3d", bound="paper", nodes=500)
+    report = check(tmp_path, certificate, source, target)
+    assert report.accepted
+    assert report.n_assignments == 0
+
+
+def test_an_effort_limit_ends_the_proof_with_a_refusal(tmp_path, case):
+    certificate, source, target = case
+    report = check(tmp_path, certificate, source, target, max_boxes=5)
+    assert "could not be confirmed within 5 boxes" in report.reason
+
+
+# --- the parts of the proof -------------------------------------------------------------------
+
+
+def test_verification_shares_no_code_with_the_search():
+    tree = ast.parse(Path(dcreg.verification.__file__).read_text())
+    modules = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    modules |= {
+        name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names
+    }
+    assert {name for name in modules if name.startswith("dcreg")} == {"dcreg.certificate"}
+
+
+@settings(max_examples=150)
+@given(models_with_boxes(max_points=7), st.integers(0, 2**32 - 1))
+def test_plain_bounds_hold_and_objectives_agree(case, seed):
+    model, box = case
+    name = "similarity2d" if box.dim == 4 else "translation3d"
+    family = FAMILIES[name](model.source, model.target, model.n_inliers, (0.5, 1.5))
+    thetas = np.vstack([box.sample(np.random.default_rng(seed), 20), box.vertices(), box.centre])
+    values = np.array([family.objective(theta) for theta in thetas])
+    np.testing.assert_allclose(values, [model.objective(t)[0] for t in thetas], atol=1e-9)
+    lower, upper, needed = box.lower[None], box.upper[None], np.array([np.inf])
+    for bound in (
+        family.nearest_bound,
+        family.interval_bound,
+        Proof(family, 0.0, 1)._tangent_bound,
+    ):
+        assert bound(lower, upper, needed)[0] <= values.min() + 1e-9
+    start = model.start_box()
+    region_lower, region_upper = family.region()
+    assert (start.lower <= region_lower + 1e-9).all()
+    assert (start.upper >= region_upper - 1e-9).all()
+
+
+@st.composite
+def tilings(draw):
+    """Leaves of a random bisection tree; one axis may be flat."""
+    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    lower, upper = -generator.random((1, 3)), generator.random((1, 3))
+    if draw(st.booleans()):
+        lower[0, 1] = upper[0, 1] = 0.0
+    start = lower[0], upper[0]
+    for _ in range(draw(st.integers(1, 40))):
+        pick = generator.integers(len(lower))
+        halves = LongestEdge(generator.random(3) + 0.1)(lower[[pick]], upper[[pick]])
+        lower = np.vstack([np.delete(lower, pick, axis=0), halves[0]])
+        upper = np.vstack([np.delete(upper, pick, axis=0), halves[1]])
+    order = generator.permutation(len(lower))
+    return start, lower[order], upper[order], generator
+
+
+@given(tilings())
+def test_tilings_are_recognised_and_broken_ones_refused(tiling):
+    start, lower, upper, generator = tiling
+    check_cover(*start, lower, upper)
+    check_cover(*start, lower - 1e-15, upper)  # rounding
+    leaf = generator.integers(len(lower))
+    if len(lower) > 1:
+        with pytest.raises(CertificateError, match="gap"):
+            check_cover(*start, np.delete(lower, leaf, axis=0), np.delete(upper, leaf, axis=0))
+    with pytest.raises(CertificateError, match="overlap"):
+        check_cover(*start, np.vstack([lower, lower[leaf]]), np.vstack([upper, upper[leaf]]))
+    axis = np.argmax(upper[leaf] - lower[leaf])
+    for step in (0.3, -0.3):
+        moved = upper.copy()
+        moved[leaf, axis] += step * (upper - lower)[leaf, axis]
+        with pytest.raises(CertificateError, match="leaves: "):
+            check_cover(*start, lower, moved)

@@ -1,0 +1,193 @@
+"""The rigid search: its optimum, its limits, and noise that misleads the norm space."""
+
+from itertools import combinations, permutations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dcreg.polish import fit_pose, objective
+from dcreg.result import Status
+from dcreg.rigid import RigidModel, search_multi, search_rigid
+from dcreg.search import Limits
+from tests.problems import KINDS, cloud
+
+
+def exhaustive_optimum(source, target, k):
+    """Every matching of k pairs, each with its own best rigid pose."""
+    best = np.inf
+    for rows in combinations(range(len(source)), k):
+        x = source[list(rows)]
+        for columns in permutations(range(len(target)), k):
+            y = target[list(columns)]
+            T = fit_pose(x, y, (1.0, 1.0))
+            best = min(best, ((x @ T[:3, :3].T + T[:3, 3] - y) ** 2).sum())
+    return best
+
+
+def planted(rng, n, noise, outliers=0):
+    """Normalised clouds with a known pose; `outliers` uniform points are added to both."""
+    source = rng.standard_normal((n, 3)) * [1.0, 0.7, 0.4]
+    source /= np.sqrt((source**2).sum(axis=1).mean())
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.random(random_state=3).as_matrix(), [0.2, -0.1, 0.3]
+    target = source @ T[:3, :3].T + T[:3, 3] + noise * rng.standard_normal((n, 3))
+    source = np.concatenate([source, rng.uniform(-1.5, 1.5, (outliers, 3))])
+    target = np.concatenate([target, rng.uniform(-1.5, 1.5, (outliers, 3))])
+    return source, target[rng.permutation(len(target))], T
+
+
+def check_result(result, source, target, k):
+    """What must hold whatever the status."""
+    R = result.T[:3, :3]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    assert objective(source, target, result.T, k)[0] == pytest.approx(result.upper_bound, abs=1e-9)
+    assert 0.0 <= result.lower_bound <= result.upper_bound
+    assert result.events[-1].kind == "end"
+
+
+def error_of(T, truth):
+    """Rotation error in radians, translation error."""
+    turn = Rotation.from_matrix(T[:3, :3] @ truth[:3, :3].T).magnitude()
+    return turn, np.linalg.norm(T[:3, 3] - truth[:3, 3])
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "mirrored"])
+@pytest.mark.parametrize(
+    "sizes", [(4, 4, 4), (4, 5, 3), (5, 4, 4), (4, 4, 3), (4, 4, 1), (1, 3, 1)]
+)
+def test_search_finds_the_exhaustive_optimum(kind, sizes, rng):
+    n, m, k = sizes
+    source, target = cloud(rng, n, 3, kind), cloud(rng, m, 3, kind)
+    if kind == "mirrored":
+        target[: min(n, m)] = source[: min(n, m)] * [1.0, 1.0, -1.0]
+    gap_tol = 1e-2 * k
+    result = search_rigid(source, target, k, gap_tol=gap_tol)
+    best = exhaustive_optimum(source, target, k)
+    check_result(result, source, target, k)
+    assert result.status is Status.OPTIMAL
+    assert result.lower_bound <= best + 1e-9
+    assert best - 1e-9 <= result.upper_bound <= best + gap_tol + 1e-9
+
+
+@pytest.mark.parametrize("start_box", ["reduced", "safe"])
+def test_start_box_holds_the_optimum(start_box, rng):
+    for _ in range(20):
+        source, target = rng.standard_normal((5, 3)), rng.standard_normal((5, 3))
+        source, target = source - source.mean(axis=0), target - target.mean(axis=0)
+        for k in (2, 4, 5):
+            box = RigidModel(source, target, k, start_box == "reduced").translations()
+            rows, columns = rng.permutation(5)[:k], rng.permutation(5)[:k]
+            t = fit_pose(source[rows], target[columns], (1.0, 1.0))[:3, 3]
+            assert (t >= box.lower - 1e-12).all()
+            assert (t <= box.upper + 1e-12).all()
+
+
+def test_all_matched_leaves_only_the_rotation(rng):
+    source, target, truth = planted(rng, 60, 0.05)
+    result = search_rigid(source, target, 60, gap_tol=60 * 0.03**2)
+    check_result(result, source, target, 60)
+    assert result.status is Status.OPTIMAL
+    assert result.lower_bound > 0.5 * result.upper_bound  # not closed by U <= gap_tol alone
+    turn, shift = error_of(result.T, truth)
+    assert turn < 0.05
+    assert shift < 0.03
+    assert result.n_nodes < 2000
+
+
+@pytest.mark.parametrize(("n", "outliers", "k"), [(14, 3, 14), (16, 0, 13)])
+def test_planted_pose_is_certified_among_outliers(n, outliers, k, rng):
+    source, target, truth = planted(rng, n, 0.03, outliers)
+    gap_tol = k * 0.03**2
+    result = search_rigid(source, target, k, gap_tol=gap_tol, limits=Limits(nodes=400_000))
+    check_result(result, source, target, k)
+    assert result.status is Status.OPTIMAL
+    assert result.lower_bound > 0.0
+    turn, shift = error_of(result.T, truth)
+    assert turn < 0.1
+    assert shift < 0.05
+
+
+def test_swapped_roles_give_the_inverse_pose(rng):
+    source, target, _ = planted(rng, 12, 0.02)
+    target = np.concatenate([target, rng.uniform(-1.5, 1.5, (3, 3))])
+    there = search_rigid(source, target, 12, gap_tol=0.002)
+    back = search_rigid(target, source, 12, gap_tol=0.002)
+    check_result(back, target, source, 12)
+    np.testing.assert_allclose(there.T @ back.T, np.eye(4), atol=1e-6)
+
+
+def test_threads_do_not_change_the_outcome(rng):
+    source, target, _ = planted(rng, 10, 0.05, 3)
+    runs = [
+        search_rigid(source, target, 10, gap_tol=0.005, limits=Limits(nodes=8000), threads=threads)
+        for threads in (1, 3)
+    ]
+    for name in ("n_nodes", "n_assignments", "lower_bound", "upper_bound", "status"):
+        assert getattr(runs[0], name) == getattr(runs[1], name)
+    np.testing.assert_array_equal(runs[0].T, runs[1].T)
+
+
+@pytest.mark.parametrize(
+    ("limits", "status"),
+    [
+        (Limits(nodes=50), Status.NODE_LIMIT),
+        (Limits(time_s=1e-6), Status.TIME_LIMIT),
+        (Limits(memory_mb=1e-3), Status.MEMORY_LIMIT),
+    ],
+)
+def test_limits_leave_valid_bounds(limits, status, rng):
+    source, target = rng.standard_normal((8, 3)), rng.standard_normal((9, 3))
+    result = search_rigid(source, target, 6, gap_tol=1e-9, limits=limits)
+    check_result(result, source, target, 6)
+    assert result.status is status
+    assert result.lower_bound < result.upper_bound
+
+
+def test_listener_stops_the_search(rng):
+    source, target = rng.standard_normal((8, 3)), rng.standard_normal((9, 3))
+    events = []
+    result = search_rigid(
+        source, target, 6, gap_tol=1e-9, listener=lambda event: events.append(event) or True
+    )
+    assert result.status is Status.STOPPED
+    assert {event.stage for event in events} == {"rigid"}
+
+
+def test_duplicates_that_nearest_neighbours_cannot_tell(rng):
+    """Sources in pairs over one target each: many to one costs nothing, one to one does."""
+    source = np.repeat(rng.standard_normal((3, 3)), 2, axis=0)
+    target = np.concatenate([source[::2], rng.standard_normal((3, 3))])
+    result = search_rigid(source, target, 6, gap_tol=0.05)
+    check_result(result, source, target, 6)
+    assert result.status is Status.OPTIMAL
+    assert result.lower_bound > 0.1
+
+
+def test_multi_is_not_misled_by_noise(rng):
+    """All points match: the norm optimum is biased, the best rigid objective is not."""
+    source, target, _ = planted(rng, 40, 0.05)
+    source, target = source - source.mean(axis=0), target - target.mean(axis=0)
+    result = search_multi(source, target, 40, gap_tol=40 * 0.03**2, limits=Limits(nodes=3000))
+    full = search_rigid(source, target, 40, gap_tol=40 * 0.03**2)
+    assert result.value == pytest.approx(full.upper_bound, rel=1e-6)
+    assert result.scope.startswith("translation in norm space")
+    assert objective(source, target, result.T, 40)[0] == pytest.approx(result.value)
+
+
+def test_multi_tells_a_mirrored_basin_from_the_true_one(rng):
+    """A cloud that mirrors itself has two norm optima; only one admits a proper rotation."""
+    half = np.abs(rng.standard_normal((8, 3)))
+    cloud_ = np.concatenate([half, half * [-1.0, 1.0, 1.0]])
+    cloud_ -= cloud_.mean(axis=0)
+    target = cloud_ @ Rotation.random(random_state=1).as_matrix().T + 0.4 * np.array([1.0, 0, 0])
+    result = search_multi(
+        cloud_, target, 16, gap_tol=16 * 0.01**2, limits=Limits(nodes=20_000), margin=0.05
+    )
+    assert result.value < 1e-6
+    values = [basin.value for basin in result.basins]
+    assert values == sorted(values)
+    assert (
+        result.lower_bound <= result.upper_bound <= min(b.norm_value for b in result.basins) + 1e-9
+    )
