@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.bounds import make_bound
+from dcreg.bounds import bound_parts, make_bound
 from dcreg.box import Box, LongestEdge
 from dcreg.certificate import Certificate, of_search
 from dcreg.frame import Frame
@@ -98,8 +98,18 @@ class Solve:
         self._account("rotation", found, found.events)
         return found.rotation
 
-    def rigid(self, found: RigidResult, stage: str) -> None:
-        """Take over the outcome of a search that ends with the whole rigid pose."""
+    def rigid(self, search: Callable[..., RigidResult], stage: str) -> None:
+        """Run a search that ends with the whole rigid pose."""
+        found = search(
+            self.source,
+            self.target,
+            self.problem.n_inliers,
+            gap_tol=self.gap_tol,
+            limits=self.limits,
+            threads=self.threads,
+            listener=self.listener,
+            start_box=self.start_box,
+        )
         self.T, self.status, self.scope = found.T, found.status, found.scope
         self.lower_bound, self.upper_bound = found.lower_bound, found.upper_bound
         self._account(stage, found, found.events)
@@ -156,33 +166,13 @@ def _rigid3d_paper(solve: Solve) -> None:
 
 def _rigid3d_full(solve: Solve) -> None:
     """The true rigid objective over translation and rotation at once; certifies the pose."""
-    found = search_rigid(
-        solve.source,
-        solve.target,
-        solve.problem.n_inliers,
-        gap_tol=solve.gap_tol,
-        limits=solve.limits,
-        threads=solve.threads,
-        listener=solve.listener,
-        start_box=solve.start_box,
-    )
-    solve.rigid(found, "rigid")
+    solve.bound = "rigid"  # this search has its own bounds, see `dcreg.rigid`
+    solve.rigid(search_rigid, "rigid")
 
 
 def _rigid3d_multi(solve: Solve) -> None:
     """The paper's two stages from every near-optimal translation; the best rigid objective wins."""
-    found = search_multi(
-        solve.source,
-        solve.target,
-        solve.problem.n_inliers,
-        gap_tol=solve.gap_tol,
-        limits=solve.limits,
-        threads=solve.threads,
-        listener=solve.listener,
-        start_box=solve.start_box,
-        bound=solve.bound,
-    )
-    solve.rigid(found, "multi")
+    solve.rigid(functools.partial(search_multi, bound=solve.bound), "multi")
 
 
 # mode -> pipeline; the first one is the default of its model
@@ -288,6 +278,7 @@ def register(
         raise InputError(f"mode: {mode!r} is unknown for {model}; choose from {list(MODES[model])}")
     if certificate and mode != CERTIFIABLE[model][0]:
         raise InputError(f"certificate: mode {mode!r} keeps no leaf boxes; use mode 'paper'")
+    bound_parts(bound)  # unknown names end here, also where a mode has bounds of its own
     if start_box not in START_BOXES:
         raise InputError(f"start_box: {start_box!r} is unknown; choose from {list(START_BOXES)}")
     if gap_tol is None:  # a target without extent is measured by the source
@@ -336,7 +327,7 @@ def register(
         status=solve.status,
         model=model,
         mode=mode,
-        bound=bound,
+        bound=solve.bound,
         T_target_source=final_T,
         T_certified=T_certified,
         assignment=pairs,

@@ -20,15 +20,23 @@ BOUNDS: dict[str, type[ModelBound]] = {
 }
 ALIASES = {"termwise": "termwise-r1+termwise-r2"}
 
-__all__ = ["ALIASES", "BOUNDS", "ModelBound", "Strongest", "bound_names", "make_bound"]
+__all__ = [
+    "ALIASES",
+    "BOUNDS",
+    "ModelBound",
+    "Strongest",
+    "bound_names",
+    "bound_parts",
+    "make_bound",
+]
 
 
 def bound_names() -> list[str]:
     return [*BOUNDS, *ALIASES]
 
 
-def make_bound(name: str, model: Model, threads: int = 1) -> ModelBound | Strongest:
-    """The bound called `name` over `model`; names joined by ``+`` compete.
+def bound_parts(name: str) -> list[str]:
+    """The single bounds that `name` stands for.
 
     Raises
     ------
@@ -41,5 +49,16 @@ def make_bound(name: str, model: Model, threads: int = 1) -> ModelBound | Strong
         raise InputError(
             f"bound: {unknown[0]!r} is unknown; choose from {bound_names()} or join some with '+'"
         )
-    made = [BOUNDS[part](model, threads) for part in parts]
+    return parts
+
+
+def make_bound(name: str, model: Model, threads: int = 1) -> ModelBound | Strongest:
+    """The bound called `name` over `model`; names joined by ``+`` compete.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    """
+    made = [BOUNDS[part](model, threads) for part in bound_parts(name)]
     return made[0] if len(made) == 1 else Strongest(made)

@@ -48,6 +48,12 @@ def test_bad_input_is_named(change, message):
         dcreg.register(**arguments)
 
 
+def test_unknown_bound_is_refused_by_modes_with_bounds_of_their_own():
+    points = np.random.default_rng(0).random((5, 3))
+    with pytest.raises(dcreg.InputError, match="bound: 'papr' is unknown"):
+        dcreg.register(points, points, n_inliers=5, model="rigid3d", mode="full", bound="papr")
+
+
 @pytest.mark.parametrize(
     ("given", "expected"), [(3, 3), (0.5, 3), (1.0, 6), (0.29, 1), (np.int64(4), 4), (1e-9, 1)]
 )

@@ -246,6 +246,7 @@ def test_other_3d_modes_recover_the_pose_and_state_their_scope(spatial, mode, sc
     result = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode=mode)
     assert result.status is Status.OPTIMAL
     assert result.certificate_scope == scope
+    assert result.bound == ("rigid" if mode == "full" else "tight")
     np.testing.assert_allclose(result.T_target_source, T, atol=1e-5)
 
 
