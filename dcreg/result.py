@@ -59,7 +59,8 @@ class Result:
     objective_certified : float
         The same sum at `T_certified`, so that the polish is reported apart.
     n_nodes, n_assignments, n_bound_evals : int
-        Boxes bounded, exact assignments solved, bound evaluations: the same on every machine.
+        Boxes bounded, exact assignments solved, bound evaluations: independent of threads and load,
+        and the same wherever floating-point results are.
     time_setup_s, time_solve_s : float
         Wall time for preparing (validation, normalisation, JIT warm-up) and for solving.
     trace : Trace

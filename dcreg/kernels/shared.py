@@ -22,6 +22,7 @@ from dcreg.kernels.features import (
 from dcreg.kernels.vertices import objectives
 
 LATTICE = 2.0**30  # cells per axis; finer boxes are not told apart
+_STEPS = 40  # towards the best linearisation point
 
 
 @jit
@@ -83,12 +84,12 @@ def find_or_add(table, keys, thetas, used, origin, width, lower, upper, slots):
 
 
 @jit
-def best_linearisation(vertices, values, weights, cutoff, steps, point):
-    """Best theta0 for ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]``, and that value.
+def best_linearisation(vertices, values, weights, point):
+    """Set `point` to the best theta0 for ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]``.
 
-    Its dual is the least of ``sum_v w_v (E(v) - Q(v)) + Q(sum_v w_v v)`` over weights w on the
+    The dual is the least of ``sum_v w_v (E(v) - Q(v)) + Q(sum_v w_v v)`` over weights w on the
     vertices. Pairwise Frank-Wolfe steps with exact line search; theta0 is the weighted vertex and every
-    iterate is valid, so the best one is kept. Stops once `cutoff` is reached.
+    iterate is valid, so the best one is kept.
     """
     count, dim = vertices.shape
     w = np.full(count, 1.0 / count)
@@ -97,7 +98,7 @@ def best_linearisation(vertices, values, weights, cutoff, steps, point):
         for a in range(dim):
             centre[a] += w[v] * vertices[v, a]
     best = -np.inf
-    for _ in range(steps):
+    for _ in range(_STEPS):
         low, high = np.inf, -np.inf
         toward, away = 0, 0
         for v in range(count):
@@ -112,7 +113,7 @@ def best_linearisation(vertices, values, weights, cutoff, steps, point):
         if low > best:
             best = low
             point[:] = centre
-        if best >= cutoff or high - low <= 1e-3 * (abs(low) + 1e-12):
+        if high - low <= 1e-3 * (abs(low) + 1e-12):
             break
         curve = 0.0
         for a in range(dim):
@@ -125,7 +126,6 @@ def best_linearisation(vertices, values, weights, cutoff, steps, point):
         w[away] -= step
         for a in range(dim):
             centre[a] += step * (vertices[toward, a] - vertices[away, a])
-    return best
 
 
 @jit
@@ -285,4 +285,4 @@ def shared_bound(
             for v in range(count):
                 for a in range(dim):
                     charged[v] += weights[a] * (corner[v, a] - point[a]) ** 2
-            best_linearisation(corner[:count], charged[:count], weights, np.inf, 40, point)
+            best_linearisation(corner[:count], charged[:count], weights, point)

@@ -7,7 +7,7 @@ import abc
 import numpy as np
 
 from dcreg.box import Box
-from dcreg.kernels import features, vertices
+from dcreg.kernels import vertices
 
 # Descents for the first incumbent: enough for a good upper bound, cheap beside any search.
 N_DESCENTS = 6
@@ -78,12 +78,6 @@ class Model(abc.ABC):
             self.kind, self.source, self.target_features, self.n_inliers, theta
         )
         return float(value), col_of
-
-    def curvature(self, delta: np.ndarray) -> np.ndarray:
-        """R_i(delta) = |J_i delta|^2 of every source point."""
-        out = np.empty(len(self.source))
-        features.curvature(self.kind, self.source, delta, out)
-        return out
 
 
 def mean_of_largest(values: np.ndarray, count: int) -> float:

@@ -67,6 +67,34 @@ def test_halving_boxes_closes_the_bound_on_a_point(name, data):
     assert found.lower_bounds[0] == pytest.approx(reference.objective(model, theta), abs=1e-4)
 
 
+@pytest.mark.parametrize("name", ["tight", "shared"])
+@given(data=st.data())
+def test_shared_vertices_keep_every_descendant_valid(name, data):
+    """Children rest on what was cached for their ancestors, solved or only estimated from duals."""
+    model = data.draw(models())
+    bound = make_bound(name, model)
+    branching = LongestEdge(model.axis_weights)
+    box = model.start_box()
+    lower, upper = box.lower[None], box.upper[None]
+    generator = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    # below a low cutoff estimates stay estimates, below a high one the binding vertices are solved
+    cutoff = data.draw(st.sampled_from([-np.inf, 0.0, 0.3, np.inf]))
+    for _ in range(7):
+        found = bound.evaluate(lower, upper, cutoff)
+        for at in range(len(lower)):
+            thetas = generator.uniform(lower[at], upper[at], (3, box.dim))
+            thetas = np.vstack(
+                [thetas, np.where(generator.random(box.dim) < 0.5, lower[at], upper[at])]
+            )
+            for theta in thetas[model.admissible(thetas)]:
+                assert found.lower_bounds[at] <= reference.objective(model, theta) + 1e-9
+            if np.isfinite(found.values[at]):
+                expected = reference.objective(model, found.thetas[at])
+                assert found.values[at] == pytest.approx(expected, abs=1e-9)
+        keep = generator.permutation(len(lower))[:4]
+        lower, upper = branching(lower[keep], upper[keep])
+
+
 @given(models_with_boxes())
 def test_paper_bound_equals_its_numpy_twin(model_and_box):
     model, box = model_and_box

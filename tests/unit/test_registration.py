@@ -145,13 +145,13 @@ def dense_minimum(model, steps):
     return min(model.refine(np.array(theta))[1] for theta in itertools.product(*axes))
 
 
-@settings(max_examples=25)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),
     kind=st.sampled_from(KINDS),
     n=st.integers(1, 5),
     m=st.integers(1, 5),
-    bound=st.sampled_from(["paper", "edges"]),
+    bound=st.sampled_from(["paper", "edges", "tight", "shared"]),
 )
 def test_similarity_optimum_equals_dense_search(seed, kind, n, m, bound):
     generator = np.random.default_rng(seed)
@@ -168,13 +168,13 @@ def test_similarity_optimum_equals_dense_search(seed, kind, n, m, bound):
         assert result.upper_bound <= least + result.gap_tol + 1e-7
 
 
-@settings(max_examples=25)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),
     kind=st.sampled_from(KINDS),
     n=st.integers(1, 6),
     m=st.integers(1, 6),
-    bound=st.sampled_from(["paper", "edges"]),
+    bound=st.sampled_from(["paper", "edges", "tight", "shared"]),
 )
 def test_norm_translation_optimum_equals_dense_search(seed, kind, n, m, bound):
     generator = np.random.default_rng(seed)
