@@ -51,6 +51,10 @@ class Bound(Protocol):
         ...
 
 
+# A descent starts from a value no worse than the last start's, growing by this factor a round: often
+# while the search finds better and better places, seldom when it only closes the gap.
+REFINING_PATIENCE = 1.01
+
 # theta -> (better theta, its objective, assignments spent): descent from a promising parameter
 Refine = Callable[[np.ndarray], tuple[np.ndarray, float, int]]
 Branching = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -230,6 +234,7 @@ def branch_and_bound(
     lower = np.array([box.lower for box in roots])
     upper = np.array([box.upper for box in roots])
     inherited = np.zeros(len(roots))  # the objective is a sum of squares
+    worth_refining = np.inf
     while status is None:
         # bound
         found = bound.evaluate(lower, upper, upper_bound - gap_tol)
@@ -239,12 +244,13 @@ def branch_and_bound(
         best = int(np.argmin(_settled(found.values, gap_tol)))
         if found.values[best] < upper_bound:
             theta, upper_bound = found.thetas[best].copy(), float(found.values[best])
-        if refine is not None:
-            promising = best if np.isfinite(found.values[best]) else int(np.argmin(bounds))
-            candidate, value, spent = refine(found.thetas[promising])
+        if refine is not None and found.values[best] <= worth_refining:
+            worth_refining = float(found.values[best])
+            candidate, value, spent = refine(found.thetas[best])
             n_refining += spent
             if value < upper_bound:
                 theta, upper_bound = candidate, value
+        worth_refining *= REFINING_PATIENCE
         # prune
         keep = bounds < upper_bound - gap_tol
         if not keep.all():

@@ -100,13 +100,16 @@ class SharedBound(ModelBound):
         slots, before = cache.find(lower, upper)
         self._estimate(slots, before)
         bounds = np.empty(len(lower))
-        binding = np.empty(len(lower), np.int64)
+        binding, points = np.empty(len(lower), np.int64), np.empty(lower.shape)
         rows = np.arange(len(lower))
         while rows.size:
-            bounds[rows], binding[rows] = self._bound(slots[rows], lower[rows], upper[rows], cutoff)
+            bounds[rows], binding[rows], points[rows] = self._bound(
+                slots[rows], lower[rows], upper[rows], cutoff
+            )
             # a bound that rests on an estimate and does not prune yet deserves the true value
             rows = rows[(bounds[rows] < cutoff) & np.isinf(cache.values[binding[rows]])]
-            self._solve(np.unique(binding[rows]))
+            self._solve(np.unique(binding[rows]), warm=True)
+        self._tighten(slots, points, cutoff, bounds)
         best = np.where(slots >= 0, cache.values[slots], np.inf).argmin(axis=1)
         best = slots[np.arange(len(slots)), best]
         return Evaluation(bounds, cache.thetas[best], cache.values[best])
@@ -141,8 +144,8 @@ class SharedBound(ModelBound):
 
         self._run(work, new.size)
 
-    def _solve(self, which: np.ndarray) -> None:
-        """Exact values, duals and profiles at the vertices `which`."""
+    def _solve(self, which: np.ndarray, warm: bool = False) -> None:
+        """Exact values, duals and profiles at the vertices `which`; `warm`: from their estimates."""
         cache, model = self.cache, self.model
 
         def work(part: slice) -> int:
@@ -151,6 +154,7 @@ class SharedBound(ModelBound):
                 model.source,
                 model.target_features,
                 model.n_inliers,
+                warm,
                 which[part],
                 cache.thetas,
                 cache.lows,
@@ -163,9 +167,10 @@ class SharedBound(ModelBound):
 
     def _bound(
         self, slots: np.ndarray, lower: np.ndarray, upper: np.ndarray, cutoff: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cache, model = self.cache, self.model
         bounds, binding = np.empty(len(lower)), np.empty(len(lower), np.int64)
+        points = np.empty(lower.shape)
 
         def work(part: slice) -> int:
             shared.shared_bound(
@@ -183,14 +188,56 @@ class SharedBound(ModelBound):
                 self.moves,
                 bounds[part],
                 binding[part],
+                points[part],
             )
             return 0
 
         self._run(work, len(lower))
-        return bounds, binding
+        return bounds, binding, points
+
+    def _tighten(
+        self, slots: np.ndarray, points: np.ndarray, cutoff: float, bounds: np.ndarray
+    ) -> None:
+        """Nothing: profiles are all this bound uses."""
 
 
 class TightBound(SharedBound):
     """Shared vertex values and the linearisation point that makes the bound greatest."""
 
     moves = 2
+
+
+class TightExactBound(TightBound):
+    """`TightBound`, then the exact assignment of ``E_ij(v) - R_i`` at the vertices that limit a box.
+
+    A profile charges the rows of one matching; where few of many points are matched (k < n) another
+    matching may suffer less from the charge, and only an assignment of its own tells.
+    """
+
+    def _tighten(
+        self, slots: np.ndarray, points: np.ndarray, cutoff: float, bounds: np.ndarray
+    ) -> None:
+        cache, model = self.cache, self.model
+        if not cache.profiles.shape[1]:  # all R_i alike: nothing to gain
+            return
+        weak = np.flatnonzero(bounds < cutoff)
+        raised = bounds[weak]
+
+        def work(part: slice) -> int:
+            return shared.exact_bound(
+                model.kind,
+                model.source,
+                model.target_features,
+                model.n_inliers,
+                cache.thetas,
+                cache.lows,
+                cache.profiles,
+                cache.duals,
+                slots[weak[part]],
+                points[weak[part]],
+                cutoff,
+                raised[part],
+            )
+
+        self._run(work, weak.size)
+        bounds[weak] = raised

@@ -1,48 +1,21 @@
-"""Exact k-cardinality assignment: the cheapest k pairs, one per row and one per column.
+"""Exact k-cardinality assignment: the cheapest k pairs, at most one per row and one per column.
 
-Two solvers behind one function. When every row (or every column) is matched, Jonker-Volgenant style
-shortest augmenting paths per row; otherwise k shortest augmenting paths from a super source, which
-needs neither padding nor a big constant. Costs may be negative. Both return column duals ``b >= 0``
-for `dual_bound`.
+The problem is a balanced transportation problem: a *spare* column takes the n - k unmatched rows and a
+*dummy* row the m - k unmatched columns, both at no cost. Any column prices ``b >= 0`` give feasible duals
+for it, so the search for the optimum may start from the prices of a similar problem: rows take their
+cheapest column where no other row has it, and only the rest is matched by shortest augmenting paths. Good
+prices leave a handful of paths instead of k. Costs may be negative.
+
+Nodes of the transportation problem: rows 0..n-1 and the dummy row n; columns 0..m-1 and the spare
+column m. ``row_of[j]`` and ``col_of[i]`` are -1 while free. Duals: ``a`` of rows, ``-b`` of columns, with
+``a_i - b_j <= c_ij``.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels.compiling import jit
-
-
-@jit
-def k_assignment_duals(cost, k):
-    """Value, column of every row (-1: unmatched) and duals ``b`` of the cheapest k pairs."""
-    n, m = cost.shape
-    col_of = np.full(n, -1, np.int64)
-    b = np.zeros(m)
-    if k == n and n <= m:
-        row_dual = np.empty(n)
-        col_dual = np.zeros(m)
-        row_of = np.full(m, -1, np.int64)
-        _assign_rows(cost, col_of, row_of, row_dual, col_dual)
-        shift = col_dual.max()
-        for j in range(m):
-            b[j] = shift - col_dual[j] if n == m else -col_dual[j]
-    elif k == m:
-        # every column is matched: the same problem on the transpose
-        row_dual = np.empty(m)
-        col_dual = np.zeros(n)
-        row_of = np.full(m, -1, np.int64)
-        _assign_rows(cost.T.copy(), row_of, col_of, row_dual, col_dual)
-        shift = row_dual.max()
-        for j in range(m):
-            b[j] = shift - row_dual[j]
-    else:
-        _augment_k(cost, k, col_of, b)
-    value = 0.0
-    for i in range(n):
-        if col_of[i] >= 0:
-            value += cost[i, col_of[i]]
-    return value, col_of, b
+from dcreg.kernels.compiling import jit, jit_reduction
 
 
 @jit
@@ -53,167 +26,288 @@ def k_assignment(cost, k):
 
 
 @jit
-def _assign_rows(cost, col_of, row_of, row_dual, col_dual):
-    """Match every row (n <= m). Duals: row_dual_i + col_dual_j <= cost_ij, tight on matches."""
+def k_assignment_duals(cost, k):
+    """Value, column of every row (-1: unmatched) and duals ``b`` of the cheapest k pairs."""
     n, m = cost.shape
-    if n == m:  # columns are all matched too, so their duals are free: column reduction
+    b = np.zeros(m)
+    if k == m:  # all columns are matched: their own minima are better prices than none
         for j in range(m):
-            low = cost[0, j]
+            b[j] = -cost[0, j]
             for i in range(1, n):
-                low = min(low, cost[i, j])
-            col_dual[j] = low
-    for i in range(n):
-        low, at = np.inf, -1
-        for j in range(m):
-            reduced = cost[i, j] - col_dual[j]
-            if reduced < low:
-                low, at = reduced, j
-        row_dual[i] = low
-        if row_of[at] < 0:
-            row_of[at] = i
-            col_of[i] = at
-    dist = np.empty(m)
-    pred = np.empty(m, np.int64)
-    todo = np.empty(m, np.int64)
-    scanned = np.empty(m, np.int64)
-    for start in range(n):
-        if col_of[start] >= 0:
-            continue
-        # Dijkstra over columns from the free row; todo[:n_todo] holds the unscanned ones
-        for j in range(m):
-            dist[j] = np.inf
-            todo[j] = j
-        n_todo, n_scanned = m, 0
-        i, sink, reach = start, -1, 0.0
-        while sink < 0:
-            low, at = np.inf, -1
-            base = reach - row_dual[i]
-            for p in range(n_todo):
-                j = todo[p]
-                d = base + cost[i, j] - col_dual[j]
-                if d < dist[j]:
-                    dist[j] = d
-                    pred[j] = i
-                else:
-                    d = dist[j]
-                # among ties prefer a free column: it ends the path
-                if d < low or (d == low and row_of[j] < 0):
-                    low, at = d, p
-            j = todo[at]
-            reach = low
-            n_todo -= 1
-            todo[at] = todo[n_todo]
-            if row_of[j] < 0:
-                sink = j
-            else:
-                scanned[n_scanned] = j
-                n_scanned += 1
-                i = row_of[j]
-        row_dual[start] += reach
-        for p in range(n_scanned):
-            j = scanned[p]
-            row_dual[row_of[j]] += reach - dist[j]
-            col_dual[j] -= reach - dist[j]
-        j = sink
-        while True:
-            i = pred[j]
-            row_of[j] = i
-            j, col_of[i] = col_of[i], j
-            if i == start:
-                break
+                b[j] = max(b[j], -cost[i, j])
+        b -= b.min()
+    value, col_of = improve_assignment(cost, k, b)
+    return value, col_of, b
 
 
 @jit
-def _augment_k(cost, k, col_of, b):
-    """k shortest augmenting paths from all free rows to any free column (k < min(n, m))."""
+def improve_assignment(cost, k, b):
+    """Value and column of every row of the cheapest k pairs, from prices `b`, which become optimal.
+
+    Parameters
+    ----------
+    cost : (n, m) array
+    k : int
+        1 <= k <= min(n, m).
+    b : (m,) array
+        Any non-negative prices; on return the optimal duals of `dual_bound`.
+    """
     n, m = cost.shape
-    row_of = np.full(m, -1, np.int64)
-    pot_col = np.zeros(m)
-    pot_row = np.zeros(n)
-    pot_sink = 0.0
-    # cheapest free row of every column: the first arc of an augmenting path
-    free_cost = np.full(m, np.inf)
-    free_row = np.full(m, -1, np.int64)
+    a, row_of, col_of = np.empty(n + 1), np.full(m, -1, np.int64), np.full(n, -1, np.int64)
+    free = np.empty(n, np.int64)
+    spare_price = _leave_rows(cost, k, b, a, col_of)
+    n_free = _take_cheapest(cost, a, b, col_of, row_of, free)
+    _lower_prices(cost, spare_price, a, b, col_of, row_of)
+    left = _leave_columns(m - k, a, b, row_of)
+    _augment(cost, spare_price, a, b, col_of, row_of, free[:n_free], left)
+    b -= b.min()
+    value = 0.0
     for i in range(n):
-        for j in range(m):
-            if cost[i, j] < free_cost[j]:
-                free_cost[j] = cost[i, j]
-                free_row[j] = i
-    dist = np.empty(m)
-    pred = np.empty(m, np.int64)
-    done = np.empty(m, np.bool_)
-    for _ in range(k):
-        low, at = np.inf, -1
-        for j in range(m):
-            d = free_cost[j] - pot_col[j]
-            dist[j] = d
-            pred[j] = free_row[j]
-            done[j] = False
-            if d < low:
-                low, at = d, j
-        sink, sink_dist = -1, np.inf
-        while at >= 0 and low < sink_dist:
-            j0, best = at, low
-            done[j0] = True
-            low, at = np.inf, -1
-            if row_of[j0] < 0:
-                d = best + pot_col[j0] - pot_sink
-                if d < sink_dist:
-                    sink_dist, sink = d, j0
-                for j in range(m):
-                    if not done[j] and dist[j] < low:
-                        low, at = dist[j], j
-            else:
-                i = row_of[j0]
-                base = best + pot_row[i]
-                for j in range(m):
-                    if not done[j]:
-                        d = base + cost[i, j] - pot_col[j]
-                        if d < dist[j]:
-                            dist[j] = d
-                            pred[j] = i
-                        else:
-                            d = dist[j]
-                        if d < low:
-                            low, at = d, j
-        for j in range(m):
-            pot_col[j] += min(dist[j], sink_dist)
-        pot_sink += sink_dist
-        j = sink
-        while True:
-            i = pred[j]
-            previous = col_of[i]
-            col_of[i] = j
-            row_of[j] = i
-            if previous < 0:
-                newly_matched = i
-                break
-            j = previous
-        for i in range(n):
-            if col_of[i] >= 0:
-                pot_row[i] = pot_col[col_of[i]] - cost[i, col_of[i]]
-        for j in range(m):
-            if free_row[j] == newly_matched:
-                free_cost[j] = np.inf
-                free_row[j] = -1
-                for i in range(n):
-                    if col_of[i] < 0 and cost[i, j] < free_cost[j]:
-                        free_cost[j] = cost[i, j]
-                        free_row[j] = i
-    for j in range(m):
-        b[j] = max(0.0, pot_sink - pot_col[j])
+        if col_of[i] == m:
+            col_of[i] = -1
+        else:
+            value += cost[i, col_of[i]]
+    return value, col_of
 
 
 @jit
 def dual_bound(cost, k, b):
     """Lower bound on the k-assignment from any ``b >= 0``: k smallest min_j(c_ij+b_j), minus sum b."""
-    n, m = cost.shape
-    r = np.empty(n)
-    for i in range(n):
-        low = np.inf
-        for j in range(m):
-            low = min(low, cost[i, j] + b[j])
-        r[i] = low
-    if k < n:
+    r = np.empty(cost.shape[0])
+    row_minima(cost, b, r)
+    if k < r.size:
         r = np.partition(r, k - 1)[:k]
     return r.sum() - b.sum()
+
+
+@jit_reduction
+def row_minima(cost, b, out):
+    """out_i = min_j (c_ij + b_j)."""
+    n, m = cost.shape
+    for i in range(n):
+        low = cost[i, 0] + b[0]
+        for j in range(1, m):
+            value = cost[i, j] + b[j]
+            low = value if value < low else low
+        out[i] = low
+
+
+@jit
+def _leave_rows(cost, k, b, a, col_of):
+    """The n - k rows with the greatest minima start at the spare column. Returns its price."""
+    n, m = cost.shape
+    row_minima(cost, b, a[:n])
+    if k == n:
+        return np.inf
+    order = np.argsort(a[:n], kind="mergesort")
+    for i in order[k:]:
+        col_of[i] = m
+    return a[order[k]]
+
+
+@jit
+def _take_cheapest(cost, a, b, col_of, row_of, free):
+    """Rows take a cheapest column that no other row has; those without one are listed in `free`."""
+    n, m = cost.shape
+    n_free = 0
+    for i in range(n):
+        if col_of[i] == m:
+            continue
+        for j in range(m):
+            if cost[i, j] + b[j] <= a[i] and row_of[j] < 0:
+                row_of[j] = i
+                col_of[i] = j
+                break
+        else:
+            free[n_free] = i
+            n_free += 1
+    return n_free
+
+
+@jit_reduction
+def _raise_to(least, costs, level):
+    for j in range(costs.size):
+        least[j] = max(least[j], level - costs[j])
+
+
+@jit
+def _lower_prices(cost, spare_price, a, b, col_of, row_of):
+    """Prices of free columns fall as far as the rows' duals allow: most of them to zero."""
+    n, m = cost.shape
+    least = np.full(m, b.min())
+    for i in range(n):
+        _raise_to(least, cost[i], spare_price if col_of[i] == m else a[i])
+    for j in range(m):
+        if row_of[j] < 0:
+            b[j] = min(b[j], least[j])
+
+
+@jit
+def _leave_columns(left, a, b, row_of):
+    """Free columns of the lowest price go to the dummy row; returns how many it still needs."""
+    dummy = a.size - 1
+    a[dummy] = b.min()
+    for j in range(b.size):
+        if left > 0 and row_of[j] < 0 and b[j] == a[dummy]:
+            row_of[j] = dummy
+            left -= 1
+    return left
+
+
+@jit_reduction
+def _relax(costs, b, shift, row, dist, pred):
+    """Shorten distances by way of `row`; returns the least of all. Closed columns have b infinite."""
+    low = np.inf
+    for j in range(costs.size):
+        d = shift + (costs[j] + b[j])
+        closer = d < dist[j]
+        dist[j] = d if closer else dist[j]
+        pred[j] = row if closer else pred[j]
+        low = dist[j] if dist[j] < low else low
+    return low
+
+
+@jit
+def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
+    """The same by way of all rows at the spare column at once."""
+    low = np.inf
+    for j in range(b.size):
+        d = shift + (spare_cost[j] + b[j])
+        if d < dist[j]:
+            dist[j] = d
+            pred[j] = spare_row[j]
+        low = min(low, dist[j])
+    return low
+
+
+@jit
+def _augment(cost, spare_price, a, b, col_of, row_of, free, left):
+    """Shortest augmenting paths from every free row, then from the dummy row `left` times."""
+    n, m = cost.shape
+    dummy, spare = n, m
+    dist, open_b, no_cost = np.empty(m), np.empty(m), np.zeros(m)
+    pred = np.empty(m + 1, np.int64)
+    scanned, reached = np.empty(m + 1, np.int64), np.empty(m + 1)
+    spare_cost, spare_row = np.empty(m), np.full(m, -1, np.int64)
+    spare_known = False  # cheapest row at the spare column, per column
+    for path in range(free.size + left):
+        source = free[path] if path < free.size else dummy
+        dist[:] = np.inf
+        open_b[:] = b
+        spare_dist, spare_open = np.inf, True
+        dummy_entry, dummy_dist = -1, 0.0 if source == dummy else np.inf
+        n_scanned, reach, row = 0, 0.0, source
+        while True:
+            if row == dummy:
+                low = _relax(no_cost, open_b, reach - a[dummy], dummy, dist, pred)
+            elif row >= 0:
+                low = _relax(cost[row], open_b, reach - a[row], row, dist, pred)
+                if spare_open and reach - a[row] + spare_price < spare_dist:
+                    spare_dist = reach - a[row] + spare_price
+                    pred[spare] = row
+            elif row == -2:  # the rows at the spare column
+                low = _relax_spare(spare_cost, spare_row, open_b, reach - spare_price, dist, pred)
+            else:  # nothing new to relax from
+                low = dist.min()
+            if spare_dist < low:
+                column, reach = spare, spare_dist
+            else:
+                column, reach = _nearest(dist, low, row_of), low
+                if row_of[column] < 0:
+                    break
+            scanned[n_scanned], reached[n_scanned] = column, reach
+            n_scanned += 1
+            if column == spare:
+                spare_dist, spare_open = np.inf, False
+                if not spare_known:
+                    spare_known = True
+                    _cheapest_spare_rows(cost, col_of, spare_cost, spare_row)
+                row = -2
+                continue
+            dist[column] = open_b[column] = np.inf
+            row = row_of[column]
+            if row == dummy:
+                if dummy_dist < np.inf:
+                    row = -1
+                else:
+                    dummy_entry, dummy_dist = column, reach
+        # duals
+        if source != dummy:
+            a[source] += reach
+        if dummy_dist < np.inf:
+            a[dummy] += reach - dummy_dist
+        for p in range(n_scanned):
+            j = scanned[p]
+            if j == spare:
+                spare_price += reach - reached[p]
+            else:
+                b[j] += reach - reached[p]
+                if row_of[j] != dummy:
+                    a[row_of[j]] += reach - reached[p]
+        joined, gone = _flip(column, source, dummy_entry, pred, col_of, row_of)
+        if gone >= 0:
+            a[gone] = spare_price
+        if spare_known and joined != gone:
+            _update_spare_rows(cost, joined, gone, col_of, spare_cost, spare_row)
+
+
+@jit
+def _nearest(dist, low, row_of):
+    """A column at distance `low`, a free one if there is any: it ends the path."""
+    found = -1
+    for j in range(dist.size):
+        if dist[j] <= low:
+            found = j
+            if row_of[j] < 0:
+                break
+    return found
+
+
+@jit
+def _flip(column, source, dummy_entry, pred, col_of, row_of):
+    """Match along the path that ends in `column`. Returns the rows that joined and left the spare."""
+    spare, dummy = row_of.size, col_of.size
+    joined, gone = -1, -1
+    while True:
+        row = pred[column]
+        if row == dummy:
+            row_of[column] = dummy
+            column = dummy_entry
+        else:
+            previous = col_of[row]
+            col_of[row] = column
+            if column == spare:
+                joined = row
+            else:
+                row_of[column] = row
+            if previous == spare:
+                gone = row
+            column = previous
+        if row == source:
+            return joined, gone
+
+
+@jit
+def _cheapest_spare_rows(cost, col_of, spare_cost, spare_row):
+    spare_cost[:] = np.inf
+    for i in range(cost.shape[0]):
+        if col_of[i] == cost.shape[1]:
+            for j in range(cost.shape[1]):
+                if cost[i, j] < spare_cost[j]:
+                    spare_cost[j] = cost[i, j]
+                    spare_row[j] = i
+
+
+@jit
+def _update_spare_rows(cost, joined, gone, col_of, spare_cost, spare_row):
+    n, m = cost.shape
+    for j in range(m):
+        if joined >= 0 and cost[joined, j] < spare_cost[j]:
+            spare_cost[j] = cost[joined, j]
+            spare_row[j] = joined
+        if gone >= 0 and spare_row[j] == gone:
+            spare_cost[j] = np.inf
+            for i in range(n):
+                if col_of[i] == m and cost[i, j] < spare_cost[j]:
+                    spare_cost[j] = cost[i, j]
+                    spare_row[j] = i

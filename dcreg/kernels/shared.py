@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels.assignment import k_assignment_duals
+from dcreg.kernels.assignment import improve_assignment, k_assignment_duals, row_minima
 from dcreg.kernels.compiling import jit, jit_reduction
 from dcreg.kernels.features import (
     NORM3D,
@@ -129,7 +129,7 @@ def best_linearisation(vertices, values, weights, point):
 
 
 @jit
-def solve_vertices(kind, source, target, k, slots, thetas, lows, values, profiles, duals):
+def solve_vertices(kind, source, target, k, warm, slots, thetas, lows, values, profiles, duals):
     """E at the vertices `slots`, with optimal duals and dual profile. Returns the assignments spent.
 
     With duals b >= 0 let r_i = min_j (c_ij + b_j) - (sum b) / k. For any charge R_i on the rows the sum
@@ -146,10 +146,12 @@ def solve_vertices(kind, source, target, k, slots, thetas, lows, values, profile
     for slot in slots:
         move(kind, source, thetas[slot], moved)
         pair_costs(moved, target, cost)
-        values[slot], _, b = k_assignment_duals(cost, k)
+        if warm:
+            values[slot], _ = improve_assignment(cost, k, duals[slot])
+        else:
+            values[slot], _, duals[slot] = k_assignment_duals(cost, k)
         lows[slot] = values[slot]
-        duals[slot] = b
-        _dual_profile(cost, k, b, profiles[slot])
+        _dual_profile(cost, k, duals[slot], profiles[slot])
     return slots.size
 
 
@@ -171,30 +173,67 @@ def estimate_vertices(
         values[slot] = np.inf
 
 
-@jit_reduction
-def _row_minima(cost, b, out):
-    """out_i = min_j (c_ij + b_j)."""
-    n, m = cost.shape
-    for i in range(n):
-        low = cost[i, 0] + b[0]
-        for j in range(1, m):
-            value = cost[i, j] + b[j]
-            low = value if value < low else low
-        out[i] = low
-
-
 @jit
 def _dual_profile(cost, k, b, profile):
     """Fill r_i = min_j (c_ij + b_j) - (sum b) / k and return the sum of its k smallest entries."""
-    _row_minima(cost, b, profile)
+    row_minima(cost, b, profile)
     profile -= b.sum() / k
     return smallest_sum(profile, k)
 
 
+# Separate loops: each of these vectorises, their fusion does not.
+@jit_reduction
+def _extent(values):
+    low, high = values[0], values[0]
+    for i in range(values.size):
+        low = values[i] if values[i] < low else low
+    for i in range(values.size):
+        high = values[i] if values[i] > high else high
+    return low, high
+
+
+@jit_reduction
+def _below(values, level):
+    """How many numbers lie below `level`, and how far all of them together."""
+    count, depth = 0.0, 0.0
+    for i in range(values.size):
+        depth += max(level - values[i], 0.0)
+    for i in range(values.size):
+        count += 1.0 if values[i] < level else 0.0
+    return count, depth
+
+
 @jit
 def smallest_sum(values, k):
-    """Sum of the k smallest numbers."""
-    return values.sum() if k == values.size else np.partition(values, k - 1)[:k].sum()
+    """Sum of the k smallest numbers, from below up to rounding.
+
+    It is the maximum over levels t of the concave ``k t - sum max(0, t - value)``; cutting planes find it
+    in a few vectorised passes, where selection would branch on every number.
+    """
+    if k == values.size:
+        return values.sum()
+    low, high = _extent(values)
+    f_low, slope_low = k * low, float(k)
+    count, depth = _below(values, high)
+    f_high, slope_high = k * high - depth, k - count
+    if slope_high >= 0.0:
+        return f_high
+    best = max(f_low, f_high)
+    for _ in range(60):
+        at = (f_high - f_low + slope_low * low - slope_high * high) / (slope_low - slope_high)
+        ceiling = f_low + slope_low * (at - low)
+        if not low < at < high:
+            break
+        count, depth = _below(values, at)
+        f = k * at - depth
+        best = max(best, f)
+        if ceiling - f <= 1e-12 * abs(ceiling) or count == k:
+            break
+        if count < k:
+            low, f_low, slope_low = at, f, k - count
+        else:
+            high, f_high, slope_high = at, f, k - count
+    return best
 
 
 @jit
@@ -208,9 +247,9 @@ def nearest_solved(slots, before, thetas, values, weights, donors):
                 continue
             nearest = np.inf
             for other in slots[box]:
-                if other < 0 or other >= before or values[other] == np.inf:
+                if other < 0 or other >= before:
                     continue
-                distance = 0.0
+                distance = 0.0 if values[other] < np.inf else 1e6
                 for a in range(weights.size):
                     distance += weights[a] * (thetas[slot, a] - thetas[other, a]) ** 2
                 if distance < nearest:
@@ -246,12 +285,13 @@ def shared_bound(
     moves,
     bounds,
     binding,
+    points,
 ):
     """``max_theta0 min_v min_P sum p_ij [E_ij(v) - R_i(v - theta0)]`` per box, from shared values.
 
     Starts with theta0 at the centre (`moves` = 0: the shared bound) and moves it up to `moves` times to
     the best place of a quadratic model of the loss with diagonal `weights`; the bound itself is always
-    evaluated with the true R_i. `binding` receives the slot of the vertex that limits it.
+    evaluated with the true R_i. `binding` receives the slot of the limiting vertex, `points` theta0.
     """
     dim = lower.shape[1]
     missed = np.empty(source.shape[0])
@@ -277,6 +317,7 @@ def shared_bound(
             previous = bounds[box]
             if bound > previous:
                 bounds[box], binding[box] = bound, at
+                points[box] = point
             if step == moves or bounds[box] >= cutoff:
                 break
             if step > 1 and bound <= previous + 1e-3 * abs(previous):
@@ -286,3 +327,43 @@ def shared_bound(
                 for a in range(dim):
                     charged[v] += weights[a] * (corner[v, a] - point[a]) ** 2
             best_linearisation(corner[:count], charged[:count], weights, point)
+
+
+@jit
+def exact_bound(
+    kind, source, target, k, thetas, lows, profiles, duals, slots, points, cutoff, bounds
+):
+    """Raise `bounds` by exact minima over P at the vertices that limit them, theta0 in `points`.
+
+    Vertices are taken from the lowest on, until the lowest is exact or above `cutoff`. Returns the
+    assignments spent.
+    """
+    moved, missed, cost = allocate(kind, source.shape[0], target.shape[1])
+    charged, exact = np.empty(slots.shape[1]), np.empty(slots.shape[1], np.bool_)
+    spent = 0
+    for box in range(slots.shape[0]):
+        charged[:] = np.inf
+        for v in range(slots.shape[1]):
+            slot = slots[box, v]
+            if slot >= 0:
+                delta = thetas[slot] - points[box]
+                charged[v] = charged_value(
+                    kind, source, k, lows[slot], profiles[slot], delta, missed
+                )
+        exact[:] = False
+        while True:
+            v = np.argmin(charged)
+            if exact[v] or charged[v] >= cutoff:
+                break
+            slot = slots[box, v]
+            move(kind, source, thetas[slot], moved)
+            pair_costs(moved, target, cost)
+            curvature(kind, source, thetas[slot] - points[box], missed)
+            for i in range(missed.size):
+                for j in range(cost.shape[1]):
+                    cost[i, j] -= missed[i]
+            charged[v] = improve_assignment(cost, k, duals[slot].copy())[0]
+            exact[v] = True
+            spent += 1
+        bounds[box] = max(bounds[box], charged[v])
+    return spent

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from dcreg.assignment import k_assignment, pairs_of
 from dcreg.kernels import assignment as kernels
 from dcreg.kernels import reference
+from dcreg.kernels.shared import smallest_sum
 
 
 @st.composite
@@ -55,6 +56,26 @@ def test_duals_prove_the_optimum_and_any_duals_bound_it(case, seed):
     assert kernels.dual_bound(cost, k, duals) == pytest.approx(value, abs=1e-9)
     any_duals = np.random.default_rng(seed).random(cost.shape[1])
     assert kernels.dual_bound(cost, k, any_duals) <= value + 1e-9
+
+
+@given(costs(most=25), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.1, 3.0]))
+def test_any_starting_prices_lead_to_the_optimum(case, seed, spread):
+    cost, k = case
+    prices = spread * np.random.default_rng(seed).random(cost.shape[1])
+    value, col_of = kernels.improve_assignment(cost, k, prices)
+    matched = np.flatnonzero(col_of >= 0)
+    assert len(matched) == len(set(col_of[matched])) == k
+    assert cost[matched, col_of[matched]].sum() == pytest.approx(value, abs=1e-9)
+    assert value == pytest.approx(reference.k_assignment(cost, k), abs=1e-8)
+    assert kernels.dual_bound(cost, k, prices) == pytest.approx(value, abs=1e-8)
+
+
+@given(st.integers(1, 40), st.integers(0, 2**32 - 1), st.booleans())
+def test_smallest_sum_equals_sorting(n, seed, ties):
+    generator = np.random.default_rng(seed)
+    values = generator.integers(0, 4, n) * 1.0 if ties else generator.standard_normal(n)
+    k = int(generator.integers(1, n + 1))
+    assert smallest_sum(values, k) == pytest.approx(np.sort(values)[:k].sum(), abs=1e-9)
 
 
 @pytest.mark.parametrize("k", [0, 4])
