@@ -45,6 +45,30 @@ baselines: setup
 new-baseline: setup
 	@$(BIN)/python -m workflows new-baseline $(NAME)
 
+## bench: measure the solver against its targets, tables in results/bench (QUICK=1: seconds only)
+.PHONY: bench
+bench: setup
+	@mkdir -p results/bench
+	@$(BIN)/python -m pytest tests/bench/bench_solves.py -n 0 -q --timeout=0 --benchmark-columns=min \
+	  --benchmark-json=results/bench/raw.json $(if $(QUICK),--quick) $(if $(CASES),-k "$(CASES)")
+	@$(BIN)/python -m tests.bench.tables results/bench/raw.json results/bench
+
+## ablation: all bounds on the same boxes and problems; prints the path of its page
+.PHONY: ablation
+ablation: setup
+	@$(BIN)/python -m workflows.ablation results/ablation
+	@$(BIN)/python -m reports.ablation results/ablation
+
+## golden: compare own TEASER and Go-ICP with recorded outputs of the official programs
+.PHONY: golden
+golden: setup
+	@$(BIN)/python -m workflows.golden_comparison
+
+## fuzz: solve COUNT small random problems and count wrong certificates (expected: none)
+.PHONY: fuzz
+fuzz: setup
+	@$(BIN)/python -m tests.fuzz --count $(or $(COUNT),10000)
+
 ## record: store the small tables of demo and real2d under history/VERSION
 .PHONY: record
 record: setup

@@ -2,30 +2,65 @@
 
 ``fpfh-mutual``
     Open3D's FPFH features; pairs of points that are each other's nearest in feature space. Radii
-    are multiples of the target's median point spacing, the same for both sets.
+    are multiples of the target's median point spacing, the same for both sets. 3D only.
+``norm-signature``
+    Own: two signatures of a point that no motion changes, its sorted distances to the nearest
+    neighbours, and quantiles of its distances to all points of the set; in 2D divided by their
+    mean, so that no scale changes them either. The first holds beside clutter, the second under
+    noise. Every source point with the `signature_neighbours` target points most alike in each. 2D
+    and 3D.
 ``all-pairs``
-    Every source point with every target point; refused beyond a stated number of pairs.
+    Every source point with every target point. Where these are more than `max_pairs`, only as many
+    evenly spread source points as fit are paired, and the message says so. 2D and 3D.
+``oracle``
+    All true pairs with random ones, a share `oracle_outliers` of the whole. Made by the harness
+    from the truth, for methods that name this front end and no others: it favours a method, and
+    shows what it can do with good correspondences. 2D and 3D.
+
+No front end gives more than `max_pairs`: the least similar are dropped, and the message says so.
 """
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from baselines import _open3d
-from baselines._poses import median_spacing
-from baselines.contract import Baseline, Card, Instance, Limits, Solution
+from baselines._poses import fit_pose, median_spacing
+from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from dcreg.result import Status
 
-FRONT_ENDS = ("fpfh-mutual", "all-pairs")
+FRONT_ENDS = ("fpfh-mutual", "norm-signature", "all-pairs", "oracle")
 OPEN3D = "pip install open3d; on a bare Debian also apt-get install libusb-1.0-0 libgl1 libegl1"
+SIGNATURE_NEAREST = 8  # neighbours whose distances enter a signature
+SIGNATURE_QUANTILES = np.linspace(0.1, 0.9, 9)
 
 
 class FrontEndError(Exception):
     """A front end cannot give pairs for this instance; the message says why."""
+
+
+@dataclass(frozen=True)
+class Putative:
+    """Rows (source index, target index), and what a reader should know of them."""
+
+    pairs: np.ndarray
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a method makes of pairs: a pose or None, and whether it ended by itself."""
+
+    pose: np.ndarray | None
+    finished: bool = True
+    message: str = ""
+    extra: dict[str, float] = field(default_factory=dict)
 
 
 def unavailable(front_end: str) -> str | None:
@@ -39,11 +74,25 @@ def unavailable(front_end: str) -> str | None:
     return None
 
 
-def putative_pairs(instance: Instance, options: dict[str, Any]) -> np.ndarray:
-    """Rows (source index, target index) from the front end and settings named in `options`."""
-    if options["front_end"] == "all-pairs":
-        return all_pairs(instance, options["max_pairs"])
-    return fpfh_mutual(instance, options["normal_radius"], options["feature_radius"])
+def putative_pairs(instance: Instance, options: dict[str, Any]) -> Putative:
+    """Pairs from the front end and settings named in `options`, the most similar first."""
+    front_end, most = options["front_end"], options["max_pairs"]
+    if front_end == "all-pairs":
+        return all_pairs(instance, most)
+    if front_end == "oracle":
+        if instance.oracle_pairs is None:
+            raise FrontEndError(
+                "front end oracle: this instance carries no oracle pairs; the harness gives them "
+                "to methods with the option front_end: oracle"
+            )
+        pairs = instance.oracle_pairs
+    elif front_end == "norm-signature":
+        pairs = norm_signature(instance, options["signature_neighbours"])
+    else:
+        pairs = fpfh_mutual(instance, options["normal_radius"], options["feature_radius"])
+    if len(pairs) <= most:
+        return Putative(pairs)
+    return Putative(pairs[:most], f"{front_end}: {most} of {len(pairs)} pairs kept (max_pairs)")
 
 
 def fpfh_mutual(instance: Instance, normal_radius: float, feature_radius: float) -> np.ndarray:
@@ -51,19 +100,65 @@ def fpfh_mutual(instance: Instance, normal_radius: float, feature_radius: float)
     spacing = median_spacing(instance.target)
     source = _fpfh(instance.source, normal_radius * spacing, feature_radius * spacing)
     target = _fpfh(instance.target, normal_radius * spacing, feature_radius * spacing)
-    to_target = cKDTree(target).query(source)[1]
+    distances, to_target = cKDTree(target).query(source)
     to_source = cKDTree(source).query(target)[1]
     rows = np.arange(len(source))
-    mutual = to_source[to_target] == rows
-    return np.column_stack([rows[mutual], to_target[mutual]])
+    mutual = rows[to_source[to_target] == rows]
+    mutual = mutual[np.argsort(distances[mutual], kind="stable")]
+    return np.column_stack([mutual, to_target[mutual]])
 
 
-def all_pairs(instance: Instance, max_pairs: int) -> np.ndarray:
-    """The complete bipartite list of pairs."""
+def norm_signature(instance: Instance, neighbours: int) -> np.ndarray:
+    """Every source point with the target points most alike in each signature."""
+    size = min(len(instance.source), len(instance.target)) - 1
+    if size < 1:
+        return np.empty((0, 2), dtype=np.int64)
+    free_scale = instance.scale_range[0] < instance.scale_range[1]
+    both = zip(
+        *(
+            _signatures(points, min(SIGNATURE_NEAREST, size), free_scale)
+            for points in (instance.source, instance.target)
+        ),
+        strict=True,
+    )
+    k = min(neighbours, len(instance.target))
+    rows, columns, unlikeness = [], [], []
+    for source, target in both:
+        distances, nearest = cKDTree(target).query(source, k=range(1, k + 1))
+        rows.append(np.repeat(np.arange(len(source)), k))
+        columns.append(nearest.ravel())
+        unlikeness.append(distances.ravel() / max(float(np.median(distances)), 1e-300))
+    pairs = np.column_stack([np.concatenate(rows), np.concatenate(columns)])
+    pairs = pairs[np.argsort(np.concatenate(unlikeness), kind="stable")]
+    _, first = np.unique(pairs, axis=0, return_index=True)
+    return pairs[np.sort(first)]
+
+
+def all_pairs(instance: Instance, max_pairs: int) -> Putative:
+    """The complete bipartite list of pairs, of fewer source points where it is too long."""
     n, m = len(instance.source), len(instance.target)
-    if n * m > max_pairs:
-        raise FrontEndError(f"all-pairs gives {n * m} pairs, more than max_pairs = {max_pairs}")
-    return np.column_stack([np.repeat(np.arange(n), m), np.tile(np.arange(m), n)])
+    kept = max_pairs // m
+    if kept < min(n, instance.dim):
+        raise FrontEndError(
+            f"all-pairs gives {n * m} pairs, and max_pairs = {max_pairs} leaves {kept} of {n} "
+            "source points; raise it or thin the clouds"
+        )
+    rows, note = np.arange(n), ""
+    if kept < n:
+        rows = _spread(instance.source, kept)
+        note = f"all-pairs: {kept} of {n} source points paired (max_pairs)"
+    pairs = np.column_stack([np.repeat(rows, m), np.tile(np.arange(m), len(rows))])
+    return Putative(pairs, note)
+
+
+def oracle_pairs(true_pairs: np.ndarray, n: int, m: int, outliers: float, seed: int) -> np.ndarray:
+    """All true pairs and random wrong ones, a share `outliers` of the whole, in random order."""
+    generator = np.random.default_rng(seed)
+    true = np.asarray(true_pairs, dtype=np.int64)
+    wanted = round(len(true) * outliers / (1 - outliers))
+    wrong = np.setdiff1d(np.arange(n * m), true[:, 0] * m + true[:, 1])
+    drawn = generator.choice(wrong, size=min(wanted, len(wrong)), replace=False)
+    return generator.permutation(np.vstack([true, np.column_stack([drawn // m, drawn % m])]))
 
 
 def _fpfh(points: np.ndarray, normal_radius: float, feature_radius: float) -> np.ndarray:
@@ -80,41 +175,106 @@ def _fpfh(points: np.ndarray, normal_radius: float, feature_radius: float) -> np
     return np.asarray(features.data).T
 
 
+def _signatures(
+    points: np.ndarray, nearest: int, free_scale: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances that no rigid motion changes, of every point: near ones, and from all over."""
+    distances = cdist(points, points)
+    near = np.sort(np.partition(distances, nearest, axis=1)[:, : nearest + 1], axis=1)[:, 1:]
+    far = np.hstack([near, np.quantile(distances, SIGNATURE_QUANTILES, axis=1).T])
+    if not free_scale:
+        return near, far
+    means = (signature.mean(axis=1, keepdims=True) for signature in (near, far))
+    near_mean, far_mean = (np.where(mean > 0, mean, 1.0) for mean in means)
+    return near / near_mean, far / far_mean
+
+
+def _spread(points: np.ndarray, count: int) -> np.ndarray:
+    """Indices of `count` points, each the farthest from those before it, sorted."""
+    chosen = [int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))]
+    nearest = np.full(len(points), np.inf)
+    while len(chosen) < count:
+        nearest = np.minimum(nearest, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
+        chosen.append(int(np.argmax(nearest)))
+    return np.sort(chosen)
+
+
 class CorrespondenceMethod(Baseline):
-    """A rigid 3D method that treats putative pairs from a front end."""
+    """A method that treats putative pairs from a front end.
+
+    A subclass defines `estimate`, or `solve_pairs` when all it has to tell is a pose.
+    """
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
-        if self.options["front_end"] not in FRONT_ENDS:
+        front_end, outliers = self.options["front_end"], self.options["oracle_outliers"]
+        if front_end not in FRONT_ENDS:
             raise ValueError(
-                f"option front_end = {self.options['front_end']!r}; "
-                f"choose one of {', '.join(FRONT_ENDS)}"
+                f"option front_end = {front_end!r}; choose one of {', '.join(FRONT_ENDS)}"
             )
+        if not 0 <= outliers < 1:
+            raise ValueError(f"option oracle_outliers = {outliers}; give a share in [0, 1)")
 
     def available(self) -> str | None:
         return super().available() or unavailable(self.options["front_end"])
 
+    def supports(self, instance: Instance) -> str | None:
+        if reason := super().supports(instance):
+            return reason
+        if self.options["front_end"] == "fpfh-mutual" and instance.dim != 3:
+            return f"front end fpfh-mutual does not treat {instance.model}"
+        return None
+
+    def warm_up(self, instance: Instance) -> None:
+        small = tiny(instance)
+        if self.options["front_end"] != "oracle":
+            putative_pairs(small, self.options)
+        rows = np.arange(len(small.source))
+        self.estimate(small, np.column_stack([rows, rows]), Limits(time_s=30.0))
+
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        deadline = time.perf_counter() + limits.time_s
+        start = time.perf_counter()
         try:
-            pairs = putative_pairs(instance, self.options)
+            putative = putative_pairs(instance, self.options)
         except FrontEndError as error:
             return Solution(Status.FAILED, None, str(error))
+        pairs = putative.pairs
         counters = {"n_correspondences": len(pairs)}
         if len(pairs) < instance.dim:
             message = f"{len(pairs)} correspondences, a pose needs {instance.dim}"
             return Solution(Status.FAILED, None, message, counters=counters)
-        pose = self.solve_pairs(instance, pairs, limits)
-        if pose is None:
-            message = "the method found no consistent correspondences"
-            return Solution(Status.FAILED, None, message, counters=counters)
-        if time.perf_counter() > deadline:  # a library call cannot be interrupted
-            message = "the solver ended after the time limit"
-            return Solution(Status.TIME_LIMIT, pose, message, counters=counters)
-        return Solution(Status.CONVERGED, pose, counters=counters)
+        left = max(1e-3, limits.time_s - (time.perf_counter() - start))
+        found = self.estimate(
+            instance, pairs, Limits(left, limits.nodes, limits.memory_mb, limits.threads)
+        )
+        late = time.perf_counter() - start > limits.time_s
+        notes = [putative.note, found.message]
+        pose, status = found.pose, Status.CONVERGED
+        if not found.finished and pose is None:
+            pose = fit_pose(
+                instance.source[pairs[:, 0]], instance.target[pairs[:, 1]], instance.scale_range
+            )
+            notes.append("no pose by the time limit but the least-squares one of all pairs")
+            status = Status.TIME_LIMIT
+        elif pose is None:
+            notes.append("the method found no consistent correspondences")
+            status = Status.FAILED
+        elif not found.finished:
+            notes.append("stopped at the time limit")
+            status = Status.TIME_LIMIT
+        elif late:
+            notes.append("the solver ended after the time limit")
+            status = Status.TIME_LIMIT
+        return Solution(
+            status, pose, "; ".join(filter(None, notes)), counters=counters, extra=found.extra
+        )
+
+    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
+        """The pose from these pairs within the limits, with what else is to be told."""
+        return Estimate(self.solve_pairs(instance, pairs, limits))
 
     def solve_pairs(
         self, instance: Instance, pairs: np.ndarray, limits: Limits
     ) -> np.ndarray | None:
-        """The rigid pose from these pairs, None when there is none."""
-        raise NotImplementedError(f"{type(self).__name__} must define solve_pairs")
+        """The pose from these pairs, None when there is none."""
+        raise NotImplementedError(f"{type(self).__name__} must define estimate or solve_pairs")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -69,6 +69,9 @@ class Instance:
         use it, so that all get the same prior.
     seed : int
         For methods that draw random numbers.
+    oracle_pairs : (k, 2) array, optional
+        True pairs and random ones, unmarked: only for methods with the option
+        ``front_end: oracle``, whose results are labelled as favoured by it.
     """
 
     instance_id: str
@@ -79,6 +82,7 @@ class Instance:
     scale_range: tuple[float, float]
     noise_bound: float
     seed: int
+    oracle_pairs: np.ndarray | None = None
 
     @property
     def dim(self) -> int:
@@ -154,14 +158,38 @@ class Baseline(abc.ABC):
 
     def warm_up(self, instance: Instance) -> None:
         """Imports and JIT compilation for instances of this kind; timed apart from `solve`."""
-        self.solve(_tiny(instance), Limits(time_s=30.0))
+        self.solve(tiny(instance), Limits(time_s=30.0))
 
     @abc.abstractmethod
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         """Register `instance` within `limits` and return the best pose found."""
 
 
-def _tiny(instance: Instance) -> Instance:
+@runtime_checkable
+class BoxBounding(Protocol):
+    """Optional: an adapter that can bound its objective over a box of poses says so by this method.
+
+    ``python -m workflows.bound_comparison`` finds such adapters and sets their bounds beside the DC bound
+    on the same boxes.
+    """
+
+    def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
+        """Lower bound of the method over one box, in squared units of the instance.
+
+        The clouds are taken as they are, neither centred nor scaled, and the box is of
+
+        - ``similarity2d``: theta = (s cos a, s sin a, t_x, t_y), so that y = s R x + t; the objective is
+          the sum of squared residuals of the best matching of ``n_inliers`` pairs;
+        - ``rigid3d``: the translation t before the rotation, y = R (x + t), whatever R; the objective is
+          that of point norms, ``sum p_ij (|x_i + t| - |y_j|)^2``, or what the method has in its place.
+
+        The bound holds for every admissible pose of the box. Nothing is cut at zero or taken over from
+        another box. NaN where the method has no bound over such boxes.
+        """
+        ...
+
+
+def tiny(instance: Instance) -> Instance:
     """A small problem with the same shape of arrays, for warm-up."""
     generator = np.random.default_rng(0)
     points = generator.standard_normal((12, instance.dim))

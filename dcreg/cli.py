@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import os
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator
 from enum import StrEnum
 from functools import partial
 from importlib.metadata import version as package_version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,15 +26,17 @@ from dcreg._version import __version__
 from dcreg.bounds import bound_names
 from dcreg.certificate import write as write_certificate
 from dcreg.io import read_points
-from dcreg.plot import plot_registration
+from dcreg.plot import SWEEP_IMAGES, SWEEP_PAGE, plot_registration, plot_sweep
 from dcreg.problem import MODEL_DIM, InputError, Problem, default_gap_tol, rms_radius
 from dcreg.progress import Progress
 from dcreg.registration import DEFAULT_BOUND, MODES
 from dcreg.result import Result, Status
+from dcreg.sweeping import SweepResult
 from dcreg.verification import verify as verify_certificate
 
 EXIT_OK, EXIT_OUTPUT, EXIT_INPUT, EXIT_LIMIT = 0, 1, 2, 3
 _MANY_POINTS = 4000
+_MAX_SWEEP = 1000
 _STDOUT = Path("-")
 _OPTION_FIELDS = {"model", "n_inliers", "scale_range", "mode", "bound", "gap_tol", "threads"}
 _OPTION_FIELDS |= {"time_limit", "node_limit"}
@@ -70,6 +74,57 @@ def _whole(text: str) -> int:
         raise typer.BadParameter(f"'{text}' is not a whole number; give one such as 4") from None
 
 
+# --- options that several commands have -----------------------------------------------------------
+
+SourceArgument = Annotated[
+    str, typer.Argument(metavar="SOURCE", help="Cloud to move; FILE or FILE.npz:KEY.")
+]
+TargetArgument = Annotated[
+    str,
+    typer.Argument(metavar="TARGET", help="Cloud that stays; its units are used throughout."),
+]
+ModelOption = Annotated[
+    ModelChoice, typer.Option(metavar="NAME", help="Kind of pose: similarity2d or rigid3d.")
+]
+ScaleRangeOption = Annotated[
+    tuple[float, float],
+    typer.Option(metavar="LO HI", parser=_number, help="Admissible scale (2D only)."),
+]
+BoundOption = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help=f"Lower bounding function: {', '.join(bound_names())}; 'a+b' takes the greater.",
+    ),
+]
+GapTolOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="X",
+        parser=_number,
+        help="Absolute gap to close, in the objective's units (sum of squared residuals of the "
+        "K pairs). Default: K * (0.03 * RMS radius of the target)^2.",
+    ),
+]
+TimeLimitOption = Annotated[
+    float | None, typer.Option(metavar="S", parser=_number, help="Seconds of search.")
+]
+NodeLimitOption = Annotated[
+    int | None, typer.Option(metavar="N", parser=_whole, help="Boxes to bound.")
+]
+ThreadsOption = Annotated[int, typer.Option(metavar="N", parser=_whole, help="Threads.")]
+PolishOption = Annotated[
+    bool, typer.Option(help="Refine pose and pairs jointly after the certified search.")
+]
+SourceKeyOption = Annotated[
+    str | None, typer.Option(metavar="KEY", help="Array of an .npz or .mat source.")
+]
+TargetKeyOption = Annotated[
+    str | None, typer.Option(metavar="KEY", help="Array of an .npz or .mat target.")
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no advice.")]
+
+
 @app.callback()
 def main() -> None:
     """Globally optimal point cloud registration by branch and bound."""
@@ -86,16 +141,9 @@ def version() -> None:
 
 @app.command()
 def register(
-    source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="Cloud to move; FILE or FILE.npz:KEY.")
-    ],
-    target: Annotated[
-        str,
-        typer.Argument(metavar="TARGET", help="Cloud that stays; its units are used throughout."),
-    ],
-    model: Annotated[
-        ModelChoice, typer.Option(metavar="NAME", help="Kind of pose: similarity2d or rigid3d.")
-    ],
+    source: SourceArgument,
+    target: TargetArgument,
+    model: ModelOption,
     n_inliers: Annotated[
         str,
         typer.Option(
@@ -104,10 +152,7 @@ def register(
             "A decimal point makes it a fraction: '1' is one pair, '1.0' is all of them.",
         ),
     ],
-    scale_range: Annotated[
-        tuple[float, float],
-        typer.Option(metavar="LO HI", parser=_number, help="Admissible scale (2D only)."),
-    ] = (0.5, 1.5),
+    scale_range: ScaleRangeOption = (0.5, 1.5),
     mode: Annotated[
         str | None,
         typer.Option(
@@ -115,38 +160,14 @@ def register(
             help=f"Search mode; default: paper. In 3D one of {', '.join(MODES['rigid3d'])}.",
         ),
     ] = None,
-    bound: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help=f"Lower bounding function: {', '.join(bound_names())}; 'a+b' takes the greater.",
-        ),
-    ] = DEFAULT_BOUND,
-    gap_tol: Annotated[
-        float | None,
-        typer.Option(
-            metavar="X",
-            parser=_number,
-            help="Absolute gap to close, in the objective's units (sum of squared residuals of the "
-            "K pairs). Default: K * (0.03 * RMS radius of the target)^2.",
-        ),
-    ] = None,
-    time_limit: Annotated[
-        float | None, typer.Option(metavar="S", parser=_number, help="Seconds of search.")
-    ] = None,
-    node_limit: Annotated[
-        int | None, typer.Option(metavar="N", parser=_whole, help="Boxes to bound.")
-    ] = None,
-    threads: Annotated[int, typer.Option(metavar="N", parser=_whole, help="Threads.")] = 1,
-    polish: Annotated[
-        bool, typer.Option(help="Refine pose and pairs jointly after the certified search.")
-    ] = True,
-    source_key: Annotated[
-        str | None, typer.Option(metavar="KEY", help="Array of an .npz or .mat source.")
-    ] = None,
-    target_key: Annotated[
-        str | None, typer.Option(metavar="KEY", help="Array of an .npz or .mat target.")
-    ] = None,
+    bound: BoundOption = DEFAULT_BOUND,
+    gap_tol: GapTolOption = None,
+    time_limit: TimeLimitOption = None,
+    node_limit: NodeLimitOption = None,
+    threads: ThreadsOption = 1,
+    polish: PolishOption = True,
+    source_key: SourceKeyOption = None,
+    target_key: TargetKeyOption = None,
     json_path: Annotated[
         Path | None,
         typer.Option("--json", metavar="OUT", help="Write the result; '-' is standard output."),
@@ -162,7 +183,7 @@ def register(
         Path | None,
         typer.Option("--certificate", metavar="OUT.npz", help="Write what `dcreg verify` checks."),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no advice.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Register SOURCE to TARGET and certify the result.
 
@@ -226,6 +247,96 @@ def register(
     if not _write_outputs(log, writers):
         raise typer.Exit(EXIT_OUTPUT)
     raise typer.Exit(_exit_code(result.status))
+
+
+@app.command()
+def sweep(
+    source: SourceArgument,
+    target: TargetArgument,
+    model: ModelOption,
+    n_inliers: Annotated[
+        str,
+        typer.Option(
+            metavar="LIST",
+            help="Pairs to match: counts or fractions of the smaller cloud joined by ',', or ranges "
+            "FROM:TO:STEP with both ends, such as 0.3:1.0:0.1 or 20:60:5.",
+        ),
+    ],
+    scale_range: ScaleRangeOption = (0.5, 1.5),
+    bound: BoundOption = DEFAULT_BOUND,
+    gap_tol: GapTolOption = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(metavar="S", parser=_number, help="Seconds for all cardinalities together."),
+    ] = None,
+    node_limit: NodeLimitOption = None,
+    threads: ThreadsOption = 1,
+    polish: PolishOption = True,
+    source_key: SourceKeyOption = None,
+    target_key: TargetKeyOption = None,
+    out_path: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="OUT", help="Write the results: .json with poses and pairs, or .csv."
+        ),
+    ] = None,
+    plot_path: Annotated[
+        Path | None,
+        typer.Option("--plot", metavar="OUT", help="Write the curves: .html, .png or .svg."),
+    ] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Register SOURCE to TARGET for several numbers of inliers, to choose one.
+
+    Every cardinality gets its optimum with bounds, as of `dcreg register` in mode paper; one search
+    serves several cardinalities where its bounds allow it. Example:
+
+    dcreg sweep a.txt b.txt --model similarity2d --n-inliers 0.5:1.0:0.05 --plot curves.html
+
+    Exit code: 0 all solved; 2 bad input; 3 some stopped at a limit or by Ctrl-C, their best poses and
+    bounds still written; 1 an output file could not be written.
+    """
+    log = Console(stderr=True)
+    try:
+        _check_suffix("--out", out_path, tuple(_SWEEP_WRITERS))
+        _check_suffix("--plot", plot_path, (SWEEP_PAGE, *SWEEP_IMAGES))
+        _check_images(plot_path)
+        _check_outputs({"--out": out_path, "--plot": plot_path}, inputs=(source, target))
+        counts = _counts(n_inliers)
+        problem = _problem(
+            (source, source_key), (target, target_key), model.value, "1.0", scale_range
+        )
+        if not quiet:
+            for line in _advice(problem):
+                log.print(line, style="yellow", highlight=False, soft_wrap=True)
+        with Progress(log, gap_tol=gap_tol, quiet=quiet) as progress:
+            found = dcreg.sweep(
+                problem.source,
+                problem.target,
+                counts,
+                model=problem.model,
+                bound=bound,
+                scale_range=scale_range,
+                gap_tol=gap_tol,
+                time_limit=time_limit,
+                node_limit=node_limit,
+                threads=threads,
+                polish=polish,
+                listener=progress,
+            )
+    except InputError as error:
+        _print_error(log, _with_option_names(str(error)))
+        raise typer.Exit(EXIT_INPUT) from None
+    _print_sweep(Console(), found)
+    writers: list[tuple[Path | None, Writer]] = []
+    if out_path is not None:
+        write = _SWEEP_WRITERS[out_path.suffix.lower()]
+        writers.append((out_path, partial(write, found, source=source, target=target)))
+    if plot_path is not None:
+        writers.append((plot_path, partial(plot_sweep, found, kind=plot_path.suffix.lower())))
+    if not _write_outputs(log, writers):
+        raise typer.Exit(EXIT_OUTPUT)
+    raise typer.Exit(_exit_code(found.status))
 
 
 @app.command()
@@ -293,6 +404,40 @@ def _count(text: str) -> int | float:
             f"--n-inliers: '{text}' is not a number; give a count such as 40 or a fraction "
             "such as 0.8"
         ) from None
+
+
+def _counts(text: str) -> list[int | float]:
+    """`--n-inliers` of a sweep: numbers and ranges ``FROM:TO:STEP``, joined by commas."""
+    counts: list[int | float] = []
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        counts += _range(part) if ":" in part else [_count(part)]
+    return counts
+
+
+def _range(text: str) -> list[int | float]:
+    first, last, *rest = ends = [_count(number) for number in text.split(":")]
+    if len({type(number) for number in ends}) > 1:
+        raise InputError(
+            f"--n-inliers: '{text}' mixes counts and fractions; a fraction needs a decimal point, "
+            "as in 0.3:1.0:0.1"
+        )
+    if not rest and isinstance(first, int):
+        rest = [1]
+    if len(rest) != 1 or not all(map(math.isfinite, ends)) or rest[0] <= 0 or first > last:
+        raise InputError(
+            f"--n-inliers: '{text}' is not a range FROM:TO:STEP with FROM <= TO and STEP > 0; "
+            "give one such as 0.3:1.0:0.1 or 20:60:5"
+        )
+    step = rest[0]
+    n_steps = math.floor((last - first) / step + 1e-9)  # 0.7 / 0.1 is a little less than 7
+    if n_steps >= _MAX_SWEEP:
+        raise InputError(
+            f"--n-inliers: '{text}' names {n_steps + 1} cardinalities; choose a step that leaves at "
+            f"most {_MAX_SWEEP}"
+        )
+    if isinstance(first, int):
+        return [first + at * step for at in range(n_steps + 1)]
+    return [round(first + at * step, 12) for at in range(n_steps + 1)]
 
 
 def _with_option_names(message: str) -> str:
@@ -364,6 +509,21 @@ def _check_outputs(outputs: dict[str, Path | None], inputs: tuple[str, ...]) -> 
             ) from None
 
 
+def _check_suffix(option: str, path: Path | None, known: tuple[str, ...]) -> None:
+    if path is not None and path.suffix.lower() not in known:
+        raise InputError(f"{option} {path}: the name must end in one of {', '.join(known)}")
+
+
+def _check_images(path: Path | None) -> None:
+    if path is None or path.suffix.lower() not in SWEEP_IMAGES:
+        return
+    missing = [name for name in ("matplotlib", "seaborn") if find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"--plot {path}: images need {' and '.join(missing)}; install them or name an .html file"
+        )
+
+
 def _write_outputs(log: Console, writers: list[tuple[Path | None, Writer]]) -> bool:
     """Write each file that was asked for; False if one could not be written."""
     complete = True
@@ -391,6 +551,74 @@ def _document(result: Result, **files: str) -> str:
     """The result as JSON. A bound that does not exist (infinite) becomes null."""
     content = {**result.to_dict(), **files, "dcreg_version": __version__}
     return json.dumps(_plain(content), indent=1, allow_nan=False)
+
+
+def _write_sweep_json(found: SweepResult, path: Path, **files: str) -> None:
+    content = {**found.to_dict(), **files, "dcreg_version": __version__}
+    text = json.dumps(_plain(content), indent=1, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _write_sweep_csv(found: SweepResult, path: Path, **files: str) -> None:
+    """The table, and the final pose row by row (T00, T01, ...); no value is an empty field."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        rows = [
+            _plain(row) | {f"T{i}{j}": value for (i, j), value in np.ndenumerate(T)}
+            for row, T in zip(found.rows(), (r.T_target_source for r in found.results), strict=True)
+        ]
+        writer = csv.DictWriter(stream, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+# Suffix of --out: how it is written.
+_SWEEP_WRITERS: dict[str, Callable[..., None]] = {
+    ".json": _write_sweep_json,
+    ".csv": _write_sweep_csv,
+}
+
+
+def _print_sweep(console: Console, found: SweepResult) -> None:
+    first = found.results[0]
+    flat = first.model == "similarity2d"
+    headings = ["pairs", "status", "lower bound", "upper bound", "RMS", "next pair", "proven by"]
+    headings += ["nodes", "time"] if flat else ["RMSE of pose", "nodes", "time"]
+    table = Table(*headings, box=None, pad_edge=False)
+    for column in table.columns:
+        column.no_wrap = True
+        column.justify = "left" if column.header == "status" else "right"
+    suggested = found.suggested_n_inliers
+    for row in found.rows():
+        cells = [
+            f"{'* ' if row['n_inliers'] == suggested else ''}{row['n_inliers']}",
+            row["status"],
+            *(f"{row[name]:.5g}" for name in ("lower_bound", "upper_bound")),
+            f"{row['rms_low']:.4g} to {row['rms']:.4g}",
+            "" if row["next_pair"] is None else f"{row['next_pair']:.4g}",
+            "" if row["proven_by"] is None else f"k={row['proven_by']}",
+            *([] if flat else [f"{row['rmse_matched']:.4g}"]),
+            str(row["n_nodes"]),
+            f"{row['time_s']:.2f} s",
+        ]
+        table.add_row(*cells)
+    if not console.is_terminal:  # a file has no width that columns would have to fit
+        console.width = max(console.width, 160)
+    console.print(table, highlight=False)
+    for line in _sweep_legend(found):
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def _sweep_legend(found: SweepResult) -> Iterator[str]:
+    first = found.results[0]
+    yield (
+        f"bounds on: {first.certificate_scope}; RMS: sqrt(bound / pairs), units of the target; "
+        "next pair: rise of the upper bound per additional pair"
+    )
+    suggested = found.suggested_n_inliers
+    if suggested is None:
+        yield "suggestion: none, the RMSE of the poses has no clear elbow over these cardinalities"
+    else:
+        yield f"suggestion (*), not proven: {suggested} pairs, the elbow of the RMSE of the poses"
 
 
 def _plain(value: Any) -> Any:

@@ -1,16 +1,20 @@
-"""One offline HTML page per registration: clouds before and after, bounds over time and work."""
+"""Figures without a network: a page per registration, and a sweep's curves as a page or an image."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from dcreg.result import Result
+from dcreg.sweeping import SweepResult
 from dcreg.trace import Event
 
 # Colours that stay apart for colour-blind readers (Okabe and Ito).
@@ -18,6 +22,7 @@ _TARGET, _SOURCE, _PAIRS = "#0072B2", "#D55E00", "#7F7F7F"
 _LOWER, _UPPER = "#009E73", "#CC79A7"
 # Browsers become slow beyond this; larger clouds are thinned evenly for display only.
 _MAX_POINTS = 20_000
+SWEEP_PAGE, SWEEP_IMAGES = ".html", (".png", ".svg")
 
 
 def plot_registration(
@@ -148,3 +153,168 @@ def _finite(events: Sequence[Event], x: str, y: str) -> tuple[list[float], list[
     rows = [(getattr(event, x), getattr(event, y)) for event in events]
     rows = [row for row in rows if math.isfinite(row[1])]
     return [row[0] for row in rows], [row[1] for row in rows]
+
+
+# --- sweep ----------------------------------------------------------------------------------------
+
+
+def plot_sweep(sweep: SweepResult, path: str | Path, kind: str | None = None) -> None:
+    """Write residual and cost of the next pair against the cardinality, to choose one.
+
+    Parameters
+    ----------
+    sweep : SweepResult
+    path : str or Path
+    kind : {".html", ".png", ".svg"}, optional
+        A page with plotly inside, or an image, which needs matplotlib and seaborn; default: the
+        suffix of `path`.
+    """
+    kind = kind or Path(path).suffix.lower()
+    if kind == SWEEP_PAGE:
+        sweep_figure(sweep).write_html(
+            path, include_plotlyjs=True, div_id="sweep", config={"displaylogo": False}
+        )
+    elif kind in SWEEP_IMAGES:
+        _sweep_image(sweep, path, kind.removeprefix("."))
+    else:
+        raise ValueError(f"{kind!r} is no kind of figure; use .html, .png or .svg")
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """A line with a band around it."""
+
+    name: str
+    x: np.ndarray
+    y: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def _sweep_curves(sweep: SweepResult) -> tuple[_Curve, _Curve]:
+    """Residual per pair, and residual of the next pair; both are lengths.
+
+    Between cardinalities that are not neighbours the latter is a mean over the pairs between them.
+    """
+    rows = sweep.rows()
+    k, rms, low = (_column(rows, name) for name in ("n_inliers", "rms", "rms_low"))
+    residual = _Curve("RMS residual, √(E(k) / k)", k, rms, low, rms)
+    names = ("next_pair", "next_pair_low", "next_pair_high")
+    following = [np.sqrt(_column(rows[:-1], name)) for name in names]
+    middles = 0.5 * (k[:-1] + k[1:])
+    return residual, _Curve("residual of the next pair, √(E(k+1) − E(k))", middles, *following)
+
+
+def _column(rows: list[dict[str, Any]], name: str) -> np.ndarray:
+    return np.array([row[name] for row in rows], dtype=float)
+
+
+def _final_rmse(sweep: SweepResult) -> np.ndarray | None:
+    """RMSE of the final poses, where the bounds speak of another objective: in 3D."""
+    if sweep.results[0].model == "similarity2d":
+        return None
+    return np.array([result.rmse_matched for result in sweep.results])
+
+
+def _sweep_title(sweep: SweepResult) -> str:
+    first = sweep.results[0]
+    n_proven = sum(result.success for result in sweep.results)
+    return (
+        f"{first.model}: {n_proven} of {len(sweep.results)} cardinalities certified "
+        f"(bounds on: {first.certificate_scope})"
+    )
+
+
+_AXES = ("pairs to match (n_inliers)", "units of the target")
+_SUGGESTION = "suggestion: elbow at {}"
+
+
+def sweep_figure(sweep: SweepResult) -> go.Figure:
+    """The figure behind the page of `plot_sweep`."""
+    curves = _sweep_curves(sweep)
+    fig = make_subplots(
+        rows=1, cols=2, subplot_titles=[curve.name for curve in curves], horizontal_spacing=0.1
+    )
+    for column, (curve, color) in enumerate(zip(curves, (_TARGET, _SOURCE), strict=True), start=1):
+        fig.add_trace(
+            go.Scatter(
+                x=np.concatenate([curve.x, curve.x[::-1]]),
+                y=np.concatenate([curve.high, curve.low[::-1]]),
+                name=f"{curve.name}: range left open by the bounds",
+                fill="toself",
+                fillcolor=color,
+                opacity=0.25,
+                line={"width": 0},
+                mode="lines",
+                hoverinfo="skip",
+            ),
+            row=1,
+            col=column,
+        )
+        fig.add_trace(
+            go.Scatter(
+                x=curve.x, y=curve.y, name=curve.name, mode="lines+markers", line={"color": color}
+            ),
+            row=1,
+            col=column,
+        )
+    rmse = _final_rmse(sweep)
+    if rmse is not None:
+        line = {"color": _PAIRS, "dash": "dash"}
+        fig.add_trace(
+            go.Scatter(x=curves[0].x, y=rmse, name="RMSE of the final pose", line=line),
+            row=1,
+            col=1,
+        )
+    for column, suggested in itertools.product((1, 2), _suggestions(sweep)):
+        fig.add_vline(
+            x=suggested,
+            line={"color": _LOWER, "dash": "dot"},
+            annotation={"text": _SUGGESTION.format(suggested)} if column == 1 else None,
+            row=1,
+            col=column,
+        )
+    fig.update_xaxes(title_text=_AXES[0])
+    fig.update_yaxes(title_text=_AXES[1], rangemode="tozero")
+    legend = {"orientation": "h", "y": -0.2}
+    fig.update_layout(title=_sweep_title(sweep), template="plotly_white", height=520, legend=legend)
+    return fig
+
+
+def _suggestions(sweep: SweepResult) -> list[int]:
+    suggested = sweep.suggested_n_inliers
+    return [] if suggested is None else [suggested]
+
+
+def _sweep_image(sweep: SweepResult, path: str | Path, kind: str) -> None:
+    # only images need these, and they are no dependencies of the library
+    import seaborn as sns
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    settings = {**sns.axes_style("whitegrid"), "svg.hashsalt": "dcreg", "svg.fonttype": "none"}
+    with rc_context(settings):
+        fig = Figure(figsize=(10, 4), layout="constrained")
+        axes = fig.subplots(1, 2)
+        for ax, curve, color in zip(axes, _sweep_curves(sweep), (_TARGET, _SOURCE), strict=True):
+            ax.fill_between(
+                curve.x, curve.low, curve.high, color=color, alpha=0.25, linewidth=0,
+                label="range left open by the bounds",
+            )  # fmt: skip
+            ax.plot(curve.x, curve.y, "o-", color=color, markersize=4, label=curve.name)
+            for suggested in _suggestions(sweep):
+                label = _SUGGESTION.format(suggested)
+                ax.axvline(suggested, color=_LOWER, linestyle=":", label=label)
+            ax.set(title=curve.name, xlabel=_AXES[0], ylabel=_AXES[1])
+            ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        rmse = _final_rmse(sweep)
+        if rmse is not None:
+            ks = [result.n_inliers for result in sweep.results]
+            axes[0].plot(ks, rmse, "--", color=_PAIRS, label="RMSE of the final pose")
+        for ax in axes:
+            ax.set_ylim(bottom=0.0)
+            ax.legend(fontsize="small")
+        fig.suptitle(_sweep_title(sweep), fontsize="medium")
+        metadata = {"Date": None} if kind == "svg" else None  # the same sweep, the same file
+        fig.savefig(path, format=kind, dpi=150, metadata=metadata)

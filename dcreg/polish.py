@@ -10,7 +10,11 @@ _MAX_ROUNDS = 100
 
 
 def objective(
-    source: np.ndarray, target: np.ndarray, T_target_source: np.ndarray, n_inliers: int
+    source: np.ndarray,
+    target: np.ndarray,
+    T_target_source: np.ndarray,
+    n_inliers: int,
+    candidates: np.ndarray | None = None,
 ) -> tuple[float, np.ndarray]:
     """Least sum of squared residuals of `n_inliers` one-to-one pairs at a pose.
 
@@ -19,6 +23,8 @@ def objective(
     source, target : (n, d), (m, d) arrays
     T_target_source : (d+1, d+1) array
     n_inliers : int
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
 
     Returns
     -------
@@ -28,6 +34,8 @@ def objective(
     d = source.shape[1]
     moved = source @ T_target_source[:d, :d].T + T_target_source[:d, d]
     cost = ((moved[:, None] - target[None]) ** 2).sum(axis=-1)
+    if candidates is not None:
+        cost[~candidates] = 1.0 + n_inliers * cost.max()
     value, col_of = k_assignment(cost, n_inliers)
     return value, pairs_of(col_of)
 
@@ -61,6 +69,7 @@ def polish(
     T_target_source: np.ndarray,
     n_inliers: int,
     scale_range: tuple[float, float],
+    candidates: np.ndarray | None = None,
 ) -> tuple[np.ndarray, float, np.ndarray, int]:
     """Alternate matching and least-squares pose from `T_target_source` until neither changes.
 
@@ -70,11 +79,11 @@ def polish(
         Never worse than the pose given.
     """
     T = T_target_source
-    value, pairs = objective(source, target, T, n_inliers)
+    value, pairs = objective(source, target, T, n_inliers, candidates)
     spent = 1
     for _ in range(_MAX_ROUNDS):
         trial = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
-        trial_value, trial_pairs = objective(source, target, trial, n_inliers)
+        trial_value, trial_pairs = objective(source, target, trial, n_inliers, candidates)
         spent += 1
         if trial_value >= value * (1.0 - 1e-12):
             break

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 
 ModelName = Literal["similarity2d", "rigid3d"]
+# (n, m) mask, or one sequence of target indices per source point
+Candidates = np.ndarray | Sequence[Sequence[int]]
 MODEL_DIM: dict[str, int] = {"similarity2d": 2, "rigid3d": 3}
 
 
@@ -32,6 +37,8 @@ class Problem:
     model : {"similarity2d", "rigid3d"}
     scale_range : (low, high)
         Admissible scale in 2D. In 3D the scale is 1.
+    candidates : (n, m) bool array, or n sequences of target indices, optional
+        The feasible pairs; None: all.
 
     Raises
     ------
@@ -44,6 +51,7 @@ class Problem:
     n_inliers: int
     model: ModelName
     scale_range: tuple[float, float]
+    candidates: np.ndarray | None
 
     def __init__(
         self,
@@ -52,6 +60,7 @@ class Problem:
         n_inliers: int | float,
         model: str,
         scale_range: tuple[float, float] = (0.5, 1.5),
+        candidates: Candidates | None = None,
     ) -> None:
         if model not in MODEL_DIM:
             raise InputError(f"model: {model!r} is unknown; choose one of {sorted(MODEL_DIM)}")
@@ -60,7 +69,9 @@ class Problem:
         target = check_points("target", target, dim, model)
         n_inliers = check_n_inliers(n_inliers, min(len(source), len(target)))
         scale_range = (1.0, 1.0) if dim == 3 else check_scale_range(scale_range)
-        for name in ("source", "target", "n_inliers", "model", "scale_range"):
+        if candidates is not None:
+            candidates = check_candidates(candidates, len(source), len(target), n_inliers)
+        for name in ("source", "target", "n_inliers", "model", "scale_range", "candidates"):
             object.__setattr__(self, name, locals()[name])
 
     @property
@@ -108,6 +119,56 @@ def check_n_inliers(n_inliers: int | float, limit: int) -> int:
             f"so give an integer between 1 and {limit}"
         )
     return int(n_inliers)
+
+
+def check_candidates(candidates: Candidates, n: int, m: int, n_inliers: int) -> np.ndarray | None:
+    """The feasible pairs as an (n, m) mask; None where every pair is feasible.
+
+    Raises
+    ------
+    InputError
+        For a wrong shape, an index outside the target, or pairs that admit no matching of
+        `n_inliers`.
+    """
+    if isinstance(candidates, np.ndarray) and candidates.ndim == 2 and candidates.dtype == bool:
+        mask = candidates.copy()
+        if mask.shape != (n, m):
+            raise InputError(
+                f"candidates: mask of shape {mask.shape}; {n} source and {m} target points need "
+                f"({n}, {m})"
+            )
+    else:
+        mask = _mask_of_lists(candidates, n, m)
+    most = int((maximum_bipartite_matching(csr_array(mask), perm_type="column") >= 0).sum())
+    if most < n_inliers:
+        raise InputError(
+            f"candidates: at most {most} pairs can be matched one to one, fewer than n_inliers = "
+            f"{n_inliers}; allow more pairs or lower n_inliers"
+        )
+    return None if mask.all() else mask
+
+
+def _mask_of_lists(candidates: Candidates, n: int, m: int) -> np.ndarray:
+    try:
+        rows = [np.asarray(row, dtype=np.float64).ravel() for row in candidates]
+    except (TypeError, ValueError):
+        raise InputError(
+            "candidates: neither a boolean mask nor one sequence of target indices per source point"
+        ) from None
+    if len(rows) != n:
+        raise InputError(
+            f"candidates: {len(rows)} index lists for {n} source points; give one each"
+        )
+    mask = np.zeros((n, m), dtype=bool)
+    for i, row in enumerate(rows):
+        bad = row[(row != np.round(row)) | (row < 0) | (row >= m)]
+        if bad.size:
+            raise InputError(
+                f"candidates: {bad[0]:g} for source point {i} is no target index; "
+                f"use integers from 0 to {m - 1}"
+            )
+        mask[i, row.astype(np.int64)] = True
+    return mask
 
 
 def check_scale_range(scale_range: tuple[float, float]) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from dcreg.certificate import Certificate, of_search
 from dcreg.frame import Frame
 from dcreg.models import Model, Similarity2D, Translation3D
 from dcreg.polish import objective, polish
-from dcreg.problem import InputError, Problem, default_gap_tol
+from dcreg.problem import Candidates, InputError, Problem, default_gap_tol
 from dcreg.result import Result, Status
 from dcreg.rigid import RigidResult, search_multi, search_rigid
 from dcreg.rotation import search_rotation
@@ -140,6 +140,7 @@ def _similarity2d(solve: Solve) -> None:
         solve.problem.n_inliers,
         solve.problem.scale_range,
         reduced_box=solve.start_box == "reduced",
+        candidates=solve.problem.candidates,
     )
     found = solve.search(model, solve.limits)
     solve.T = model.pose(found.theta)
@@ -201,6 +202,7 @@ def register(
     node_limit: int | None = None,
     memory_limit_mb: float | None = None,
     threads: int = 1,
+    candidates: Candidates | None = None,
     polish: bool = True,
     certificate: bool = False,
     listener: Listener | None = None,
@@ -240,6 +242,9 @@ def register(
         Memory of the open boxes.
     threads : int
         Threads that evaluate bounds; the result does not depend on it.
+    candidates : (n, m) bool array, or n sequences of target indices, optional
+        The feasible pairs, e.g. from descriptors or a distance gate; all others are ruled out in the
+        objective, the bounds and the answer. Modes ``paper`` only.
     polish : bool
         Refine the final pose locally on the full objective. Reported apart from the certificate.
     certificate : bool
@@ -267,15 +272,15 @@ def register(
     ('optimal', [3.0, 3.0])
     """
     began = time.perf_counter()
-    problem = Problem(source, target, n_inliers, model, scale_range)
-    if len(problem.source) * len(problem.target) > MAX_PAIRS:
-        raise InputError(
-            f"source, target: {len(problem.source)} x {len(problem.target)} pairs exceed "
-            f"{MAX_PAIRS:,}; downsample both clouds first (a voxel grid or farthest points)"
-        )
+    problem = Problem(source, target, n_inliers, model, scale_range, candidates)
+    check_size(problem)
     mode = mode or next(iter(MODES[model]))
     if mode not in MODES[model]:
         raise InputError(f"mode: {mode!r} is unknown for {model}; choose from {list(MODES[model])}")
+    if problem.candidates is not None:
+        _check_takes_candidates(mode, bound)
+    if certificate and problem.candidates is not None:
+        raise InputError("certificate: it cannot record candidates; leave one of the two out")
     if certificate and mode != CERTIFIABLE[model][0]:
         raise InputError(f"certificate: mode {mode!r} keeps no leaf boxes; use mode 'paper'")
     bound_parts(bound)  # unknown names end here, also where a mode has bounds of its own
@@ -309,7 +314,9 @@ def register(
     )
     MODES[model][mode](solve)
     T_certified = frame.pose(solve.T)
-    value, pairs = objective(problem.source, problem.target, T_certified, problem.n_inliers)
+    value, pairs = objective(
+        problem.source, problem.target, T_certified, problem.n_inliers, problem.candidates
+    )
     final_T, final_value = T_certified, value
     if polish:
         polish_began = time.perf_counter()
@@ -349,6 +356,16 @@ def register(
     )
 
 
+def check_size(problem: Problem) -> None:
+    """Refuse clouds whose cost matrix would not fit the memory of a common machine."""
+    n, m = len(problem.source), len(problem.target)
+    if n * m > MAX_PAIRS:
+        raise InputError(
+            f"source, target: {n} x {m} pairs exceed {MAX_PAIRS:,}; downsample both clouds first "
+            "(a voxel grid or farthest points)"
+        )
+
+
 def _certificate(solve: Solve, frame: Frame, mode: str) -> Certificate | None:
     if solve.leaves is None or solve.found is None or solve.start is None:
         return None
@@ -370,7 +387,26 @@ def _certificate(solve: Solve, frame: Frame, mode: str) -> Certificate | None:
 
 
 def _polish(problem: Problem, T: np.ndarray) -> tuple[np.ndarray, float, np.ndarray, int]:
-    return polish(problem.source, problem.target, T, problem.n_inliers, problem.scale_range)
+    return polish(
+        problem.source,
+        problem.target,
+        T,
+        problem.n_inliers,
+        problem.scale_range,
+        problem.candidates,
+    )
+
+
+def _check_takes_candidates(mode: str, bound: str) -> None:
+    if mode != "paper":
+        raise InputError(
+            f"candidates: mode {mode!r} treats every pair as feasible; use mode 'paper'"
+        )
+    blind = [part for part in bound_parts(bound) if part.startswith("termwise")]
+    if blind:
+        raise InputError(
+            f"candidates: bound {blind[0]!r} treats every pair as feasible; use another bound"
+        )
 
 
 def _check_settings(**settings: float | None) -> None:
@@ -383,8 +419,8 @@ def _check_settings(**settings: float | None) -> None:
 
 
 def _round_size(n_pairs: int) -> int:
-    """Boxes per round: few enough that a round of large problems stays interruptible."""
-    return int(np.clip(200_000 // n_pairs, 1, 16))
+    """Boxes per round: enough to keep threads busy, few enough to stay interruptible."""
+    return int(np.clip(2_000_000 // n_pairs, 1, 64))
 
 
 def _scaled(event: Event, area: float) -> Event:

@@ -252,6 +252,7 @@ def solve(
     method: Annotated[str, typer.Option()],
     instances: Out,
     out: Out,
+    truth: Annotated[Path | None, typer.Option(help="For the oracle front end only.")] = None,
     select: Select = None,
 ) -> None:
     """Run a method on a chunk of instances."""
@@ -260,7 +261,12 @@ def solve(
 
     settings = load(experiment)
     solve_chunk(
-        settings, settings.method(method), instances, out, lambda line: print(line, flush=True)
+        settings,
+        settings.method(method),
+        instances,
+        out,
+        lambda line: print(line, flush=True),
+        truth,
     )
 
 

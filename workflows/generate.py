@@ -14,7 +14,7 @@ from data.sampling import transform
 from workflows import CHECKOUT
 from workflows.disturb import make_instance
 from workflows.hashing import digest_files
-from workflows.instances import Problem, Truth, write_problems, write_truths
+from workflows.instances import Problem, Truth, with_oracle, write_problems, write_truths
 from workflows.plan import Chunk, InstanceSpec, Plan
 from workflows.records import replacing
 
@@ -27,8 +27,7 @@ def generate(chunk: Chunk, instances_path: Path, truth_path: Path) -> None:
     """Write the two files of a chunk."""
     made = [(spec, _raw(spec)) for spec in chunk.instances]
     write_problems(instances_path, (problem_of(spec, raw) for spec, raw in made))
-    truths = (Truth(spec.instance_id, raw.T_true, raw.pairs) for spec, raw in made)
-    write_truths(truth_path, truths)
+    write_truths(truth_path, (truth_of(spec, raw) for spec, raw in made))
 
 
 def fetch(plan: Plan, dataset_name: str, out: Path) -> None:
@@ -67,9 +66,22 @@ def problem_of(spec: InstanceSpec, raw: RawInstance) -> Problem:
     )
 
 
-def instance_of(spec: InstanceSpec, n_inliers_ratio: float, experiment_seed: int) -> Instance:
-    """Exactly what a worker is given for this spec."""
-    return problem_of(spec, _raw(spec)).for_solver(n_inliers_ratio, experiment_seed)
+def instance_of(
+    spec: InstanceSpec,
+    n_inliers_ratio: float,
+    experiment_seed: int,
+    oracle_outliers: float | None = None,
+) -> Instance:
+    """Exactly what a worker is given for this spec; oracle pairs only where they are asked for."""
+    raw = _raw(spec)
+    instance = problem_of(spec, raw).for_solver(n_inliers_ratio, experiment_seed)
+    if oracle_outliers is None:
+        return instance
+    return with_oracle(instance, truth_of(spec, raw), oracle_outliers)
+
+
+def truth_of(spec: InstanceSpec, raw: RawInstance) -> Truth:
+    return Truth(spec.instance_id, raw.T_true, raw.pairs)
 
 
 def noise_bound(raw: RawInstance) -> float:

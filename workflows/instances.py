@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from baselines._frontends import oracle_pairs
 from baselines.contract import Instance
 from workflows.hashing import digest_arrays, seed
 from workflows.records import replacing
@@ -54,11 +55,20 @@ class Truth:
     pairs: np.ndarray
 
 
+def with_oracle(instance: Instance, truth: Truth, outliers: float) -> Instance:
+    """The instance with true and random pairs, unmarked: for methods with the oracle front end."""
+    n, m = len(instance.source), len(instance.target)
+    draw = seed("oracle", instance.instance_id)
+    pairs = oracle_pairs(truth.pairs, n, m, outliers, draw)
+    return replace(instance, oracle_pairs=pairs)
+
+
 def content_digest(instance: Instance) -> str:
     """Hash of everything in an instance that a solver could react to."""
     low, high = instance.scale_range
     numbers = np.array([instance.n_inliers, low, high, instance.noise_bound, instance.seed], float)
-    return digest_arrays(instance.source, instance.target, numbers)
+    pairs = () if instance.oracle_pairs is None else (instance.oracle_pairs,)
+    return digest_arrays(instance.source, instance.target, numbers, *pairs)
 
 
 def write_problems(path: Path, problems: Iterable[Problem]) -> None:

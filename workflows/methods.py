@@ -33,6 +33,12 @@ def load(name: str, options: dict[str, Any]) -> Baseline:
     return registry.load(name, root=root_of(name), **options)
 
 
+def oracle_outliers(name: str, options: dict[str, Any]) -> float | None:
+    """Share of random pairs that a method with the front end ``oracle`` asks for; None for others."""
+    settings = {**card(name).parameters, **options}
+    return settings["oracle_outliers"] if settings.get("front_end") == "oracle" else None
+
+
 def fingerprint(name: str) -> str:
     """Hash of everything whose text decides the results of this method."""
     return registry.fingerprint(name, root_of(name))

@@ -22,7 +22,12 @@ def replay(plan: Plan, run_id: str) -> dict[str, Any]:
             f"experiment {plan.experiment.name}: no run {run_id!r}; "
             "take one from column run_id of its tables/runs.csv"
         )
-    instance = instance_of(run.instance, run.method.n_inliers_ratio, plan.experiment.seed)
+    instance = instance_of(
+        run.instance,
+        run.method.n_inliers_ratio,
+        plan.experiment.seed,
+        methods.oracle_outliers(run.method.baseline, run.method.options),
+    )
     method = methods.load(run.method.baseline, run.method.options)
     if reason := method.available() or method.supports(instance):
         raise ConfigError(f"{run.method.name}: {reason}")

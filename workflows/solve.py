@@ -19,7 +19,7 @@ from baselines.contract import Instance
 from dcreg.result import Status
 from workflows import methods, provenance, records
 from workflows.config import Experiment, MethodSettings
-from workflows.instances import content_digest, read_problems
+from workflows.instances import content_digest, read_problems, read_truths, with_oracle
 from workflows.plan import run_identity
 from workflows.sandbox import Sandbox
 
@@ -32,12 +32,21 @@ def solve(
     instances_path: Path,
     runs_path: Path,
     say: Callable[[str], None] = print,
+    truth_path: Path | None = None,
 ) -> None:
-    """Write ``<chunk>.parquet`` and ``<chunk>.trace.parquet`` with a row for every instance."""
+    """Write ``<chunk>.parquet`` and ``<chunk>.trace.parquet`` with a row for every instance.
+
+    The truth is read for methods with the oracle front end only, which are favoured by it and say
+    so; they get it as pairs among random ones.
+    """
     instances = [
         problem.for_solver(method.n_inliers_ratio, experiment.seed)
         for problem in read_problems(instances_path)
     ]
+    outliers = methods.oracle_outliers(method.baseline, method.options)
+    if outliers is not None and truth_path is not None:
+        truths = read_truths(truth_path)
+        instances = [with_oracle(each, truths[each.instance_id], outliers) for each in instances]
     runs_path.parent.mkdir(parents=True, exist_ok=True)
     title = f"solve     {method.name:<16} {runs_path.stem:<14}"
     start = last_said = time.monotonic()

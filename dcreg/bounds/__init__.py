@@ -5,18 +5,21 @@ from __future__ import annotations
 from dcreg.bounds.base import ModelBound, Strongest
 from dcreg.bounds.dc import PaperBound
 from dcreg.bounds.edges import EdgeBound
-from dcreg.bounds.shared import SharedBound, TightBound
+from dcreg.bounds.joint_lp import TermwiseR3
+from dcreg.bounds.shared import SharedBound, TightBound, TightExactBound
 from dcreg.bounds.termwise import TermwiseR1, TermwiseR2
 from dcreg.models import Model
 from dcreg.problem import InputError
 
 BOUNDS: dict[str, type[ModelBound]] = {
     "tight": TightBound,
+    "tight-exact": TightExactBound,
     "shared": SharedBound,
     "paper": PaperBound,
     "edges": EdgeBound,
     "termwise-r1": TermwiseR1,
     "termwise-r2": TermwiseR2,
+    "termwise-r3": TermwiseR3,
 }
 ALIASES = {"termwise": "termwise-r1+termwise-r2"}
 

@@ -3,6 +3,9 @@
 Both models match *features*: plane points in 2D, norms ``|x + t|`` in 3D. With features as columns
 of ``out`` the residual of a pair is a squared distance in feature space, so every bound is written
 once. ``kind`` selects the model.
+
+``target`` holds the target's features, one row each. Where not every pair is feasible, n more rows
+follow: what pair (i, j) costs beyond its residual, 0 or prohibitive.
 """
 
 from __future__ import annotations
@@ -93,6 +96,9 @@ def pair_costs(moved, target, cost):
             for j in range(m):
                 dx = x - target[0, j]
                 cost[i, j] = dx * dx
+        if target.shape[0] > q:
+            for j in range(m):
+                cost[i, j] += target[q + i, j]
 
 
 @jit
@@ -108,6 +114,14 @@ def interval_costs(centre, radius, target, cost):
                 if d > 0.0:
                     total += d * d
             cost[i, j] = total
+            if target.shape[0] > q:
+                cost[i, j] += target[q + i, j]
+
+
+@jit
+def on_line(kind, target):
+    """Whether the assignment is one-dimensional: scalar features, every pair feasible."""
+    return kind == NORM3D and target.shape[0] == 1
 
 
 @jit

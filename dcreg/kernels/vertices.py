@@ -7,7 +7,6 @@ import numpy as np
 from dcreg.kernels.assignment import k_assignment
 from dcreg.kernels.compiling import jit
 from dcreg.kernels.features import (
-    NORM3D,
     allocate,
     curvature,
     enclose,
@@ -15,6 +14,7 @@ from dcreg.kernels.features import (
     interval_costs,
     move,
     n_vertices,
+    on_line,
     pair_costs,
     vertex,
 )
@@ -25,7 +25,7 @@ from dcreg.kernels.line import line_matching, line_value
 def objective(kind, source, target, k, theta):
     """E(theta) and the column of every source row."""
     n, m = source.shape[0], target.shape[1]
-    if kind == NORM3D:  # the assignment is one-dimensional: no cost matrix
+    if on_line(kind, target):  # no cost matrix
         norms = np.empty((n, 1))
         move(kind, source, theta, norms)
         return match_on_line(norms[:, 0].copy(), target[0], k)
@@ -101,7 +101,7 @@ def edge_bound(kind, source, target, k, lower, upper, bounds):
 @jit
 def objectives(kind, source, target, k, thetas, values):
     """E at every row of `thetas`. Returns the number of assignments."""
-    if kind == NORM3D:
+    if on_line(kind, target):
         norms, ordered = np.empty((source.shape[0], 1)), np.sort(target[0])
         for row in range(thetas.shape[0]):
             move(kind, source, thetas[row], norms)

@@ -22,8 +22,9 @@ class Model(abc.ABC):
         Selects the compiled kernels (`dcreg.kernels.features`).
     source : (n, d) array
         Normalised source points.
-    target_features : (q, m) array
-        What the moved source is compared with: target points in 2D, their norms in norm space.
+    target_features : (q, m) or (q + n, m) array
+        What the moved source is compared with: target points in 2D, their norms in norm space. Where
+        not every pair is feasible, the prices of the pairs follow (`with_prices`).
     n_inliers : int
     axis_weights : (dim,) array
         RMS motion of the source per unit step along each axis.
@@ -78,6 +79,20 @@ class Model(abc.ABC):
             self.kind, self.source, self.target_features, self.n_inliers, theta
         )
         return float(value), col_of
+
+
+def with_prices(
+    features: np.ndarray, candidates: np.ndarray | None, n_inliers: int, reach: float
+) -> np.ndarray:
+    """`features` of the target, followed by prohibitive prices of the pairs that are not feasible.
+
+    No residual of an admissible pose exceeds ``2 sqrt(2) reach``, so one such pair costs more than any
+    matching without.
+    """
+    if candidates is None:
+        return np.ascontiguousarray(features)
+    price = 16.0 * n_inliers * reach**2
+    return np.vstack([features, np.where(candidates, 0.0, price)])
 
 
 def mean_of_largest(values: np.ndarray, count: int) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from dcreg.box import Box
 from dcreg.kernels import features
 from dcreg.kernels.refine import refine_similarity2d
-from dcreg.models.base import Model, largest_subset_mean, mean_of_largest
+from dcreg.models.base import Model, largest_subset_mean, mean_of_largest, with_prices
 
 
 class Similarity2D(Model):
@@ -24,6 +24,8 @@ class Similarity2D(Model):
     reduced_box : bool
         Start from the translations that an optimum can have (its residuals have zero mean, so
         t = mean of matched y - s R mean of matched x), or from the plain safe box of the paper.
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
     """
 
     kind = features.SIMILARITY2D
@@ -37,10 +39,12 @@ class Similarity2D(Model):
         n_inliers: int,
         scale_range: tuple[float, float],
         reduced_box: bool = True,
+        candidates: np.ndarray | None = None,
     ) -> None:
         self.source = np.ascontiguousarray(source)
         self.target = np.ascontiguousarray(target)
-        self.target_features = np.ascontiguousarray(target.T)
+        reach = scale_range[1] * _radius(source) + _radius(target)
+        self.target_features = with_prices(self.target.T, candidates, n_inliers, reach)
         self.n_inliers = n_inliers
         self.scale_range = scale_range
         self.reduced_box = reduced_box
@@ -51,15 +55,14 @@ class Similarity2D(Model):
         high = self.scale_range[1]
         if self.reduced_box:
             reach = high * largest_subset_mean(self.source, self.n_inliers)
-            low_y = np.array([-mean_of_largest(-y, self.n_inliers) for y in self.target_features])
-            high_y = np.array([mean_of_largest(y, self.n_inliers) for y in self.target_features])
+            low_y = np.array([-mean_of_largest(-y, self.n_inliers) for y in self.target.T])
+            high_y = np.array([mean_of_largest(y, self.n_inliers) for y in self.target.T])
             # rounding must not cut off the optimum, yet an exactly centred set keeps zero width
             reach = 0.0 if reach < 1e-12 else reach
             low_y, high_y = (np.where(np.abs(y) < 1e-12, 0.0, y) for y in (low_y, high_y))
             lower, upper = low_y - reach, high_y + reach
         else:
-            radius = np.sqrt((self.source**2).sum(axis=1)).max()
-            reach = high * radius + np.sqrt((self.target**2).sum(axis=1)).max()
+            reach = high * _radius(self.source) + _radius(self.target)
             lower, upper = np.full(2, -reach), np.full(2, reach)
         return Box(np.array([-high, -high, *lower]), np.array([high, high, *upper]))
 
@@ -92,3 +95,7 @@ class Similarity2D(Model):
     def pose(self, theta: np.ndarray) -> np.ndarray:
         a, b, tx, ty = theta
         return np.array([[a, -b, tx], [b, a, ty], [0.0, 0.0, 1.0]])
+
+
+def _radius(points: np.ndarray) -> float:
+    return float(np.sqrt((points**2).sum(axis=1)).max())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import types
 from typing import Any
@@ -11,7 +12,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
-from baselines._frontends import FrontEndError, all_pairs, fpfh_mutual
+from baselines._frontends import (
+    Estimate,
+    FrontEndError,
+    Putative,
+    all_pairs,
+    fpfh_mutual,
+    norm_signature,
+    oracle_pairs,
+    putative_pairs,
+)
 from baselines._poses import apply, homogeneous, median_spacing
 from baselines.contract import Instance, Limits
 from dcreg.result import Status
@@ -72,10 +82,100 @@ def test_kiss_matcher_does_not_depend_on_the_unit_of_length(unit: float) -> None
 
 def test_all_pairs_is_complete_and_capped() -> None:
     instance, _ = planted(0.0, n=7)
-    pairs = all_pairs(instance, max_pairs=49)
-    assert sorted(map(tuple, pairs)) == [(i, j) for i in range(7) for j in range(7)]
-    with pytest.raises(FrontEndError, match="49 pairs, more than max_pairs = 48"):
-        all_pairs(instance, max_pairs=48)
+    found = all_pairs(instance, max_pairs=49)
+    assert sorted(map(tuple, found.pairs)) == [(i, j) for i in range(7) for j in range(7)]
+    assert found.note == ""
+    fewer = all_pairs(instance, max_pairs=48)
+    assert len(fewer.pairs) == 42
+    assert "6 of 7 source points" in fewer.note
+    assert {tuple(pair) for pair in fewer.pairs} < {tuple(pair) for pair in found.pairs}
+    with pytest.raises(FrontEndError, match="49 pairs, and max_pairs = 20 leaves 2 of 7"):
+        all_pairs(instance, max_pairs=20)
+
+
+@pytest.mark.parametrize("model", ["rigid3d", "similarity2d"])
+def test_norm_signature_finds_true_pairs_whatever_the_pose(model: str) -> None:
+    generator = np.random.default_rng(6)
+    dim = 3 if model == "rigid3d" else 2
+    source = generator.random((60, dim)) * [1.0, 0.6, 0.4][:dim]
+    turn = Rotation.from_rotvec([0.0, 0.0, 2.0]).as_matrix()[:dim, :dim]
+    scale = 1.0 if dim == 3 else 0.6
+    order = generator.permutation(60)
+    moved = apply(homogeneous(scale, turn, np.ones(dim)), source)[order]
+    scale_range = (1.0, 1.0) if dim == 3 else (0.5, 1.5)
+    instance = Instance("moved", source, moved, model, 60, scale_range, NOISE, 0)
+    pairs = norm_signature(instance, neighbours=1)
+    right = order[pairs[:, 1]] == pairs[:, 0]
+    assert set(pairs[right, 0]) == set(range(60))
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    clutter = np.vstack([moved, generator.random((20, dim)) + 4.0])
+    beside = Instance("beside", source, clutter, model, 60, scale_range, NOISE, 0)
+    pairs = norm_signature(beside, neighbours=3)
+    true = {(int(i), j) for j, i in enumerate(order)}
+    assert len({tuple(map(int, pair)) for pair in pairs} & true) > 50
+
+
+def test_the_least_similar_pairs_are_dropped_and_that_is_told() -> None:
+    instance, _ = planted(0.0, n=40)
+    options = {"front_end": "norm-signature", "signature_neighbours": 3, "max_pairs": 50}
+    few = putative_pairs(instance, options)
+    all_of_them = putative_pairs(instance, {**options, "max_pairs": 10_000})
+    np.testing.assert_array_equal(few.pairs, all_of_them.pairs[:50])
+    assert few.note == f"norm-signature: 50 of {len(all_of_them.pairs)} pairs kept (max_pairs)"
+    assert all_of_them.note == ""
+
+
+def test_oracle_pairs_are_all_true_ones_among_random_ones() -> None:
+    true = np.column_stack([np.arange(30), np.arange(30)[::-1]])
+    pairs = oracle_pairs(true, n=40, m=35, outliers=0.75, seed=1)
+    given = list(map(tuple, pairs))
+    assert len(given) == len(set(given)) == 120
+    assert set(map(tuple, true)) <= set(given)
+    assert given[:30] != sorted(given[:30])  # unmarked: not the true ones first
+    assert sum(pair in set(map(tuple, true)) for pair in given[:60]) < 30
+    np.testing.assert_array_equal(pairs, oracle_pairs(true, 40, 35, 0.75, seed=1))
+    assert len(oracle_pairs(true, 40, 35, 0.0, seed=1)) == 30
+    assert len(oracle_pairs(true, 6 * 5, 30, 0.999, seed=1)) == 900  # there are no more
+
+
+def test_oracle_needs_what_only_the_harness_can_give() -> None:
+    solution = registry.load("teaser", front_end="oracle").solve(planted(0.0)[0], LIMITS)
+    assert solution.status is Status.FAILED
+    assert "carries no oracle pairs" in solution.message
+
+
+def test_oracle_pairs_are_used_where_they_are_given() -> None:
+    instance, truth = planted(0.0, n=60)
+    rows = np.arange(60)
+    pairs = oracle_pairs(np.column_stack([rows, rows]), 60, 60, 0.8, seed=2)
+    given = dataclasses.replace(instance, oracle_pairs=pairs)
+    method = registry.load("teaser", front_end="oracle", oracle_outliers=0.8)
+    solution = method.solve(given, LIMITS)
+    assert solution.counters["n_correspondences"] == 300
+    assert angle_between(solution.T_target_source, truth) < 1.0
+
+
+def test_fpfh_is_for_3d_only() -> None:
+    points = np.random.default_rng(0).random((10, 2))
+    flat = Instance("flat", points, points, "similarity2d", 10, (0.5, 1.5), NOISE, 0)
+    reason = registry.load("teaser", front_end="fpfh-mutual").supports(flat)
+    assert "similarity2d" in reason
+    assert registry.load("teaser").supports(flat) is None
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.0])
+def test_a_share_of_outliers_must_be_one(share: float) -> None:
+    with pytest.raises(registry.BaselineError, match="oracle_outliers"):
+        registry.load("teaser", oracle_outliers=share)
+
+
+def test_without_a_pose_at_the_limit_all_pairs_give_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    method = registry.load("sc2_pcr")
+    monkeypatch.setattr(method, "estimate", lambda *_: Estimate(None, finished=False))
+    solution = method.solve(planted(0.0, n=20)[0], LIMITS)
+    assert solution.status is Status.TIME_LIMIT
+    assert "least-squares one of all pairs" in solution.message
+    assert np.isfinite(solution.T_target_source).all()
 
 
 def test_too_many_pairs_is_a_failure_with_a_reason() -> None:
@@ -170,7 +270,7 @@ def test_two_pairs_are_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
     if reason := method.available():
         pytest.skip(reason)
     monkeypatch.setattr(
-        "baselines._frontends.putative_pairs", lambda *_: np.array([[0, 0], [1, 1]])
+        "baselines._frontends.putative_pairs", lambda *_: Putative(np.array([[0, 0], [1, 1]]))
     )
     solution = method.solve(planted(0.0)[0], LIMITS)
     assert solution.status is Status.FAILED

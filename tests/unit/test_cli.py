@@ -20,6 +20,7 @@ import dcreg
 from dcreg import cli
 from dcreg.progress import Progress
 from dcreg.result import Result, Status
+from dcreg.sweeping import SweepResult
 from dcreg.trace import Event, Trace
 
 ISSUE_KEYS = {
@@ -540,3 +541,174 @@ def test_written_certificate_is_verified_and_a_damaged_one_refused(tmp_path):
     (tmp_path / "proof.npz").write_bytes(whole[: len(whole) // 2])
     assert runner.invoke(cli.app, ["verify", proof, a, b]).exit_code == 1
     assert runner.invoke(cli.app, ["verify", str(tmp_path / "none.npz"), a, b]).exit_code == 2
+
+
+# --- sweep ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def sweep_call(clouds):
+    return ["sweep", *clouds, "--model", "similarity2d", "--n-inliers", "6:12:3"]
+
+
+@pytest.fixture
+def fake_sweep(monkeypatch):
+    """`dcreg.sweep` replaced by one that records its arguments and returns at once."""
+
+    class Fake:
+        statuses = (Status.OPTIMAL, Status.OPTIMAL, Status.OPTIMAL)
+        called = None
+
+        def __call__(self, source, target, n_inliers, **options):
+            self.called = {"n_inliers": n_inliers, **options}
+            results = [
+                Result(
+                    status=status,
+                    model=options["model"],
+                    mode="paper",
+                    bound=options["bound"],
+                    T_target_source=np.eye(3),
+                    T_certified=np.eye(3),
+                    assignment=np.array([[0, 0]]),
+                    n_inliers=k,
+                    lower_bound=0.5 * value,
+                    upper_bound=value,
+                    gap_tol=0.1,
+                    certificate_scope="similarity pose",
+                    objective=value,
+                    objective_certified=value,
+                    n_nodes=np.int64(7),
+                    n_assignments=112,
+                    n_bound_evals=7,
+                    time_setup_s=0.1,
+                    time_solve_s=0.2,
+                    trace=Trace(),
+                )
+                for k, value, status in zip(
+                    (6, 9, 12), (0.06, 0.09, 3.0), self.statuses, strict=True
+                )
+            ]
+            return SweepResult(results, [None, 9, 9])
+
+    made = Fake()
+    monkeypatch.setattr(dcreg, "sweep", made)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("text", "counts"),
+    [
+        ("6:12:3", [6, 9, 12]),
+        ("6:8", [6, 7, 8]),
+        ("6:11:3", [6, 9]),
+        ("0.3:1.0:0.1", [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]),
+        ("0.5, 7 ,1.0", [0.5, 7, 1.0]),
+        ("0.8:1.0:0.1,4", [0.8, 0.9, 1.0, 4]),
+        ("7", [7]),
+        (",", []),
+    ],
+)
+def test_sweep_lists_and_ranges(clouds, fake_sweep, text, counts):
+    run("sweep", *clouds, "--model", "similarity2d", "--n-inliers", text)
+    assert fake_sweep.called["n_inliers"] == counts
+    assert list(map(type, fake_sweep.called["n_inliers"])) == list(map(type, counts))
+
+
+def test_sweep_options_reach_the_library(sweep_call, fake_sweep):
+    outcome = run(
+        *(*sweep_call, "--scale-range", 0.9, 1.1, "--bound", "edges", "--gap-tol", 0.25),
+        *("--time-limit", 9, "--node-limit", 77, "--threads", 2, "--no-polish"),
+    )
+    assert outcome.exit_code == 0
+    expected = {
+        **{"model": "similarity2d", "scale_range": (0.9, 1.1), "bound": "edges", "gap_tol": 0.25},
+        **{"time_limit": 9.0, "node_limit": 77, "threads": 2, "polish": False},
+    }
+    assert {name: fake_sweep.called[name] for name in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"--n-inliers": "0.3:1:0.1"}, ["--n-inliers", "mixes counts and fractions"]),
+        ({"--n-inliers": "0.3:1.0"}, ["--n-inliers: '0.3:1.0'", "FROM:TO:STEP"]),
+        ({"--n-inliers": "9:6:1"}, ["--n-inliers: '9:6:1'", "FROM <= TO"]),
+        ({"--n-inliers": "6:9:0"}, ["--n-inliers: '6:9:0'", "STEP > 0"]),
+        ({"--n-inliers": "0.1:nan:0.1"}, ["--n-inliers", "nan"]),
+        ({"--n-inliers": "1:2:3:4"}, ["--n-inliers: '1:2:3:4'", "FROM:TO:STEP"]),
+        ({"--n-inliers": "0.1:1.0:0.00001"}, ["--n-inliers", "at most 1000"]),
+        ({"--n-inliers": "6,lots"}, ["--n-inliers: 'lots'", "such as 40"]),
+        ({"--n-inliers": ","}, ["--n-inliers", "empty"]),
+        ({"--n-inliers": "6,13"}, ["--n-inliers: 13", "between 1 and 12"]),
+        ({"--bound": "magic"}, ["--bound: 'magic'"]),
+        ({"--time-limit": "0"}, ["--time-limit: 0"]),
+        ({"--out": "a.xlsx"}, ["--out a.xlsx", ".json, .csv"]),
+        ({"--plot": "a.pdf"}, ["--plot a.pdf", ".html, .png, .svg"]),
+        ({"--plot": "missing/a.html"}, ["--plot missing/a.html", "no folder"]),
+    ],
+)
+def test_sweep_bad_values_exit_2(clouds, change, words):
+    options = {"--model": "similarity2d", "--n-inliers": "6"} | change
+    outcome = run("sweep", *clouds, *(text for pair in options.items() for text in pair))
+    assert outcome.exit_code == 2, outcome.output
+    assert outcome.stdout == ""
+    assert "Traceback" not in outcome.stderr
+    for word in words:
+        assert word in outcome.stderr
+
+
+def test_sweep_images_need_matplotlib_only(sweep_call, fake_sweep, tmp_path, monkeypatch):
+    found = cli.find_spec
+    monkeypatch.setattr(cli, "find_spec", lambda name: None if name == "seaborn" else found(name))
+    outcome = run(*sweep_call, "--plot", tmp_path / "a.png")
+    assert outcome.exit_code == 2
+    assert "images need seaborn" in outcome.stderr
+    assert fake_sweep.called is None
+    assert run(*sweep_call, "--plot", tmp_path / "a.html").exit_code == 0
+
+
+def test_sweep_limit_exits_3_and_still_writes(sweep_call, fake_sweep, tmp_path):
+    fake_sweep.statuses = (Status.OPTIMAL, Status.TIME_LIMIT, Status.OPTIMAL)
+    outcome = run(*sweep_call, "--out", tmp_path / "a.json")
+    assert outcome.exit_code == 3
+    assert "time_limit" in outcome.stdout
+    content = json.loads((tmp_path / "a.json").read_text())
+    assert content["status"] == "time_limit"
+    assert [row["status"] for row in content["table"]] == ["optimal", "time_limit", "optimal"]
+
+
+def test_sweep_unwritable_output_exits_1(sweep_call, fake_sweep, tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setitem(cli._SWEEP_WRITERS, ".csv", fail)
+    outcome = run(*sweep_call, "--out", tmp_path / "a.csv")
+    assert outcome.exit_code == 1
+    assert "No space left" in outcome.stderr
+    assert "similarity pose" in outcome.stdout
+    assert list(tmp_path.glob("*a.csv*")) == []
+
+
+def test_sweep_for_real(sweep_call, tmp_path):
+    outcome = run(
+        *(*sweep_call, "--out", tmp_path / "a.csv", "--plot", tmp_path / "a.svg", "--quiet")
+    )
+    assert outcome.exit_code == 0, outcome.output
+    assert outcome.stderr == ""
+    table = [line.split() for line in outcome.stdout.splitlines()]
+    assert [cells[0] for cells in table[1:4]] == ["6", "9", "12"]
+    assert "suggestion" in outcome.stdout
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    header = lines[0].split(",")
+    last = dict(zip(header, lines[3].split(","), strict=True))
+    assert (last["n_inliers"], last["status"], last["next_pair"]) == ("12", "optimal", "")
+    pose = [[float(last[f"T{i}{j}"]) for j in range(3)] for i in range(3)]
+    expected = [1.2 * np.cos(0.4), -1.2 * np.sin(0.4), 5.0]
+    np.testing.assert_allclose(pose[0], expected, atol=1e-6)
+    assert (tmp_path / "a.svg").read_text().lstrip().startswith("<?xml")
+
+
+def test_sweep_help_has_an_example():
+    outcome = run("sweep", "--help")
+    assert outcome.exit_code == 0
+    assert "dcreg sweep a.txt b.txt" in outcome.stdout

@@ -27,7 +27,7 @@ def experiment(**changes) -> Experiment:
         "methods": [
             {"name": "dcreg", "baseline": "dcreg"},
             {"name": "half", "baseline": "dcreg", "n_inliers_ratio": 0.5},
-            {"name": "bnb", "baseline": "bilinear_bnb", "models": ["similarity2d"]},
+            {"name": "bnb", "baseline": "rpm_htb", "models": ["similarity2d"]},
         ],
     }
     return Experiment(**{**fields, **changes})

@@ -7,6 +7,7 @@ import pytest
 
 from dcreg import plot
 from dcreg.result import Result, Status
+from dcreg.sweeping import SweepResult
 from dcreg.trace import Event, Trace
 
 
@@ -128,3 +129,75 @@ def test_without_history_and_pairs(tmp_path):
     empty = result(2, trace=Trace(), assignment=np.empty((0, 2), dtype=int))
     plot.plot_registration(cloud, cloud, empty, tmp_path / "a.html")
     assert (tmp_path / "a.html").stat().st_size > 0
+
+
+# --- sweep ----------------------------------------------------------------------------------------
+
+
+def sweep(dim=2, lower=(0.0, 0.8, 6.0, 29.0), upper=(0.5, 1.0, 8.0, 30.0)):
+    """A made-up sweep over 2, 4, 6 and 8 pairs, with an elbow at 4."""
+    results = [
+        result(dim, low, upper_bound=high, n_inliers=k, objective=high, status=Status.OPTIMAL)
+        for k, low, high in zip((2, 4, 6, 8), lower, upper, strict=True)
+    ]
+    return SweepResult(results, [None, 4, 6, 8])
+
+
+def test_sweep_draws_residuals_with_their_bands():
+    figure = plot.sweep_figure(sweep())
+    bands = [trace for trace in figure.data if trace.fill == "toself"]
+    residual, following = [trace for trace in figure.data if trace.fill != "toself"]
+    k = np.array([2, 4, 6, 8])
+    np.testing.assert_allclose(residual.x, k)
+    np.testing.assert_allclose(residual.y, np.sqrt(np.array([0.5, 1.0, 8.0, 30.0]) / k))
+    np.testing.assert_allclose(bands[0].y[4:], np.sqrt(np.array([0.0, 0.8, 6.0, 29.0]) / k)[::-1])
+    np.testing.assert_allclose(following.x, [3, 5, 7])
+    np.testing.assert_allclose(following.y, np.sqrt([0.25, 3.5, 11.0]))
+    np.testing.assert_allclose(bands[1].y[:3], np.sqrt([0.5, 3.6, 12.0]))
+    np.testing.assert_allclose(bands[1].y[3:], np.sqrt([10.5, 2.5, 0.15]))
+
+
+def test_sweep_calls_the_elbow_a_suggestion():
+    figure = plot.sweep_figure(sweep())
+    assert {shape.x0 for shape in figure.layout.shapes} == {4}
+    texts = [annotation.text for annotation in figure.layout.annotations]
+    assert "suggestion: elbow at 4" in texts
+    straight = plot.sweep_figure(sweep(upper=(2.0, 16.0, 54.0, 128.0)))
+    assert not straight.layout.shapes
+
+
+def test_sweep_in_space_shows_the_poses_beside_the_norms():
+    names = [trace.name for trace in plot.sweep_figure(sweep(dim=3)).data]
+    assert "RMSE of the final pose" in names
+    assert "RMSE of the final pose" not in [trace.name for trace in plot.sweep_figure(sweep()).data]
+    assert "translation in norm space" in plot.sweep_figure(sweep(dim=3)).layout.title.text
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".html", b"<!doctype html>"), (".png", b"\x89PNG")])
+def test_sweep_files_by_suffix(tmp_path, suffix, start):
+    for name in ("a", "b"):
+        plot.plot_sweep(sweep(), tmp_path / (name + suffix))
+    content = (tmp_path / f"a{suffix}").read_bytes()
+    assert content.startswith(start)
+    assert content == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_sweep_as_svg_keeps_its_words(tmp_path):
+    for name in ("a.part", "b.part"):
+        plot.plot_sweep(sweep(dim=3), tmp_path / name, kind=".svg")
+    text = (tmp_path / "a.part").read_text(encoding="utf-8")
+    for words in ("pairs to match", "suggestion: elbow at 4", "RMSE of the final pose"):
+        assert words in text
+    assert text == (tmp_path / "b.part").read_text(encoding="utf-8")
+
+
+def test_sweep_of_one_cardinality_can_be_drawn(tmp_path):
+    only = SweepResult(sweep().results[:1], [None])
+    for name in ("a.html", "a.png"):
+        plot.plot_sweep(only, tmp_path / name)
+        assert (tmp_path / name).stat().st_size > 0
+
+
+def test_sweep_refuses_other_kinds(tmp_path):
+    with pytest.raises(ValueError, match=r"'.gif'.*\.html, \.png or \.svg"):
+        plot.plot_sweep(sweep(), tmp_path / "a.gif")

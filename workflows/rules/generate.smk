@@ -1,4 +1,5 @@
-# Instances, and apart from them their truth, which no solve job has among its inputs.
+# Instances, and apart from them their truth, which no solve job has among its inputs,
+# but those of methods with the front end `oracle`.
 def fetched(wildcards):
     return [f"{OUT}/fetched/{name}.json" for name in PLAN.chunk(wildcards.chunk).datasets]
 

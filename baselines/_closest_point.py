@@ -1,0 +1,80 @@
+"""Trimmed rigid ICP: the local descent inside the nearest-neighbour searches."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from baselines._poses import apply, homogeneous
+
+_AT_ONCE = 16  # poses descended between two looks at the clock
+
+
+class ClosestPoint:
+    """Descends the sum of the `n_kept` smallest squared distances to the target."""
+
+    def __init__(self, source: np.ndarray, target: np.ndarray, n_kept: int) -> None:
+        self.source, self.target, self.n_kept = source, target, n_kept
+        self.tree = cKDTree(target)
+
+    def value(self, pose: np.ndarray) -> float:
+        """The objective at a pose, by exact nearest neighbours."""
+        distances, _ = self.tree.query(apply(pose, self.source))
+        return float((np.sort(distances)[: self.n_kept] ** 2).sum())
+
+    def descend(
+        self, poses: np.ndarray, tolerance: float, max_iterations: int = 100
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Poses no worse than the given ones (b, 4, 4), all descended side by side; their values."""
+        best_poses, best = poses.copy(), np.full(len(poses), np.inf)
+        active = np.arange(len(poses))
+        for _ in range(max_iterations):
+            moved = self.source @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
+            distances, nearest = self.tree.query(moved)
+            kept = np.argsort(distances, axis=1, kind="stable")[:, : self.n_kept]
+            values = (np.take_along_axis(distances, kept, axis=1) ** 2).sum(axis=1)
+            gained = best[active] - values
+            better = gained > 0.0
+            best_poses[active[better]], best[active[better]] = poses[better], values[better]
+            going = gained > tolerance
+            if not going.any():
+                break
+            active, kept = active[going], kept[going]
+            partners = self.target[np.take_along_axis(nearest[going], kept, axis=1)]
+            poses = fit_rigid(self.source[kept], partners)
+        return best_poses, best
+
+    def descend_until(
+        self, poses: np.ndarray, tolerance: float, deadline: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """`descend` a few poses at a time until all are done or `time.perf_counter()` is late."""
+        done = []
+        for first in range(0, len(poses), _AT_ONCE):
+            done.append(self.descend(poses[first : first + _AT_ONCE], tolerance))
+            if time.perf_counter() > deadline:
+                break
+        descended, values = zip(*done, strict=True)
+        return np.concatenate(descended), np.concatenate(values)
+
+
+def fit_rigid(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Least-squares rigid poses (b, 4, 4) of paired points (b, k, 3)."""
+    mean_source, mean_target = source.mean(axis=1), target.mean(axis=1)
+    spread = (target - mean_target[:, None]).transpose(0, 2, 1) @ (source - mean_source[:, None])
+    u, _, vt = np.linalg.svd(spread)
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    poses = np.zeros((len(source), 4, 4))
+    poses[:, :3, :3] = rotations = u @ vt
+    poses[:, :3, 3] = mean_target - (rotations @ mean_source[:, :, None])[:, :, 0]
+    poses[:, 3, 3] = 1.0
+    return poses
+
+
+def spread_poses(count: int, seed: int, translation: np.ndarray) -> np.ndarray:
+    """The identity and `count` - 1 random rotations, all with the same translation."""
+    drawn = Rotation.random(max(count - 1, 1), random_state=np.random.default_rng(seed))
+    rotations = [np.eye(3), *drawn.as_matrix()[: count - 1]]
+    return np.array([homogeneous(1.0, rotation, translation) for rotation in rotations])

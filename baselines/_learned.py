@@ -1,0 +1,248 @@
+"""Learned methods: the user's checkout and weights, run in a child process of its own interpreter.
+
+Where the parts are is told by options of the method, or, where an option is empty, by environment
+variables (here for the folder ``dcp``):
+
+- ``checkout``, ``DCREG_DCP_CHECKOUT``: folder of the authors' code;
+- ``weights``, ``DCREG_DCP_WEIGHTS``: file of the trained network;
+- ``python``, ``DCREG_DCP_PYTHON``: interpreter that has what the code needs; by default this one;
+- ``device``, ``DCREG_DCP_DEVICE``: ``cpu`` (default), ``cuda``, ...
+
+The child runs ``_learned_child.py`` with the folder's ``runner.py``, loads the network once (in the
+warm-up, which is not timed) and then answers one line of JSON per line of JSON:
+
+- request ``{"input": FILE, "output": FILE}``; the input is an ``.npz`` with ``source`` (n, 3), ``target``
+  (m, 3), ``n_inliers``, ``noise_bound`` and ``seed``;
+- answer ``{"ok": true}``, the output then being an ``.npz`` with ``T_target_source`` (4, 4), or
+  ``{"error": TEXT}``. The first answer is ``{"ready": true}`` or ``{"error": TEXT}``.
+
+What the checkout prints is kept apart. The child ends when its input closes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import weakref
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines._poses import rigid_pose
+from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
+from dcreg.result import Status
+
+CHILD = Path(__file__).with_name("_learned_child.py")
+PLACES = ("checkout", "weights", "python", "device")
+LOADING_S = 600.0  # for imports and the network, in the warm-up
+
+
+class ChildError(Exception):
+    """The child died, or said why it cannot answer."""
+
+
+class LearnedMethod(Baseline):
+    """A folder with ``runner.py``; a subclass names what makes a folder a checkout of the method."""
+
+    folder: Path  # of the method, with its runner.py
+    expects: tuple[str, ...] = ()  # files that the checkout must have
+    least_points: int = 1  # per cloud
+
+    def __init__(self, card: Card, **options: Any) -> None:
+        super().__init__(card, **options)
+        self._child: Child | None = None
+
+    def place(self, name: str) -> str:
+        """The option, or the environment variable where the option is empty."""
+        return str(self.options[name] or os.environ.get(self._variable(name), ""))
+
+    def available(self) -> str | None:
+        reason = self._missing()
+        return None if reason is None else f"{reason}. {self.card.how_to_get}"
+
+    def supports(self, instance: Instance) -> str | None:
+        smaller = min(len(instance.source), len(instance.target))
+        if instance.dim == 3 and smaller < self.least_points:
+            return f"{self.card.display_name} needs {self.least_points} points per cloud, not {smaller}"
+        return super().supports(instance)
+
+    def warm_up(self, instance: Instance) -> None:
+        """Start the child and load the network. What goes wrong, `solve` will tell."""
+        small = tiny(instance)
+        if self.supports(small) is None:
+            self.solve(small, Limits(time_s=LOADING_S))
+        else:
+            self.solve(instance, Limits(time_s=LOADING_S))
+
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
+        deadline = time.perf_counter() + limits.time_s
+        if reason := self.available():
+            return Solution(Status.UNAVAILABLE, None, reason)
+        if reason := self.supports(instance):
+            return Solution(Status.UNSUPPORTED, None, reason)
+        try:
+            if self._child is None:
+                self._child = self._started(limits.threads)
+            pose = self._child.register(instance, deadline)
+        except TimeoutError:
+            self._drop_child()
+            # load the network anew while the next instance is on its way
+            self._child = self._started(limits.threads)
+            message = "no answer within the time limit; the pose is the identity"
+            return Solution(Status.TIME_LIMIT, np.eye(4), message)
+        except ChildError as error:
+            self._drop_child()
+            return Solution(Status.FAILED, None, str(error))
+        if reason := _not_rigid(pose):
+            return Solution(Status.FAILED, None, f"the method returned {reason}")
+        return Solution(Status.CONVERGED, rigid_pose(pose))
+
+    def _started(self, threads: int) -> Child:
+        return Child(self.folder / "runner.py", self._settings(), threads)
+
+    def _settings(self) -> dict[str, Any]:
+        places = {name: self.place(name) for name in PLACES}
+        places["checkout"] = str(Path(places["checkout"]).resolve())
+        places["weights"] = str(Path(places["weights"]).resolve())
+        return {**self.options, **places, "device": places["device"] or "cpu"}
+
+    def _missing(self) -> str | None:
+        """What is not there, by name of option and variable."""
+        for name in ("checkout", "weights"):
+            if not self.place(name):
+                return f"no {name}: option {name} and variable {self._variable(name)} are empty"
+        checkout, weights = Path(self.place("checkout")), Path(self.place("weights"))
+        if not checkout.is_dir():
+            return f"checkout {checkout} is not a folder"
+        for file in self.expects:
+            if not (checkout / file).is_file():
+                return f"checkout {checkout} has no {file}"
+        if not weights.is_file():
+            return f"weights {weights} is not a file"
+        python = self.place("python") or sys.executable
+        if shutil.which(python) is None:
+            return f"python {python} is not an executable interpreter"
+        return None
+
+    def _variable(self, name: str) -> str:
+        return f"DCREG_{self.folder.name}_{name}".upper()
+
+    def _drop_child(self) -> None:
+        if self._child is not None:
+            self._child.close()
+            self._child = None
+
+
+class Child:
+    """The running child process with its folder of exchanged files."""
+
+    def __init__(self, runner: Path, settings: dict[str, Any], threads: int) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="dcreg-learned-")
+        self._errors = Path(self._folder.name) / "stderr.txt"
+        self._buffer = b""
+        self._ready = False
+        counts = {
+            name: str(threads)
+            for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+        }
+        with self._errors.open("wb") as errors:
+            self._process = subprocess.Popen(
+                [
+                    settings["python"] or sys.executable,
+                    CHILD,
+                    runner.resolve(),
+                    json.dumps(settings),
+                ],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                env={**os.environ, **counts},
+            )
+        # also when the adapter is forgotten without a word
+        self.close = weakref.finalize(self, _close, self._process, self._folder)
+
+    def register(self, instance: Instance, deadline: float) -> np.ndarray:
+        """The pose as the child gave it.
+
+        Raises
+        ------
+        TimeoutError
+            At `deadline` (of `time.perf_counter`); the child may be in any state then.
+        ChildError
+            With the child's reason.
+        """
+        if not self._ready:
+            self._answer(deadline)
+            self._ready = True
+        given, wanted = (Path(self._folder.name) / name for name in ("input.npz", "output.npz"))
+        np.savez(
+            given,
+            source=instance.source,
+            target=instance.target,
+            n_inliers=instance.n_inliers,
+            noise_bound=instance.noise_bound,
+            seed=instance.seed,
+        )
+        wanted.unlink(missing_ok=True)
+        request = json.dumps({"input": str(given), "output": str(wanted)}) + "\n"
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(request.encode())
+            self._process.stdin.flush()
+        except OSError:
+            raise ChildError(self._death()) from None
+        self._answer(deadline)
+        with np.load(wanted) as arrays:
+            return np.array(arrays["T_target_source"])
+
+    def _answer(self, deadline: float) -> None:
+        """Wait for the next answer, which must not be an error."""
+        assert self._process.stdout is not None
+        stream = self._process.stdout.fileno()
+        while b"\n" not in self._buffer:
+            left = deadline - time.perf_counter()
+            if left <= 0 or not select.select([stream], [], [], left)[0]:
+                raise TimeoutError
+            part = os.read(stream, 65536)
+            if not part:
+                raise ChildError(self._death())
+            self._buffer += part
+        line, self._buffer = self._buffer.split(b"\n", 1)
+        if error := json.loads(line).get("error"):
+            raise ChildError(str(error))
+
+    def _death(self) -> str:
+        code = self._process.wait()
+        words = self._errors.read_text(errors="replace").strip().splitlines()
+        last = f": {words[-1]}" if words else ""
+        return f"the method's process ended with code {code}{last}"
+
+
+def _close(process: subprocess.Popen, folder: tempfile.TemporaryDirectory) -> None:
+    process.kill()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            stream.close()
+    process.wait()
+    folder.cleanup()
+
+
+def _not_rigid(pose: np.ndarray) -> str | None:
+    """None for a rigid pose up to single precision, otherwise what it is instead."""
+    if pose.shape != (4, 4):
+        return f"an array of shape {pose.shape}, not (4, 4)"
+    if not np.isfinite(pose).all():
+        return "a pose that is not finite"
+    rotation = pose[:3, :3]
+    if np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        return "a matrix whose linear part is not a rotation"
+    if np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:
+        return f"a matrix with last row {pose[3].tolist()}"
+    return None

@@ -1,0 +1,83 @@
+"""The child process of a learned method: its own interpreter, its own libraries.
+
+Run as ``python _learned_child.py RUNNER SETTINGS``, RUNNER a file that defines
+``load(checkout, weights, settings)``, which returns a function from a problem (dict of arrays) to a
+(4, 4) pose; SETTINGS a JSON object with ``checkout``, ``weights`` and the method's options. Needs the
+standard library and NumPy only, Python 3.7 or later. See `baselines._learned` for the protocol.
+"""
+
+import contextlib
+import ctypes
+import importlib.util
+import json
+import os
+import random
+import signal
+import sys
+import traceback
+
+import numpy as np
+
+
+def main():
+    _die_with_parent()
+    answers = _take_stdout()
+    runner, settings = sys.argv[1], json.loads(sys.argv[2])
+    # this file's folder would offer the names of other methods as modules
+    sys.path[0] = settings["checkout"]
+    os.chdir(settings["checkout"])
+    try:
+        spec = importlib.util.spec_from_file_location("runner", runner)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        register = module.load(settings["checkout"], settings["weights"], settings)
+    except BaseException as error:
+        _answer(answers, error=_described(error))
+        return
+    _answer(answers, ready=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        try:
+            with np.load(request["input"]) as arrays:
+                problem = {name: arrays[name] for name in arrays.files}
+            _seed(int(problem["seed"]))
+            np.savez(request["output"], T_target_source=np.asarray(register(problem), dtype=float))
+        except BaseException as error:
+            _answer(answers, error=_described(error))
+        else:
+            _answer(answers, ok=True)
+
+
+def _die_with_parent():
+    """Also in the middle of a computation, where the end of the input goes unseen (Linux)."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+
+
+def _take_stdout():
+    """The stream of answers; whatever the checkout prints goes to stderr instead."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    return answers
+
+
+def _answer(answers, **content):
+    answers.write(json.dumps(content) + "\n")
+    answers.flush()
+
+
+def _described(error):
+    traceback.print_exc()
+    return "%s: %s" % (type(error).__name__, error)  # noqa: UP031
+
+
+def _seed(seed):
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002
+    torch = sys.modules.get("torch")
+    if hasattr(torch, "manual_seed"):
+        torch.manual_seed(seed)
+
+
+if __name__ == "__main__":
+    main()

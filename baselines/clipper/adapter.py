@@ -1,0 +1,36 @@
+"""CLIPPER-style dense clique, own port."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from baselines._consistency import length_differences, sharing, vote_scale
+from baselines._frontends import CorrespondenceMethod, Estimate
+from baselines._robust import weighted_pose
+from baselines.clipper.dense import dense_clique
+from baselines.contract import Instance, Limits
+
+
+class Adapter(CorrespondenceMethod):
+    """Densest clique of the affinity graph, then least squares over its members."""
+
+    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
+        deadline = time.perf_counter() + limits.time_s
+        source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
+        tolerance = 2 * self.options["noise_factor"] * instance.noise_bound
+        scale = vote_scale(source, target, tolerance, instance.scale_range)
+        differences = length_differences(scale * source, target)
+        consistent = (differences <= tolerance) & ~sharing(pairs)
+        np.fill_diagonal(consistent, True)
+        sigma = self.options["sigma_factor"] * tolerance
+        affinity = np.where(consistent, np.exp(-0.5 * (differences / sigma) ** 2), 0.0)
+        np.fill_diagonal(affinity, 1.0)
+        chosen, finished = dense_clique(affinity, consistent, deadline)
+        extra = {"clique_size": len(chosen)}
+        if len(chosen) < instance.dim:
+            return Estimate(None, finished, extra=extra)
+        weights = np.ones(len(chosen))
+        pose = weighted_pose(source[chosen], target[chosen], weights, (scale, scale))
+        return Estimate(pose, finished, extra=extra)

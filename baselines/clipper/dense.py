@@ -1,0 +1,89 @@
+"""The densest clique of a weighted consistency graph, relaxed: CLIPPER's projected ascent."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+ASCENT_STEPS = 200  # per penalty
+PENALTIES = 100
+TINY = 1e-9  # weight that counts as none
+STILL = 1e-5  # change of the weights at which an ascent ends
+
+
+def dense_clique(
+    affinity: np.ndarray, consistent: np.ndarray, deadline: float = np.inf
+) -> tuple[np.ndarray, bool]:
+    """Correspondences of a local optimum of ``max u' M u`` over cliques, and whether it finished.
+
+    Parameters
+    ----------
+    affinity : (n, n)
+        M, 1 on the diagonal and 0 for inconsistent pairs.
+    consistent : (n, n) bool
+        Pairs that may be chosen together, true on the diagonal.
+
+    Notes
+    -----
+    Maximises ``u' (M - d C̄) u`` over non-negative unit vectors, C̄ marking inconsistent pairs, for
+    penalties d that grow until no inconsistent pair has weight. Each maximum starts the next. The
+    objective is then about the size of the clique, whose members are the largest entries.
+    """
+    allowed = consistent.astype(affinity.dtype)
+
+    def forbidden(u: np.ndarray) -> np.ndarray:
+        """C̄ u."""
+        return np.maximum(u.sum() - allowed @ u, 0.0)
+
+    u = _leading_direction(affinity)
+    penalty, finished = 0.0, True
+    for _ in range(PENALTIES):
+        gain, loss = affinity @ u, forbidden(u)
+        clashing = (loss > TINY) & (u > TINY)
+        if not clashing.any():
+            break
+        penalty += float((gain[clashing] / loss[clashing]).mean())
+        u = _ascend(affinity, forbidden, u, penalty, deadline)
+        if time.perf_counter() > deadline:
+            finished = False
+            break
+    size = max(1, round(float(u @ (affinity @ u))))
+    return np.sort(np.argsort(-u, kind="stable")[:size]), finished
+
+
+def _leading_direction(affinity: np.ndarray) -> np.ndarray:
+    u = np.full(len(affinity), 1 / np.sqrt(len(affinity)))
+    for _ in range(10):
+        u = affinity @ u
+        u /= np.linalg.norm(u)
+    return u
+
+
+def _ascend(affinity, forbidden, u: np.ndarray, penalty: float, deadline: float) -> np.ndarray:
+    """A local maximum for this penalty: gradient steps with backtracking, then projection."""
+    step = 1.0
+    image = affinity @ u - penalty * forbidden(u)
+    value = float(u @ image)
+    for _ in range(ASCENT_STEPS):
+        direction = image - value * u  # half the gradient, tangent to the sphere
+        while step > 1e-6:
+            trial = np.maximum(u + step * direction, 0.0)
+            norm = np.linalg.norm(trial)
+            if norm > 0:
+                trial /= norm
+                trial_image = affinity @ trial - penalty * forbidden(trial)
+                trial_value = float(trial @ trial_image)
+                if trial_value > value:
+                    break
+            step /= 2
+            if time.perf_counter() > deadline:
+                return u
+        else:
+            return u
+        moved = float(np.abs(trial - u).max())
+        u, image, value = trial, trial_image, trial_value
+        step *= 2
+        if moved < STILL or time.perf_counter() > deadline:
+            break
+    return u

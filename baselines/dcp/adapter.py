@@ -1,0 +1,22 @@
+"""DCP, deep closest point, from the user's checkout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from baselines._learned import LearnedMethod
+from baselines._starts import check_choice
+from baselines.contract import Card
+
+
+class Adapter(LearnedMethod):
+    """Clouds go in centred and with the source's radius as the unit, as in its training."""
+
+    folder = Path(__file__).parent
+    expects = ("model.py",)
+    least_points = 20  # neighbours in the network's graph
+
+    def __init__(self, card: Card, **options: Any) -> None:
+        super().__init__(card, **options)
+        check_choice(self, "pointer", ("transformer", "identity"))

@@ -1,0 +1,17 @@
+"""Runs in the child process: deep global registration from the authors' checkout."""
+
+import argparse
+
+
+def load(checkout, weights, settings):
+    """The authors' pipeline as their demo runs it."""
+    import torch
+    from core.deep_global_registration import DeepGlobalRegistration
+
+    config = argparse.Namespace(
+        weights=weights,
+        clip_weight_thresh=settings["clip_weight_thresh"],
+        inlier_feature_type=None,  # read from the weights
+    )
+    pipeline = DeepGlobalRegistration(config, device=torch.device(settings["device"]))
+    return lambda problem: pipeline.register(problem["source"], problem["target"])

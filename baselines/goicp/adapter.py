@@ -1,0 +1,108 @@
+"""Go-ICP behind the contract: normalisation, search, and back to the units of the target."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from baselines._poses import homogeneous
+from baselines.contract import Baseline, Instance, Limits, Solution
+from baselines.goicp.search import GoICP, Settings
+
+SCOPE = (
+    "rigid pose, many-to-one objective: sum of the n_inliers smallest squared distances from moved "
+    "source points to their nearest target points"
+)
+
+
+class Adapter(Baseline):
+    """Globally optimal trimmed nearest-neighbour registration."""
+
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
+        began = time.perf_counter()
+        frame = Frame(instance, self.options["normalise"])
+        settings = self._settings(frame, instance)
+        problem = GoICP(frame.source, frame.target, settings, began + limits.time_s)
+        found = problem.run(limits, began)
+        area = frame.unit**2
+        for row in found.trace:
+            row["lower_bound"] *= area
+            row["upper_bound"] *= area
+        half = self.options["translation_half_width"]
+        where = "all translations" if half is None else f"translations within {half} (its units)"
+        return Solution(
+            found.status,
+            frame.restore(found.pose),
+            lower_bound=area * found.lower_bound,
+            upper_bound=area * found.upper_bound,
+            gap_tol=area * settings.tolerance,
+            certificate_scope=f"{SCOPE}; {where}",
+            counters=found.counters,
+            trace=found.trace,
+        )
+
+    def _settings(self, frame: Frame, instance: Instance) -> Settings:
+        half = self.options["translation_half_width"]
+        centre = np.zeros(3)
+        if half is None:
+            centre, half = optimal_translations(frame.source, frame.target, instance.n_inliers)
+        tolerance = self.options["mse_threshold"] * instance.n_inliers
+        return Settings(
+            n_kept=instance.n_inliers,
+            tolerance=tolerance,
+            translation_centre=centre,
+            translation_half_width=float(half),
+            cells_per_axis=self.options["cells_per_axis"],
+            icp_tolerance=tolerance / 10_000,
+            n_starts=self.options["start_rotations"],
+            seed=instance.seed,
+        )
+
+
+class Frame:
+    """Both clouds centred on their means and divided by one length, or left as they are.
+
+    The source's points are shuffled: terms are added until they exceed a cutoff, and points far
+    from one another exceed it sooner than neighbours.
+    """
+
+    def __init__(self, instance: Instance, normalise: bool) -> None:
+        order = np.random.default_rng(instance.seed).permutation(len(instance.source))
+        source = instance.source[order]
+        self.origin_source, self.origin_target, self.unit = np.zeros(3), np.zeros(3), 1.0
+        if normalise:
+            self.origin_source = instance.source.mean(axis=0)
+            self.origin_target = instance.target.mean(axis=0)
+            largest = max(
+                np.abs(source - self.origin_source).max(),
+                np.abs(instance.target - self.origin_target).max(),
+            )
+            self.unit = float(largest) if largest > 0 else 1.0
+        self.source = (source - self.origin_source) / self.unit
+        self.target = (instance.target - self.origin_target) / self.unit
+
+    def restore(self, pose: np.ndarray) -> np.ndarray:
+        """A pose of this frame in the coordinates of the instance."""
+        rotation = pose[:3, :3]
+        shift = self.unit * pose[:3, 3] + self.origin_target - rotation @ self.origin_source
+        return homogeneous(1.0, rotation, shift)
+
+
+def optimal_translations(
+    source: np.ndarray, target: np.ndarray, n_kept: int
+) -> tuple[np.ndarray, float]:
+    """Centre and half-width of a cube that holds the translation of every optimal pose.
+
+    At an optimum t = mean(partners) - R mean(kept source points). The first lies in the target's
+    bounding box. For points x_i = mean + v_i the second is no longer than |mean| plus the least of
+    two bounds on |mean of k of the v_i|: the mean of the k longest, and, since all sum to zero, the
+    sum of the n - k longest over k.
+    """
+    mean = source.mean(axis=0)
+    lengths = np.sort(np.linalg.norm(source - mean, axis=1))[::-1]
+    n_trimmed = len(source) - n_kept
+    shift = min(lengths[:n_kept].mean(), lengths[:n_trimmed].sum() / n_kept)
+    low, high = target.min(axis=0), target.max(axis=0)
+    half = (high - low).max() / 2 + np.linalg.norm(mean) + shift
+    return (low + high) / 2, float(half) * (1 + 1e-9) + 1e-12

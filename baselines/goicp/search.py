@@ -1,0 +1,143 @@
+"""Go-ICP: nested branch and bound over rotations and translations, with ICP for the incumbent.
+
+Minimised is the sum of the k smallest squared distances from moved source points to their nearest
+target points (many to one). The outer search divides the cube [-pi, pi]^3 of rotation vectors.
+Rotations of a cube with half-width s lie within an angle alpha = min(sqrt(3) s, pi) of its centre,
+so they move point i by at most gamma_i = 2 sin(alpha / 2) |x_i| from where the centre puts it.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from baselines._closest_point import ClosestPoint, spread_poses
+from baselines._octree import Incumbent, OctreeSearch, OutOfTimeError
+from baselines._poses import homogeneous
+from baselines.contract import Limits
+from baselines.goicp import kernels
+from baselines.goicp.distance import Cells
+from dcreg.result import Status
+
+_DISTANCES_PER_SLICE = 200_000  # of the inner search between two looks at the clock: some 20 ms
+# The inner search ends when it knows the relaxed minimum to this share of the tolerance. With the
+# whole tolerance, as published, a true bound (not the relaxed minimum itself) decides too little.
+_INNER_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Settings:
+    """See the card for what they mean; lengths in the units of the points given to `search`."""
+
+    n_kept: int
+    tolerance: float
+    translation_centre: np.ndarray
+    translation_half_width: float
+    cells_per_axis: int
+    icp_tolerance: float
+    n_starts: int
+    seed: int
+
+
+@dataclass
+class Outcome:
+    status: Status
+    pose: np.ndarray
+    lower_bound: float
+    upper_bound: float
+    counters: dict[str, int]
+    trace: list[dict[str, Any]] = field(default_factory=list)
+
+
+class GoICP:
+    """One problem: arrays, the distance cells, and the bounds of a rotation cube."""
+
+    def __init__(
+        self, source: np.ndarray, target: np.ndarray, settings: Settings, deadline: float
+    ) -> None:
+        self.source, self.settings, self.deadline = source, settings, deadline
+        self.norms = np.linalg.norm(source, axis=1)
+        self.local = ClosestPoint(source, target, settings.n_kept)
+        reach = (
+            self.norms.max()
+            + np.abs(settings.translation_centre).max()
+            + settings.translation_half_width
+        )
+        self.cells = Cells(target, max(reach, 1e-12), settings.cells_per_axis)
+        self.incumbent = Incumbent()
+        self.n_translation_cubes = 0
+        self._heap = np.empty((4096, 5))
+
+    def run(self, limits: Limits, began: float) -> Outcome:
+        """Search all rotations until the gap is closed or a limit met."""
+        settings = self.settings
+        self._descend(spread_poses(settings.n_starts, settings.seed, settings.translation_centre))
+        search = OctreeSearch(
+            self.bound_cube, self.incumbent, self.settings.tolerance, limits, began, self.deadline
+        )
+        status = search.run([(np.zeros(3), np.pi)])
+        return Outcome(
+            status,
+            self.incumbent.pose,
+            search.lower_bound,
+            self.incumbent.value,
+            {"n_nodes": search.n_nodes, "n_translation_cubes": self.n_translation_cubes},
+            search.trace,
+        )
+
+    def bound_cube(
+        self, centre: np.ndarray, half: float, inherited: float, payload: Any
+    ) -> tuple[float, None]:
+        """Lower bound over the rotations of a cube and all translations; improves the incumbent."""
+        if np.linalg.norm(centre) - np.sqrt(3.0) * half > np.pi:
+            return np.inf, None  # the rotations of this cube are in others
+        rotation = Rotation.from_rotvec(centre).as_matrix()
+        gamma = uncertainty(half, self.norms)
+        bound, value, translation = self.search_translations(rotation, gamma)
+        if value < self.incumbent.value:
+            self._descend(homogeneous(1.0, rotation, translation)[None])
+        return bound, None
+
+    def search_translations(
+        self, rotation: np.ndarray, gamma: np.ndarray
+    ) -> tuple[float, float, np.ndarray]:
+        """Relaxed lower bound, and the least true value met with its translation."""
+        settings = self.settings
+        points = self.source @ rotation.T
+        cutoff = self.incumbent.value - settings.tolerance
+        state = np.zeros(8)
+        state[[kernels.DISCARDED, kernels.RELAXED, kernels.TRUE]] = np.inf
+        state[kernels.SIZE] = 1
+        self._heap[0] = 0.0, *settings.translation_centre, settings.translation_half_width
+        budget = max(8, _DISTANCES_PER_SLICE // len(points))
+        code = kernels.PAUSED
+        while code != kernels.FINISHED:
+            code = kernels.search_translations(
+                points, gamma, settings.n_kept, self.cells.arrays, cutoff,
+                _INNER_SHARE * settings.tolerance, self._heap, state, budget,
+            )  # fmt: skip
+            if code == kernels.FULL:
+                self._heap = np.concatenate([self._heap, np.empty_like(self._heap)])
+            elif code == kernels.PAUSED and time.perf_counter() > self.deadline:
+                raise OutOfTimeError
+        self.n_translation_cubes += int(state[kernels.EVALUATED])
+        open_bound = self._heap[0, 0] if state[kernels.SIZE] > 0 else np.inf
+        translation = state[kernels.TRUE_X : kernels.TRUE_Z + 1].copy()
+        return min(open_bound, state[kernels.DISCARDED]), state[kernels.TRUE], translation
+
+    def _descend(self, poses: np.ndarray) -> None:
+        refined, _ = self.local.descend_until(poses, self.settings.icp_tolerance, self.deadline)
+        # A descent may leave the cube of translations that the bounds speak of.
+        for pose in (*refined, *poses):
+            offset = np.abs(pose[:3, 3] - self.settings.translation_centre).max()
+            if offset <= self.settings.translation_half_width:
+                self.incumbent.offer(self.local.value(pose), pose)
+
+
+def uncertainty(half: float, norms: np.ndarray) -> np.ndarray:
+    """How far rotations of a cube with this half-width move points from where its centre puts them."""
+    return 2.0 * np.sin(min(np.sqrt(3.0) * half, np.pi) / 2.0) * norms

@@ -1,0 +1,43 @@
+"""GORE: guaranteed outlier removal, then RANSAC on what is left."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from baselines._frontends import CorrespondenceMethod, Estimate
+from baselines._ransac import count_within, ransac
+from baselines.contract import Instance, Limits
+from baselines.gore.removal import remove_outliers
+
+SHARE_FOR_REMOVAL = 0.8  # of the time; the rest is for RANSAC
+
+
+class Adapter(CorrespondenceMethod):
+    """The better of the best consensus met while removing and RANSAC's on the survivors."""
+
+    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
+        start = time.perf_counter()
+        source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
+        bound = self.options["noise_factor"] * instance.noise_bound
+        removal = remove_outliers(source, target, bound, start + SHARE_FOR_REMOVAL * limits.time_s)
+        left = removal.kept
+        pose, _, sampled = ransac(
+            source[left],
+            target[left],
+            bound,
+            instance.scale_range,
+            seed=instance.seed,
+            max_samples=self.options["max_samples"],
+            confidence=self.options["confidence"],
+            deadline=start + limits.time_s,
+        )
+        best = removal.pose
+        if pose is not None and int(count_within(source, target, pose, bound)) > removal.consensus:
+            best = pose
+        if best is not None and int(count_within(source, target, best, bound)) < instance.dim:
+            best = None
+        message = f"{len(pairs) - len(left)} of {len(pairs)} correspondences proven outliers"
+        extra = {"removed": len(pairs) - len(left), "consensus": removal.consensus}
+        return Estimate(best, removal.finished and sampled, message, extra)

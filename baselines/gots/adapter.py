@@ -1,0 +1,85 @@
+"""Translation by matched rotation-invariant features, then the rotation, then a local descent."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from baselines._consensus import Consensus
+from baselines._octree import Incumbent, OctreeSearch, OutOfTimeError
+from baselines._poses import homogeneous
+from baselines._rotation_search import most_matches
+from baselines.contract import Baseline, Instance, Limits, Solution
+from baselines.gots.search import TranslationCubes, matching_translations, points_of
+
+SCOPE = (
+    "translation only, objective: most source pairs whose rotation-invariant features match within eps, "
+    "all translations; bounds are eps^2 (n_inliers - c) for c (c - 1) / 2 pairs, the lower one below any "
+    "sum of n_inliers one-to-one squared residuals; the rotation is found after it, uncertified"
+)
+_TRANSLATION_TIME = 0.8  # share of the time limit; the rest is the rotation's
+
+
+class Adapter(Baseline):
+    """Branch and bound over translations only, with pair features."""
+
+    def supports(self, instance: Instance) -> str | None:
+        n, most = len(instance.source), self.options["max_source_points"]
+        if n > most:
+            return (
+                f"{n} source points, more than max_source_points = {most}: their pairs are too many"
+            )
+        return super().supports(instance)
+
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
+        began = time.perf_counter()
+        eps = self.options["noise_factor"] * instance.noise_bound
+        problem = Consensus(instance, eps)
+        incumbent = Incumbent()
+        until = began + _TRANSLATION_TIME * limits.time_s
+        cubes = TranslationCubes(problem.source, problem.target, eps, incumbent, until)
+        starts = problem.starts(self.options["start_rotations"], until)
+        for pose, _ in starts:
+            translation = pose[:3, :3].T @ pose[:3, 3]  # R x + t = R (x + R^T t)
+            incumbent.offer(-cubes.count(translation), translation)
+        n_pairs = len(cubes.pairs)
+        search = OctreeSearch(
+            cubes.bound, incumbent, 0.0, limits, began, until, floor=-float(n_pairs)
+        )
+        root = matching_translations(problem.source, problem.target, eps)
+        status = search.run([root], cubes.all_pairs)
+        for row in search.trace:
+            for key in ("lower_bound", "upper_bound"):
+                row[key] = float(eps**2 * (instance.n_inliers - points_of(-row[key])))
+        pose, extra = self._pose(problem, incumbent.pose, starts, began + limits.time_s)
+        return Solution(
+            status,
+            problem.restore(problem.polish(pose) if self.options["polish"] else pose),
+            lower_bound=search.trace[-1]["lower_bound"],
+            upper_bound=search.trace[-1]["upper_bound"],
+            gap_tol=0.0,
+            certificate_scope=SCOPE,
+            counters={"n_nodes": search.n_nodes},
+            trace=search.trace,
+            extra={"matched_pairs": -incumbent.value, **extra},
+        )
+
+    def _pose(
+        self, problem: Consensus, translation: np.ndarray, starts: list[Any], deadline: float
+    ) -> tuple[np.ndarray, dict[str, float]]:
+        """The pose of largest consensus: at the found translation, or a start's if that is better."""
+        pose, count = max(starts, key=lambda start: start[1])
+        at_translation = 0
+        try:
+            found = most_matches(
+                problem.source + translation, problem.target, problem.radius, 0, 0, deadline
+            )
+            turned = homogeneous(1.0, found.rotation, found.rotation @ translation)
+            turned, at_translation = problem.ascend(turned, 2.0 * problem.radius)
+            if at_translation >= count:
+                pose, count = turned, at_translation
+        except OutOfTimeError:
+            pass  # the starts remain
+        return pose, {"matched": float(count), "matched_at_translation": float(at_translation)}

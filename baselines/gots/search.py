@@ -1,0 +1,71 @@
+"""GoTS: branch and bound over translations for the most matched pair features.
+
+Objective values are minus the number of matched source pairs at a translation. What they say of
+points: c source points matched one to one at a pose give c (c - 1) / 2 matched pairs there.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from baselines._octree import Incumbent, OutOfTimeError
+from baselines.gots.features import FeatureTree, matched_pairs
+
+
+class TranslationCubes:
+    """The bound of a cube of translations; the payload is the list of pairs still possible."""
+
+    def __init__(
+        self, source: np.ndarray, target: np.ndarray, eps: float, incumbent: Incumbent,
+        deadline: float,
+    ) -> None:  # fmt: skip
+        self.source, self.eps = np.ascontiguousarray(source), eps
+        self.incumbent, self.deadline = incumbent, deadline
+        first, second = np.triu_indices(len(source), 1)
+        lengths = np.linalg.norm(source[first] - source[second], axis=1)
+        # Long pairs are the rarest: they fail first, and a cube is given up sooner.
+        order = np.argsort(-lengths, kind="stable")
+        self.pairs = np.column_stack([first, second, lengths])[order]
+        self.all_pairs = np.arange(len(self.pairs), dtype=np.int32)
+        self.tree = FeatureTree(target)
+
+    def count(self, translation: np.ndarray) -> int:
+        """Source pairs with a matching target pair at the translation."""
+        return self._matched(self.all_pairs, translation, 0.0, -1)[1]
+
+    def bound(
+        self, centre: np.ndarray, half: float, inherited: float, possible: np.ndarray
+    ) -> tuple[float, np.ndarray]:
+        """Minus the most pairs that a translation of the cube may match; improves the incumbent."""
+        if time.perf_counter() > self.deadline:
+            raise OutOfTimeError
+        known = int(-self.incumbent.value)
+        kept, upper = self._matched(possible, centre, half, known)
+        if upper > known:
+            _, count = self._matched(kept, centre, 0.0, known)
+            if count > known:
+                self.incumbent.offer(-count, centre)
+        return -float(upper), kept
+
+    def _matched(
+        self, listed: np.ndarray, centre: np.ndarray, half: float, bar: int
+    ) -> tuple[np.ndarray, int]:
+        return matched_pairs(
+            self.source, self.pairs, listed, centre, half, self.eps, bar, *self.tree.arrays
+        )
+
+
+def points_of(n_pairs: float) -> float:
+    """The number c of points with c (c - 1) / 2 = `n_pairs` pairs; 0 or 1 points have none."""
+    return (1.0 + np.sqrt(1.0 + 8.0 * n_pairs)) / 2.0
+
+
+def matching_translations(
+    source: np.ndarray, target: np.ndarray, eps: float
+) -> tuple[np.ndarray, float]:
+    """Centre and half-width of a cube with every t for which some x + t has the norm of some y."""
+    low, high = source.min(axis=0), source.max(axis=0)
+    half = (high - low).max() / 2 + np.linalg.norm(target, axis=1).max() + eps
+    return -(low + high) / 2, float(half) * (1 + 1e-9)

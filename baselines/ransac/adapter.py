@@ -1,0 +1,28 @@
+"""Random samples on given correspondences."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from baselines._frontends import CorrespondenceMethod, Estimate
+from baselines._ransac import ransac
+from baselines.contract import Instance, Limits
+
+
+class Adapter(CorrespondenceMethod):
+    """The pose of a sample that most correspondences agree with, refitted to those."""
+
+    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
+        pose, n_samples, finished = ransac(
+            instance.source[pairs[:, 0]],
+            instance.target[pairs[:, 1]],
+            self.options["noise_factor"] * instance.noise_bound,
+            instance.scale_range,
+            seed=instance.seed,
+            max_samples=self.options["max_samples"],
+            confidence=self.options["confidence"],
+            deadline=time.perf_counter() + limits.time_s,
+        )
+        return Estimate(pose, finished, extra={"samples": n_samples})

@@ -1,0 +1,67 @@
+"""RPM-CAV: concave minimisation over matchings by simplicial branch and bound."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from baselines._concave import SCOPE, Reduced
+from baselines._poses import rms_radius
+from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
+from baselines.rpm_cav.box import BoxBound
+from baselines.rpm_cav.search import Search, Settings
+
+
+class Adapter(Baseline):
+    """The pose is eliminated; statistics of the matching are divided into simplices."""
+
+    def __init__(self, card: Card, **options: object) -> None:
+        super().__init__(card, **options)
+        if self.options["branching"] not in ("gap", "longest"):
+            raise ValueError(
+                f"option branching = {self.options['branching']!r}; choose one of gap, longest"
+            )
+        if self.options["ascents"] < 0:
+            raise ValueError(f"option ascents = {self.options['ascents']}; give 0 or more")
+        self._box_bound: BoxBound | None = None
+
+    def warm_up(self, instance: Instance) -> None:
+        """Compiles every kernel, however long a loaded machine takes."""
+        self.solve(tiny(instance), Limits(time_s=600.0, nodes=100))
+
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
+        began = time.perf_counter()
+        reduced = Reduced.of(instance)
+        area, incumbent = reduced.area, reduced.incumbent
+        length = self.options["gap_tol_factor"] * rms_radius(instance.target)
+        gap_tol = float(instance.n_inliers * length**2)
+        settings = Settings(
+            gap_tol / area, self.options["ascents"], self.options["branching"] == "gap"
+        )
+        search = Search(reduced, settings, limits, began)
+        search.run()
+        return Solution(
+            search.status,
+            reduced.pose(),
+            lower_bound=search.lower_bound * area,
+            upper_bound=search.upper_bound * area,
+            gap_tol=gap_tol,
+            certificate_scope=SCOPE,
+            counters={
+                "n_nodes": search.n_nodes,
+                "n_assignments": search.n_assignments + incumbent.n_assignments,
+            },
+            trace=search.trace,
+            # The simplices' own bound; until it passes zero, that zero is the lower bound.
+            extra={
+                "simplex_bound": float(search.raw_bound * area),
+                "n_dimensions": float(search.dim),
+            },
+        )
+
+    def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
+        """Lower bound for the poses of a box of theta; see `baselines.rpm_cav.box`."""
+        if self._box_bound is None or self._box_bound.instance is not instance:
+            self._box_bound = BoxBound(instance)
+        return self._box_bound(lower, upper)

@@ -1,0 +1,88 @@
+"""The method's bound with its poses restricted to a box, to compare it with bounds over boxes.
+
+RPM-CAV divides statistics of the matching, not poses. What it has to say of a box of poses is the
+bound of its root simplex, where f is the minimum over the poses of that box only: still concave.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from baselines._concave import N_STATISTICS, Clouds, Incumbent, Support, least_linear
+from baselines.contract import Instance
+from baselines.rpm_cav.kernels import bound_simplex
+from baselines.rpm_cav.search import root_simplex
+from dcreg.polish import objective
+
+_ASCENTS = 30  # of the Lagrangian: one simplex must do for the whole box
+
+
+class BoxBound:
+    """Bounds over boxes of ``theta = (s cos a, s sin a, tx, ty)`` for one instance, in its units."""
+
+    def __init__(self, instance: Instance) -> None:
+        self.instance = instance
+        source, target = (
+            np.array(points, dtype=float, order="C")
+            for points in (instance.source, instance.target)
+        )
+        low, high = instance.scale_range
+        self.clouds = Clouds(source, target, instance.n_inliers, low, high)
+        # a value of minus infinity: no matching is worth a descent
+        idle = Incumbent(source, target, self.clouds.k, (low, high), np.eye(3), -np.inf, 0)
+        support = Support(self.clouds, idle, lambda: False)
+        self.z = support.coordinates()
+        self.root = root_simplex(support, self.z) if self.z.dim else np.empty((1, 0))
+
+    def __call__(self, lower: np.ndarray, upper: np.ndarray) -> float:
+        """At most the least objective over the box, whether or not its scales are admissible."""
+        clouds, z = self.clouds, self.z
+        points = z.origin + self.root @ z.axes.T
+        values = np.array([least_over_box(clouds.k, u, lower, upper) for u in points])
+        if z.dim == 0:
+            return float(least_linear(clouds, np.zeros(N_STATISTICS), 1.0)[0] + values[0])
+        a, b, tx, ty = 0.5 * (lower + upper)
+        centre = np.array([[a, -b, tx], [b, a, ty], [0.0, 0.0, 1.0]])
+        target, _ = objective(clouds.source, clouds.target, centre, clouds.k)
+        col_of = np.empty(len(clouds.source), np.int64)
+        bound, _, _ = bound_simplex(
+            clouds, z.origin, z.inverse, self.root, values, target, _ASCENTS, col_of
+        )
+        return float(bound)
+
+
+def least_over_box(k: int, u: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+    """Lower bound of ``E(P, theta) - L(P)`` over the box at statistics u, exact for a point.
+
+    For fixed (t1, t2) each translation has a closed-form minimum, concave in the coordinate of the
+    moved mean; its secant over the box leaves a separable quadratic in (t1, t2).
+    """
+    square, x1, x2, y1, y2, dot, cross = u
+    linear = np.array([-2.0 * dot, -2.0 * cross])
+    constant = 0.0
+    for axis, (row, offset) in enumerate(
+        [(np.array([x1, -x2]), -y1), (np.array([x2, x1]), -y2)], start=2
+    ):
+        ends = np.array([row * lower[:2], row * upper[:2]])
+        least = ends.min(axis=0).sum() + offset
+        most = ends.max(axis=0).sum() + offset
+        at_least, at_most = (
+            _least_translation(k, moment, lower[axis], upper[axis]) for moment in (least, most)
+        )
+        slope = (at_most - at_least) / (most - least) if most > least else 0.0
+        linear += slope * row
+        constant += at_least + slope * (offset - least)
+    return constant + sum(
+        _least_quadratic(square, linear[axis], lower[axis], upper[axis]) for axis in (0, 1)
+    )
+
+
+def _least_translation(k: int, moment: float, low: float, high: float) -> float:
+    t = min(max(-moment / k, low), high)
+    return float(k * t * t + 2.0 * t * moment)
+
+
+def _least_quadratic(square: float, linear: float, low: float, high: float) -> float:
+    ends = min((square * t + linear) * t for t in (low, high))
+    inner = -0.5 * linear / square if square > 0.0 else low
+    return float(min(ends, (square * inner + linear) * inner) if low < inner < high else ends)

@@ -1,0 +1,195 @@
+"""Polyhedral annexation: an inner polytope of the level set grows until it holds all matchings."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from baselines._concave import OutOfTimeError, Reduced, Support
+from baselines.contract import Limits
+from baselines.rpm_pa.kernels import extensions, test_facets, value_at
+from baselines.rpm_pa.polytope import Polytope
+from dcreg.result import Status
+
+_CLOSED = 1e-9
+# The exact variant ends when no matching can be better by the tolerance. A little less is given away to
+# the level, so that the bound of a closed facet reaches the tolerance in spite of rounding.
+_SHARE_OF_TOLERANCE = 0.9
+_BATCH = 1000  # facets tested between two looks at the clock, fewer for large problems
+# Farthest component of a vertex, in ranges of the statistics, where the level set has no end.
+_REACH = 100.0
+
+
+@dataclass
+class Settings:
+    """See the card's parameters."""
+
+    gap_tol: float  # in normalised units
+    epsilon0: float
+
+
+@dataclass
+class Search:
+    """The running search; bounds are in normalised units, the incumbent lives in `reduced`.
+
+    All matchings lie in the polytope D spanned by their points ``(u, L)``. A facet's cone is closed
+    when D does not leave the polytope there: then, F being concave, no matching of the cone beats
+    the level. Until then ``min F`` over the facet's simplex, stretched to hold D, is a lower bound.
+    """
+
+    reduced: Reduced
+    settings: Settings
+    limits: Limits
+    began: float
+    status: Status | None = None
+    lower_bound: float = 0.0  # a sum of squares
+    n_facets_tested: int = 0
+    n_rebuilt: int = 0
+    dim: int = 0
+    trace: list[dict[str, Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        clouds, incumbent = self.reduced.clouds, self.reduced.incumbent
+        self.batch = int(np.clip(300_000 // (len(clouds.source) * len(clouds.target)), 1, _BATCH))
+        self.support = Support(clouds, incumbent, self.expired, with_fixed=True)
+
+    @property
+    def upper_bound(self) -> float:
+        return self.reduced.incumbent.value
+
+    @property
+    def exact(self) -> bool:
+        return self.settings.epsilon0 == 0.0
+
+    @property
+    def level(self) -> float:
+        """The polytope stays inside ``F >= level``."""
+        share = _SHARE_OF_TOLERANCE if self.exact else 1e-6
+        # the inner point is a mean of matchings' points, so no worse than the incumbent but for rounding
+        return min(self.upper_bound, self.at_inner) - share * self.settings.gap_tol - 1e-12
+
+    def expired(self) -> bool:
+        return time.perf_counter() - self.began > self.limits.time_s
+
+    def run(self) -> None:
+        self.record()
+        try:
+            self.z = self.support.coordinates()
+            self.dim = self.z.dim
+            if self.dim == 0:  # all matchings have the same value, that of the incumbent
+                self.lower_bound = self.upper_bound
+                self.status = Status.OPTIMAL
+            else:
+                self._annex_all()
+        except OutOfTimeError:
+            self.status = Status.TIME_LIMIT
+        self.record()
+
+    def _annex_all(self) -> None:
+        points = np.unique(self.support.points, axis=0)
+        self.inner = self._z(points).mean(axis=0)
+        self.at_inner = value_at(self.reduced.clouds, self.z.origin, self.z.axes, self.inner)
+        self.rays = [*np.eye(self.dim), -np.ones(self.dim)]
+        polytope = self._rebuilt()
+        while self.status is None:
+            self.lower_bound = max(self.lower_bound, min(polytope.lower_bound, self.upper_bound))
+            self.record()
+            untested = polytope.untested(self.batch)
+            self.status = self._ended(polytope)
+            if self.status is not None:
+                return
+            if len(untested):
+                if self._test(polytope, untested):
+                    polytope = self._rebuilt()
+            elif not self._annex_farthest(polytope):
+                self.status = Status.CONVERGED
+
+    def _test(self, polytope: Polytope, facets: np.ndarray) -> bool:
+        """Find how far D passes each facet; True when a better matching turned up."""
+        col_of = np.empty(len(self.reduced.clouds.source), np.int64)
+        passage, farthest, bounds, best = test_facets(
+            self.reduced.clouds, self.z.origin, self.z.axes, self.z.inverse, self.inner,
+            polytope.vertices, polytope.members[facets], polytope.normals[facets], col_of,
+        )  # fmt: skip
+        self.n_facets_tested += len(facets)
+        polytope.bounds[facets] = np.maximum(polytope.bounds[facets], bounds)
+        passage[polytope.bounds[facets] >= self.upper_bound - self.settings.gap_tol] = 0.0
+        polytope.passage[facets], polytope.farthest[facets] = passage, farthest
+        return self.reduced.incumbent.beaten_by(best) and self.reduced.incumbent.offer(col_of)
+
+    def _annex_farthest(self, polytope: Polytope) -> bool:
+        """Annex the point by which D passes the polytope most; False when no facet is passed."""
+        while True:
+            facet = polytope.most_passed()
+            if polytope.passage[facet] <= 1.0 + self.dim * self.settings.epsilon0 + _CLOSED:
+                return False
+            if self._annex(polytope, polytope.farthest[facet].copy()):
+                return True
+            polytope.passage[facet] = 0.0  # degenerate: its bound stays what it is
+
+    def _annex(self, polytope: Polytope, ray: np.ndarray) -> bool:
+        """Add the extension of a ray; a ray in degenerate position is moved a little."""
+        generator = np.random.default_rng(len(polytope.vertices))
+        for shake in (0.0, 1e-7, 1e-5, 1e-3):
+            moved = ray + shake * generator.standard_normal(self.dim)
+            if polytope.annex(self._extended(moved[None])[0]):
+                self.rays.append(moved)
+                return True
+        return False
+
+    def _rebuilt(self) -> Polytope:
+        """The polytope of all rays at the present level: the incumbent improved, so it grew."""
+        self.n_rebuilt += 1
+        extended = self._extended(np.array(self.rays))
+        polytope = Polytope(extended[: self.dim + 1], self.lower_bound)
+        for vertex in extended[self.dim + 1 :]:
+            if self.expired():
+                raise OutOfTimeError
+            polytope.annex(vertex)
+        return polytope
+
+    def _extended(self, rays: np.ndarray) -> np.ndarray:
+        clouds, z = self.reduced.clouds, self.z
+        return extensions(clouds, z.origin, z.axes, self.inner, rays, self.level, _REACH)
+
+    def _z(self, points: np.ndarray) -> np.ndarray:
+        return (points - self.z.origin) @ self.z.inverse.T
+
+    def _ended(self, polytope: Polytope) -> Status | None:
+        limits = self.limits
+        if self.lower_bound >= self.upper_bound - self.settings.gap_tol:
+            return Status.OPTIMAL
+        if self.expired():
+            return Status.TIME_LIMIT
+        if limits.nodes is not None and self.n_facets_tested >= limits.nodes:
+            return Status.NODE_LIMIT
+        # the arrays are copied once to grow, and half of the worker's memory is Python's
+        if limits.memory_mb is not None and polytope.nbytes > 0.2 * limits.memory_mb * 2**20:
+            return Status.MEMORY_LIMIT
+        return None
+
+    def record(self) -> None:
+        """A row of the bound history, when a bound moved or the search has ended."""
+        area = self.reduced.area
+        bounds = (self.lower_bound * area, self.upper_bound * area)
+        if self.trace and self.status is None:
+            last = self.trace[-1]
+            if bounds == (last["lower_bound"], last["upper_bound"]):
+                return
+        self.trace.append(
+            {
+                "time_s": time.perf_counter() - self.began,
+                "n_nodes": self.n_facets_tested,
+                "n_assignments": self.n_assignments,
+                "lower_bound": bounds[0],
+                "upper_bound": bounds[1],
+            }
+        )
+
+    @property
+    def n_assignments(self) -> int:
+        own = self.support.n_assignments + self.n_facets_tested
+        return own + self.reduced.incumbent.n_assignments

@@ -1,0 +1,40 @@
+"""SC²-PCR, own port."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from baselines._consistency import consistency_graph, length_differences, vote_scale
+from baselines._frontends import CorrespondenceMethod, Estimate
+from baselines._poses import homogeneous
+from baselines.contract import Instance, Limits
+from baselines.sc2_pcr.consensus import best_pose, choose_seeds, leading_eigenvector, refine
+
+
+class Adapter(CorrespondenceMethod):
+    """Seeds, two-stage consensus sets, the pose with most inliers, refinement."""
+
+    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
+        deadline = time.perf_counter() + limits.time_s
+        source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
+        bound = self.options["noise_factor"] * instance.noise_bound
+        scale = vote_scale(source, target, 2 * bound, instance.scale_range)
+        source = scale * source  # rigid from here on
+        rows = consistency_graph(source, target, pairs, 2 * bound, 1.0)
+        differences = length_differences(source, target)
+        compatibility = np.maximum(0.0, 1 - (differences / (2 * bound)) ** 2)
+        seeds = choose_seeds(
+            source,
+            leading_eigenvector(compatibility),
+            2 * bound,
+            max(1, round(self.options["seed_ratio"] * len(pairs))),
+        )
+        sizes = self.options["first_neighbours"], self.options["second_neighbours"]
+        pose, finished = best_pose(source, target, rows, seeds, sizes, bound, deadline)
+        if pose is None:
+            return Estimate(None, finished)
+        pose = refine(pose, source, target, bound)
+        scaling = homogeneous(scale, np.eye(instance.dim), np.zeros(instance.dim))
+        return Estimate(pose @ scaling, finished, extra={"seeds": len(seeds)})

@@ -1,0 +1,123 @@
+"""Consensus sets by second-order spatial compatibility."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numba import njit
+
+from baselines._cliques import count_bits, has_bit
+from baselines._ransac import count_within
+from baselines._robust import squared_residuals, weighted_pose
+
+POWER_ITERATIONS = 10
+REFINEMENTS = 20
+
+
+def leading_eigenvector(matrix: np.ndarray) -> np.ndarray:
+    """By power iteration from equal entries, of length 1; zeros for a zero matrix."""
+    u = np.full(len(matrix), 1 / np.sqrt(len(matrix)))
+    for _ in range(POWER_ITERATIONS):
+        u = matrix @ u
+        norm = np.linalg.norm(u)
+        if norm == 0:
+            return u
+        u = u / norm
+    return u
+
+
+def choose_seeds(
+    source: np.ndarray, confidence: np.ndarray, radius: float, most: int
+) -> np.ndarray:
+    """Correspondences that no other within `radius` of their source beats in confidence."""
+    order = np.argsort(-confidence, kind="stable")
+    free = np.ones(len(source), dtype=bool)
+    seeds: list[int] = []
+    for i in order:
+        if len(seeds) == most:
+            break
+        if free[i]:
+            seeds.append(int(i))
+            free &= ((source - source[i]) ** 2).sum(axis=1) > radius**2
+    return np.array(seeds)
+
+
+@njit(cache=True)
+def common_neighbours(rows, i):
+    """For every neighbour of i, how many neighbours they share; 0 for the others."""
+    n = len(rows)
+    counts = np.zeros(n, dtype=np.int64)
+    for j in range(n):
+        if has_bit(rows[i], j):
+            for w in range(rows.shape[1]):
+                counts[j] += count_bits(rows[i, w] & rows[j, w])
+    return counts
+
+
+@njit(cache=True)
+def submatrix(rows, members):
+    """Adjacency among `members`, 1 on the diagonal."""
+    k = len(members)
+    matrix = np.eye(k)
+    for a in range(k):
+        for b in range(a):
+            if has_bit(rows[members[a]], members[b]):
+                matrix[a, b] = matrix[b, a] = 1.0
+    return matrix
+
+
+def best_pose(
+    source: np.ndarray,
+    target: np.ndarray,
+    rows: np.ndarray,
+    seeds: np.ndarray,
+    sizes: tuple[int, int],
+    bound: float,
+    deadline: float,
+) -> tuple[np.ndarray | None, bool]:
+    """The pose of the seed with the most residuals within `bound`, and whether all were tried."""
+    best, most = None, 0
+    for seed in seeds:
+        members, weights = _consensus(rows, seed, *sizes)
+        if len(members) >= source.shape[1] and weights.sum() > 0:
+            pose = weighted_pose(source[members], target[members], weights)
+            count = int(count_within(source, target, pose, bound))
+            if count > most:
+                best, most = pose, count
+        if time.perf_counter() > deadline:
+            return best, False
+    return best, True
+
+
+def refine(pose: np.ndarray, source: np.ndarray, target: np.ndarray, bound: float) -> np.ndarray:
+    """Least squares over the inliers, near ones weighing more, while their number changes."""
+    count = 0
+    for _ in range(REFINEMENTS):
+        r2 = squared_residuals(pose, source, target)
+        inliers = r2 <= bound**2
+        if inliers.sum() == count or inliers.sum() < source.shape[1]:
+            break
+        count = int(inliers.sum())
+        pose = weighted_pose(source, target, inliers / (1 + r2 / bound**2))
+    return pose
+
+
+def _consensus(
+    rows: np.ndarray, seed: int, first: int, second: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Members and weights of the two-stage consensus set of a seed.
+
+    First those that share the most neighbours with it; of them those that share the most within
+    that set, weighted by the leading eigenvector of the compatibilities there.
+    """
+    shared = common_neighbours(rows, seed)
+    near = np.argsort(-shared, kind="stable")[: first - 1]
+    members = np.concatenate([[seed], near[shared[near] > 0]])
+    local = submatrix(rows, members)
+    among = local[0] * (local @ local)[0]
+    among[0] = np.inf  # the seed stays
+    kept = np.argsort(-among, kind="stable")[:second]
+    kept = kept[among[kept] > 0]
+    inner = local[np.ix_(kept, kept)]
+    return members[kept], leading_eigenvector(inner * (inner @ inner))

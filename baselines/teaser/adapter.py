@@ -1,0 +1,43 @@
+"""TEASER, own port of the published algorithm."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from baselines import _cliques
+from baselines._frontends import CorrespondenceMethod, Estimate
+from baselines.contract import Instance, Limits
+from baselines.teaser.pipeline import register
+
+
+class Adapter(CorrespondenceMethod):
+    """Maximum clique of consistent pairs, GNC-TLS rotation, voted scale and translation."""
+
+    def warm_up(self, instance: Instance) -> None:
+        super().warm_up(instance)
+        _cliques.warm_up()
+
+    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
+        found = register(
+            instance.source[pairs[:, 0]],
+            instance.target[pairs[:, 1]],
+            pairs,
+            self.options["noise_factor"] * instance.noise_bound,
+            instance.scale_range,
+            time.perf_counter() + limits.time_s,
+        )
+        size, bound = len(found.clique.vertices), found.clique.upper_bound
+        proof = "proven maximum" if found.clique.is_maximum else f"not proven, at most {bound}"
+        return Estimate(
+            found.pose,
+            found.finished,
+            f"clique of {size} pairs ({proof}); {found.n_rotation_inliers} kept by the rotation",
+            {
+                "clique_size": size,
+                "clique_upper_bound": bound,
+                "rotation_inliers": found.n_rotation_inliers,
+                "inliers": found.n_inliers,
+            },
+        )

@@ -1,0 +1,75 @@
+"""TEASER's decoupled estimation: scale, then rotation, then translation, on a maximum clique."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines._cliques import Clique, maximum_clique
+from baselines._consistency import consistency_graph, vote_scale, vote_translation
+from baselines._poses import homogeneous
+from baselines._robust import gnc_rotation
+
+SHARE_FOR_CLIQUE = 0.9  # of the time left; rotation and translation take milliseconds
+
+
+@dataclass(frozen=True)
+class TeaserResult:
+    """The pose, None where the clique fixes none, and what each step can vouch for."""
+
+    pose: np.ndarray | None
+    clique: Clique
+    finished: bool
+    n_rotation_inliers: int = 0
+    n_inliers: int = 0
+
+
+def register(
+    source: np.ndarray,
+    target: np.ndarray,
+    pairs: np.ndarray,
+    noise_bound: float,
+    scale_range: tuple[float, float] = (1.0, 1.0),
+    deadline: float = np.inf,
+) -> TeaserResult:
+    """Pose of the corresponding rows of `source` and `target`.
+
+    Parameters
+    ----------
+    source, target : (n, d) arrays
+    pairs : (n, 2) array
+        Which points the rows are: two rows that share a point are never both taken.
+    noise_bound : float
+        Largest residual of a true correspondence.
+    deadline : float
+        In terms of `time.perf_counter`; the clique may then be less than the maximum.
+    """
+    # Invariant to translation: differences of correspondences, whose noise is at most twice the
+    # bound. Invariant to rotation as well: their lengths.
+    tolerance = 2 * noise_bound
+    scale = vote_scale(source, target, tolerance, scale_range)
+    rows = consistency_graph(source, target, pairs, tolerance, scale)
+    now = time.perf_counter()
+    clique = maximum_clique(rows, now + SHARE_FOR_CLIQUE * (deadline - now))
+    members = clique.vertices
+    if len(members) < source.shape[1]:
+        return TeaserResult(None, clique, clique.is_maximum)
+    following = np.roll(members, -1)  # a closed chain of differences through the clique
+    rotation, weights, finished = gnc_rotation(
+        scale * (source[following] - source[members]),
+        target[following] - target[members],
+        tolerance,
+        deadline,
+    )
+    turned = scale * source @ rotation.T
+    translation = vote_translation(turned[members], target[members], noise_bound)
+    off = np.linalg.norm(turned + translation - target, axis=1)
+    return TeaserResult(
+        homogeneous(scale, rotation, translation),
+        clique,
+        clique.is_maximum and finished,
+        int((weights >= 0.5).sum()),
+        int((off <= noise_bound).sum()),
+    )

@@ -1,0 +1,258 @@
+"""Figures and page of the ablation of bounds: ``python -m reports.ablation FOLDER``.
+
+Reads the tables of `workflows.ablation` and writes beside them ``bounds.{svg,pdf}``,
+``searches.{svg,pdf}`` and ``index.html``, one file that needs no network and follows the reader's light
+or dark theme.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import jinja2
+import matplotlib
+import numpy as np
+import pandas as pd
+import seaborn as sns
+import typer
+from matplotlib.figure import Figure as MplFigure
+
+from reports import theme
+
+HERE = Path(__file__).parent
+INK = {"light": "#1b2229", "dark": "#e6eaef"}
+GRID = {"light": "#e8ebee", "dark": "#272e37"}
+PLACES = {
+    "centred": "boxes centred on the optimum",
+    "holding": "boxes holding it elsewhere",
+    "away": "boxes away from it",
+}
+GAPS = (10.0, 3.0, 1.0, 0.3, 0.1)  # in units of the default tolerance
+_MARKERS = "osD^vPX<>d*"
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one bound is drawn on one surface."""
+
+    color: str
+    marker: str
+    dash: str
+
+
+def looks(names: list[str], surface: str) -> dict[str, Look]:
+    """Colours by order of the names; term-wise bounds dashed, combinations dotted."""
+    return {
+        name: Look(
+            theme.readable(theme.FALLBACK_COLORS[index % 7], theme.SURFACE[surface]),
+            _MARKERS[index % len(_MARKERS)],
+            ":" if "+" in name else "--" if name.startswith("termwise") else "-",
+        )
+        for index, name in enumerate(names)
+    }
+
+
+# --- figures ------------------------------------------------------------------------------------
+
+
+def draw_bounds(tables: dict[str, pd.DataFrame], surface: str) -> MplFigure:
+    """Bound value, and what it loses, against box width: a column per place, two rows an instance."""
+    table = tables["bounds"].assign(loss=lambda t: t["least"] - t["value"])
+    style = looks(list(dict.fromkeys(table["bound"])), surface)
+    instances = list(dict.fromkeys(table["instance"]))
+    figure = MplFigure(figsize=(11, 5.2 * len(instances)))
+    axes = figure.subplots(2 * len(instances), len(PLACES), sharex=True, sharey="row")
+    for i, instance in enumerate(instances):
+        for c, (place, title) in enumerate(PLACES.items()):
+            part = table[(table["instance"] == instance) & (table["place"] == place)]
+            mean = part.groupby(["bound", "width"], sort=False)[["value", "loss", "least"]].mean()
+            value, loss = axes[2 * i][c], axes[2 * i + 1][c]
+            for name, look in style.items():
+                if name not in mean.index:
+                    continue
+                line = mean.loc[name].sort_index()
+                drawn = {
+                    "color": look.color, "marker": look.marker, "linestyle": look.dash,
+                    "markersize": 4, "linewidth": 1.4, "label": name,
+                }  # fmt: skip
+                value.plot(line.index, line["value"], **drawn)
+                positive = line["loss"].where(line["loss"] > 1e-9)
+                loss.plot(line.index, positive, **drawn)
+            least = mean.groupby("width")["least"].first()
+            value.plot(
+                least.index, least, color=INK[surface], linewidth=1, label="least objective met"
+            )
+            value.set_yscale("symlog", linthresh=0.1)
+            value.set_title(f"{instance}: {title}")
+            loss.set(xscale="log", yscale="log", xlabel="box width (RMS radii)")
+            _guides(loss, surface)
+        axes[2 * i][0].set_ylabel("lower bound")
+        axes[2 * i + 1][0].set_ylabel("least objective − bound")
+    _finish(figure, axes, surface)
+    return figure
+
+
+def _guides(axis: Any, surface: str) -> None:
+    """Slopes one and two."""
+    width = np.array([2e-3, 2e-1])
+    for order, dash in ((1, (0, (1, 2))), (2, (0, (4, 2)))):
+        axis.plot(width, 3.0 * (width / 0.2) ** order, color=INK[surface], linewidth=0.8,
+                  linestyle=dash, alpha=0.6, label=f"slope {order}")  # fmt: skip
+
+
+def draw_searches(tables: dict[str, pd.DataFrame], surface: str) -> MplFigure:
+    """Gap against nodes and assignments, a row per instance."""
+    table = tables["searches"]
+    style = looks(list(dict.fromkeys(table["bound"])), surface)
+    instances = list(dict.fromkeys(table["instance"]))
+    counters = {"n_nodes": "nodes", "n_assignments": "assignments"}
+    figure = MplFigure(figsize=(11, 3.4 * len(instances) + 0.6))
+    axes = figure.subplots(len(instances), 2, squeeze=False, sharey="row")
+    for r, instance in enumerate(instances):
+        for c, (counter, title) in enumerate(counters.items()):
+            axis = axes[r][c]
+            for name, look in style.items():
+                part = table[(table["instance"] == instance) & (table["bound"] == name)]
+                axis.plot(
+                    part[counter], part["gap"].clip(lower=1e-3), drawstyle="steps-post", label=name,
+                    color=look.color, linestyle=look.dash, linewidth=1.4,
+                )  # fmt: skip
+                axis.plot(part[counter].iloc[-1:], part["gap"].clip(lower=1e-3).iloc[-1:],
+                          look.marker, color=look.color, markersize=5)  # fmt: skip
+            axis.axhline(1.0, color=INK[surface], linewidth=0.8, linestyle=":")
+            axis.set(xscale="log", yscale="log", xlabel=title, title=instance)
+        axes[r][0].set_ylabel("gap / default tolerance")
+    _finish(figure, axes, surface)
+    return figure
+
+
+def _finish(figure: MplFigure, axes: Any, surface: str) -> None:
+    handles = {
+        text: handle
+        for axis in np.ravel(axes)
+        for handle, text in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        handles.values(), handles.keys(), loc="outside lower center", ncols=6, frameon=False,
+        labelcolor=INK[surface],
+    )  # fmt: skip
+
+
+def _ink(surface: str) -> dict[str, Any]:
+    """Matplotlib's settings for one surface; ids differ, as both drawings share a page."""
+    ink, grid = INK[surface], GRID[surface]
+    return {
+        "text.color": ink, "axes.labelcolor": ink, "axes.edgecolor": ink, "xtick.color": ink,
+        "ytick.color": ink, "grid.color": grid, "axes.facecolor": "none", "figure.facecolor": "none",
+        "font.size": 8, "axes.titlesize": 9, "svg.hashsalt": surface, "svg.fonttype": "none",
+        "figure.constrained_layout.use": True,
+    }  # fmt: skip
+
+
+def _save(figure: MplFigure, out: Path | io.StringIO, kind: str) -> None:
+    """Without a creation date: the same tables give the same file."""
+    date = "CreationDate" if kind == "pdf" else "Date"
+    figure.savefig(out, format=kind, metadata={date: None})
+    figure.set_layout_engine("none")  # the places are found; the next file keeps them
+
+
+def _drawings(draw: Callable, tables: dict[str, pd.DataFrame], stem: Path) -> dict[str, str]:
+    """SVG text for either surface; the light one also goes to files, with `stem` as their name."""
+    texts = {}
+    for surface in ("light", "dark"):
+        with sns.axes_style("whitegrid"), matplotlib.rc_context(_ink(surface)):
+            figure, stream = draw(tables, surface), io.StringIO()
+            _save(figure, stream, "svg")
+            texts[surface] = stream.getvalue()[stream.getvalue().index("<svg") :]
+            if surface == "light":
+                stem.with_suffix(".svg").write_text(stream.getvalue(), encoding="utf-8")
+                _save(figure, stem.with_suffix(".pdf"), "pdf")
+    return texts
+
+
+# --- tables of the page -------------------------------------------------------------------------
+
+
+def orders_rows(orders: pd.DataFrame) -> dict[str, Any]:
+    wide = orders.pivot_table(
+        index="bound", columns=["instance", "place"], values="order", sort=False, dropna=False
+    )
+    return {
+        "columns": ["bound", *(f"{instance}, {place}" for instance, place in wide.columns)],
+        "rows": [[name, *map(theme.number, row)] for name, row in wide.iterrows()],
+    }
+
+
+def searches_rows(searches: pd.DataFrame, counter: str) -> dict[str, Any]:
+    """Work until the gap was first at most each of `GAPS`; a dash where it never was."""
+    columns, rows = ["bound"], {}
+    for instance, part in searches.groupby("instance", sort=False):
+        columns += [f"{instance}, gap {gap:g} ε" for gap in GAPS]
+        for name, history in part.groupby("bound", sort=False):
+            reached = [history.loc[history["gap"] <= gap, counter] for gap in GAPS]
+            shown = [
+                theme.integer(first.iloc[0]) if len(first) else theme.MISSING for first in reached
+            ]
+            rows.setdefault(name, [name]).extend(shown)
+    return {"columns": columns, "rows": list(rows.values())}
+
+
+# --- page ---------------------------------------------------------------------------------------
+
+
+def build(folder: Path) -> Path:
+    """Write figures and page for the tables in `folder`. Returns the page's path."""
+    tables = {
+        name: pd.read_csv(folder / f"{name}.csv") for name in ("bounds", "orders", "searches")
+    }
+    figures = []
+    for name, draw, title, caption in (
+        ("bounds", draw_bounds, "Bound value against box width",
+         "Means over the boxes of one width and place. What a bound loses falls with the width; a "
+         "steeper line converges faster. A bound that loses nothing has no point."),
+        ("searches", draw_searches, "Work to a given gap",
+         "Best-first search with every bound, same start box, incumbent and branching. The marker is "
+         "where a search ended: closed to a tenth of the tolerance, or out of time."),
+    ):  # fmt: skip
+        drawn = _drawings(draw, tables, folder / name)
+        figures.append({"id": name, "title": title, "caption": caption} | drawn)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(HERE / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    shown = [
+        {"id": "orders", "title": "Empirical order of convergence",
+         "caption": "Slope of log loss over log width at the smallest widths where the loss is above a "
+         "thousandth of the optimum."} | orders_rows(tables["orders"]),
+        {"id": "nodes", "title": "Nodes to a given gap",
+         "caption": "ε is the default tolerance; a dash: not reached in the time given."}
+        | searches_rows(tables["searches"], "n_nodes"),
+        {"id": "assignments", "title": "Assignments to a given gap", "caption": "As above."}
+        | searches_rows(tables["searches"], "n_assignments"),
+    ]  # fmt: skip
+    page = folder / "index.html"
+    css = (HERE / "assets" / "report.css").read_text(encoding="utf-8")
+    page.write_text(
+        environment.get_template("ablation.html").render(css=css, figures=figures, tables=shown),
+        encoding="utf-8",
+    )
+    return page
+
+
+def main(
+    folder: Annotated[Path, typer.Argument(help="with the tables")] = Path("results/ablation"),
+) -> None:
+    """Draw the ablation and print the path of its page."""
+    page = build(folder)
+    typer.echo(f"{page} ({page.stat().st_size / 1e6:.1f} MB)")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,127 @@
+"""Is what the library claims of a problem true? Checked against `tests.fuzz.reference`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dcreg.result import Result, Status
+from tests.fuzz import reference
+from tests.fuzz.problems import FuzzProblem
+
+MAX_CUBES = 300_000
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """``lower <= optimum <= upper`` by the reference; `faults` are the claims that are wrong."""
+
+    lower: float
+    upper: float
+    closed: bool  # the reference is exact, or its enclosure as narrow as asked for
+    faults: list[str]
+
+
+def check(problem: FuzzProblem, result: Result) -> Verdict:
+    """Compare bounds, pose and status of `result` with the true optimum of `problem`."""
+    lower, upper, closed = optimum(problem, result.gap_tol)
+    slack = _slack(problem)
+    faults = []
+    if result.lower_bound > upper + slack:
+        faults.append(f"lower bound {result.lower_bound:.9g} above the optimum {upper:.9g}")
+    if result.upper_bound < lower - slack:
+        faults.append(f"upper bound {result.upper_bound:.9g} below the optimum {lower:.9g}")
+    if result.status is Status.OPTIMAL:
+        if result.upper_bound - upper > result.gap_tol + slack:
+            faults.append(
+                f"optimal within {result.gap_tol:.9g} claimed for {result.upper_bound:.9g}, "
+                f"the optimum is {upper:.9g}"
+            )
+        if result.upper_bound - result.lower_bound > result.gap_tol + slack:
+            faults.append("optimal claimed with an open gap")
+    if (
+        problem.family != "multi3d"
+    ):  # whose pose is that of the best rigid objective, not of the norm's
+        attained = certified_value(problem, result.T_certified)
+        if abs(attained - result.upper_bound) > slack:
+            faults.append(f"upper bound {result.upper_bound:.9g}, but its pose has {attained:.9g}")
+    faults += _pose_faults(problem, result, slack)
+    return Verdict(lower, upper, closed, faults)
+
+
+def optimum(problem: FuzzProblem, gap_tol: float) -> tuple[float, float, bool]:
+    """Enclosure of the optimum, and whether it is as narrow as it should be."""
+    source, target, k = problem.source, problem.target, problem.n_inliers
+    allowed = _everything(problem)
+    if problem.family == "similarity2d":
+        low, high = problem.settings["scale_range"]
+        value = reference.optimum_similarity2d(
+            source - source.mean(axis=0), target - target.mean(axis=0), allowed, k, low, high
+        )
+        return value, value, True
+    if problem.family == "rigid3d":
+        value = reference.optimum_rigid3d(
+            source - source.mean(axis=0), target - target.mean(axis=0), allowed, k
+        )
+        return value, value, True
+    x, norms = _norm_space(problem)
+    lower, upper = reference.enclose_norm3d(x, norms, allowed, k, 0.5 * gap_tol, MAX_CUBES)
+    return lower, upper, upper - lower <= gap_tol
+
+
+def certified_value(problem: FuzzProblem, T: np.ndarray) -> float:
+    """The certified objective at a pose."""
+    source, target, k = problem.source, problem.target, problem.n_inliers
+    allowed = _everything(problem)
+    if problem.family != "norm3d":
+        d = source.shape[1]
+        return reference.objective(source @ T[:d, :d].T + T[:d, d], target, allowed, k)
+    x, norms = _norm_space(problem)
+    t = T[:3, :3].T @ (T[:3, 3] - target.mean(axis=0)) + source.mean(axis=0)
+    return reference.norm_objective(x, norms, allowed, k, t)
+
+
+def _everything(problem: FuzzProblem) -> np.ndarray:
+    return np.ones((len(problem.source), len(problem.target)), dtype=bool)
+
+
+def _norm_space(problem: FuzzProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Source about its centroid, ascending norms of the target about its own: what mode `paper` says."""
+    centred = problem.target - problem.target.mean(axis=0)
+    norms = np.sort(np.linalg.norm(centred, axis=1))
+    return problem.source - problem.source.mean(axis=0), norms
+
+
+def _slack(problem: FuzzProblem) -> float:
+    """What rounding may change an objective by: relative to the extent, and to the coordinates."""
+    clouds = (problem.source, problem.target)
+    extent = sum(((points - points.mean(axis=0)) ** 2).sum(axis=1).max() for points in clouds)
+    place = max(np.abs(points).max() for points in clouds)
+    return float(problem.n_inliers * (1e-8 * extent + (1e-9 * place) ** 2))
+
+
+def _pose_faults(problem: FuzzProblem, result: Result, slack: float) -> list[str]:
+    faults = []
+    d = problem.source.shape[1]
+    low, high = problem.settings.get("scale_range", (1.0, 1.0))
+    for name, T in (
+        ("T_certified", result.T_certified),
+        ("T_target_source", result.T_target_source),
+    ):
+        scale = np.linalg.det(T[:d, :d]) ** (1 / d)
+        if not low - 1e-9 <= scale <= high + 1e-9:
+            faults.append(f"{name}: scale {scale:.9g} outside [{low}, {high}]")
+        elif not np.allclose(T[:d, :d].T @ T[:d, :d], scale**2 * np.eye(d), atol=1e-9):
+            faults.append(f"{name}: not a similarity")
+    moved = problem.source @ result.T_target_source[:d, :d].T + result.T_target_source[:d, d]
+    value = reference.objective(moved, problem.target, _everything(problem), problem.n_inliers)
+    if abs(value - result.objective) > slack:
+        faults.append(f"objective {result.objective:.9g} stated, {value:.9g} found")
+    i, j = result.assignment.T
+    stated = float(((moved[i] - problem.target[j]) ** 2).sum())
+    if len(set(i)) != problem.n_inliers or len(set(j)) != problem.n_inliers:
+        faults.append("assignment is not one to one")
+    elif abs(stated - result.objective) > slack:
+        faults.append(f"objective {result.objective:.9g} stated, its pairs give {stated:.9g}")
+    return faults

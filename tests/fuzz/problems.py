@@ -1,0 +1,125 @@
+"""Random small problems, among them the awkward ones, each made by its number alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from dcreg.bounds import BOUNDS
+from dcreg.result import Result
+
+KINDS = ("general", "copy", "duplicates", "collinear", "grid", "symmetric", "clutter")
+# What is solved how often: family, and in it bound; `tight`, the default, most of all.
+FAMILIES = {"similarity2d": 0.58, "norm3d": 0.3, "rigid3d": 0.11, "multi3d": 0.01}
+MODES = {"similarity2d": "paper", "norm3d": "paper", "rigid3d": "full", "multi3d": "multi"}
+EMPHASIS = {"tight": 8.0, "tight-exact": 4.0, "shared": 2.0, "paper": 2.0, "termwise-r3": 0.15}
+# No problem may take long; one that ends at a limit still has bounds to be checked.
+NODE_LIMIT, TIME_LIMIT = 2000, 5.0
+OWN_LIMIT = {"termwise-r3": 10, "termwise-r1": 600, "termwise-r2": 600, "rigid": 10_000}
+
+
+@dataclass(frozen=True)
+class FuzzProblem:
+    """One problem with the settings to solve it."""
+
+    number: int
+    family: str  # a key of FAMILIES
+    kind: str
+    source: np.ndarray
+    target: np.ndarray
+    n_inliers: int
+    settings: dict[str, Any]
+
+    def solve(self) -> Result:
+        return dcreg.register(
+            self.source,
+            self.target,
+            n_inliers=self.n_inliers,
+            time_limit=TIME_LIMIT,
+            **self.settings,
+        )
+
+    def __str__(self) -> str:
+        shown = {k: v for k, v in self.settings.items() if k != "model"}
+        return (
+            f"#{self.number} {self.family} {self.kind} {len(self.source)}x{len(self.target)} "
+            f"k={self.n_inliers} {shown}"
+        )
+
+
+def problem(number: int, family: str | None = None) -> FuzzProblem:
+    """Problem `number`, always the same one."""
+    rng = np.random.default_rng([20260326, number])
+    drawn = str(rng.choice(list(FAMILIES), p=list(FAMILIES.values())))
+    family = family or drawn
+    dim = 2 if family == "similarity2d" else 3
+    n, m = (int(size) for size in rng.integers(2, 7 if family == "rigid3d" else 8, 2))
+    kind = str(rng.choice(KINDS))
+    source, target = _clouds(rng, kind, n, m, dim)
+    n_inliers = int(rng.integers(1, min(n, m) + 1))
+    return FuzzProblem(
+        number, family, kind, source, target, n_inliers, _settings(rng, family, target, n_inliers)
+    )
+
+
+def _settings(
+    rng: np.random.Generator, family: str, target: np.ndarray, n_inliers: int
+) -> dict[str, Any]:
+    extent = float(np.sqrt(((target - target.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    tau = float(np.exp(rng.uniform(np.log(0.02), np.log(0.2))))
+    settings = {
+        "model": "similarity2d" if family == "similarity2d" else "rigid3d",
+        "mode": MODES[family],
+        "gap_tol": n_inliers * (tau * (extent or 1.0)) ** 2,
+        "start_box": str(rng.choice(["reduced", "safe"])),
+        "polish": bool(rng.random() < 0.2),
+        "node_limit": NODE_LIMIT,
+    }
+    if family == "rigid3d":  # has bounds of its own
+        return settings | {"node_limit": OWN_LIMIT["rigid"]}
+    names = [name for name in BOUNDS if family == "similarity2d" or name != "termwise-r3"]
+    weights = np.array([EMPHASIS.get(name, 0.5) for name in names])
+    bound = str(rng.choice(names, p=weights / weights.sum()))
+    settings["node_limit"] = OWN_LIMIT.get(bound, NODE_LIMIT)
+    settings["bound"] = f"{bound}+edges" if rng.random() < 0.1 and bound != "edges" else bound
+    if family == "similarity2d":
+        low = float(rng.choice([0.3, 0.5, 0.9, 1.0]))
+        settings["scale_range"] = (low, low * float(rng.choice([1.0, 1.2, 3.0])))
+    return settings
+
+
+def _clouds(
+    rng: np.random.Generator, kind: str, n: int, m: int, dim: int
+) -> tuple[np.ndarray, np.ndarray]:
+    source, target = rng.standard_normal((n, dim)), rng.standard_normal((m, dim))
+    both = min(n, m)
+    if kind in ("copy", "symmetric", "clutter"):
+        if kind == "symmetric":  # its own mirror image
+            source[n // 2 : 2 * (n // 2)] = source[: n // 2] * ([-1.0] + [1.0] * (dim - 1))
+        shared = max(1, both // 2) if kind == "clutter" else both
+        noise = float(rng.choice([0.0, 0.03, 0.2]))
+        target[:shared] = source[:shared] + noise * rng.standard_normal((shared, dim))
+    elif kind == "duplicates":
+        source[n // 2 :] = source[0]
+        if rng.random() < 0.7:
+            target[m // 2 :] = target[0]
+    elif kind == "collinear":
+        source = source[:, :1] * rng.standard_normal(dim)
+        if rng.random() < 0.7:
+            target = target[:, :1] * rng.standard_normal(dim)
+    elif kind == "grid":  # many ties
+        source, target = np.round(source), np.round(target)
+    moved = (target @ _rotation(rng, dim).T) * float(rng.choice([1.0, 0.7]) if dim == 2 else 1.0)
+    unit = float(rng.choice([1.0, 1.0, 1e-3, 1e3]))
+    return unit * source, unit * (rng.permutation(moved) + rng.standard_normal(dim))
+
+
+def _rotation(rng: np.random.Generator, dim: int) -> np.ndarray:
+    if dim == 3:
+        return Rotation.random(rng=rng).as_matrix()
+    angle = rng.uniform(0, 2 * np.pi)
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

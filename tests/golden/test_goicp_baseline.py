@@ -1,0 +1,66 @@
+"""Own Go-ICP against the official one's poses, at the official settings (see ../golden's README).
+
+Times depend on the machine and its load, so the official total is allowed in processor time.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines import registry
+from baselines._poses import apply
+from baselines.contract import Instance, Limits
+from dcreg.result import Status
+
+MIRROR = os.environ.get("DCREG_DATA_MIRROR")
+FOLDER = Path(MIRROR).parent / "golden" if MIRROR else None
+FILES = sorted(FOLDER.glob("goicp_*.npz")) if FOLDER else []
+# Official totals: 7 to 9 s for the distance transform and 0.6 to 14 s for the search. Which case took
+# which is not recorded, so the least total must do for all.
+LEAST_OFFICIAL_S = 7.6
+
+pytestmark = pytest.mark.skipif(
+    not FILES, reason="needs golden/goicp_*.npz beside the folder that DCREG_DATA_MIRROR names"
+)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_is_as_good_as_the_official_pose_and_no_slower(path: Path) -> None:
+    case = np.load(path)
+    source, target = case["source"], case["target"]
+    n_kept = int(np.floor(len(source) * (1 - float(case["trim_fraction"]))))
+    instance = Instance(path.stem, source, target, "rigid3d", n_kept, (1, 1), 0.01, 0)
+    method = registry.load(
+        "goicp",
+        mse_threshold=float(case["mse_threshold"]),
+        normalise=False,  # the official program was given these coordinates
+        translation_half_width=float(case["translation_half_width"]),
+    )
+    method.warm_up(instance)
+    spent = np.inf
+    for _ in range(2):  # again where a busy machine spoilt the first
+        began = time.process_time()
+        solution = method.solve(instance, Limits(time_s=120.0))
+        spent = min(spent, time.process_time() - began)
+        if spent <= 1.5 * LEAST_OFFICIAL_S:
+            break
+    threshold = float(case["mse_threshold"]) * n_kept
+
+    def exact(pose: np.ndarray) -> float:
+        distances = np.linalg.norm(apply(pose, source)[:, None] - target, axis=2).min(axis=1)
+        return float((np.sort(distances)[:n_kept] ** 2).sum())
+
+    assert exact(case["goicp_T"]) == pytest.approx(float(case["exact_error"]), rel=1e-6)
+    assert solution.status is Status.OPTIMAL
+    assert solution.gap_tol == pytest.approx(threshold)
+    assert exact(solution.T_target_source) == pytest.approx(solution.upper_bound, rel=1e-9)
+    assert solution.upper_bound <= float(case["exact_error"]) + threshold
+    assert solution.lower_bound <= float(case["exact_error"])
+    # The two searches find the same place.
+    np.testing.assert_allclose(solution.T_target_source, case["goicp_T"], atol=0.05)
+    assert spent <= 1.5 * LEAST_OFFICIAL_S

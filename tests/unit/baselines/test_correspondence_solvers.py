@@ -1,0 +1,230 @@
+"""Own correspondence methods on planted pairs, and the parts they are made of."""
+
+from __future__ import annotations
+
+import time
+
+import networkx as nx
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from baselines import _cliques, registry
+from baselines._cliques import degeneracy, maximum_clique, pack
+from baselines._consistency import consistency_graph, vote, vote_scale
+from baselines._poses import apply, homogeneous
+from baselines._ransac import ransac
+from baselines._robust import gnc_pose, weighted_pose
+from baselines.clipper.dense import dense_clique
+from baselines.contract import Instance, Limits
+from baselines.mac.enumerate import HeaviestCliques
+from dcreg.result import Status
+
+NOISE = 0.01
+METHODS = ["teaser", "gnc_tls", "clipper", "sc2_pcr", "mac", "gore", "ransac"]
+BOTH = [name for name in METHODS if "similarity2d" in registry.read_card(name).models]
+
+
+def planted(model: str, n: int, outlier_share: float, seed: int = 3) -> tuple[Instance, np.ndarray]:
+    """Row i of the source corresponds to row i of the target, but for the first rows."""
+    generator = np.random.default_rng(seed)
+    dim = 2 if model == "similarity2d" else 3
+    source = generator.uniform(-0.5, 0.5, (n, dim))
+    if dim == 2:
+        turn, scale, scale_range = Rotation.from_rotvec([0, 0, 2.1]).as_matrix(), 0.7, (0.5, 1.5)
+    else:
+        turn, scale, scale_range = Rotation.from_rotvec([1.1, -0.7, 1.9]).as_matrix(), 1.0, (1, 1)
+    truth = homogeneous(scale, turn[:dim, :dim], np.array([5.0, -3.0, 2.0])[:dim])
+    jitter = generator.standard_normal((n, dim))
+    jitter /= np.maximum(1.0, np.linalg.norm(jitter, axis=1, keepdims=True))
+    target = apply(truth, source) + 0.6 * NOISE * jitter
+    wrong = round(outlier_share * n)
+    target[:wrong] = target.mean(axis=0) + generator.uniform(-0.5, 0.5, (wrong, dim))
+    return Instance("planted", source, target, model, n - wrong, scale_range, NOISE, 5), truth
+
+
+def rows_as_pairs(n: int) -> np.ndarray:
+    return np.column_stack([np.arange(n), np.arange(n)])
+
+
+def rms_to(pose: np.ndarray, truth: np.ndarray, points: np.ndarray) -> float:
+    return float(np.sqrt(((apply(pose, points) - apply(truth, points)) ** 2).sum(axis=1).mean()))
+
+
+CASES = [
+    *((name, "rigid3d", 0.5 if name == "gnc_tls" else 0.9) for name in METHODS),
+    *((name, "similarity2d", 0.4) for name in BOTH),
+]
+
+
+@pytest.mark.parametrize(("name", "model", "outliers"), CASES)
+def test_planted_pose_is_recovered_despite_outliers(name: str, model: str, outliers: float) -> None:
+    instance, truth = planted(model, 300, outliers)
+    found = registry.load(name).estimate(instance, rows_as_pairs(300), Limits(20.0))
+    assert found.finished
+    assert rms_to(found.pose, truth, instance.source) < NOISE
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_result_does_not_depend_on_the_unit_of_length(name: str, unit: float) -> None:
+    instance, _ = planted("rigid3d", 120, 0.5)
+    scaled = Instance(
+        "scaled", unit * instance.source, unit * instance.target, "rigid3d",
+        instance.n_inliers, (1, 1), unit * NOISE, 5,
+    )  # fmt: skip
+    method = registry.load(name)
+    first, second = (
+        method.estimate(each, rows_as_pairs(120), Limits(20.0)).pose for each in (instance, scaled)
+    )
+    np.testing.assert_allclose(second[:3, :3], first[:3, :3], atol=1e-6)
+    np.testing.assert_allclose(second[:3, 3] / unit, first[:3, 3], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_hopeless_pairs_end_in_time_with_a_true_status(name: str) -> None:
+    """All pairs of random clouds under a bound so wide that the graphs are dense."""
+    generator = np.random.default_rng(0)
+    source, target = generator.random((2, 35, 3))
+    instance = Instance("random", source, target, "rigid3d", 20, (1, 1), 0.12, 0)
+    method = registry.load(name, front_end="all-pairs", max_pairs=1000)
+    method.warm_up(instance)
+    start = time.perf_counter()
+    solution = method.solve(instance, Limits(0.3))
+    assert time.perf_counter() - start < 1.5  # limit, one step, and a loaded machine
+    assert solution.status in (Status.TIME_LIMIT, Status.CONVERGED, Status.FAILED)
+    assert solution.T_target_source is not None or solution.status is Status.FAILED
+    assert "28 of 35 source points paired" in solution.message
+    if name == "teaser":
+        assert solution.extra["clique_upper_bound"] >= solution.extra["clique_size"]
+        proven = solution.extra["clique_upper_bound"] == solution.extra["clique_size"]
+        assert proven or solution.status is Status.TIME_LIMIT
+
+
+class TestCliques:
+    def random_graph(self, seed: int) -> np.ndarray:
+        generator = np.random.default_rng(seed)
+        n, density = generator.integers(1, 90), generator.choice([0.1, 0.3, 0.5, 0.7])
+        upper = np.triu(generator.random((n, n)) < density, 1)
+        return upper | upper.T
+
+    @pytest.mark.parametrize("seed", range(40))
+    def test_maximum_is_that_of_networkx(self, seed: int) -> None:
+        adjacency = self.random_graph(seed)
+        clique = maximum_clique(pack(adjacency))
+        expected, _ = nx.max_weight_clique(nx.from_numpy_array(adjacency), weight=None)
+        assert clique.is_maximum
+        assert len(clique.vertices) == len(expected)
+        inside = adjacency[np.ix_(clique.vertices, clique.vertices)]
+        assert inside.sum() == len(expected) * (len(expected) - 1)
+
+    @pytest.mark.parametrize("seed", range(10))
+    def test_core_numbers_are_those_of_networkx(self, seed: int) -> None:
+        adjacency = self.random_graph(seed)
+        order, core = degeneracy(pack(adjacency))
+        expected = nx.core_number(nx.from_numpy_array(adjacency))
+        assert [expected[i] for i in range(len(adjacency))] == list(core)
+        assert sorted(order) == list(range(len(adjacency)))
+
+    def test_of_several_the_first_in_degeneracy_order_where_none_was_grown(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(_cliques, "STARTS", 0)  # as if all grown ones were too small
+        for seed in range(15):
+            adjacency = self.random_graph(seed)
+            rows = pack(adjacency)
+            place = np.argsort(degeneracy(rows)[0])
+            listed = list(nx.find_cliques(nx.from_numpy_array(adjacency)))
+            size = max(map(len, listed))
+            first = min(sorted(place[clique]) for clique in listed if len(clique) == size)
+            assert sorted(place[maximum_clique(rows).vertices]) == first
+
+    def test_cut_off_search_gives_a_clique_and_a_bound(self) -> None:
+        generator = np.random.default_rng(1)
+        upper = np.triu(generator.random((300, 300)) < 0.9, 1)
+        adjacency = upper | upper.T
+        clique = maximum_clique(pack(adjacency), time.perf_counter() + 0.1)
+        assert not clique.is_maximum
+        assert len(clique.vertices) < clique.upper_bound < 300
+        inside = adjacency[np.ix_(clique.vertices, clique.vertices)]
+        assert inside.sum() == len(clique.vertices) * (len(clique.vertices) - 1)
+
+    def test_no_vertices_no_clique(self) -> None:
+        clique = maximum_clique(np.zeros((0, 1), dtype=np.uint64))
+        assert len(clique.vertices) == clique.upper_bound == 0
+
+
+def test_heaviest_clique_through_every_vertex_is_that_of_a_full_list() -> None:
+    generator = np.random.default_rng(4)
+    upper = np.triu(generator.random((40, 40)) * (generator.random((40, 40)) < 0.4), 1)
+    weights = upper + upper.T
+    search = HeaviestCliques(pack(weights > 0), weights, generator.permutation(40), 10_000)
+    assert search.run()
+    listed = [c for c in nx.find_cliques(nx.from_numpy_array(weights > 0)) if len(c) >= 3]
+    assert search.n_cliques == len(listed)
+    for vertex in range(40):
+        sums = [weights[np.ix_(c, c)].sum() / 2 for c in listed if vertex in c]
+        assert search.heaviest[vertex] == pytest.approx(max(sums, default=-np.inf))
+
+
+def test_cap_on_maximal_cliques_is_told() -> None:
+    instance, _ = planted("rigid3d", 150, 0.3)
+    noisy = Instance(**{**vars(instance), "noise_bound": 0.15})
+    found = registry.load("mac", max_cliques=3).estimate(noisy, rows_as_pairs(150), Limits(20.0))
+    assert "starts capped at 3" in found.message
+
+
+def test_vote_minimises_the_truncated_cost() -> None:
+    generator = np.random.default_rng(2)
+    for _ in range(20):
+        values = np.concatenate([generator.normal(3, 0.05, 10), generator.uniform(0, 9, 25)])
+        ranges = generator.uniform(0.05, 0.3, len(values))
+        best, voters = vote(values, ranges)
+        grid = np.concatenate([np.linspace(-1, 10, 20001), [best]])
+        cost = np.minimum(((values - grid[:, None]) / ranges) ** 2, 1).sum(axis=1)
+        assert cost[-1] <= cost.min() + 1e-9
+        np.testing.assert_array_equal(voters, np.abs(values - best) <= ranges)
+
+
+def test_voted_scale_is_within_its_range() -> None:
+    instance, _ = planted("similarity2d", 100, 0.5)
+    assert vote_scale(instance.source, instance.target, 2 * NOISE, (0.5, 1.5)) == pytest.approx(
+        0.7, abs=0.02
+    )
+    assert vote_scale(instance.source, instance.target, 2 * NOISE, (0.9, 1.5)) >= 0.9
+
+
+def test_pairs_that_share_a_point_are_never_both_taken() -> None:
+    points = np.random.default_rng(0).random((6, 3))
+    pairs = np.array([[0, 0], [1, 1], [1, 2], [3, 2]])
+    rows = consistency_graph(points[:4], points[:4], pairs, 10.0, 1.0)
+    joined = np.unpackbits(rows.view(np.uint8), axis=1, bitorder="little")[:, :4]
+    np.testing.assert_array_equal(joined, [[0, 1, 1, 1], [1, 0, 0, 1], [1, 0, 0, 0], [1, 1, 0, 0]])
+
+
+def test_gnc_without_outliers_is_least_squares() -> None:
+    instance, _ = planted("rigid3d", 50, 0.0)
+    pose, weights, finished = gnc_pose(instance.source, instance.target, NOISE)
+    assert finished
+    assert (weights == 1).all()
+    expected = weighted_pose(instance.source, instance.target, np.ones(50))
+    np.testing.assert_allclose(pose, expected, atol=1e-12)
+
+
+def test_dense_clique_of_two_blocks_is_the_denser() -> None:
+    consistent = np.zeros((20, 20), dtype=bool)
+    consistent[:12, :12] = consistent[12:, 12:] = True
+    affinity = np.where(consistent, 1.0, 0.0)
+    chosen, finished = dense_clique(affinity, consistent)
+    assert finished
+    assert list(chosen) == list(range(12))
+
+
+def test_ransac_ends_early_when_sure_and_repeats_itself() -> None:
+    instance, _ = planted("rigid3d", 100, 0.1)
+    settings = {"seed": 1, "max_samples": 50_000, "confidence": 0.999}
+    first, second = (
+        ransac(instance.source, instance.target, NOISE, (1.0, 1.0), **settings) for _ in range(2)
+    )
+    assert first[1] < 2000
+    np.testing.assert_array_equal(first[0], second[0])

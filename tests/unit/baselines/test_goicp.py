@@ -1,0 +1,124 @@
+"""Adapters of Go-ICP, FRS and GoTS: units, options, limits, and what they say of themselves."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from baselines import registry
+from baselines._poses import apply, homogeneous
+from baselines.contract import Instance, Limits
+from dcreg.result import Status
+
+METHODS = ["goicp", "frs", "gots"]
+
+
+def planted(n: int = 25, outliers: int = 5, unit: float = 1.0, noise: float = 0.005) -> tuple:
+    """An instance with `outliers` strays in each cloud, and its true pose."""
+    generator = np.random.default_rng(4)
+    shape = generator.uniform(-0.5, 0.5, (n, 3)) * [1.0, 0.7, 0.4]
+    truth = homogeneous(
+        1.0, Rotation.from_rotvec([2.0, -1.0, 0.6]).as_matrix(), np.array([0.4, -0.2, 0.3])
+    )
+    target = apply(truth, shape) + noise * generator.standard_normal(shape.shape) / np.sqrt(3)
+    source = np.vstack([shape, generator.uniform(-0.5, 0.5, (outliers, 3))])
+    strays = generator.uniform(-0.5, 0.5, (outliers, 3)) + truth[:3, 3]
+    target = generator.permutation(np.vstack([target, strays]))
+    truth[:3, 3] *= unit
+    return (
+        Instance("p", unit * source, unit * target, "rigid3d", n, (1, 1), unit * noise, 3),
+        truth,
+    )
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_planted_pose_is_found_under_any_rotation(name: str) -> None:
+    instance, truth = planted()
+    solution = registry.load(name).solve(instance, Limits(time_s=20.0))
+    moved, expected = (
+        apply(solution.T_target_source, instance.source),
+        apply(truth, instance.source),
+    )
+    assert np.sqrt(((moved - expected) ** 2).sum(axis=1).mean()) < 0.02
+    assert solution.status in (Status.OPTIMAL, Status.TIME_LIMIT)
+    assert solution.lower_bound <= solution.upper_bound
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_lower_bound_holds_for_the_harness_objective(name: str) -> None:
+    """Below the sum of n_inliers one-to-one squared residuals at the truth, for any end."""
+    instance, truth = planted()
+    moved = apply(truth, instance.source[: instance.n_inliers])
+    distances = np.linalg.norm(moved[:, None] - instance.target, axis=2).min(axis=1)
+    for limits in (Limits(time_s=20.0, nodes=300), Limits(time_s=0.2)):
+        solution = registry.load(name).solve(instance, limits)
+        assert solution.lower_bound <= (distances**2).sum()
+        for row in solution.trace:
+            assert row["lower_bound"] <= (distances**2).sum()
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_bounds_are_in_squared_units_of_the_target(name: str) -> None:
+    limits = Limits(time_s=20.0, nodes=200)
+    (one, _), (kilo, _) = planted(), planted(unit=1e3)
+    small, large = (registry.load(name).solve(i, limits) for i in (one, kilo))
+    assert large.status is small.status
+    assert large.lower_bound == pytest.approx(1e6 * small.lower_bound, rel=1e-6, abs=1e-3)
+    assert large.upper_bound == pytest.approx(1e6 * small.upper_bound, rel=1e-6, abs=1e-3)
+    np.testing.assert_allclose(
+        large.T_target_source[:3, 3] / 1e3, small.T_target_source[:3, 3], atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("time_s", [0.3, 1.0])
+def test_a_hard_problem_ends_at_its_limit_with_a_pose(name: str, time_s: float) -> None:
+    generator = np.random.default_rng(0)
+    instance = Instance(
+        "hard", generator.uniform(size=(60, 3)), generator.uniform(size=(60, 3)), "rigid3d",
+        50, (1, 1), 0.02, 0,
+    )  # fmt: skip
+    method = registry.load(name)
+    method.warm_up(instance)
+    began = time.perf_counter()
+    solution = method.solve(instance, Limits(time_s=time_s))
+    assert time.perf_counter() - began < time_s + 1.0  # a loaded machine
+    assert solution.status is Status.TIME_LIMIT
+    assert solution.T_target_source is not None
+    assert solution.lower_bound < solution.upper_bound
+
+
+def test_goicp_keeps_to_its_cube_of_translations_and_says_so() -> None:
+    instance, _ = planted()
+    shifted = replace(instance, target=instance.target + 10.0)
+    solution = registry.load("goicp", normalise=False, translation_half_width=0.5).solve(
+        shifted, Limits(time_s=5.0, nodes=50)
+    )
+    assert np.abs(solution.T_target_source[:3, 3]).max() <= 0.5
+    assert "within 0.5" in solution.certificate_scope
+    everywhere = registry.load("goicp").solve(shifted, Limits(time_s=5.0, nodes=50))
+    assert "all translations" in everywhere.certificate_scope
+    assert everywhere.upper_bound < solution.upper_bound
+
+
+def test_gots_refuses_clouds_with_too_many_pairs() -> None:
+    instance, _ = planted()
+    assert registry.load("gots").supports(instance) is None
+    reason = registry.load("gots", max_source_points=10).supports(instance)
+    assert "30 source points, more than max_source_points = 10" in reason
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_results_do_not_depend_on_the_node_limit_met_before(name: str) -> None:
+    """No state is kept between two solves of one adapter."""
+    instance, _ = planted(n=12, outliers=2)
+    method, limits = registry.load(name), Limits(time_s=20.0, nodes=100)
+    first = method.solve(instance, limits)
+    method.solve(instance, Limits(time_s=20.0, nodes=9))
+    second = method.solve(instance, limits)
+    assert first.counters == second.counters
+    np.testing.assert_array_equal(first.T_target_source, second.T_target_source)

@@ -1,0 +1,259 @@
+"""Sweeps over the cardinality: the same optima as single calls, for less work."""
+
+import itertools
+import json
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from dcreg.models import Similarity2D
+from dcreg.problem import InputError
+from dcreg.result import Status
+
+COUNTS = [16, 17, 18, 19, 20, 22, 24]
+
+
+def flat(n_common=20, n_points=24, noise=0.02, seed=4):
+    """2D clouds with noise on the common points and clutter in place of the rest."""
+    rng = np.random.default_rng(seed)
+    source = rng.random((n_points, 2)) * [2.0, 1.0]
+    target = source + noise * rng.standard_normal((n_points, 2))
+    target[n_common:] = rng.random((n_points - n_common, 2)) * [2.0, 1.0]
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    return source, 1.1 * target @ turn.T + [5.0, -3.0]
+
+
+def solid(n_common=20, n_points=24, noise=0.03, seed=1):
+    rng = np.random.default_rng(seed)
+    source = rng.standard_normal((n_points, 3)) * [1.0, 0.7, 0.4]
+    target = source + noise * rng.standard_normal((n_points, 3))
+    target[n_common:] = rng.standard_normal((n_points - n_common, 3))
+    return source, target @ Rotation.from_rotvec([0.4, 1.9, -0.8]).as_matrix().T + 0.3
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    return flat()
+
+
+@pytest.fixture(scope="module")
+def found(clouds):
+    return dcreg.sweep(*clouds, COUNTS, model="similarity2d")
+
+
+@pytest.fixture(scope="module")
+def separate(clouds):
+    return [dcreg.register(*clouds, n_inliers=k, model="similarity2d") for k in COUNTS]
+
+
+def test_every_optimum_is_that_of_a_single_call(found, separate):
+    assert [result.n_inliers for result in found.results] == COUNTS
+    assert found.status is Status.OPTIMAL
+    for mine, alone in zip(found.results, separate, strict=True):
+        assert mine.status is Status.OPTIMAL
+        assert mine.gap <= mine.gap_tol == alone.gap_tol
+        assert mine.lower_bound <= alone.upper_bound + 1e-12
+        assert alone.lower_bound <= mine.upper_bound + 1e-12
+        assert mine.upper_bound <= alone.upper_bound + mine.gap_tol
+
+
+def test_one_search_serves_several_cardinalities(found, separate):
+    """The regression signal of the sweep's purpose: here it saves about a third."""
+    nodes = [result.n_nodes for result in found.results]
+    alone = [result.n_nodes for result in separate]
+    assert sum(nodes) < 0.7 * sum(alone)
+    # nothing to prove for 16 pairs: their objective is below the tolerance; 18 and 20 are served
+    assert found.proven_by == [None, 17, 17, 19, 19, 22, 24]
+    for k, n, by in zip(COUNTS, nodes, found.proven_by, strict=True):
+        assert (n > 0) == (by == k)
+
+
+def test_transferred_bound_is_the_share_of_the_one_it_comes_from(found):
+    by_count = {result.n_inliers: result for result in found.results}
+    for result, by in zip(found.results, found.proven_by, strict=True):
+        if by is not None:
+            expected = by_count[by].lower_bound * result.n_inliers / by
+            assert result.lower_bound == pytest.approx(expected, rel=1e-12)
+
+
+def test_search_is_asked_for_just_the_gap_that_serves_the_run(found):
+    by_count = {result.n_inliers: result for result in found.results}
+    (search,) = [stage for stage in by_count[17].stages if stage["stage"] == "search"]
+    needed = 17 / 18 * (by_count[18].upper_bound - by_count[18].gap_tol)
+    assert search["gap_tol"] == pytest.approx(by_count[17].upper_bound - needed, rel=1e-5)
+    assert 0.5 * by_count[17].gap_tol <= search["gap_tol"] < by_count[17].gap_tol
+
+
+def test_a_good_pose_reaches_all_cardinalities(clouds, separate, monkeypatch):
+    first_incumbent = Similarity2D.first_incumbent
+
+    def only_for_18(model):
+        if model.n_inliers == 18:
+            return first_incumbent(model)
+        return model.identity, model.objective(model.identity)[0], 1
+
+    monkeypatch.setattr(Similarity2D, "first_incumbent", only_for_18)
+    swept = dcreg.sweep(*clouds, COUNTS, model="similarity2d", node_limit=1)
+    for mine, alone in zip(swept.results, separate, strict=True):
+        assert mine.upper_bound == pytest.approx(alone.upper_bound, rel=1e-3)
+
+
+def test_pose_attains_the_upper_bound(clouds, found):
+    for result in found.results:
+        value, pairs = dcreg.objective(*clouds, result.T_certified, result.n_inliers)
+        assert value == pytest.approx(result.upper_bound, rel=1e-9)
+        assert result.objective <= result.upper_bound * (1.0 + 1e-9)
+        assert len(result.assignment) == len(pairs) == result.n_inliers
+
+
+def test_elbow_is_where_the_clutter_begins(found):
+    assert found.suggested_n_inliers == 20
+
+
+def test_no_elbow_without_a_bend(clouds):
+    source, _ = clouds
+    for counts in ([10, 20], [10, 15, 20]):  # too few, and no residual at all
+        exact = dcreg.sweep(source, source, counts, model="similarity2d")
+        assert exact.suggested_n_inliers is None
+
+
+def test_rows_enclose_the_next_pair(found):
+    rows = found.rows()
+    assert rows[-1]["next_pair"] is None
+    for row in rows:
+        assert row["rms_low"] <= row["rms"]
+    for row, after in itertools.pairwise(rows):
+        more = after["n_inliers"] - row["n_inliers"]
+        rise = after["upper_bound"] - row["upper_bound"]
+        assert row["next_pair"] == pytest.approx(rise / more)
+        assert 0.0 <= row["next_pair_low"] <= row["next_pair"] <= row["next_pair_high"]
+
+
+def test_lists_in_any_order_and_with_repetitions(clouds):
+    mixed = dcreg.sweep(*clouds, (24, 0.75, 20, np.int64(20), 18, 1.0), model="similarity2d")
+    ordered = dcreg.sweep(*clouds, [18, 20, 24], model="similarity2d")
+    assert [result.n_inliers for result in mixed.results] == [18, 20, 24]
+    for a, b in zip(mixed.results, ordered.results, strict=True):
+        assert (a.upper_bound, a.lower_bound, a.n_nodes) == (
+            b.upper_bound,
+            b.lower_bound,
+            b.n_nodes,
+        )
+
+
+def test_a_single_cardinality_is_a_single_search(clouds, separate):
+    (only,) = dcreg.sweep(*clouds, [18], model="similarity2d").results
+    alone = separate[COUNTS.index(18)]
+    assert (only.n_nodes, only.upper_bound) == (alone.n_nodes, alone.upper_bound)
+
+
+@pytest.mark.parametrize(
+    ("counts", "words"),
+    [
+        ([], ["n_inliers", "empty", "at least one"]),
+        ([10, 25], ["n_inliers: 25", "between 1 and 24"]),
+        ([0], ["n_inliers: 0"]),
+        ([0.5, 1.5], ["n_inliers", "1.5", "(0, 1]"]),
+        ([10, "many"], ["n_inliers", "'many'"]),
+        (10, ["n_inliers: 10", "not a list", "register"]),
+        ("10", ["n_inliers: '10'", "not a list"]),
+    ],
+)
+def test_bad_cardinalities_are_refused_before_any_search(clouds, counts, words):
+    with pytest.raises(InputError) as refusal:
+        dcreg.sweep(*clouds, counts, model="similarity2d", listener=lambda _: pytest.fail("ran"))
+    for word in words:
+        assert word in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"bound": "magic"}, {"gap_tol": -1.0}, {"time_limit": 0.0}, {"threads": 0}]
+)
+def test_bad_settings_are_refused(clouds, bad):
+    with pytest.raises(InputError, match=next(iter(bad))):
+        dcreg.sweep(*clouds, [10], model="similarity2d", **bad)
+
+
+def test_limits_leave_valid_bounds_everywhere(clouds, separate):
+    limited = dcreg.sweep(*clouds, COUNTS, model="similarity2d", node_limit=40)
+    assert limited.status is Status.NODE_LIMIT
+    for mine, alone in zip(limited.results, separate, strict=True):
+        assert mine.lower_bound <= alone.upper_bound
+        assert mine.upper_bound >= alone.lower_bound
+        assert np.isfinite(mine.T_target_source).all()
+        assert mine.status is (Status.OPTIMAL if mine.gap <= mine.gap_tol else Status.NODE_LIMIT)
+
+
+def test_time_limit_covers_the_whole_sweep_and_keeps_what_is_finished():
+    source, target = flat(40, 60, noise=0.05)
+    dcreg.sweep(source, target, [60], model="similarity2d")  # kernels loaded
+    began = time.perf_counter()
+    limited = dcreg.sweep(
+        source, target, [20, 25, 30, 60], model="similarity2d", bound="paper", time_limit=1.0
+    )
+    assert time.perf_counter() - began < 3.0
+    assert limited.status is Status.TIME_LIMIT
+    # the hard ones do not use up the time of the easy one
+    assert limited.results[-1].status is Status.OPTIMAL
+    for result in limited.results:
+        assert 0.0 <= result.lower_bound <= result.upper_bound < np.inf
+
+
+def test_listener_stops_the_sweep(clouds):
+    stages = []
+
+    def listener(event):
+        stages.append(event.stage)
+        return event.stage != stages[0]  # in the second search
+
+    stopped = dcreg.sweep(*clouds, COUNTS, model="similarity2d", listener=listener)
+    assert len(set(stages)) == 2
+    assert stages[0].startswith("k=")
+    statuses = [result.status for result in stopped.results]
+    assert statuses[0] is Status.OPTIMAL
+    assert Status.STOPPED in statuses
+    assert set(statuses) == {Status.OPTIMAL, Status.STOPPED}
+
+
+def test_threads_do_not_change_the_result(clouds, found):
+    threaded = dcreg.sweep(*clouds, COUNTS, model="similarity2d", threads=2)
+    assert threaded.rows() == [
+        row | {"time_s": other["time_s"]}
+        for row, other in zip(found.rows(), threaded.rows(), strict=True)
+    ]
+
+
+def test_gap_tolerance_holds_for_every_cardinality(clouds):
+    given = dcreg.sweep(*clouds, [16, 20, 24], model="similarity2d", gap_tol=0.01)
+    assert [result.gap_tol for result in given.results] == [pytest.approx(0.01)] * 3
+    assert all(result.gap <= result.gap_tol for result in given.results)
+
+
+def test_space_both_stages():
+    source, target = solid()
+    counts = [16, 20, 22, 24]
+    swept = dcreg.sweep(source, target, counts, model="rigid3d", gap_tol=0.02)
+    assert swept.status is Status.OPTIMAL
+    for result in swept.results:
+        alone = dcreg.register(
+            source, target, n_inliers=result.n_inliers, model="rigid3d", mode="paper", gap_tol=0.02
+        )
+        assert result.certificate_scope == alone.certificate_scope
+        assert result.lower_bound <= alone.upper_bound + 1e-12
+        assert alone.lower_bound <= result.upper_bound + 1e-12
+        assert result.upper_bound <= alone.upper_bound + result.gap_tol
+        assert [stage["stage"] for stage in result.stages][-2:] == ["rotation", "polish"]
+        assert np.linalg.det(result.rotation) == pytest.approx(1.0)
+    expected = Rotation.from_rotvec([0.4, 1.9, -0.8]).as_matrix()
+    assert np.allclose(swept.results[1].rotation, expected, atol=0.1)
+
+
+def test_plain_values_for_json(found):
+    content = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert content["status"] == "optimal"
+    assert content["suggested_n_inliers"] == 20
+    assert [row["n_inliers"] for row in content["table"]] == COUNTS
+    assert [result["n_inliers"] for result in content["results"]] == COUNTS
