@@ -24,6 +24,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from baselines._boxes import bound_of_box, box_model
 from baselines._poses import rms_radius
 from baselines.contract import Baseline, Instance, Limits, Solution
 from dcreg.bounds.base import ModelBound
@@ -32,10 +33,10 @@ from dcreg.frame import Frame
 from dcreg.kernels import termwise, vertices
 from dcreg.kernels.assignment import k_assignment
 from dcreg.kernels.compiling import jit
-from dcreg.models import Model, Similarity2D, Translation3D
+from dcreg.models import Model, Similarity2D
 from dcreg.polish import objective, polish
 from dcreg.problem import Problem
-from dcreg.search import Bound, Evaluation, branch_and_bound
+from dcreg.search import Evaluation, branch_and_bound
 from dcreg.search import Limits as SearchLimits
 from dcreg.trace import Event, Trace
 
@@ -136,20 +137,6 @@ class SubstitutedBound(ModelBound):
         return found
 
 
-def box_model(instance: Instance) -> Model:
-    """The library's model over the instance's own coordinates: of similarities, or of norm space."""
-    source, target = (
-        np.array(points, dtype=float, order="C") for points in (instance.source, instance.target)
-    )
-    if instance.dim == 2:
-        return Similarity2D(source, target, instance.n_inliers, instance.scale_range)
-    return Translation3D(source, target, instance.n_inliers)
-
-
-def bound_of_box(bound: Bound, lower: np.ndarray, upper: np.ndarray) -> float:
-    return float(bound.evaluate(lower[None], upper[None], np.inf).lower_bounds[0])
-
-
 def gap_tolerance(instance: Instance, factor: float) -> float:
     """Absolute tolerance: `factor` times the target's RMS radius, per matched pair."""
     return float(instance.n_inliers * (factor * rms_radius(instance.target)) ** 2)
@@ -219,7 +206,7 @@ class SimilaritySearch(Baseline):
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
         """Lower bound over a box of theta; see `baselines.contract.BoxBounding`."""
-        return bound_of_box(self.bound(box_model(instance)), lower, upper)
+        return bound_of_box(self.bound(box_model(instance, lower, upper)), lower, upper)
 
 
 def trace_rows(events: list[Event], area: float, offset_s: float = 0.0) -> list[dict[str, object]]:

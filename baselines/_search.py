@@ -1,13 +1,17 @@
-"""`dcreg.register` as a method; the two branch-and-bound folders differ by their cards only."""
+"""`dcreg.register` as a method; the branch-and-bound folders on it differ by their bounds only."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 import dcreg
+
+from baselines._boxes import bound_of_box, box_model
 from baselines._poses import rms_radius
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
-from dcreg.bounds import bound_names
+from dcreg.bounds import bound_names, make_bound
 from dcreg.registration import MODES
 
 
@@ -69,6 +73,11 @@ class BranchAndBound(Baseline):
                 "objective_certified": result.objective_certified,
             },
         )
+
+    def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
+        """The bound of the options over one box; see `baselines.contract.BoxBounding`."""
+        model = box_model(instance, lower, upper)
+        return bound_of_box(make_bound(self.options["bound"], model), lower, upper)
 
     def gap_tol(self, instance: Instance) -> float:
         """Absolute tolerance: `gap_tol_factor` times the target's RMS radius, per matched pair."""

@@ -91,6 +91,7 @@ class Solve:
             gap_tol=self.gap_tol,
             time_limit=time_s,
             node_limit=self.limits.nodes,
+            candidates=self.problem.candidates,
             listener=self.listener,
         )
         if self.status is Status.OPTIMAL:
@@ -153,6 +154,7 @@ def _rigid3d_paper(solve: Solve) -> None:
         solve.target,
         solve.problem.n_inliers,
         reduced_box=solve.start_box == "reduced",
+        candidates=solve.problem.candidates,
     )
     time_s = solve.limits.time_s
     limits = dataclasses.replace(solve.limits, time_s=time_s and TRANSLATION_SHARE * time_s)

@@ -60,6 +60,7 @@ import numpy as np
 from dcreg.assignment import pairs_of
 from dcreg.box import Box, LongestEdge
 from dcreg.kernels import rotation as kernels
+from dcreg.models.base import radius, with_prices
 from dcreg.result import Status
 from dcreg.search import Evaluation, Limits, branch_and_bound
 from dcreg.trace import Event, Listener
@@ -107,11 +108,21 @@ class RotationModel:
     ----------
     source, target : (n, 3), (m, 3) arrays
     n_inliers : int
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
     """
 
-    def __init__(self, source: np.ndarray, target: np.ndarray, n_inliers: int) -> None:
+    def __init__(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        candidates: np.ndarray | None = None,
+    ) -> None:
         self.source = np.ascontiguousarray(np.asarray(source, dtype=np.float64).T)
-        self.target = np.ascontiguousarray(np.asarray(target, dtype=np.float64).T)
+        target = np.asarray(target, dtype=np.float64)
+        reach = radius(source) + radius(target)
+        self.target = with_prices(target.T, candidates, n_inliers, reach)
         self.n_inliers = n_inliers
 
     @staticmethod
@@ -191,6 +202,7 @@ def search_rotation(
     gap_tol: float,
     time_limit: float | None = None,
     node_limit: int | None = None,
+    candidates: np.ndarray | None = None,
     listener: Listener | None = None,
 ) -> RotationResult:
     """Rotation about the origin that brings `n_inliers` pairs closest, globally to `gap_tol`.
@@ -209,6 +221,8 @@ def search_rotation(
         Seconds, checked after each round of boxes.
     node_limit : int, optional
         Boxes bounded.
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
     listener : callable, optional
         Receives every `dcreg.trace.Event` (stage ``rotation``); returning True stops the search.
 
@@ -218,7 +232,7 @@ def search_rotation(
         Its bounds hold whatever the status.
     """
     began = time.perf_counter()
-    model = RotationModel(source_shifted, target, n_inliers)
+    model = RotationModel(source_shifted, target, n_inliers, candidates)
     bound = RotationBound(model)
     theta, value, bound.n_assignments = model.start(time_limit)
     spent = time.perf_counter() - began

@@ -85,6 +85,8 @@ def pair_costs(M, source, target):
         for j in range(target.shape[1]):
             u, v, w = target[0, j], target[1, j], target[2, j]
             out[i, j] = own + u * u + v * v + w * w - 2.0 * (x * u + y * v + z * w)
+            if target.shape[0] > 3:
+                out[i, j] += target[3 + i, j]
     return out
 
 
@@ -105,6 +107,8 @@ def cap_costs(R, angle, source, target):
             turned = dot * cosine + math.sqrt(max(0.0, reach * reach - dot * dot)) * sine
             best = reach if dot >= reach * cosine else turned
             out[i, j] = max(0.0, own + other - 2.0 * best)
+            if target.shape[0] > 3:
+                out[i, j] += target[3 + i, j]
     return out
 
 
@@ -149,6 +153,8 @@ def dual_bound_at(M, source, target, k, b):
         own = u * u + v * v + w * w + b[j]
         for i in range(n):
             cost = own + moved[0, i] * u + moved[1, i] * v + moved[2, i] * w
+            if target.shape[0] > 3:
+                cost += target[3 + i, j]
             low[i] = cost if cost < low[i] else low[i]
     for i in range(n):
         low[i] += source[0, i] ** 2 + source[1, i] ** 2 + source[2, i] ** 2

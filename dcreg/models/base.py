@@ -110,3 +110,8 @@ def largest_subset_mean(points: np.ndarray, count: int, n_directions: int = 64) 
     directions = np.stack([np.cos(angles), np.sin(angles)])
     projections = np.sort(points @ directions, axis=0)[-count:].mean(axis=0)
     return float(max(projections.max(), 0.0) / np.cos(np.pi / n_directions))
+
+
+def radius(points: np.ndarray) -> float:
+    """Greatest distance of any point from the origin."""
+    return float(np.sqrt((points**2).sum(axis=1)).max())

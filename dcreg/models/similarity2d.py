@@ -7,7 +7,7 @@ import numpy as np
 from dcreg.box import Box
 from dcreg.kernels import features
 from dcreg.kernels.refine import refine_similarity2d
-from dcreg.models.base import Model, largest_subset_mean, mean_of_largest, with_prices
+from dcreg.models.base import Model, largest_subset_mean, mean_of_largest, radius, with_prices
 
 
 class Similarity2D(Model):
@@ -43,7 +43,7 @@ class Similarity2D(Model):
     ) -> None:
         self.source = np.ascontiguousarray(source)
         self.target = np.ascontiguousarray(target)
-        reach = scale_range[1] * _radius(source) + _radius(target)
+        reach = scale_range[1] * radius(source) + radius(target)
         self.target_features = with_prices(self.target.T, candidates, n_inliers, reach)
         self.n_inliers = n_inliers
         self.scale_range = scale_range
@@ -62,7 +62,7 @@ class Similarity2D(Model):
             low_y, high_y = (np.where(np.abs(y) < 1e-12, 0.0, y) for y in (low_y, high_y))
             lower, upper = low_y - reach, high_y + reach
         else:
-            reach = high * _radius(self.source) + _radius(self.target)
+            reach = high * radius(self.source) + radius(self.target)
             lower, upper = np.full(2, -reach), np.full(2, reach)
         return Box(np.array([-high, -high, *lower]), np.array([high, high, *upper]))
 
@@ -95,7 +95,3 @@ class Similarity2D(Model):
     def pose(self, theta: np.ndarray) -> np.ndarray:
         a, b, tx, ty = theta
         return np.array([[a, -b, tx], [b, a, ty], [0.0, 0.0, 1.0]])
-
-
-def _radius(points: np.ndarray) -> float:
-    return float(np.sqrt((points**2).sum(axis=1)).max())

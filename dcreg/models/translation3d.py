@@ -7,7 +7,7 @@ import numpy as np
 from dcreg.box import Box
 from dcreg.kernels import features
 from dcreg.kernels.refine import refine_norm3d
-from dcreg.models.base import Model, mean_of_largest
+from dcreg.models.base import Model, mean_of_largest, radius, with_prices
 
 
 class Translation3D(Model):
@@ -23,6 +23,8 @@ class Translation3D(Model):
     n_inliers : int
     reduced_box : bool
         Start from the translations a stationary point can have, or from the plain safe box.
+    candidates : (n, m) bool array, optional
+        The feasible pairs. With them the assignment is no longer one-dimensional, hence dearer.
     """
 
     kind = features.NORM3D
@@ -30,12 +32,18 @@ class Translation3D(Model):
     identity = np.zeros(3)
 
     def __init__(
-        self, source: np.ndarray, target: np.ndarray, n_inliers: int, reduced_box: bool = True
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        reduced_box: bool = True,
+        candidates: np.ndarray | None = None,
     ) -> None:
         self.source = np.ascontiguousarray(source)
         self.target = np.ascontiguousarray(target)
         self.norms = np.sqrt((self.target**2).sum(axis=1))
-        self.target_features = np.ascontiguousarray(self.norms[None, :])
+        reach = radius(self.source) + radius(self.target)
+        self.target_features = with_prices(self.norms[None, :], candidates, n_inliers, reach)
         self.n_inliers = n_inliers
         self.reduced_box = reduced_box
         self.axis_weights = np.ones(3)

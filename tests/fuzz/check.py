@@ -53,7 +53,7 @@ def check(problem: FuzzProblem, result: Result) -> Verdict:
 def optimum(problem: FuzzProblem, gap_tol: float) -> tuple[float, float, bool]:
     """Enclosure of the optimum, and whether it is as narrow as it should be."""
     source, target, k = problem.source, problem.target, problem.n_inliers
-    allowed = _everything(problem)
+    allowed = problem.allowed
     if problem.family == "similarity2d":
         low, high = problem.settings["scale_range"]
         value = reference.optimum_similarity2d(
@@ -65,7 +65,7 @@ def optimum(problem: FuzzProblem, gap_tol: float) -> tuple[float, float, bool]:
             source - source.mean(axis=0), target - target.mean(axis=0), allowed, k
         )
         return value, value, True
-    x, norms = _norm_space(problem)
+    x, norms, allowed = _norm_space(problem)
     lower, upper = reference.enclose_norm3d(x, norms, allowed, k, 0.5 * gap_tol, MAX_CUBES)
     return lower, upper, upper - lower <= gap_tol
 
@@ -73,24 +73,24 @@ def optimum(problem: FuzzProblem, gap_tol: float) -> tuple[float, float, bool]:
 def certified_value(problem: FuzzProblem, T: np.ndarray) -> float:
     """The certified objective at a pose."""
     source, target, k = problem.source, problem.target, problem.n_inliers
-    allowed = _everything(problem)
+    allowed = problem.allowed
     if problem.family != "norm3d":
         d = source.shape[1]
         return reference.objective(source @ T[:d, :d].T + T[:d, d], target, allowed, k)
-    x, norms = _norm_space(problem)
+    x, norms, allowed = _norm_space(problem)
     t = T[:3, :3].T @ (T[:3, 3] - target.mean(axis=0)) + source.mean(axis=0)
     return reference.norm_objective(x, norms, allowed, k, t)
 
 
-def _everything(problem: FuzzProblem) -> np.ndarray:
-    return np.ones((len(problem.source), len(problem.target)), dtype=bool)
+def _norm_space(problem: FuzzProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What mode `paper` searches: source about its centroid, ascending norms of the target about its.
 
-
-def _norm_space(problem: FuzzProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Source about its centroid, ascending norms of the target about its own: what mode `paper` says."""
+    With them the allowed pairs, their columns in the same order.
+    """
     centred = problem.target - problem.target.mean(axis=0)
-    norms = np.sort(np.linalg.norm(centred, axis=1))
-    return problem.source - problem.source.mean(axis=0), norms
+    norms = np.linalg.norm(centred, axis=1)
+    order = np.argsort(norms)
+    return problem.source - problem.source.mean(axis=0), norms[order], problem.allowed[:, order]
 
 
 def _slack(problem: FuzzProblem) -> float:
@@ -115,7 +115,7 @@ def _pose_faults(problem: FuzzProblem, result: Result, slack: float) -> list[str
         elif not np.allclose(T[:d, :d].T @ T[:d, :d], scale**2 * np.eye(d), atol=1e-9):
             faults.append(f"{name}: not a similarity")
     moved = problem.source @ result.T_target_source[:d, :d].T + result.T_target_source[:d, d]
-    value = reference.objective(moved, problem.target, _everything(problem), problem.n_inliers)
+    value = reference.objective(moved, problem.target, problem.allowed, problem.n_inliers)
     if abs(value - result.objective) > slack:
         faults.append(f"objective {result.objective:.9g} stated, {value:.9g} found")
     i, j = result.assignment.T

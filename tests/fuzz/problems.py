@@ -32,6 +32,7 @@ class FuzzProblem:
     source: np.ndarray
     target: np.ndarray
     n_inliers: int
+    allowed: np.ndarray  # (n, m) bool: which pairs may be matched
     settings: dict[str, Any]
 
     def solve(self) -> Result:
@@ -40,6 +41,7 @@ class FuzzProblem:
             self.target,
             n_inliers=self.n_inliers,
             time_limit=TIME_LIMIT,
+            candidates=None if self.allowed.all() else self.allowed,
             **self.settings,
         )
 
@@ -47,7 +49,7 @@ class FuzzProblem:
         shown = {k: v for k, v in self.settings.items() if k != "model"}
         return (
             f"#{self.number} {self.family} {self.kind} {len(self.source)}x{len(self.target)} "
-            f"k={self.n_inliers} {shown}"
+            f"k={self.n_inliers} {int(self.allowed.sum())} pairs {shown}"
         )
 
 
@@ -61,9 +63,13 @@ def problem(number: int, family: str | None = None) -> FuzzProblem:
     kind = str(rng.choice(KINDS))
     source, target = _clouds(rng, kind, n, m, dim)
     n_inliers = int(rng.integers(1, min(n, m) + 1))
-    return FuzzProblem(
-        number, family, kind, source, target, n_inliers, _settings(rng, family, target, n_inliers)
-    )
+    settings = _settings(rng, family, target, n_inliers)
+    allowed = np.ones((n, m), dtype=bool)
+    if settings["mode"] == "paper" and "termwise" not in settings["bound"] and rng.random() < 0.15:
+        allowed = rng.random((n, m)) < 0.6
+        # some matching of n_inliers pairs has to be among them
+        allowed[rng.permutation(n)[:n_inliers], rng.permutation(m)[:n_inliers]] = True
+    return FuzzProblem(number, family, kind, source, target, n_inliers, allowed, settings)
 
 
 def _settings(
