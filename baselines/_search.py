@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 import dcreg
-
 from baselines._boxes import bound_of_box, box_model
 from baselines._poses import rms_radius
 from baselines.contract import Baseline, Card, Instance, Limits, Solution

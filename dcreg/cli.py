@@ -166,6 +166,14 @@ def register(
     node_limit: NodeLimitOption = None,
     threads: ThreadsOption = 1,
     polish: PolishOption = True,
+    candidates_path: Annotated[
+        str | None,
+        typer.Option(
+            "--candidates",
+            metavar="FILE",
+            help="Feasible pairs: two columns, source row and target row, from 0. Default: all.",
+        ),
+    ] = None,
     source_key: SourceKeyOption = None,
     target_key: TargetKeyOption = None,
     json_path: Annotated[
@@ -200,9 +208,15 @@ def register(
             "--plot": plot_path,
             "--certificate": certificate_path,
         }
-        _check_outputs(outputs, inputs=(source, target))
+        inputs = (source, target) if candidates_path is None else (source, target, candidates_path)
+        _check_outputs(outputs, inputs)
         problem = _problem(
-            (source, source_key), (target, target_key), model.value, n_inliers, scale_range
+            (source, source_key),
+            (target, target_key),
+            model.value,
+            n_inliers,
+            scale_range,
+            candidates_path,
         )
         if not quiet:
             for line in _advice(problem):
@@ -222,6 +236,7 @@ def register(
                 time_limit=time_limit,
                 node_limit=node_limit,
                 threads=threads,
+                candidates=problem.candidates,
                 polish=polish,
                 certificate=certificate_path is not None,
                 listener=progress,
@@ -374,9 +389,24 @@ def _problem(
     model: str,
     n_inliers: str,
     scale_range: tuple[float, float],
+    candidates: str | None = None,
 ) -> Problem:
     clouds = [_cloud(path, key, model) for path, key in (source, target)]
-    return Problem(clouds[0], clouds[1], _count(n_inliers), model, scale_range)
+    feasible = None if candidates is None else _candidates(candidates, len(clouds[0]))
+    return Problem(clouds[0], clouds[1], _count(n_inliers), model, scale_range, feasible)
+
+
+def _candidates(path: str, n: int) -> list[list[int]]:
+    """Target rows per source row, from a table of pairs."""
+    pairs = read_points(path)
+    if pairs.shape[1] != 2 or (pairs != np.round(pairs)).any():
+        raise InputError(f"{path}: not a table of pairs; give two columns of row numbers, from 0")
+    out: list[list[int]] = [[] for _ in range(n)]
+    for i, j in pairs.astype(int).tolist():
+        if not 0 <= i < n:
+            raise InputError(f"{path}: {i} is no source row; use rows from 0 to {n - 1}")
+        out[i].append(j)
+    return out
 
 
 def _cloud(path: str, key: str | None, model: str) -> np.ndarray:

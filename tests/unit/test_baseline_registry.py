@@ -171,8 +171,8 @@ class TestFingerprint:
         monkeypatch.setattr(registry, "ROOT", root)
         before = {name: registry.fingerprint(name, root) for name in registry.names(root)}
         for file, expected in (
-            ("bounds/dc.py", {"dcreg"}),
-            ("kernels/assignment.py", {"dcreg", "rpm_htb"}),
+            ("bounds/dc.py", {"dcreg", "hbsp"}),
+            ("kernels/termwise.py", {"dcreg", "rpm_htb", "rpm_bp", "hbsp"}),
         ):
             path = checkout / "dcreg" / file
             path.write_text(path.read_text() + "\n# edited\n")

@@ -204,6 +204,30 @@ def test_bad_file_exits_2_and_names_it(call, tmp_path, fake, which):
     assert fake.called is None
 
 
+def test_candidates_are_read_as_pairs(call, tmp_path, fake):
+    pairs = [[i, j] for i in range(12) for j in (i, (i + 1) % 12)]
+    np.savetxt(tmp_path / "pairs.txt", pairs, fmt="%d")
+    assert run(*call, "--candidates", tmp_path / "pairs.txt").exit_code == 0
+    assert sorted(np.argwhere(fake.called["candidates"]).tolist()) == sorted(pairs)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "words"),
+    [
+        ([[0.5, 1]], "not a table of pairs"),
+        ([[12, 0]], "12 is no source row"),
+        ([[0, 12]], "12 for source point 0 is no target index"),
+        ([[0, 0]], "at most 1 pairs can be matched"),
+    ],
+)
+def test_bad_candidates_exit_2(call, tmp_path, fake, pairs, words):
+    np.savetxt(tmp_path / "pairs.txt", pairs)
+    result = run(*call, "--candidates", tmp_path / "pairs.txt")
+    assert result.exit_code == 2
+    assert words in " ".join(result.stderr.split())
+    assert fake.called is None
+
+
 def test_too_few_arguments_exit_2():
     outcome = run("register", "a.txt", "b.txt", "--model", "similarity2d")
     assert outcome.exit_code == 2
