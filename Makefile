@@ -53,6 +53,11 @@ bench: setup
 	  --benchmark-json=results/bench/raw.json $(if $(QUICK),--quick) $(if $(CASES),-k "$(CASES)")
 	@$(BIN)/python -m tests.bench.tables results/bench/raw.json results/bench
 
+## profile: where solves spend their time, as shares of CPU time
+.PHONY: profile
+profile: setup
+	@$(BIN)/python -m tests.bench.profiling
+
 ## ablation: all bounds on the same boxes and problems; prints the path of its page
 .PHONY: ablation
 ablation: setup

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from baselines.contract import Instance
@@ -10,19 +12,20 @@ from dcreg.models import Model, Similarity2D, Translation3D
 from dcreg.search import Bound
 
 
-def box_model(instance: Instance, lower: np.ndarray, upper: np.ndarray) -> Model:
-    """The model over the instance's own coordinates, of similarities or norm space, from this box on."""
+def box_model(instance: Instance) -> Model:
+    """The library's model over the instance's own coordinates: of similarities, or of norm space."""
     source, target = (
         np.array(points, dtype=float, order="C") for points in (instance.source, instance.target)
     )
-    model: Model
     if instance.dim == 2:
-        model = Similarity2D(source, target, instance.n_inliers, instance.scale_range)
-    else:
-        model = Translation3D(source, target, instance.n_inliers)
+        return Similarity2D(source, target, instance.n_inliers, instance.scale_range)
+    return Translation3D(source, target, instance.n_inliers)
+
+
+def bound_of_box(
+    make: Callable[[Model], Bound], instance: Instance, lower: np.ndarray, upper: np.ndarray
+) -> float:
+    """What the bound made for the instance's model says of one box, as if searching from there."""
+    model = box_model(instance)
     model.start_box = lambda: Box(lower, upper)  # type: ignore[method-assign]
-    return model
-
-
-def bound_of_box(bound: Bound, lower: np.ndarray, upper: np.ndarray) -> float:
-    return float(bound.evaluate(lower[None], upper[None], np.inf).lower_bounds[0])
+    return float(make(model).evaluate(lower[None], upper[None], np.inf).lower_bounds[0])

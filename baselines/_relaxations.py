@@ -24,9 +24,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from baselines._boxes import bound_of_box, box_model
+from baselines._boxes import bound_of_box
 from baselines._poses import rms_radius
-from baselines.contract import Baseline, Instance, Limits, Solution
+from baselines.contract import Baseline, Instance, Limits, Solution, tiny
 from dcreg.bounds.base import ModelBound
 from dcreg.box import LongestEdge
 from dcreg.frame import Frame
@@ -154,6 +154,9 @@ class SimilaritySearch(Baseline):
 
     bound: type[ModelBound]
 
+    def warm_up(self, instance: Instance) -> None:
+        self.solve(tiny(instance), Limits(time_s=30.0, nodes=100))
+
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         began = time.perf_counter()
         gap_tol = gap_tolerance(instance, self.options["gap_tol_factor"])
@@ -206,7 +209,7 @@ class SimilaritySearch(Baseline):
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
         """Lower bound over a box of theta; see `baselines.contract.BoxBounding`."""
-        return bound_of_box(self.bound(box_model(instance, lower, upper)), lower, upper)
+        return bound_of_box(self.bound, instance, lower, upper)
 
 
 def trace_rows(events: list[Event], area: float, offset_s: float = 0.0) -> list[dict[str, object]]:

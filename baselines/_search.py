@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
 
 import dcreg
-from baselines._boxes import bound_of_box, box_model
+from baselines._boxes import bound_of_box
 from baselines._poses import rms_radius
-from baselines.contract import Baseline, Card, Instance, Limits, Solution
+from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from dcreg.bounds import bound_names, make_bound
 from dcreg.registration import MODES
 
@@ -34,6 +35,9 @@ class BranchAndBound(Baseline):
         if mode is not None and mode not in MODES[instance.model]:
             return f"mode {mode!r} does not treat {instance.model}"
         return super().supports(instance)
+
+    def warm_up(self, instance: Instance) -> None:
+        self.solve(tiny(instance), Limits(time_s=30.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         region: dict[str, Any] = {}
@@ -75,8 +79,8 @@ class BranchAndBound(Baseline):
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
         """The bound of the options over one box; see `baselines.contract.BoxBounding`."""
-        model = box_model(instance, lower, upper)
-        return bound_of_box(make_bound(self.options["bound"], model), lower, upper)
+        make = functools.partial(make_bound, self.options["bound"])
+        return bound_of_box(make, instance, lower, upper)
 
     def gap_tol(self, instance: Instance) -> float:
         """Absolute tolerance: `gap_tol_factor` times the target's RMS radius, per matched pair."""

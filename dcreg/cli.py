@@ -29,7 +29,7 @@ from dcreg.io import read_points
 from dcreg.plot import SWEEP_IMAGES, SWEEP_PAGE, plot_registration, plot_sweep
 from dcreg.problem import MODEL_DIM, InputError, Problem, default_gap_tol, rms_radius
 from dcreg.progress import Progress
-from dcreg.registration import DEFAULT_BOUND, MODES
+from dcreg.registration import AUTO, DEFAULT_BOUND, MODES
 from dcreg.result import Result, Status
 from dcreg.sweeping import SweepResult
 from dcreg.verification import verify as verify_certificate
@@ -157,7 +157,9 @@ def register(
         str | None,
         typer.Option(
             metavar="NAME",
-            help=f"Search mode; default: paper. In 3D one of {', '.join(MODES['rigid3d'])}.",
+            help=f"Search mode; default: {AUTO}. In 2D paper; in 3D one of "
+            f"{', '.join(MODES['rigid3d'])}: {AUTO} takes full where all points match or there are "
+            "few, else multi; paper for very many, and with --bound, --candidates, --certificate.",
         ),
     ] = None,
     bound: BoundOption = DEFAULT_BOUND,

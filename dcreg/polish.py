@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from dcreg.assignment import k_assignment, pairs_of
+from dcreg.sparse import is_large, nearest_pairs, sparse_matching
 
 _MAX_ROUNDS = 100
+_MAX_LARGE_ROUNDS = 10
 
 
 def objective(
@@ -15,8 +18,13 @@ def objective(
     T_target_source: np.ndarray,
     n_inliers: int,
     candidates: np.ndarray | None = None,
+    *,
+    prove: bool = True,
 ) -> tuple[float, np.ndarray]:
     """Least sum of squared residuals of `n_inliers` one-to-one pairs at a pose.
+
+    Clouds too large for a dense matrix are matched over nearest neighbours, which is exact where it can
+    be proved and else an upper bound, see `dcreg.sparse.sparse_matching`.
 
     Parameters
     ----------
@@ -25,6 +33,8 @@ def objective(
     n_inliers : int
     candidates : (n, m) bool array, optional
         The feasible pairs.
+    prove : bool
+        For large clouds: False takes a quick upper bound instead.
 
     Returns
     -------
@@ -33,6 +43,9 @@ def objective(
     """
     d = source.shape[1]
     moved = source @ T_target_source[:d, :d].T + T_target_source[:d, d]
+    if candidates is None and is_large(len(source), len(target)):
+        found = sparse_matching(moved, target, n_inliers, prove=prove)
+        return found.value, found.pairs
     cost = ((moved[:, None] - target[None]) ** 2).sum(axis=-1)
     if candidates is not None:
         cost[~candidates] = 1.0 + n_inliers * cost.max()
@@ -78,6 +91,8 @@ def polish(
     T_target_source, objective, assignment, n_assignments
         Never worse than the pose given.
     """
+    if candidates is None and is_large(len(source), len(target)):
+        return _polish_large(source, target, T_target_source, n_inliers, scale_range)
     T = T_target_source
     value, pairs = objective(source, target, T, n_inliers, candidates)
     spent = 1
@@ -89,3 +104,52 @@ def polish(
             break
         T, value, pairs = trial, trial_value, trial_pairs
     return T, value, pairs, spent
+
+
+def _polish_large(
+    source: np.ndarray,
+    target: np.ndarray,
+    T_target_source: np.ndarray,
+    n_inliers: int,
+    scale_range: tuple[float, float],
+) -> tuple[np.ndarray, float, np.ndarray, int]:
+    """As `polish`: first by nearest neighbours, then by quick one-to-one matchings, then a proved one."""
+
+    def quick(T: np.ndarray) -> tuple[float, np.ndarray]:
+        return objective(source, target, T, n_inliers, prove=False)
+
+    T = T_target_source
+    value, pairs = quick(T)
+    spent = 1
+    trial = _nearest_polish(source, target, T, n_inliers, scale_range)
+    for _ in range(_MAX_LARGE_ROUNDS):
+        trial_value, trial_pairs = quick(trial)
+        spent += 1
+        if trial_value >= value * (1.0 - 1e-4):
+            break
+        T, value, pairs = trial, trial_value, trial_pairs
+        trial = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
+    proved_value, proved_pairs = objective(source, target, T, n_inliers)
+    if proved_value < value:
+        value, pairs = proved_value, proved_pairs
+    return T, value, pairs, spent + 1
+
+
+def _nearest_polish(
+    source: np.ndarray,
+    target: np.ndarray,
+    T: np.ndarray,
+    n_inliers: int,
+    scale_range: tuple[float, float],
+) -> np.ndarray:
+    """Alternate nearest neighbours and least-squares pose while the distance falls."""
+    d = source.shape[1]
+    tree = cKDTree(target)
+    best, least = T, np.inf
+    for _ in range(_MAX_ROUNDS):
+        pairs, value = nearest_pairs(source @ T[:d, :d].T + T[:d, d], tree, n_inliers)
+        if value >= least * (1.0 - 1e-3):
+            break
+        best, least = T, value
+        T = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
+    return best

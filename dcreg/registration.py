@@ -21,11 +21,15 @@ from dcreg.problem import Candidates, InputError, Problem, default_gap_tol
 from dcreg.result import Result, Status
 from dcreg.rigid import RigidResult, search_multi, search_rigid
 from dcreg.rotation import search_rotation
+from dcreg.sampling import search_sampled_rotation
 from dcreg.search import Leaves, Limits, SearchResult, branch_and_bound
+from dcreg.sparse import is_large, sparse_matching
 from dcreg.trace import Event, Listener, Trace
 
 # A dense cost matrix beyond this many pairs does not fit the memory of a common machine.
 MAX_PAIRS = 100_000_000
+# In norm space these match sorted numbers and need no cost matrix.
+MATRIX_FREE_BOUNDS = {"tight", "tight-exact", "shared"}
 # Share of the time limit that the translation search may use before the rotation gets its turn.
 TRANSLATION_SHARE = 0.8
 
@@ -83,7 +87,20 @@ class Solve:
         return found
 
     def rotate(self, shifted: np.ndarray, time_s: float | None) -> np.ndarray:
-        """Best rotation of the shifted source: the second stage in 3D."""
+        """Best rotation of the shifted source: the second stage in 3D.
+
+        Large clouds get a sampled one; it claims nothing, so that the status stays the translation's.
+        """
+        if self.problem.candidates is None and is_large(len(shifted), len(self.target)):
+            sampled = search_sampled_rotation(
+                shifted,
+                self.target,
+                self.problem.n_inliers,
+                gap_tol=self.gap_tol,
+                time_limit=time_s,
+            )
+            self._account("rotation", sampled, sampled.events)
+            return sampled.rotation
         found = search_rotation(
             shifted,
             self.target,
@@ -178,7 +195,7 @@ def _rigid3d_multi(solve: Solve) -> None:
     solve.rigid(functools.partial(search_multi, bound=solve.bound), "multi")
 
 
-# mode -> pipeline; the first one is the default of its model
+# mode -> pipeline; without a name `choose_mode` takes one
 MODES: dict[str, dict[str, Callable[[Solve], None]]] = {
     "similarity2d": {"paper": _similarity2d},
     "rigid3d": {"paper": _rigid3d_paper, "multi": _rigid3d_multi, "full": _rigid3d_full},
@@ -187,6 +204,11 @@ MODES: dict[str, dict[str, Callable[[Solve], None]]] = {
 CERTIFIABLE = {"similarity2d": ("paper", "similarity2d"), "rigid3d": ("paper", "translation3d")}
 DEFAULT_BOUND = "tight"
 START_BOXES = ("reduced", "safe")
+AUTO = "auto"
+# Mode `full` closes on this many pairs in seconds, whatever the outliers.
+FULL_PAIRS = 1_600
+# Beyond this a single box of modes `full` and `multi` takes seconds.
+RIGID_PAIRS = 160_000
 
 
 def register(
@@ -224,7 +246,8 @@ def register(
         Pairs to match; a float in (0, 1] is a fraction of ``min(n, m)``.
     model : {"similarity2d", "rigid3d"}
     mode : str, optional
-        Pipeline of the model; see `MODES`.
+        Pipeline of the model, see `MODES`; default `choose_mode`'s. `Result.mode` tells which ran,
+        `Result.certificate_scope` what its bounds speak of.
     bound : str
         Bounding function, see `dcreg.bounds.bound_names`; ``a+b`` takes the greater one.
     start_box : {"reduced", "safe"}
@@ -275,10 +298,12 @@ def register(
     """
     began = time.perf_counter()
     problem = Problem(source, target, n_inliers, model, scale_range, candidates)
-    check_size(problem)
-    mode = mode or next(iter(MODES[model]))
+    if mode is None or mode == AUTO:
+        mode = choose_mode(problem, bound, certificate)
     if mode not in MODES[model]:
-        raise InputError(f"mode: {mode!r} is unknown for {model}; choose from {list(MODES[model])}")
+        raise InputError(
+            f"mode: {mode!r} is unknown for {model}; choose from {[AUTO, *MODES[model]]}"
+        )
     if problem.candidates is not None:
         _check_takes_candidates(mode, bound)
     if certificate and problem.candidates is not None:
@@ -286,6 +311,7 @@ def register(
     if certificate and mode != CERTIFIABLE[model][0]:
         raise InputError(f"certificate: mode {mode!r} keeps no leaf boxes; use mode 'paper'")
     bound_parts(bound)  # unknown names end here, also where a mode has bounds of its own
+    check_size(problem, matrix_free=_is_matrix_free(problem, mode, bound))
     if start_box not in START_BOXES:
         raise InputError(f"start_box: {start_box!r} is unknown; choose from {list(START_BOXES)}")
     if gap_tol is None:  # a target without extent is measured by the source
@@ -317,7 +343,12 @@ def register(
     MODES[model][mode](solve)
     T_certified = frame.pose(solve.T)
     value, pairs = objective(
-        problem.source, problem.target, T_certified, problem.n_inliers, problem.candidates
+        problem.source,
+        problem.target,
+        T_certified,
+        problem.n_inliers,
+        problem.candidates,
+        prove=not polish,
     )
     final_T, final_value = T_certified, value
     if polish:
@@ -358,14 +389,37 @@ def register(
     )
 
 
-def check_size(problem: Problem) -> None:
+def choose_mode(problem: Problem, bound: str = DEFAULT_BOUND, certificate: bool = False) -> str:
+    """The mode that gives the best pose for the time.
+
+    ``full`` where it closes within seconds: all points match, or few pairs; else ``multi``, which ends
+    by itself and tries the same first poses. ``paper`` where only it will do: for candidates,
+    certificates, a bound other than the default, and large clouds.
+    """
+    n, m = len(problem.source), len(problem.target)
+    only_paper = problem.candidates is not None or certificate or bound != DEFAULT_BOUND
+    if problem.model == "similarity2d" or only_paper or n * m > RIGID_PAIRS:
+        return "paper"
+    return "full" if problem.n_inliers == n == m or n * m <= FULL_PAIRS else "multi"
+
+
+def check_size(problem: Problem, *, matrix_free: bool = False) -> None:
     """Refuse clouds whose cost matrix would not fit the memory of a common machine."""
     n, m = len(problem.source), len(problem.target)
-    if n * m > MAX_PAIRS:
-        raise InputError(
-            f"source, target: {n} x {m} pairs exceed {MAX_PAIRS:,}; downsample both clouds first "
-            "(a voxel grid or farthest points)"
-        )
+    if n * m > MAX_PAIRS and not matrix_free:
+        remedy = "downsample both clouds first (a voxel grid or farthest points)"
+        if problem.dim == 3:
+            remedy += f", or use mode 'paper' with bound {DEFAULT_BOUND!r} and without candidates"
+        raise InputError(f"source, target: {n} x {m} pairs exceed {MAX_PAIRS:,}; {remedy}")
+
+
+def _is_matrix_free(problem: Problem, mode: str, bound: str) -> bool:
+    return (
+        problem.dim == 3
+        and mode == "paper"
+        and problem.candidates is None
+        and MATRIX_FREE_BOUNDS.issuperset(bound_parts(bound))
+    )
 
 
 def _certificate(solve: Solve, frame: Frame, mode: str) -> Certificate | None:
@@ -447,7 +501,10 @@ def warm_up() -> None:
         for mode in modes:
             for bound in (DEFAULT_BOUND, "paper", "edges"):
                 _warm_up(model, mode, bound)
-    _warm_up("similarity2d", next(iter(MODES["similarity2d"])), "termwise")
+    _warm_up("similarity2d", "paper", "termwise")
+    points = np.random.default_rng(0).standard_normal((20, 3))
+    search_sampled_rotation(points, points, 20, gap_tol=0.0)
+    sparse_matching(points, points, 15)
 
 
 @functools.cache

@@ -76,7 +76,7 @@ from dcreg.kernels import rigid as kernels
 from dcreg.models import Translation3D
 from dcreg.models.base import mean_of_largest
 from dcreg.result import Status
-from dcreg.rotation import RotationModel, search_rotation
+from dcreg.rotation import RotationBound, RotationModel
 from dcreg.search import Evaluation, Limits, SearchResult, branch_and_bound
 from dcreg.trace import Event, Listener
 
@@ -87,6 +87,10 @@ _AXIS_WEIGHTS = np.array([1.3, 1.3, 1.3, 1.3, 1.0, 1.0, 1.0])
 _SCORED_PAIRS = 20_000_000
 _START_DESCENTS = 24
 _ROUND_PAIRS = 1_000_000
+# Of mode `multi`: descents in norm space; the gap of a basin's rotation as a share of its value, wide
+# because a joint descent follows.
+_NORM_DESCENTS = 100
+_BASIN_GAP = 0.5
 _ROUNDING = 1e-12
 SCOPE_FULL = "rigid pose"
 SCOPE_MULTI = "translation in norm space, best of its basins"
@@ -361,7 +365,7 @@ class Basin:
     Attributes
     ----------
     translation : (3,) array
-        t of x + t, a local minimiser.
+        t of x + t: a local minimiser, or that of the best pose of a grid.
     norm_value : float
         The norm objective there.
     T : (4, 4) array
@@ -465,17 +469,18 @@ def search_multi(
 ) -> MultiResult:
     """The paper's two stages over several translations: the best rigid objective wins.
 
-    First the translation in norm space, certified to `gap_tol`. Then every box of translations
-    whose norm objective may lie within `margin` of its optimum, each giving a descent; the distinct
-    ends, and the translation that joins the centroids, go through the rotation search and a joint
-    refinement of matching and pose. The certificate is that of the norm objective: nothing is said
-    of poses whose translation lies outside the margin.
+    First the best of descents from a grid of poses, as in mode `full`. Then the translation in norm
+    space, certified to `gap_tol`, and every box of translations whose norm objective may lie within
+    `margin` of its optimum, each giving a descent; the distinct ends, and the translation that joins
+    the centroids, go through a rotation search, as far as it may still better the best pose, and a
+    joint refinement of matching and pose. The certificate is that of the norm objective alone: it
+    says nothing of the rotation, nor that the best pose is the best of all.
 
     Parameters
     ----------
     source, target, n_inliers, gap_tol, limits, threads, listener, start_box
-        As in `search_rigid`; `gap_tol` is used in every stage. ``limits.time_s`` is for all stages,
-        the other limits for each.
+        As in `search_rigid`; `gap_tol` is that of the norm objective. ``limits.time_s`` is for all
+        stages, the other limits for each.
     bound : str
         Bounding function of the norm objective, see `dcreg.bounds`.
     margin : float, optional
@@ -494,49 +499,55 @@ def search_multi(
     began = time.perf_counter()
     limits = limits or Limits()
     margin = gap_tol if margin is None else margin
+    basins = [_first_basin(source, target, n_inliers, limits.time_s and 0.25 * limits.time_s)]
     model = Translation3D(source, target, n_inliers, reduced_box=start_box == "reduced")
     bounding = make_bound(bound, model, threads)
     descents = _Collector(model)
-    found = _search_norm(model, bounding, descents, gap_tol, limits, listener)
+    left = _less_time(limits, time.perf_counter() - began)
+    found = _search_norm(model, bounding, descents, gap_tol, left, listener)
     # half of what is left for finding basins, the rest for their rotations
-    left = _less_time(limits, time.perf_counter() - began).time_s
-    until = None if left is None else time.perf_counter() + 0.5 * left
+    time_s = _less_time(limits, time.perf_counter() - began).time_s
+    until = None if time_s is None else time.perf_counter() + 0.5 * time_s
     cutoff = found.upper_bound + margin
     centres, complete = _low_boxes(
         bounding, model.start_box(), cutoff, separation, basin_nodes, until
     )
-    for theta in centres[:: max(1, -(-len(centres) // 100))]:
+    for theta in centres[:: max(1, -(-len(centres) // _NORM_DESCENTS))]:
+        if until is not None and time.perf_counter() > until:
+            complete = False
+            break
         descents.refine(theta)
     translations = [
         *descents.distinct(cutoff, separation, max_basins),
         target.mean(axis=0) - source.mean(axis=0),
     ]
-    complete = complete and len(translations) <= max_basins and len(centres) <= 100
+    complete = complete and len(translations) <= max_basins and len(centres) <= _NORM_DESCENTS
     rigid = RigidModel(source, target, n_inliers)
-    basins: list[Basin] = []
-    events = list(found.events)
     n_nodes, status = found.n_nodes, found.status
     n_assignments = bounding.n_assignments + descents.spent
     for done, translation in enumerate(translations):
-        left = _less_time(limits, time.perf_counter() - began).time_s
-        if left == 0.0 and basins:
+        best = min(basin.value for basin in basins)
+        norm_value = model.objective(translation)[0]
+        # a pose within half a `separation` of this translation and better than the best has, at this
+        # very translation, an objective below `worth`
+        worth = (np.sqrt(best) + 0.5 * separation * np.sqrt(n_inliers)) ** 2
+        if norm_value >= worth:
+            continue
+        time_s = _less_time(limits, time.perf_counter() - began).time_s
+        if time_s == 0.0:
             status = Status.TIME_LIMIT if status is Status.OPTIMAL else status
             complete = False
             break
-        turned = search_rotation(
-            source + translation,
-            target,
-            n_inliers,
-            gap_tol=gap_tol,
-            time_limit=None if left is None else left / (len(translations) - done),
-            node_limit=limits.nodes,
-            listener=listener,
-        )
-        theta, value, spent = rigid.refine(_theta(turned.rotation, translation))
-        basins.append(Basin(translation, model.objective(translation)[0], pose(theta), value))
+        time_s = None if time_s is None else time_s / (len(translations) - done)
+        turned = _turn(
+            source + translation, target, n_inliers, worth, gap_tol,
+            Limits(time_s, limits.nodes), listener,
+        )  # fmt: skip
+        rotation = RotationModel.matrix(turned.theta)
+        theta, value, spent = rigid.refine(_theta(rotation, translation))
+        basins.append(Basin(translation, norm_value, pose(theta), value))
         n_nodes += turned.n_nodes
         n_assignments += turned.n_assignments + spent
-        events += turned.events
         if turned.status is Status.STOPPED:
             status = turned.status
             break
@@ -552,10 +563,55 @@ def search_multi(
         status,
         time.perf_counter() - began,
         SCOPE_MULTI,
-        events,
+        found.events,
         basins[0].value,
         basins,
         complete,
+    )
+
+
+def _first_basin(
+    source: np.ndarray, target: np.ndarray, n_inliers: int, time_limit: float | None
+) -> Basin:
+    """The best of descents from a grid of poses: where every search for the pose may start."""
+    centre_x, centre_y = source.mean(axis=0), target.mean(axis=0)
+    theta, value, _ = RigidModel(source - centre_x, target - centre_y, n_inliers).start(time_limit)
+    T = pose(theta)
+    T[:3, 3] += centre_y - T[:3, :3] @ centre_x
+    translation = T[:3, :3].T @ T[:3, 3]
+    norm_value = Translation3D(source, target, n_inliers).objective(translation)[0]
+    return Basin(translation, norm_value, T, value)
+
+
+def _turn(
+    shifted: np.ndarray,
+    target: np.ndarray,
+    n_inliers: int,
+    worth: float,
+    gap_tol: float,
+    limits: Limits,
+    listener: Listener | None,
+) -> SearchResult:
+    """Search the rotations of a shifted source with an objective below `worth`.
+
+    Its rotation is where a joint descent starts, so it need not be the best one to `gap_tol`.
+    """
+    began = time.perf_counter()
+    model = RotationModel(shifted, target, n_inliers)
+    bound = RotationBound(model)
+    theta, value, bound.n_assignments = model.start(limits.time_s)
+    value = min(value, worth)
+    return branch_and_bound(
+        bound,
+        model.roots(),
+        branching=LongestEdge(np.ones(4)),
+        gap_tol=max(gap_tol, _BASIN_GAP * value),
+        refine=model.refine,
+        start=(theta, value),
+        limits=_less_time(limits, time.perf_counter() - began),
+        round_size=32,
+        listener=listener,
+        stage="basin",
     )
 
 

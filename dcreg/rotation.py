@@ -136,6 +136,13 @@ class RotationModel:
         return boxes
 
     @staticmethod
+    def grid(cells: int) -> np.ndarray:
+        """(4 cells^3, 4) quaternions: the centres of a regular division of the four facets."""
+        steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
+        facet = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        return np.concatenate([np.insert(facet, axis, 1.0, axis=1) for axis in range(4)])
+
+    @staticmethod
     def matrix(theta: np.ndarray) -> np.ndarray:
         """The rotation of a quaternion: proper, and the same for theta, -theta and 2 theta."""
         return kernels.rotation_matrix(np.asarray(theta, dtype=np.float64))
@@ -155,10 +162,7 @@ class RotationModel:
         At least one descent is made, however short the time.
         """
         began = time.perf_counter()
-        cells = _START_CELLS_PER_AXIS
-        steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
-        facet = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-        grid = np.concatenate([np.insert(facet, axis, 1.0, axis=1) for axis in range(4)])
+        grid = self.grid(_START_CELLS_PER_AXIS)
         scores = kernels.nearest_scores(grid, self.source, self.target, self.n_inliers)
         theta, value, spent = self.refine(grid[np.argmin(scores)])
         for at in np.argsort(scores, kind="stable")[1:_START_DESCENTS]:

@@ -107,6 +107,55 @@ def teaser_row(name: str, case: Case) -> dict[str, Any]:
     }
 
 
+# --- dcreg, mode full --------------------------------------------------------------------------
+
+GOICP_TOTAL_S = (7.6, 23.0)  # official runs: 7 to 9 s of distance transform, 0.6 to 14 s of search
+FULL_LIMIT_S = 15.0
+
+
+def full_row(name: str, case: Case) -> dict[str, Any]:
+    """Mode `full` at official Go-ICP's threshold; both poses judged by the one-to-one objective."""
+    import dcreg
+
+    source, target = case["source"], case["target"]
+    n_inliers = int(np.floor(len(source) * (1 - float(case["trim_fraction"]))))
+    found = dcreg.register(
+        source,
+        target,
+        n_inliers=n_inliers,
+        model="rigid3d",
+        mode="full",
+        gap_tol=float(case["mse_threshold"]) * n_inliers,
+        time_limit=FULL_LIMIT_S,
+    )
+    official, _ = dcreg.objective(source, target, case["goicp_T"], n_inliers)
+    angle, shift = pose_difference(found.T_target_source, case["goicp_T"])
+    ours_true = pose_difference(found.T_target_source, case["T_true"])
+    official_true = pose_difference(case["goicp_T"], case["T_true"])
+    return {
+        "case": name,
+        "n_inliers": n_inliers,
+        "status": found.status.value,
+        "lower_bound": found.lower_bound,
+        "upper_bound": found.upper_bound,
+        "gap_tol": found.gap_tol,
+        "official_value": official,
+        "angle_deg": angle,
+        "shift": shift,
+        "true_angle_deg": ours_true[0],
+        "true_shift": ours_true[1],
+        "official_true_angle_deg": official_true[0],
+        "official_true_shift": official_true[1],
+        "time_s": found.time_solve_s,
+        "official_least_s": GOICP_TOTAL_S[0],
+        "official_most_s": GOICP_TOTAL_S[1],
+        "required": "gap closed, value",
+        "agrees": found.status is dcreg.Status.OPTIMAL
+        and found.lower_bound <= official
+        and found.upper_bound <= official + found.gap_tol,
+    }
+
+
 COMPARISONS: dict[str, Comparison] = {
     "teaser": Comparison(
         "correspondences_*.npz",
@@ -117,6 +166,16 @@ COMPARISONS: dict[str, Comparison] = {
         "degrees apart; which one a solver meets is an accident of its order of search. Ours was "
         "chosen so that ties fall as recorded where the official pose is right (`STARTS` in "
         "`baselines/_cliques.py`). Where it is wrong, neither pose means anything.",
+    ),
+    "dcreg_full": Comparison(
+        "goicp_*.npz",
+        full_row,
+        "Mode `full` of dcreg beside official Go-ICP at its tolerance, 0.0005 n_inliers. All values are "
+        "the one-to-one objective, which `full` certifies; Go-ICP minimises the one of nearest "
+        "neighbours. `angle_deg` and `shift` are between the two poses. The official times are "
+        "recorded ones, not of this run: 7 to 9 s for the distance transform and 0.6 to 14 s for the "
+        "search; which case took which is not recorded. Where the optimum is below the "
+        "tolerance, as in the trimmed case, a lower bound of 0 already closes the gap.",
     ),
 }
 
@@ -134,7 +193,7 @@ def write(name: str, table: pd.DataFrame, out: Path) -> None:
     table.to_csv(out / f"{name}.csv", index=False)
     shown = table.to_markdown(index=False, floatfmt=".4g")
     notes = COMPARISONS[name].notes
-    text = f"# {name}: port and official implementation\n\n{shown}\n\n{notes}\n"
+    text = f"# {name}: ours and the official implementation\n\n{shown}\n\n{notes}\n"
     (out / f"{name}.md").write_text(text, encoding="utf-8")
 
 

@@ -85,7 +85,7 @@ def find_or_add(table, keys, thetas, used, origin, width, lower, upper, slots):
 
 @jit
 def best_linearisation(vertices, values, weights, point):
-    """Set `point` to the best theta0 for ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]``.
+    """Value and place (in `point`) of the best theta0 for ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]``.
 
     The dual is the least of ``sum_v w_v (E(v) - Q(v)) + Q(sum_v w_v v)`` over weights w on the
     vertices. Pairwise Frank-Wolfe steps with exact line search; theta0 is the weighted vertex and every
@@ -126,6 +126,7 @@ def best_linearisation(vertices, values, weights, point):
         w[away] -= step
         for a in range(dim):
             centre[a] += step * (vertices[toward, a] - vertices[away, a])
+    return best
 
 
 @jit
@@ -326,7 +327,9 @@ def shared_bound(
             for v in range(count):
                 for a in range(dim):
                     charged[v] += weights[a] * (corner[v, a] - point[a]) ** 2
-            best_linearisation(corner[:count], charged[:count], weights, point)
+            promise = best_linearisation(corner[:count], charged[:count], weights, point)
+            if promise < cutoff:
+                break  # the box will be divided in any case: no use in a better bound
 
 
 @jit

@@ -30,14 +30,21 @@ def main(
     dcreg.warm_up()
     numbers = range(first, first + count) if only is None else [only]
     began = time.perf_counter()
-    rows = [_row(number) for number in track(numbers, "fuzz", disable=only is not None)]
-    table = pd.DataFrame(rows)
     out.mkdir(parents=True, exist_ok=True)
-    table.to_csv(out / "fuzz.csv", index=False)
+    rows = []
+    for number in track(numbers, "fuzz", disable=only is not None):
+        rows.append(_row(number))
+        if len(rows) % 500 == 0 or len(rows) == len(numbers):  # an interrupted run leaves its rows
+            pd.DataFrame(rows).to_csv(out / "fuzz.csv", index=False)
+    table = pd.DataFrame(rows)
     summary = table.groupby(["family", "bound"]).agg(
         problems=("number", "size"),
         optimal=("status", lambda s: int((s == "optimal").sum())),
         reference_closed=("closed", "sum"),
+        candidates=(
+            "n_pairs",
+            lambda p: int((p < table.loc[p.index, "n"] * table.loc[p.index, "m"]).sum()),
+        ),
         wrong=("faults", lambda f: int((f != "").sum())),
     )
     print(summary.to_string())
@@ -66,6 +73,7 @@ def _row(number: int) -> dict[str, object]:
         "n": len(drawn.source),
         "m": len(drawn.target),
         "n_inliers": drawn.n_inliers,
+        "n_pairs": int(drawn.allowed.sum()),
         "status": result.status.value,
         "lower_bound": result.lower_bound,
         "upper_bound": result.upper_bound,

@@ -227,14 +227,16 @@ def enclose_norm3d(source, norms, allowed, k, tolerance, max_cubes):
     half = norms.max()
     for i in range(source.shape[0]):
         half = max(half, norms.max() + math.sqrt((source[i] ** 2).sum()))
-    centres = np.zeros((1, 3))
+    centres, reach = np.zeros((1, 3)), half
     upper, n_cubes = np.inf, 0
     while True:
         roots = np.empty(len(centres))
         for at in range(len(centres)):
             roots[at] = math.sqrt(norm_objective(source, norms, allowed, k, centres[at]))
         n_cubes += len(centres)
-        upper = min(upper, _descend(source, norms, allowed, k, centres[np.argmin(roots)]))
+        upper = min(
+            upper, _descend(source, norms, allowed, k, centres[np.argmin(roots)], half, reach)
+        )
         lows = np.maximum(0.0, roots - math.sqrt(3.0 * k) * half) ** 2
         is_open = lows < upper - tolerance
         if not is_open.any():
@@ -250,11 +252,11 @@ def enclose_norm3d(source, norms, allowed, k, tolerance, max_cubes):
 
 
 @jit
-def _descend(source, norms, allowed, k, t):
+def _descend(source, norms, allowed, k, t, step, reach):
     """Compass search: slow, and free of whatever a cleverer descent could get wrong."""
     t = t.copy()
-    value, step = norm_objective(source, norms, allowed, k, t), norms.max() / 4.0
-    while step > 1e-7 * norms.max():
+    value = norm_objective(source, norms, allowed, k, t)
+    while step > 1e-8 * reach:
         moved = False
         for a in range(3):
             for sign in (-1.0, 1.0):

@@ -496,7 +496,7 @@ def test_real_registration_3d(tmp_path):
     )
     assert outcome.exit_code == 0, outcome.output
     content = json.loads((tmp_path / "o.json").read_text())
-    assert content["certificate_scope"] == "translation in norm space"
+    assert content["certificate_scope"] == "rigid pose"  # all points match: mode full
     T = np.array(content["T_target_source"])
     np.testing.assert_allclose(T[:3, :3], turn, atol=1e-6)
     np.testing.assert_allclose(T[:3, 3], [1.0, 2.0, 3.0], atol=1e-6)

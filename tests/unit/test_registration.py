@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from dcreg.frame import Frame
 from dcreg.models import Similarity2D, Translation3D
+from dcreg.problem import Problem
+from dcreg.registration import choose_mode
 from dcreg.result import Status
 from tests.problems import KINDS, cloud
 
@@ -226,7 +228,7 @@ def test_result_is_json_ready(planar):
 
 def test_trace_is_monotone_within_a_stage_and_ends(spatial, tmp_path):
     source, target, _ = spatial
-    result = dcreg.register(source, target, n_inliers=20, model="rigid3d")
+    result = dcreg.register(source, target, n_inliers=20, model="rigid3d", mode="paper")
     for stage in ("search", "rotation"):
         events = [event for event in result.trace if event.stage == stage]
         assert events[-1].kind == "end"
@@ -235,6 +237,36 @@ def test_trace_is_monotone_within_a_stage_and_ends(spatial, tmp_path):
     path = tmp_path / "trace.jsonl"
     result.trace.write_jsonl(path)
     assert len(path.read_text().splitlines()) == len(result.trace)
+
+
+@pytest.mark.parametrize(
+    ("n", "m", "k", "settings", "mode"),
+    [
+        (30, 30, 20, {}, "full"),
+        (200, 200, 200, {}, "full"),
+        (60, 60, 50, {}, "multi"),
+        (60, 70, 60, {}, "multi"),
+        (2000, 2000, 2000, {}, "paper"),
+        (30, 30, 30, {"bound": "edges"}, "paper"),
+        (30, 30, 30, {"certificate": True}, "paper"),
+    ],
+)
+def test_auto_takes_the_mode_for_the_problem(n, m, k, settings, mode, rng):
+    source, target = rng.standard_normal((n, 3)), rng.standard_normal((m, 3))
+    assert choose_mode(Problem(source, target, k, "rigid3d"), **settings) == mode
+    flat = Problem(source[:, :2], target[:, :2], k, "similarity2d")
+    assert choose_mode(flat, **settings) == "paper"
+
+
+@pytest.mark.parametrize("asked", [None, "auto"])
+def test_result_states_the_mode_that_ran(asked, spatial):
+    source, target, _ = spatial
+    full = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode=asked)
+    assert (full.mode, full.certificate_scope) == ("full", "rigid pose")
+    paper = dcreg.register(
+        source, target, n_inliers=30, model="rigid3d", mode=asked, candidates=np.eye(30, dtype=bool)
+    )
+    assert (paper.mode, paper.certificate_scope) == ("paper", "translation in norm space")
 
 
 @pytest.mark.parametrize(

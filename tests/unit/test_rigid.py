@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import dcreg
+from data import registry
 from dcreg.polish import fit_pose, objective
 from dcreg.result import Status
 from dcreg.rigid import RigidModel, search_multi, search_rigid
 from dcreg.search import Limits
 from tests.problems import KINDS, cloud
+from workflows.disturb import make_instance
 
 
 def exhaustive_optimum(source, target, k):
@@ -174,6 +177,48 @@ def test_multi_is_not_misled_by_noise(rng):
     assert result.value == pytest.approx(full.upper_bound, rel=1e-6)
     assert result.scope.startswith("translation in norm space")
     assert objective(source, target, result.T, 40)[0] == pytest.approx(result.value)
+
+
+def test_no_mode_suffers_from_the_bias_of_the_norm_objective():
+    """Where noise is large and all points match, the norm optimum is off by much; its pose too."""
+    instance = make_instance(registry.dataset("embedded"), "saurian", "noise", 0.05, 0, 60)
+    source, target, truth = instance.source, instance.target, instance.T_true
+    middle = np.append(source.mean(axis=0), 1.0)  # where no rotation error counts
+
+    def shift(T):
+        return np.linalg.norm(((T - truth) @ middle)[:3])
+
+    found = {
+        mode: dcreg.register(source, target, n_inliers=60, model="rigid3d", mode=mode)
+        for mode in ("paper", "multi", "full")
+    }
+    for mode in ("multi", "full"):
+        assert shift(found[mode].T_target_source) < 0.02  # of the longest side
+        # the certified pose, before any polish, is free of it too
+        assert shift(found[mode].T_certified) < 0.02 < shift(found["paper"].T_certified)
+    assert found["full"].objective <= found["multi"].objective + 1e-9
+
+
+def test_multi_starts_from_poses_that_norms_cannot_tell_apart():
+    """Clutter makes thousands of translations equally good in norm space, most of them wrong."""
+    instance = make_instance(registry.dataset("embedded"), "pony", "separate_outliers", 0.3, 0, 25)
+    source, target, truth = instance.source, instance.target, instance.T_true
+    n_inliers = len(instance.pairs)
+    result = search_multi(source, target, n_inliers, gap_tol=0.005, limits=Limits(time_s=20.0))
+    assert not result.complete
+    assert error_of(result.T, truth)[0] < 0.1
+    assert result.value < objective(source, target, truth, n_inliers)[0]
+
+
+def test_multi_respects_its_time_limit():
+    instance = make_instance(registry.dataset("embedded"), "pony", "separate_outliers", 0.3, 0, 60)
+    arguments = instance.source, instance.target, len(instance.pairs)
+    few = instance.source[:9], instance.target[:9], 7
+    search_multi(*few, gap_tol=0.01, limits=Limits(nodes=10))  # compiles
+    result = search_multi(*arguments, gap_tol=1e-4, limits=Limits(time_s=0.5))
+    assert result.status is Status.TIME_LIMIT
+    assert result.time_s < 2.0
+    assert result.lower_bound <= result.upper_bound
 
 
 def test_multi_tells_a_mirrored_basin_from_the_true_one(rng):

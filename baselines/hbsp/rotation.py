@@ -1,0 +1,85 @@
+"""HBSP's bound for a rotation about the origin: one k-assignment and one semidefinite programme a box.
+
+With G = sum p_ij a_i y_j^T the objective is ``sum p_ij (|a_i|^2 + |y_j|^2) - 2 sum_ab G_ab R_ba``. Each
+of the nine products is replaced by the mean of its two active McCormick facets, over the range of G_ab
+over all matchings and of R_ba over the box. R is linear in Q = q q^T / |q|^2, of which remain: Q positive
+semidefinite, trace 1, and the products of the box's inequalities (`LiftedBox`).
+
+Boxes are those of `dcreg.rotation`: of quaternions of any length, one component fixed at 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from baselines.hbsp.lifted import LiftedBox
+from dcreg.box import Box
+from dcreg.kernels import rotation as kernels
+from dcreg.kernels.assignment import k_assignment
+from dcreg.rotation import RotationModel
+from dcreg.search import Evaluation
+
+
+class SemidefiniteRotationBound:
+    """Lower bound of HBSP (reconstructed) over boxes of quaternions; the candidate is the SDP's."""
+
+    def __init__(self, model: RotationModel) -> None:
+        self.model = model
+        self.n_assignments = 0
+        a, y = model.source, model.target
+        self.squares = (a**2).sum(axis=0)[:, None] + (y**2).sum(axis=0)
+        self.outer = a[:, None, :, None] * y[None, :, None, :]  # (3, 3, n, m)
+        self.low = np.array([[self._assign(plane) for plane in row] for row in self.outer])
+        self.high = np.array([[-self._assign(-plane) for plane in row] for row in self.outer])
+        self.lifted = LiftedBox(3)
+
+    def _assign(self, cost: np.ndarray) -> float:
+        self.n_assignments += 1
+        return float(k_assignment(np.ascontiguousarray(cost), self.model.n_inliers)[0])
+
+    def evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
+        found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
+        for box in range(len(lower)):
+            found.lower_bounds[box], theta = self._bound(Box(lower[box], upper[box]))
+            found.thetas[box] = theta
+            found.values[box] = self.model.objective(theta)[0]
+        self.n_assignments += len(lower)
+        return found
+
+    def _bound(self, box: Box) -> tuple[float, np.ndarray]:
+        least, most = rotation_range(box)
+        r_low, r_high = least.T, most.T  # [a, b] is the range of R_ba
+        r_middle, g_middle = 0.5 * (r_low + r_high), 0.5 * (self.low + self.high)
+        constant = (self.low * r_high + self.high * r_low).sum()
+        cost = self.squares - 2.0 * np.tensordot(r_middle, self.outer, axes=2)
+        value = self._assign(cost) + constant
+        # theta = T (1, z) with z in [-1, 1]^3, so that Q = T Y T^T
+        fixed = int(np.argmax((box.lower == 1.0) & (box.upper == 1.0)))
+        free = np.delete(np.arange(4), fixed)
+        T = np.zeros((4, 4))
+        T[:, 0] = box.centre
+        T[free, [1, 2, 3]] = box.half_widths[free]
+        rotating, z = self.lifted.least(T.T @ quaternion_form(-2.0 * g_middle.T) @ T, T.T @ T)
+        theta = T @ np.concatenate([[1.0], np.clip(z, -1.0, 1.0)])
+        return value + rotating, theta
+
+
+def rotation_range(box: Box) -> tuple[np.ndarray, np.ndarray]:
+    """Entries of R over the box lie between these: least and greatest at the chords of its corners."""
+    corners = kernels.box_corners(box.lower, box.upper)
+    if (corners @ corners.T <= 0.0).any():  # the box is too wide for the hull of chords
+        return np.full((3, 3), -1.0), np.ones((3, 3))
+    chords = np.array([kernels.chord_matrix(q, r) for q in corners for r in corners])
+    return np.maximum(chords.min(axis=0), -1.0), np.minimum(chords.max(axis=0), 1.0)
+
+
+def quaternion_form(W: np.ndarray) -> np.ndarray:
+    """Symmetric C with ``<C, Q> = sum_ij W_ij R_ij`` where R is the rotation of Q = q q^T, |q| = 1."""
+    C = np.empty((4, 4))
+    C[0, 0] = W[0, 0] + W[1, 1] + W[2, 2]
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        C[0, a + 1] = C[a + 1, 0] = W[c, b] - W[b, c]
+        for e in range(3):
+            C[a + 1, e + 1] = W[a, e] + W[e, a] - (a == e) * C[0, 0]
+    return C

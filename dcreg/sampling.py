@@ -1,0 +1,149 @@
+"""Rotation stage of large clouds: sampled start, refinement on all points; not a global search.
+
+Rotations of a fixed grid are scored by the nearest neighbours of a sample of the points, the best ones
+refined on a larger sample, the best of those on all points. Each step alternates nearest neighbours and
+the best rotation about the origin. Nothing here is claimed for the sample: the lower bound is that of
+all points in norm space, which holds for every rotation since ``|R a - y| >= | |a| - |y| |``, and the
+upper bound is a one-to-one matching of all points. Only where these two meet is the stage optimal;
+otherwise it ends as ``converged``.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dcreg.kernels import rotation as kernels
+from dcreg.kernels.vertices import match_on_line
+from dcreg.result import Status
+from dcreg.rotation import RotationModel, RotationResult
+from dcreg.sparse import nearest_pairs, sparse_matching
+
+_CELLS_PER_AXIS = 7  # of the quaternion cube: about 25 degrees
+_SAMPLE = 100
+_SCORED_TARGETS = 2000
+_DESCENTS = 12
+_DESCENT_SAMPLE = 500
+_MAX_ROUNDS = 50
+
+
+def search_sampled_rotation(
+    source_shifted: np.ndarray,
+    target: np.ndarray,
+    n_inliers: int,
+    *,
+    gap_tol: float,
+    time_limit: float | None = None,
+) -> RotationResult:
+    """Good rotation about the origin for clouds too large for `dcreg.rotation.search_rotation`.
+
+    Parameters
+    ----------
+    source_shifted, target : (n, 3), (m, 3) arrays
+        The translation is already applied to the source; nothing is centred.
+    n_inliers : int
+    gap_tol : float
+    time_limit : float, optional
+        Seconds, checked after each descent; one descent is always made.
+
+    Returns
+    -------
+    RotationResult
+        Status ``optimal`` only where the bounds of the full problem prove it, else ``converged``.
+    """
+    began = time.perf_counter()
+
+    def late() -> bool:
+        return time_limit is not None and time.perf_counter() - began > time_limit
+
+    few, some = spread_rows(source_shifted, _SAMPLE), spread_rows(source_shifted, _DESCENT_SAMPLE)
+    tree = cKDTree(target)
+    sparse_tree = cKDTree(target[spread_rows(target, _SCORED_TARGETS)])
+    share = n_inliers / len(source_shifted)
+    grid = RotationModel.grid(_CELLS_PER_AXIS)
+    scores = [
+        nearest_pairs(
+            source_shifted[few] @ kernels.rotation_matrix(q).T, sparse_tree, _part(share, few.size)
+        )[1]
+        for q in grid
+    ]
+    sample = source_shifted[some]
+    descents: list[tuple[float, np.ndarray]] = []
+    for at in np.argsort(scores, kind="stable")[:_DESCENTS]:
+        start = kernels.rotation_matrix(grid[at])
+        rotation = _descend(sample, target, tree, _part(share, some.size), start)
+        descents.append(
+            (_two_sided(source_shifted, sample, target, tree, share, rotation), rotation)
+        )
+        if late():
+            break
+    descents.sort(key=lambda descent: descent[0])
+    rotation = descents[0][1]
+    if not late():
+        rotation = _descend(source_shifted, target, tree, n_inliers, rotation)
+    matching = sparse_matching(source_shifted @ rotation.T, target, n_inliers, prove=False)
+    lower, _ = match_on_line(
+        np.linalg.norm(source_shifted, axis=1), np.linalg.norm(target, axis=1), n_inliers
+    )
+    status = Status.TIME_LIMIT if late() else Status.CONVERGED
+    if matching.value - lower <= gap_tol:
+        status = Status.OPTIMAL
+    return RotationResult(
+        rotation,
+        matching.pairs,
+        min(float(lower), matching.value),
+        matching.value,
+        0,
+        matching.n_assignments,
+        status,
+        time.perf_counter() - began,
+    )
+
+
+def spread_rows(points: np.ndarray, count: int) -> np.ndarray:
+    """Up to `count` rows at even ranks of the distance from the origin: fixed, in any point order."""
+    order = np.argsort((points**2).sum(axis=1), kind="stable")
+    ranks = np.linspace(0, len(points) - 1, min(count, len(points))).round().astype(int)
+    return order[ranks]
+
+
+def _part(share: float, count: int) -> int:
+    return max(1, round(share * count))
+
+
+def _descend(
+    points: np.ndarray, target: np.ndarray, tree: cKDTree, k: int, rotation: np.ndarray
+) -> np.ndarray:
+    """Alternate the k nearest neighbours and the best rotation while their distance falls."""
+    best, least = rotation, np.inf
+    for _ in range(_MAX_ROUNDS):
+        pairs, value = nearest_pairs(points @ rotation.T, tree, k)
+        if value >= least * (1.0 - 1e-4):
+            break
+        best, least = rotation, value
+        quaternion = kernels.best_rotation(
+            np.arange(k),
+            np.ascontiguousarray(points[pairs[:, 0]].T),
+            np.ascontiguousarray(target[pairs[:, 1]].T),
+        )
+        rotation = kernels.rotation_matrix(quaternion)
+    return best
+
+
+def _two_sided(
+    source: np.ndarray,
+    sample: np.ndarray,
+    target: np.ndarray,
+    tree: cKDTree,
+    share: float,
+    rotation: np.ndarray,
+) -> float:
+    """Mean squared distance of the nearest pairs, from the worse side: a collapse fits one side only."""
+    back = target[spread_rows(target, _DESCENT_SAMPLE)]
+    k_back = _part(share * len(source) / len(target), len(back))
+    k = _part(share, len(sample))
+    _, there = nearest_pairs(sample @ rotation.T, tree, k)
+    _, here = nearest_pairs(back, cKDTree(source @ rotation.T), k_back)
+    return max(there / k, here / k_back)

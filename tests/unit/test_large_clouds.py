@@ -1,0 +1,146 @@
+"""Clouds too large for a dense matrix: same certificate, a good pose, little memory."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from dcreg import sparse
+from dcreg.assignment import k_assignment
+from dcreg.problem import InputError
+from dcreg.result import Status
+from dcreg.sampling import search_sampled_rotation
+
+NOISE = 0.005
+ROTATION = Rotation.from_rotvec([0.4, -1.9, 1.1]).as_matrix()
+TRANSLATION = np.array([0.3, -0.5, 0.2])
+
+
+def spiral(rng, size):
+    """An asymmetric tube, its longest side 1: no rotation or mirror image comes near it."""
+    along = rng.random(size)
+    turn = 2 * np.pi * along
+    curve = np.stack(
+        [
+            np.cos(turn) * (1 + 0.4 * along),
+            0.6 * np.sin(turn) + 0.3 * along**2,
+            0.5 * along + 0.2 * np.sin(3 * turn),
+        ],
+        axis=1,
+    )
+    points = curve + 0.05 * rng.standard_normal((size, 3))
+    return points / np.ptp(points, axis=0).max()
+
+
+def moved_copy(rng, source):
+    noise = NOISE * rng.standard_normal(source.shape)
+    return (source @ ROTATION.T + TRANSLATION + noise)[rng.permutation(len(source))]
+
+
+def pose_errors(T):
+    angle = Rotation.from_matrix(T[:3, :3] @ ROTATION.T).magnitude()
+    return np.degrees(angle), np.abs(T[:3, 3] - TRANSLATION).max()
+
+
+def test_all_matched_is_certified_without_a_dense_matrix(rng):
+    size = 5000
+    source = spiral(rng, size)
+    target = moved_copy(rng, source)
+    tracemalloc.start()
+    result = dcreg.register(source, target, n_inliers=size, model="rigid3d", mode="paper")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 8 * size**2 / 2  # half of one dense matrix
+    assert result.status is Status.OPTIMAL
+    assert result.upper_bound - result.lower_bound <= result.gap_tol
+    assert result.certificate_scope == "translation in norm space"
+    angle, shift = pose_errors(result.T_target_source)
+    assert angle < 0.2
+    assert shift < 2e-3
+    assert result.objective <= result.objective_certified
+    rows, columns = result.assignment.T
+    assert len(set(rows)) == len(set(columns)) == size
+    residuals = source[rows] @ result.rotation.T + result.translation - target[columns]
+    assert np.isclose((residuals**2).sum(), result.objective)
+
+
+def test_outliers_return_in_time(rng):
+    size, n_inliers, limit = 3000, 2400, 4.0
+    source = spiral(rng, size)
+    target = moved_copy(rng, source)
+    target[n_inliers:] = rng.uniform(target.min(axis=0), target.max(axis=0), (size - n_inliers, 3))
+    result = dcreg.register(
+        source, target, n_inliers=n_inliers, model="rigid3d", mode="paper", time_limit=limit
+    )
+    assert result.status in (Status.OPTIMAL, Status.TIME_LIMIT)
+    assert sum(stage["time_s"] for stage in result.stages[:2]) < 2 * limit
+    assert len(result.assignment) == n_inliers
+    angle, shift = pose_errors(result.T_target_source)
+    assert angle < 0.5
+    assert shift < 5e-3
+
+
+def test_sampled_rotation_claims_only_what_its_bounds_prove(rng):
+    source = spiral(rng, 2100)
+    source -= source.mean(axis=0)
+    target = source @ ROTATION.T + NOISE * rng.standard_normal(source.shape)
+    loose = search_sampled_rotation(source, target, 2100, gap_tol=1.0)
+    strict = search_sampled_rotation(source, target, 2100, gap_tol=1e-9)
+    assert loose.status is Status.OPTIMAL
+    assert strict.status is Status.CONVERGED
+    assert strict.lower_bound < strict.upper_bound
+    assert np.degrees(Rotation.from_matrix(strict.rotation @ ROTATION.T).magnitude()) < 0.5
+    exact = linear_sum_assignment(_squared(source @ strict.rotation.T, target))
+    value = _squared(source @ strict.rotation.T, target)[exact].sum()
+    assert strict.lower_bound <= value <= strict.upper_bound + 1e-9
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_sparse_matching_against_the_dense_one(seed):
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(1, 15, 2)
+    k = int(rng.integers(1, min(n, m) + 1))
+    points, target = rng.standard_normal((n, 3)), rng.standard_normal((m, 3))
+    if rng.random() < 0.3:  # ties
+        points, target = np.round(points), np.round(target)
+    optimum, _ = k_assignment(_squared(points, target), k)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sparse, "_FIRST_NEIGHBOURS", int(rng.integers(1, 5)))
+        patch.setattr(sparse, "DENSE_PAIRS", int(rng.integers(1, 200)))
+        for prove in (True, False):
+            found = sparse.sparse_matching(points, target, k, prove=prove)
+            rows, columns = found.pairs.T
+            assert len(set(rows)) == len(set(columns)) == k
+            assert np.isclose(_squared(points, target)[rows, columns].sum(), found.value)
+            assert found.value >= optimum - 1e-9
+            if found.exact:
+                assert np.isclose(found.value, optimum)
+
+
+@pytest.mark.parametrize("n_inliers", [700, 800])
+def test_sparse_matching_proves_itself_near_the_truth(rng, n_inliers):
+    points = spiral(rng, 800)
+    target = points + NOISE * rng.standard_normal(points.shape)
+    found = sparse.sparse_matching(points, target, n_inliers)
+    optimum, _ = k_assignment(_squared(points, target), n_inliers)
+    assert found.exact
+    assert np.isclose(found.value, optimum)
+
+
+@pytest.mark.parametrize(
+    ("dim", "options"), [(2, {}), (3, {"mode": "full"}), (3, {"bound": "paper"})]
+)
+def test_dense_searches_refuse_what_would_not_fit(rng, dim, options):
+    points = rng.random((10_001, dim))
+    model = "similarity2d" if dim == 2 else "rigid3d"
+    with pytest.raises(InputError, match=r"10001 x 10001 pairs exceed .* downsample"):
+        dcreg.register(points, points, n_inliers=10_001, model=model, **options)
+
+
+def _squared(a, b):
+    return ((a[:, None] - b[None]) ** 2).sum(axis=-1)
