@@ -64,6 +64,11 @@ ablation: setup
 	@$(BIN)/python -m workflows.ablation results/ablation
 	@$(BIN)/python -m reports.ablation results/ablation
 
+## bounds: bounds of all methods that have one against the DC bound, on the same boxes
+.PHONY: bounds
+bounds: setup
+	@$(BIN)/python -m workflows.bound_comparison results/bounds
+
 ## golden: compare own TEASER and Go-ICP with recorded outputs of the official programs
 .PHONY: golden
 golden: setup

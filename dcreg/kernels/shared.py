@@ -85,7 +85,8 @@ def find_or_add(table, keys, thetas, used, origin, width, lower, upper, slots):
 
 @jit
 def best_linearisation(vertices, values, weights, point):
-    """Value and place (in `point`) of the best theta0 for ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]``.
+    """Value and place (in `point`) of the theta0 with the greatest
+    ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]``.
 
     The dual is the least of ``sum_v w_v (E(v) - Q(v)) + Q(sum_v w_v v)`` over weights w on the
     vertices. Pairwise Frank-Wolfe steps with exact line search; theta0 is the weighted vertex and every
