@@ -18,7 +18,7 @@ import numpy as np
 import dcreg
 from data.contract import RawInstance
 from data.registry import dataset
-from dcreg.problem import rms_radius
+from dcreg.problem import default_gap_tol, rms_radius
 from dcreg.result import Result
 from workflows.disturb import make_instance
 
@@ -42,6 +42,8 @@ class Subject:
         outliers ends at once, because its optimum is below the tolerance.
     n_inliers_ratio : float
         Pairs asked for, as a share of the true ones.
+    tau : float
+        Makes the tolerance, as in `dcreg.problem.default_gap_tol`, whose default it has.
     """
 
     dataset: str
@@ -52,6 +54,7 @@ class Subject:
     n_points: int | None = None
     jitter: float = 0.0
     n_inliers_ratio: float = 1.0
+    tau: float = 0.03
     options: tuple[tuple[str, float], ...] = ()
 
     def __str__(self) -> str:
@@ -59,6 +62,7 @@ class Subject:
         parts += [f"{self.n_points} points"] if self.n_points else []
         parts += [f"jitter {self.jitter:g}"] if self.jitter else []
         parts += [f"k x {self.n_inliers_ratio:g}"] if self.n_inliers_ratio != 1 else []
+        parts += [f"tau {self.tau:g}"] if self.tau != 0.03 else []
         return "/".join(parts)
 
     @property
@@ -75,11 +79,12 @@ class Subject:
         noise = self.jitter * rms_radius(raw.target) * rng.standard_normal(raw.target.shape)
         n_inliers = max(1, int(self.n_inliers_ratio * len(raw.pairs)))
         two_d = raw.source.shape[1] == 2
-        # rounded, so that they are the same numbers on every machine
+        target = (raw.target + noise).round(6)  # the same numbers on every machine
         return {
             "source": raw.source.round(6),
-            "target": (raw.target + noise).round(6),
+            "target": target,
             "n_inliers": n_inliers,
+            "gap_tol": default_gap_tol(target, n_inliers, self.tau),
             "model": "similarity2d" if two_d else "rigid3d",
         } | ({"scale_range": raw.scale_range} if two_d else {})
 
@@ -170,25 +175,34 @@ SEPARATE = [
 HALF = [
     Subject("lian_apm", shape, "noise", 0.015, n_inliers_ratio=0.5) for shape in ("fish", "fu")
 ] + [Subject("chui_rangarajan", "fish", "noise", 3, n_inliers_ratio=0.5)]
-# With less noise the optimum is below the tolerance, and every bound ends at the first box.
+# In norm space noise below 0.1 leaves an optimum under the default tolerance: every bound then ends at
+# the first box. A smaller one makes it a search.
 SOLIDS = [
-    Subject("horse", "horse", "noise", 0.05, n_points=100),
-    Subject("dino", "dino", "noise", 0.05, n_points=100),
+    Subject("horse", "horse", "noise", 0.02, n_points=100, tau=0.01),
+    Subject("dino", "dino", "noise", 0.02, n_points=100, tau=0.01),
 ]
-EMBEDDED_SOLIDS = [Subject("embedded", "pony", "noise", 0.05, n_points=100)]
+EMBEDDED_SOLIDS = [Subject("embedded", "pony", "noise", 0.02, n_points=100, tau=0.01)]
 MIXED_3D = [
     # 50 % of the inliers, and 50 % of each set, are outliers: the two ways to read the target;
     # the jitter is 0.01 of the longest side
     Subject(name, name, "mixed_outliers", ratio, n_points=100, jitter=0.03,
             options=(("base_deformation", 0.0),))
     for name in ("horse", "dino") for ratio in (0.5, 1.0)
+] + [
+    # the default tolerance ends these at the first box
+    Subject(name, name, "mixed_outliers", 0.5, n_points=100, jitter=0.03, tau=0.003,
+            options=(("base_deformation", 0.0),))
+    for name in ("horse", "dino")
 ]  # fmt: skip
-LARGE = [Subject("horse", "horse_full", "noise", 0.05, n_points=10_000)]
+LARGE = [
+    Subject("horse", "horse_full", "noise", 0.02, n_points=10_000, tau=tau) for tau in (0.03, 0.01)
+]
 GROWTH_2D = [
     Subject("embedded", "fish", "noise", 0.02, n_points=n) for n in (25, 50, 100, 200, 400)
 ]
 GROWTH_3D = [
-    Subject("embedded", "pony", "noise", 0.05, n_points=n) for n in (50, 100, 200, 400, 800, 1600)
+    Subject("embedded", "pony", "noise", 0.02, n_points=n, tau=0.01)
+    for n in (50, 100, 200, 400, 800, 1600)
 ]
 GOICP = [Subject("golden", name, "official", 0) for name in ("goicp_0", "goicp_2")]
 SURVEY_2D = [

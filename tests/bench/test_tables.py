@@ -81,6 +81,7 @@ def test_a_measured_solve_has_what_the_tables_need():
     case = CASES["embedded-norm3d/tight"]
     row = measure(case, case.subjects[0])
     assert set(solve("x")) <= set(row)
+    assert str(case.subjects[0]) == row["subject"]
     assert row["status"] == "optimal"
     assert row["search_time_s"] <= row["time_s"]
 

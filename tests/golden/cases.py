@@ -126,12 +126,11 @@ ONE_SIDED_3D = Cloud(seed=4, n_common=10, n_source=10, n_target=14, noise=0.06)
 CASES: dict[str, Case] = {
     "2d-complete-paper": Case("similarity2d", COMPLETE_2D, 12, "paper", 0.003),
     "2d-complete-safe": Case(
-        "similarity2d", COMPLETE_2D, 12, "paper", 0.003, start_box="safe", with_trace=True
+        "similarity2d", COMPLETE_2D, 12, "paper", 0.0005, start_box="safe", with_trace=True
     ),
     "2d-complete-edges": Case("similarity2d", COMPLETE_2D, 12, "edges", 0.003),
     "2d-complete-termwise": Case("similarity2d", COMPLETE_2D, 12, "termwise", 0.003),
     "2d-clutter-paper": Case("similarity2d", CLUTTER_2D, 8, "paper", 0.003, node_limit=400),
-    "2d-clutter-edges": Case("similarity2d", CLUTTER_2D, 8, "edges", 0.006),
     "2d-clutter-both": Case("similarity2d", CLUTTER_2D, 8, "paper+edges", 0.006),
     "2d-complete-r1": Case(
         "similarity2d", COMPLETE_2D, 12, "termwise-r1", 0.003, node_limit=500, polish=False
