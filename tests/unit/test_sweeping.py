@@ -192,9 +192,9 @@ def test_time_limit_covers_the_whole_sweep_and_keeps_what_is_finished():
     dcreg.sweep(source, target, [60], model="similarity2d")  # kernels loaded
     began = time.perf_counter()
     limited = dcreg.sweep(
-        source, target, [20, 25, 30, 60], model="similarity2d", bound="paper", time_limit=1.0
+        source, target, [20, 25, 30, 60], model="similarity2d", bound="paper", time_limit=6.0
     )
-    assert time.perf_counter() - began < 3.0
+    assert time.perf_counter() - began < 18.0
     assert limited.status is Status.TIME_LIMIT
     # the hard ones do not use up the time of the easy one
     assert limited.results[-1].status is Status.OPTIMAL
