@@ -476,7 +476,7 @@ def _check_settings(**settings: float | None) -> None:
 
 def _round_size(n_pairs: int) -> int:
     """Boxes per round: enough to keep threads busy, few enough to stay interruptible."""
-    return int(np.clip(2_000_000 // n_pairs, 1, 64))
+    return int(np.clip(8_000_000 // n_pairs, 1, 256))
 
 
 def _scaled(event: Event, area: float) -> Event:

@@ -65,7 +65,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -78,6 +77,7 @@ from dcreg.models.base import mean_of_largest
 from dcreg.result import Status
 from dcreg.rotation import RotationBound, RotationModel
 from dcreg.search import Evaluation, Limits, SearchResult, branch_and_bound
+from dcreg.threads import Workers
 from dcreg.trace import Event, Listener
 
 # A unit step of a facet coordinate turns by 1 to 2 radians, which moves points at the RMS radius
@@ -246,8 +246,7 @@ class RigidBound:
     def __init__(self, model: RigidModel, threads: int = 1) -> None:
         self.model = model
         self.n_assignments = 0
-        self._threads = threads
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._workers = Workers(threads)
 
     def evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
         """Bound B boxes; candidates are their centres. Above `cutoff` precision is of no use."""
@@ -260,12 +259,7 @@ class RigidBound:
                 bounds[part], values[part],
             )  # fmt: skip
 
-        if self._pool is None:
-            self.n_assignments += work(slice(None))
-        else:
-            edges = np.linspace(0, len(lower), 4 * self._threads + 1).astype(int)
-            parts = [slice(a, b) for a, b in itertools.pairwise(edges)]
-            self.n_assignments += sum(self._pool.map(work, parts))
+        self.n_assignments += self._workers.run(work, len(lower))
         return Evaluation(bounds, 0.5 * (lower + upper), values)
 
 

@@ -8,7 +8,6 @@ independent, so the result does not depend on how many threads evaluate them.
 
 from __future__ import annotations
 
-import heapq
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from dcreg.box import Box
+from dcreg.nodes import OpenNodes
 from dcreg.result import Status
 from dcreg.trace import Event, Listener
 
@@ -54,6 +54,8 @@ class Bound(Protocol):
 # A descent starts from a value no worse than the last start's, growing by this factor a round: often
 # while the search finds better and better places, seldom when it only closes the gap.
 REFINING_PATIENCE = 1.01
+
+FEWEST = 16  # boxes a round divides, if the search allows as many
 
 # theta -> (better theta, its objective, assignments spent): descent from a promising parameter
 Refine = Callable[[np.ndarray], tuple[np.ndarray, float, int]]
@@ -105,58 +107,6 @@ class SearchResult:
     events: list[Event] = field(default_factory=list)
 
 
-class OpenNodes:
-    """Open boxes, best lower bound first; among equals the larger box, then the older."""
-
-    def __init__(self, dim: int) -> None:
-        self._heap: list[tuple[float, float, int]] = []
-        self._lower = np.empty((64, dim))
-        self._upper = np.empty((64, dim))
-        self._free: list[int] = []
-        self._used = 0
-        self._serial = 0
-        self._slot_of: dict[int, int] = {}
-
-    def __len__(self) -> int:
-        return len(self._heap)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory held, counting about 250 bytes a node for the heap's Python objects."""
-        return self._lower.nbytes + self._upper.nbytes + 250 * len(self._heap)
-
-    @property
-    def lower_bound(self) -> float:
-        return self._heap[0][0] if self._heap else np.inf
-
-    def push(self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray) -> None:
-        sizes = (upper - lower).sum(axis=1)
-        for box in range(len(bounds)):
-            slot = self._free.pop() if self._free else self._new_slot()
-            self._lower[slot], self._upper[slot] = lower[box], upper[box]
-            self._slot_of[self._serial] = slot
-            heapq.heappush(self._heap, (float(bounds[box]), -float(sizes[box]), self._serial))
-            self._serial += 1
-
-    def pop(self, count: int, cutoff: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Up to `count` best boxes whose bound lies below `cutoff`."""
-        slots: list[int] = []
-        bounds: list[float] = []
-        while self._heap and len(slots) < count and self._heap[0][0] < cutoff:
-            bound, _, serial = heapq.heappop(self._heap)
-            slots.append(self._slot_of.pop(serial))
-            bounds.append(bound)
-        self._free.extend(slots)
-        return self._lower[slots], self._upper[slots], np.array(bounds)
-
-    def _new_slot(self) -> int:
-        if self._used == len(self._lower):
-            self._lower = np.concatenate([self._lower, np.empty_like(self._lower)])
-            self._upper = np.concatenate([self._upper, np.empty_like(self._upper)])
-        self._used += 1
-        return self._used - 1
-
-
 def branch_and_bound(
     bound: Bound,
     roots: list[Box],
@@ -189,7 +139,8 @@ def branch_and_bound(
         A known admissible parameter and its objective: the first incumbent.
     limits : Limits, optional
     round_size : int
-        Open boxes divided per round.
+        Most open boxes divided per round. A round takes a share of those there are: while few are open,
+        the next ones are chosen with care.
     listener : callable, optional
         Receives an `Event` whenever a bound moved; returning True stops the search.
     leaves : Leaves, optional
@@ -272,7 +223,9 @@ def branch_and_bound(
             report("end")
         if status is None:
             # branch
-            lower, upper, inherited = nodes.pop(round_size, upper_bound - gap_tol)
+            lower, upper, inherited = nodes.pop(
+                _share(round_size, len(nodes)), upper_bound - gap_tol
+            )
             lower, upper = branching(lower, upper)
             inherited = np.repeat(inherited, 2)
     final_bound = lower_bound()
@@ -288,6 +241,10 @@ def branch_and_bound(
         clock() - began,
         events,
     )
+
+
+def _share(most: int, n_open: int) -> int:
+    return min(most, max(FEWEST, n_open // 8))
 
 
 def _settled(values: np.ndarray, gap_tol: float) -> np.ndarray:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import abc
-import itertools
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from dcreg.models import Model
 from dcreg.search import Evaluation
+from dcreg.threads import Workers
 
 
 class ModelBound(abc.ABC):
@@ -24,8 +23,7 @@ class ModelBound(abc.ABC):
     def __init__(self, model: Model, threads: int = 1) -> None:
         self.model = model
         self.n_assignments = 0
-        self._threads = threads
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._workers = Workers(threads)
 
     @abc.abstractmethod
     def _evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation: ...
@@ -42,13 +40,7 @@ class ModelBound(abc.ABC):
 
     def _run(self, work: Callable[[slice], int], count: int) -> None:
         """Apply `work` to slices that cover `count` items; it returns assignments spent."""
-        if self._pool is None or count < 2:
-            self.n_assignments += work(slice(0, count)) if count else 0
-            return
-        parts = min(count, 4 * self._threads)
-        edges = np.linspace(0, count, parts + 1).astype(int)
-        slices = [slice(a, b) for a, b in itertools.pairwise(edges)]
-        self.n_assignments += sum(self._pool.map(work, slices))
+        self.n_assignments += self._workers.run(work, count)
 
 
 class Strongest:

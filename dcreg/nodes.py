@@ -1,0 +1,63 @@
+"""The boxes that a search has still to divide."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.kernels import heap
+
+
+class OpenNodes:
+    """Open boxes, best lower bound first; among equals the larger box, then the older."""
+
+    def __init__(self, dim: int, capacity: int = 64) -> None:
+        self._lower, self._upper = np.empty((capacity, dim)), np.empty((capacity, dim))
+        self._bounds, self._sizes = np.empty(capacity), np.empty(capacity)
+        self._serials = np.empty(capacity, np.int64)
+        self._heap = np.empty(capacity, np.int64)
+        self._free = np.arange(capacity)  # slots; the first _length of them are taken
+        self._length = 0
+        self._serial = 0
+
+    def __len__(self) -> int:
+        return self._length
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the boxes held."""
+        return self._length * (16 * self._lower.shape[1] + 40)
+
+    @property
+    def lower_bound(self) -> float:
+        return float(self._bounds[self._heap[0]]) if self._length else np.inf
+
+    def push(self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray) -> None:
+        count = len(bounds)
+        while self._length + count > len(self._heap):
+            self._double()
+        slots = self._free[self._length : self._length + count]
+        self._lower[slots], self._upper[slots], self._bounds[slots] = lower, upper, bounds
+        self._sizes[slots] = (upper - lower).sum(axis=1)
+        self._serials[slots] = np.arange(self._serial, self._serial + count)
+        self._serial += count
+        self._length = heap.push(
+            self._heap, self._length, slots, self._bounds, self._sizes, self._serials
+        )
+
+    def pop(self, count: int, cutoff: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Up to `count` best boxes whose bound lies below `cutoff`."""
+        slots = np.empty(count, np.int64)
+        taken = heap.pop(
+            self._heap, self._length, cutoff, self._bounds, self._sizes, self._serials, slots
+        )
+        slots = slots[:taken]
+        self._length -= taken
+        self._free[self._length : self._length + taken] = slots
+        return self._lower[slots], self._upper[slots], self._bounds[slots]
+
+    def _double(self) -> None:
+        capacity = len(self._heap)
+        for name in ("_lower", "_upper", "_bounds", "_sizes", "_serials", "_heap", "_free"):
+            old = getattr(self, name)
+            setattr(self, name, np.concatenate([old, np.empty_like(old)]))
+        self._free[capacity:] = np.arange(capacity, 2 * capacity)
