@@ -157,8 +157,9 @@ def _median(cases: Cases) -> list[Row]:
 
 def _hard(cases: Cases) -> list[Row]:
     return [
-        _time(cases, "separate/tight", "2D, separate outliers 0.6: certificate, slowest", 10),
-        _time(cases, "half/tight", "2D, n_p = 1/2: certificate, slowest", 10),
+        _time(cases, f"{name}/tight{suffix}", f"2D, {what}: certificate, slowest, {threads}", 10)
+        for name, what in (("separate", "separate outliers 0.6"), ("half", "n_p = 1/2"))
+        for suffix, threads in (("", "one thread"), ("-2-threads", "two threads"))
     ]
 
 
@@ -217,8 +218,11 @@ def _growth(cases: Cases) -> list[Row]:
 
 
 def _threads(cases: Cases) -> list[Row]:
-    measure = "one thread / two threads on the mixed outliers: time"
-    return [_ratio(cases, "mixed/tight", "mixed/tight-2-threads", "time_s", measure, 1.7)]
+    return [
+        _ratio(cases, f"{name}/tight", f"{name}/tight-2-threads", "time_s",
+               f"one thread / two threads, {what}: time", 1.7)
+        for name, what in (("separate", "separate outliers"), ("mixed", "mixed outliers"))
+    ]  # fmt: skip
 
 
 def _goicp(cases: Cases) -> list[Row]:
