@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -83,8 +85,17 @@ def polish(
     n_inliers: int,
     scale_range: tuple[float, float],
     candidates: np.ndarray | None = None,
+    deadline: float | None = None,
 ) -> tuple[np.ndarray, float, np.ndarray, int]:
     """Alternate matching and least-squares pose from `T_target_source` until neither changes.
+
+    Parameters
+    ----------
+    source, target, T_target_source, n_inliers, candidates
+        As in `objective`.
+    scale_range : (low, high)
+    deadline : float, optional
+        Reading of `time.perf_counter` after which no further step begins.
 
     Returns
     -------
@@ -92,11 +103,13 @@ def polish(
         Never worse than the pose given.
     """
     if candidates is None and is_large(len(source), len(target)):
-        return _polish_large(source, target, T_target_source, n_inliers, scale_range)
+        return _polish_large(source, target, T_target_source, n_inliers, scale_range, deadline)
     T = T_target_source
     value, pairs = objective(source, target, T, n_inliers, candidates)
     spent = 1
     for _ in range(_MAX_ROUNDS):
+        if _is_past(deadline):
+            break
         trial = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
         trial_value, trial_pairs = objective(source, target, trial, n_inliers, candidates)
         spent += 1
@@ -112,6 +125,7 @@ def _polish_large(
     T_target_source: np.ndarray,
     n_inliers: int,
     scale_range: tuple[float, float],
+    deadline: float | None,
 ) -> tuple[np.ndarray, float, np.ndarray, int]:
     """As `polish`: first by nearest neighbours, then by quick one-to-one matchings, then a proved one."""
 
@@ -121,8 +135,12 @@ def _polish_large(
     T = T_target_source
     value, pairs = quick(T)
     spent = 1
+    if _is_past(deadline):
+        return T, value, pairs, spent
     trial = _nearest_polish(source, target, T, n_inliers, scale_range)
     for _ in range(_MAX_LARGE_ROUNDS):
+        if _is_past(deadline):
+            return T, value, pairs, spent
         trial_value, trial_pairs = quick(trial)
         spent += 1
         if trial_value >= value * (1.0 - 1e-4):
@@ -133,6 +151,10 @@ def _polish_large(
     if proved_value < value:
         value, pairs = proved_value, proved_pairs
     return T, value, pairs, spent + 1
+
+
+def _is_past(deadline: float | None) -> bool:
+    return deadline is not None and time.perf_counter() > deadline
 
 
 def _nearest_polish(

@@ -342,6 +342,7 @@ def register(
     )
     MODES[model][mode](solve)
     T_certified = frame.pose(solve.T)
+    deadline = None if time_limit is None else began + time_limit
     value, pairs = objective(
         problem.source,
         problem.target,
@@ -353,7 +354,7 @@ def register(
     final_T, final_value = T_certified, value
     if polish:
         polish_began = time.perf_counter()
-        final_T, final_value, pairs, spent = _polish(problem, T_certified)
+        final_T, final_value, pairs, spent = _polish(problem, T_certified, deadline)
         solve.stages.append(
             {
                 "stage": "polish",
@@ -442,7 +443,9 @@ def _certificate(solve: Solve, frame: Frame, mode: str) -> Certificate | None:
     )
 
 
-def _polish(problem: Problem, T: np.ndarray) -> tuple[np.ndarray, float, np.ndarray, int]:
+def _polish(
+    problem: Problem, T: np.ndarray, deadline: float | None = None
+) -> tuple[np.ndarray, float, np.ndarray, int]:
     return polish(
         problem.source,
         problem.target,
@@ -450,6 +453,7 @@ def _polish(problem: Problem, T: np.ndarray) -> tuple[np.ndarray, float, np.ndar
         problem.n_inliers,
         problem.scale_range,
         problem.candidates,
+        deadline,
     )
 
 

@@ -68,7 +68,7 @@ from dcreg.trace import Event, Listener
 # The first incumbent: the best rotations of this regular grid, by nearest neighbours, each refined.
 _START_CELLS_PER_AXIS = 4
 _START_DESCENTS = 8
-_ROUND_SIZE = 32
+_ROUND_PAIRS = 4_000_000  # pairs looked at between two readings of the clock
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ def search_rotation(
         refine=model.refine,
         start=(theta, value),
         limits=Limits(left, node_limit),
-        round_size=_ROUND_SIZE,
+        round_size=int(np.clip(_ROUND_PAIRS // (len(source_shifted) * len(target)), 1, 32)),
         listener=listener,
         stage="rotation",
     )

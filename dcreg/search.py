@@ -195,7 +195,8 @@ def branch_and_bound(
         best = int(np.argmin(_settled(found.values, gap_tol)))
         if found.values[best] < upper_bound:
             theta, upper_bound = found.thetas[best].copy(), float(found.values[best])
-        if refine is not None and found.values[best] <= worth_refining:
+        late = limits.time_s is not None and clock() - began > limits.time_s
+        if refine is not None and not late and found.values[best] <= worth_refining:
             worth_refining = float(found.values[best])
             candidate, value, spent = refine(found.thetas[best])
             n_refining += spent
@@ -212,7 +213,7 @@ def branch_and_bound(
         # terminate
         if lower_bound() >= upper_bound - gap_tol:
             status = Status.OPTIMAL
-        elif limits.time_s is not None and clock() - began > limits.time_s:
+        elif late:
             status = Status.TIME_LIMIT
         elif limits.nodes is not None and n_nodes >= limits.nodes:
             status = Status.NODE_LIMIT

@@ -80,10 +80,15 @@ def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
 
 
 def display_name(method: MethodSettings) -> str:
-    """How figures and tables call a line: its label, or the card's name and an unusual prior."""
+    """How figures and tables call a line: its label, or the card's name and an unusual prior.
+
+    A reconstruction is called one, whatever its label says.
+    """
+    card = methods.card(method.baseline)
     if method.label:
-        return method.label
-    name = methods.card(method.baseline).display_name
+        hidden = card.provenance == "reconstruction" and "reconstruct" not in method.label.lower()
+        return f"{method.label} (reconstructed)" if hidden else method.label
+    name = card.display_name
     return name if method.n_inliers_ratio == 1 else f"{name} (n_p × {method.n_inliers_ratio:g})"
 
 
@@ -116,8 +121,7 @@ def overlays(plan: Plan, folder: Path, runs: pd.DataFrame) -> list[dict[str, Any
     entries = []
     for _, group in posed.groupby(["method", "test", "model"], sort=False):
         ranked = group.sort_values("rmse", kind="stable")
-        picks = {"best": 0, "median": (len(ranked) - 1) // 2, "worst": len(ranked) - 1}
-        for rank, position in picks.items():
+        for rank, position in _picks(len(ranked)).items():
             run = ranked.iloc[position]
             problem = problems[run["instance_id"]]
             entries.append(
@@ -133,6 +137,13 @@ def overlays(plan: Plan, folder: Path, runs: pd.DataFrame) -> list[dict[str, Any
                 }
             )
     return entries
+
+
+def _picks(count: int) -> dict[str, int]:
+    """Which of `count` ranked runs are shown, none twice."""
+    if count < 3:
+        return {"only": 0} if count == 1 else {"best": 0, "worst": 1}
+    return {"best": 0, "median": (count - 1) // 2, "worst": count - 1}
 
 
 def run_command(plan: Plan) -> str:

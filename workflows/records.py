@@ -57,7 +57,7 @@ RAW: dict[str, Column] = {
     "status": Column(str, "how the run ended, one of dcreg.result.Status"),
     "message": Column(str, "why, where the status needs it"),
     "T_target_source": Column(str, "JSON of the pose (rows of the homogeneous matrix), or empty"),
-    "lower_bound": Column(float, "certified lower bound (sum of squared residuals, target units²)"),
+    "lower_bound": Column(float, "bound on the objective the method certifies (see its card)"),
     "upper_bound": Column(float, "least value found of the certified objective, same unit"),
     "gap": Column(float, "upper_bound - lower_bound"),
     "gap_tol": Column(float, "absolute tolerance of the gap at which a run is optimal"),

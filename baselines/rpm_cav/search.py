@@ -190,6 +190,7 @@ class Search:
                 return
         self.trace.append(
             {
+                "stage": "search",
                 "time_s": time.perf_counter() - self.began,
                 "n_nodes": self.n_nodes,
                 "n_assignments": self.n_assignments + self.reduced.incumbent.n_assignments,

@@ -181,6 +181,7 @@ class Search:
                 return
         self.trace.append(
             {
+                "stage": "search",
                 "time_s": time.perf_counter() - self.began,
                 "n_nodes": self.n_facets_tested,
                 "n_assignments": self.n_assignments,

@@ -53,7 +53,7 @@ def test_a_tight_run_at_its_limit_gives_no_ratio():
 
 def test_a_time_without_certificate_is_not_met_and_its_gap_is_told():
     rows = [solve("separate/tight", "a"), solve("separate/tight", "b", 60.0, "time_limit", gap=2.5)]
-    row = row_of(rows, "separate outliers")
+    row = row_of(rows, "outliers 0.6: certificate, slowest, one thread")
     assert np.isinf(row.value)
     assert row.met is False
     assert "1 of 2 certified" in row.remark

@@ -98,6 +98,7 @@ class TestFolder:
         assert card.provides_bounds == (card.certifies != "nothing")
         if card.provenance == "reconstruction":
             assert "reconstruction" in card.summary.lower()
+            assert "(reconstructed)" in card.display_name
 
     def test_colour_and_name_are_its_own(self, name: str) -> None:
         cards = [registry.read_card(other) for other in NAMES]

@@ -312,3 +312,11 @@ def test_mode_without_leaves_refuses_to_promise_a_certificate(spatial):
     source, target, _ = spatial
     with pytest.raises(dcreg.InputError, match="certificate: mode 'full' keeps no leaf boxes"):
         dcreg.register(source, target, n_inliers=30, model="rigid3d", mode="full", certificate=True)
+
+
+def test_rounding_of_a_single_place_is_no_unit_of_length():
+    source = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
+    target = np.array([[0.1, 0.7]]) + np.zeros((3, 1))  # its mean is a rounding error away
+    target[1] = np.nextafter(target[1], 1.0)
+    frame = Frame.of(Problem(source, target, 2, "similarity2d"))
+    assert frame.unit == pytest.approx(np.sqrt(16.0 / 9.0))
