@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # a reader of certificates needs none of the code that makes 
     from dcreg.search import Leaves, SearchResult
 
 FORMAT = "dcreg leaf cover"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 MODELS = ("similarity2d", "translation3d")
 
 # Why a leaf was not divided further.
@@ -65,6 +65,8 @@ class Certificate:
         PRUNED, INADMISSIBLE or OPEN.
     theta : (d,) array
     lower_bound, upper_bound, gap_tol : float
+    candidates : (c, 2) int array
+        The feasible pairs, source and target index; none: every pair is feasible.
     """
 
     source_digest: str
@@ -88,6 +90,7 @@ class Certificate:
     lower_bound: float
     upper_bound: float
     gap_tol: float
+    candidates: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     dcreg_version: str = field(default=__version__)
 
     def __post_init__(self) -> None:
@@ -113,8 +116,12 @@ def of_search(
     n_inliers: int,
     scale_range: tuple[float, float],
     gap_tol: float,
+    candidates: np.ndarray | None = None,
 ) -> Certificate:
-    """The certificate of one search: `source`, `target` as given, `gap_tol` in normalised units."""
+    """The certificate of one search.
+
+    `source`, `target` as given, `gap_tol` in normalised units, `candidates` the mask of feasible pairs.
+    """
     cover = leaves.arrays()
     return Certificate(
         source_digest=digest(source),
@@ -138,6 +145,7 @@ def of_search(
         lower_bound=found.lower_bound,
         upper_bound=found.upper_bound,
         gap_tol=gap_tol,
+        candidates=np.empty((0, 2)) if candidates is None else np.argwhere(candidates),
     )
 
 
@@ -205,7 +213,7 @@ def read(path: str | Path) -> Certificate:
 
 
 def _dtype(name: str) -> type:
-    if name == "n_inliers":
+    if name in ("n_inliers", "candidates"):
         return np.int64
     if name == "leaf_reasons":
         return np.int8
@@ -245,6 +253,7 @@ def _check_shapes(c: Certificate) -> None:
         "upper_bound": (),
         "gap_tol": (),
         "n_inliers": (),
+        "candidates": (len(np.atleast_1d(c.candidates)), 2),
     }
     for name, shape in shapes.items():
         value = getattr(c, name)
@@ -261,5 +270,7 @@ def _check_shapes(c: Certificate) -> None:
         raise CertificateError("leaf_bounds: not a number")
     if c.unit <= 0 or c.gap_tol < 0 or c.n_inliers < 1:
         raise CertificateError("unit, gap_tol or n_inliers: out of range")
+    if (c.candidates < 0).any():
+        raise CertificateError("candidates: a negative index")
     if not 0 < c.scale_range[0] <= c.scale_range[1]:
         raise CertificateError(f"scale_range: {c.scale_range} needs 0 < low <= high")

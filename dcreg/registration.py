@@ -306,8 +306,6 @@ def register(
         )
     if problem.candidates is not None:
         _check_takes_candidates(mode, bound)
-    if certificate and problem.candidates is not None:
-        raise InputError("certificate: it cannot record candidates; leave one of the two out")
     if certificate and mode != CERTIFIABLE[model][0]:
         raise InputError(f"certificate: mode {mode!r} keeps no leaf boxes; use mode 'paper'")
     bound_parts(bound)  # unknown names end here, also where a mode has bounds of its own
@@ -440,6 +438,7 @@ def _certificate(solve: Solve, frame: Frame, mode: str) -> Certificate | None:
         n_inliers=problem.n_inliers,
         scale_range=problem.scale_range,
         gap_tol=solve.gap_tol,
+        candidates=problem.candidates,
     )
 
 

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from dcreg.certificate import INADMISSIBLE, PRUNED, Certificate, CertificateError, digest, read
 
@@ -118,13 +120,15 @@ def _verify(
     report.lower_bound, report.upper_bound = c.lower_bound * area, c.upper_bound * area
     report.gap_tol = c.gap_tol * area
 
+    is_dense = len(source) * len(target) <= MAX_DENSE
     problem = FAMILIES[c.model](
         (source - c.source_centre) / c.unit,
         (target - c.target_centre) / c.unit,
         c.n_inliers,
         tuple(c.scale_range),
+        feasible_pairs(c, len(source), len(target)) if is_dense else None,
     )
-    if not problem.is_sorted_order and len(source) * len(target) > MAX_DENSE:
+    if not is_dense and (len(c.candidates) or not problem.is_sorted_order):
         raise CertificateError(
             f"cannot be checked: {len(source)} x {len(target)} pairs exceed {MAX_DENSE:,}"
         )
@@ -146,10 +150,24 @@ def _verify(
     finally:
         report.n_assignments = problem.n_assignments
     report.checks.append(f"every leaf's bound holds, proven on {report.n_boxes} boxes")
+    among = f" among {len(c.candidates)} candidates" if len(c.candidates) else ""
     report.statement = (
-        f"{SCOPES[c.model]}: the least sum over {c.n_inliers} one-to-one pairs of squared residuals "
-        f"lies in [{report.lower_bound:.9g}, {report.upper_bound:.9g}]"
+        f"{SCOPES[c.model]}: the least sum over {c.n_inliers} one-to-one pairs{among} of squared "
+        f"residuals lies in [{report.lower_bound:.9g}, {report.upper_bound:.9g}]"
     )
+
+
+def feasible_pairs(c: Certificate, n: int, m: int) -> np.ndarray | None:
+    """(n, m) mask of the candidates, None where every pair is feasible."""
+    if not len(c.candidates):
+        return None
+    if (c.candidates >= (n, m)).any():
+        raise CertificateError("candidates: an index beyond the clouds")
+    mask = np.zeros((n, m), dtype=bool)
+    mask[tuple(c.candidates.T)] = True
+    if (maximum_bipartite_matching(csr_array(mask)) >= 0).sum() < c.n_inliers:
+        raise CertificateError(f"candidates: no {c.n_inliers} of them are one to one")
+    return mask
 
 
 # --- the statement ----------------------------------------------------------------------------
@@ -447,8 +465,14 @@ class Family(abc.ABC):
     is_sorted_order = False  # the best matching is known without a cost matrix
 
     def __init__(
-        self, source: np.ndarray, target: np.ndarray, k: int, scale_range: tuple[float, float]
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        k: int,
+        scale_range: tuple[float, float],
+        feasible: np.ndarray | None = None,
     ) -> None:
+        self.feasible = feasible
         self.source = source
         self.target = target
         self.k = k
@@ -500,7 +524,10 @@ class Family(abc.ABC):
         return out
 
     def match(self, cost: np.ndarray) -> float:
+        """The k cheapest feasible pairs; costs are not negative."""
         self.n_assignments += 1
+        if self.feasible is not None:  # another pair is dearer than k feasible ones
+            cost = np.where(self.feasible, cost, 1.0 + self.k * cost.max())
         return cheapest_pairs(cost, self.k)
 
     def known(self, theta: np.ndarray) -> tuple[float, bool]:
@@ -533,9 +560,14 @@ class Similarity2D(Family):
     """theta = (a, b, u, v) moves x, as a complex number, to ``(a + ib) x + (u + iv)``."""
 
     def __init__(
-        self, source: np.ndarray, target: np.ndarray, k: int, scale_range: tuple[float, float]
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        k: int,
+        scale_range: tuple[float, float],
+        feasible: np.ndarray | None = None,
     ) -> None:
-        super().__init__(source, target, k, scale_range)
+        super().__init__(source, target, k, scale_range, feasible)
         self.z = source[:, 0] + 1j * source[:, 1]
         spread = np.sqrt((source**2).sum(axis=1).mean())
         self.weights = np.array([spread, spread, 1.0, 1.0])
@@ -636,17 +668,23 @@ class Translation3D(Family):
     """theta = t; matched are the norms ``|x + t|`` and ``|y|``."""
 
     def __init__(
-        self, source: np.ndarray, target: np.ndarray, k: int, scale_range: tuple[float, float]
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        k: int,
+        scale_range: tuple[float, float],
+        feasible: np.ndarray | None = None,
     ) -> None:
-        super().__init__(source, target, k, scale_range)
-        self.norms = np.sort(np.linalg.norm(target, axis=1))
+        super().__init__(source, target, k, scale_range, feasible)
+        self.norms = np.linalg.norm(target, axis=1)
+        self.sorted_norms = np.sort(self.norms)
         self.weights = np.ones(3)
-        self.is_sorted_order = len(source) == len(target) == k  # on a line
+        self.is_sorted_order = feasible is None and len(source) == len(target) == k  # on a line
 
     def objective(self, theta: np.ndarray) -> float:
-        moved = np.sort(np.linalg.norm(self.source + theta, axis=1))
+        moved = np.linalg.norm(self.source + theta, axis=1)
         if self.is_sorted_order:
-            return float(((moved - self.norms) ** 2).sum())
+            return float(((np.sort(moved) - self.sorted_norms) ** 2).sum())
         return self.match((moved[:, None] - self.norms) ** 2)
 
     def estimate(self, theta: np.ndarray) -> tuple[float, bool]:
@@ -676,9 +714,9 @@ class Translation3D(Family):
 
     def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: np.ndarray) -> np.ndarray:
         near, far = self._intervals(lower, upper)
-        edges = np.concatenate([[-np.inf], self.norms, [np.inf]])
+        edges = np.concatenate([[-np.inf], self.sorted_norms, [np.inf]])
         # the first norm at or above the interval's near end, and the last one before it
-        at = np.searchsorted(self.norms, near)
+        at = np.searchsorted(self.sorted_norms, near)
         distance = np.minimum(near - edges[at], np.maximum(edges[at + 1] - far, 0.0))
         return sum_of_smallest(distance**2, self.k)
 

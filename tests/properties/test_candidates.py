@@ -1,6 +1,8 @@
 """Feasible pairs: bounds, answer and errors."""
 
+import dataclasses
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -8,12 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dcreg
+from dcreg import certificate
 from dcreg.bounds import make_bound
 from dcreg.kernels import reference, vertices
 from dcreg.models import Similarity2D, Translation3D
 from dcreg.polish import fit_pose
 from dcreg.problem import InputError, Problem
 from dcreg.rotation import RotationBound, RotationModel
+from dcreg.verification import verify
 
 
 def feasible_problem(seed, dim, most=6):
@@ -153,10 +157,68 @@ def test_bad_candidates_are_refused(candidates, message):
         ({"model": "rigid3d", "mode": "full"}, "mode 'full' treats every pair as feasible"),
         ({"model": "rigid3d", "mode": "multi"}, "mode 'multi' treats every pair as feasible"),
         ({"model": "similarity2d", "bound": "termwise"}, "bound 'termwise-r1' treats every pair"),
-        ({"model": "similarity2d", "certificate": True}, "cannot record candidates"),
     ],
 )
 def test_what_does_not_take_candidates_says_so(settings, message):
     points = np.random.default_rng(2).random((5, 3 if settings["model"] == "rigid3d" else 2))
     with pytest.raises(InputError, match=message):
         dcreg.register(points, points, n_inliers=3, candidates=np.eye(5, dtype=bool), **settings)
+
+
+def certified(seed, dim, tmp_path):
+    x, y, k, mask = feasible_problem(seed, dim, most=9)
+    result = dcreg.register(
+        x, y, n_inliers=k, model="similarity2d" if dim == 2 else "rigid3d", mode="paper",
+        scale_range=(0.5, 1.5) if dim == 2 else None, candidates=mask, certificate=True,
+        gap_tol=1e-3 * k, node_limit=20_000,
+    )  # fmt: skip
+    path = tmp_path / "certificate.npz"
+    certificate.write(path, result.certificate)
+    return x, y, mask, result, path
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("seed", range(12))
+def test_a_certificate_over_candidates_is_accepted(seed, dim, tmp_path):
+    x, y, mask, _, path = certified(seed, dim, tmp_path)
+    report = verify(path, x, y)
+    assert report.accepted, report.reason
+    assert f"among {mask.sum()} candidates" in report.statement
+    assert certificate.read(path).candidates.tolist() == np.argwhere(mask).tolist()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_certificate_does_not_hold_for_more_candidates(dim, tmp_path):
+    """With every pair feasible many an optimum falls below the bounds proven for a few."""
+    refused = 0
+    for seed in range(30):
+        x, y, mask, result, path = certified(seed, dim, tmp_path)
+        wider = np.ones_like(mask)
+        free = dcreg.register(
+            x, y, n_inliers=result.n_inliers, model=result.model, mode="paper", polish=False,
+            scale_range=(0.5, 1.5) if dim == 2 else None, gap_tol=result.gap_tol,
+        )  # fmt: skip
+        forged = dataclasses.replace(result.certificate, candidates=np.argwhere(wider))
+        certificate.write(path, forged)
+        report = verify(path, x, y)
+        if free.upper_bound < result.lower_bound - 1e-9:
+            assert not report.accepted
+            refused += 1
+    assert refused >= 4
+
+
+@pytest.mark.parametrize(
+    ("pairs", "reason"),
+    [
+        ([[0, 99]], "candidates: an index beyond the clouds"),
+        ([[-1, 0]], "candidates: a negative index"),
+        ([[0, 0]], "candidates: no . of them are one to one"),
+    ],
+)
+def test_certificates_with_broken_candidates_are_refused(pairs, reason, tmp_path):
+    seed = next(s for s in range(50) if feasible_problem(s, 2, most=9)[2] > 1)
+    x, y, _, result, path = certified(seed, 2, tmp_path)
+    certificate.write(path, dataclasses.replace(result.certificate, candidates=np.array(pairs)))
+    report = verify(path, x, y)
+    assert not report.accepted
+    assert re.search(reason, report.reason)
