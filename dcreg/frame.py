@@ -19,7 +19,7 @@ class Frame:
 
     @classmethod
     def of(cls, problem: Problem) -> Frame:
-        unit = _spread(problem.target) or _spread(problem.source) or 1.0
+        unit = rms_radius(problem.target) or rms_radius(problem.source) or 1.0
         return cls(problem.source.mean(axis=0), problem.target.mean(axis=0), unit)
 
     def source(self, points: np.ndarray) -> np.ndarray:
@@ -35,9 +35,3 @@ class Frame:
         out[:d, :d] = T[:d, :d]
         out[:d, d] = self.unit * T[:d, d] + self.target_centre - T[:d, :d] @ self.source_centre
         return out
-
-
-def _spread(points: np.ndarray) -> float:
-    """RMS radius; 0 where the points differ by no more than the rounding of their coordinates."""
-    spread = rms_radius(points)
-    return spread if spread > 1e-13 * np.abs(points).max() else 0.0

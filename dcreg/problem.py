@@ -182,8 +182,12 @@ def check_scale_range(scale_range: tuple[float, float]) -> tuple[float, float]:
 
 
 def rms_radius(points: np.ndarray) -> float:
-    """Root mean square distance of the points from their centroid."""
-    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    """Root mean square distance of the points from their centroid.
+
+    0 where they differ by no more than the rounding of their coordinates: that is no unit of length.
+    """
+    spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    return spread if spread > 1e-13 * np.abs(points).max() else 0.0
 
 
 def default_gap_tol(target: np.ndarray, n_inliers: int, tau: float = 0.03) -> float:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from dcreg.frame import Frame
 from dcreg.models import Similarity2D, Translation3D
-from dcreg.problem import Problem
+from dcreg.problem import Problem, default_gap_tol
 from dcreg.registration import choose_mode
 from dcreg.result import Status
 from tests.problems import KINDS, cloud
@@ -320,3 +320,4 @@ def test_rounding_of_a_single_place_is_no_unit_of_length():
     target[1] = np.nextafter(target[1], 1.0)
     frame = Frame.of(Problem(source, target, 2, "similarity2d"))
     assert frame.unit == pytest.approx(np.sqrt(16.0 / 9.0))
+    assert default_gap_tol(target, 2) == 0.0
