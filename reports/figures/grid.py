@@ -17,7 +17,6 @@ class Panel:
     column: int
     x_title: str
     y_title: str
-    x_range: tuple[float, float] | None = None  # None: what the data need
     x_type: str = "linear"
     y_type: str = "linear"
     share_x: bool = True
@@ -115,8 +114,6 @@ class Grid:
             "title": {"text": x_title, "standoff": 6},
             "showticklabels": show_x,
         }
-        if panel.x_range is not None:
-            x_axis["range"] = list(panel.x_range)
         y_axis = {
             "domain": list(y_domain),
             "anchor": _axis("x", index),

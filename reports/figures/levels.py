@@ -82,7 +82,6 @@ def _axes(
     present = set(zip(runs["test"], runs["row"], strict=True))
     grid, cells = Grid(column_titles=[words(test) for test in tests]), {}
     for column, test in enumerate(tests):
-        levels = runs.loc[runs["test"] == test, "level"].unique()
         for index, row in enumerate([*rows, ""]):
             if row and (test, row) not in present:
                 continue
@@ -91,8 +90,6 @@ def _axes(
                 column=column,
                 x_title="level",
                 y_title=f"{row}<br>{error_title}" if row else "time (s)",
-                # around a single level the library would show a unit to either side
-                x_range=(0.0, 2.0 * levels[0]) if len(levels) == 1 and levels[0] > 0 else None,
                 y_type="linear" if row else "log",
                 y_from_zero=bool(row),
             )
