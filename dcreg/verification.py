@@ -479,6 +479,11 @@ class Family(abc.ABC):
         self.scale_range = scale_range
         self.n_assignments = 0
         self._known: dict[bytes, tuple[float, bool]] = {}
+        self.prepare()
+
+    @abc.abstractmethod
+    def prepare(self) -> None:
+        """Set `weights` and whatever the model computes once."""
 
     @abc.abstractmethod
     def objective(self, theta: np.ndarray) -> float: ...
@@ -559,17 +564,9 @@ class Family(abc.ABC):
 class Similarity2D(Family):
     """theta = (a, b, u, v) moves x, as a complex number, to ``(a + ib) x + (u + iv)``."""
 
-    def __init__(
-        self,
-        source: np.ndarray,
-        target: np.ndarray,
-        k: int,
-        scale_range: tuple[float, float],
-        feasible: np.ndarray | None = None,
-    ) -> None:
-        super().__init__(source, target, k, scale_range, feasible)
-        self.z = source[:, 0] + 1j * source[:, 1]
-        spread = np.sqrt((source**2).sum(axis=1).mean())
+    def prepare(self) -> None:
+        self.z = self.source[:, 0] + 1j * self.source[:, 1]
+        spread = np.sqrt((self.source**2).sum(axis=1).mean())
         self.weights = np.array([spread, spread, 1.0, 1.0])
 
     def objective(self, theta: np.ndarray) -> float:
@@ -667,19 +664,12 @@ class Similarity2D(Family):
 class Translation3D(Family):
     """theta = t; matched are the norms ``|x + t|`` and ``|y|``."""
 
-    def __init__(
-        self,
-        source: np.ndarray,
-        target: np.ndarray,
-        k: int,
-        scale_range: tuple[float, float],
-        feasible: np.ndarray | None = None,
-    ) -> None:
-        super().__init__(source, target, k, scale_range, feasible)
-        self.norms = np.linalg.norm(target, axis=1)
+    def prepare(self) -> None:
+        self.norms = np.linalg.norm(self.target, axis=1)
         self.sorted_norms = np.sort(self.norms)
         self.weights = np.ones(3)
-        self.is_sorted_order = feasible is None and len(source) == len(target) == k  # on a line
+        n, m = len(self.source), len(self.target)
+        self.is_sorted_order = self.feasible is None and n == m == self.k  # on a line
 
     def objective(self, theta: np.ndarray) -> float:
         moved = np.linalg.norm(self.source + theta, axis=1)
