@@ -159,7 +159,7 @@ def register(
             metavar="NAME",
             help=f"Search mode; default: {AUTO}. In 2D paper; in 3D one of "
             f"{', '.join(MODES['rigid3d'])}: {AUTO} takes full where all points match or there are "
-            "few, else multi; paper for very many, and with --bound, --candidates, --certificate.",
+            "few, else multi; paper for very many, and with --bound or --certificate.",
         ),
     ] = None,
     bound: BoundOption = DEFAULT_BOUND,

@@ -127,6 +127,7 @@ class Solve:
             threads=self.threads,
             listener=self.listener,
             start_box=self.start_box,
+            candidates=self.problem.candidates,
         )
         self.T, self.status, self.scope = found.T, found.status, found.scope
         self.lower_bound, self.upper_bound = found.lower_bound, found.upper_bound
@@ -269,7 +270,7 @@ def register(
         Threads that evaluate bounds; the result does not depend on it.
     candidates : (n, m) bool array, or n sequences of target indices, optional
         The feasible pairs, e.g. from descriptors or a distance gate; all others are ruled out in the
-        objective, the bounds and the answer. Modes ``paper`` only.
+        objective, the bounds and the answer.
     polish : bool
         Refine the final pose locally on the full objective. Reported apart from the certificate.
     certificate : bool
@@ -305,7 +306,7 @@ def register(
             f"mode: {mode!r} is unknown for {model}; choose from {[AUTO, *MODES[model]]}"
         )
     if problem.candidates is not None:
-        _check_takes_candidates(mode, bound)
+        _check_takes_candidates(bound)
     if certificate and mode != CERTIFIABLE[model][0]:
         raise InputError(f"certificate: mode {mode!r} keeps no leaf boxes; use mode 'paper'")
     bound_parts(bound)  # unknown names end here, also where a mode has bounds of its own
@@ -392,11 +393,11 @@ def choose_mode(problem: Problem, bound: str = DEFAULT_BOUND, certificate: bool 
     """The mode that gives the best pose for the time.
 
     ``full`` where it closes within seconds: all points match, or few pairs; else ``multi``, which ends
-    by itself and tries the same first poses. ``paper`` where only it will do: for candidates,
-    certificates, a bound other than the default, and large clouds.
+    by itself and tries the same first poses. ``paper`` where only it will do: for certificates, a
+    bound other than the default, and large clouds.
     """
     n, m = len(problem.source), len(problem.target)
-    only_paper = problem.candidates is not None or certificate or bound != DEFAULT_BOUND
+    only_paper = certificate or bound != DEFAULT_BOUND
     if problem.model == "similarity2d" or only_paper or n * m > RIGID_PAIRS:
         return "paper"
     return "full" if problem.n_inliers == n == m or n * m <= FULL_PAIRS else "multi"
@@ -456,11 +457,7 @@ def _polish(
     )
 
 
-def _check_takes_candidates(mode: str, bound: str) -> None:
-    if mode != "paper":
-        raise InputError(
-            f"candidates: mode {mode!r} treats every pair as feasible; use mode 'paper'"
-        )
+def _check_takes_candidates(bound: str) -> None:
     blind = [part for part in bound_parts(bound) if part.startswith("termwise")]
     if blind:
         raise InputError(

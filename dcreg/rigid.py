@@ -58,6 +58,13 @@ its planar case. As in `dcreg.rotation`, a vertex is bounded by duals and solved
 
 A box is bounded by the greatest of these, cheapest first and only as far as it decides. At a
 single pose the first is E.
+
+Feasible pairs
+--------------
+Pairs that may not be matched cost a constant more, in E and in every cost above. Feasible matchings
+cost what they did, so the least over all matchings is still no more than the least over those: the
+bounds hold whatever the constant. For E itself no other pair may be matched, so the constant exceeds
+k squared residuals at any pose of the start box (`dcreg.models.base.with_prices`).
 """
 
 from __future__ import annotations
@@ -73,7 +80,7 @@ from dcreg.bounds import make_bound
 from dcreg.box import Box, LongestEdge
 from dcreg.kernels import rigid as kernels
 from dcreg.models import Translation3D
-from dcreg.models.base import mean_of_largest
+from dcreg.models.base import mean_of_largest, radius, with_prices
 from dcreg.result import Status
 from dcreg.rotation import RotationBound, RotationModel
 from dcreg.search import Evaluation, Limits, SearchResult, branch_and_bound
@@ -151,13 +158,22 @@ class RigidModel:
     n_inliers : int
     reduced_box : bool
         Start from the translations that an optimum can have, or from the plain safe box.
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
     """
 
     def __init__(
-        self, source: np.ndarray, target: np.ndarray, n_inliers: int, reduced_box: bool = True
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        reduced_box: bool = True,
+        candidates: np.ndarray | None = None,
     ) -> None:
         self.source = np.ascontiguousarray(np.asarray(source, dtype=np.float64).T)
-        self.target = np.ascontiguousarray(np.asarray(target, dtype=np.float64).T)
+        target = np.asarray(target, dtype=np.float64)
+        reach = radius(source) + radius(target)
+        self.target = with_prices(target.T, candidates, n_inliers, reach)
         self.n_inliers = n_inliers
         self.reduced_box = reduced_box
 
@@ -169,8 +185,8 @@ class RigidModel:
                 reach = float(np.linalg.norm(self.source.mean(axis=1)))
             else:
                 reach = largest_subset_mean(self.source.T, k)
-            lower = np.array([-mean_of_largest(-y, k) for y in self.target])
-            upper = np.array([mean_of_largest(y, k) for y in self.target])
+            lower = np.array([-mean_of_largest(-y, k) for y in self.target[:3]])
+            upper = np.array([mean_of_largest(y, k) for y in self.target[:3]])
             # rounding must not cut off the optimum, yet a centred set keeps zero width
             reach = 0.0 if reach < _ROUNDING else reach
             lower, upper = (np.where(np.abs(v) < _ROUNDING, 0.0, v) for v in (lower, upper))
@@ -273,6 +289,7 @@ def search_rigid(
     threads: int = 1,
     listener: Listener | None = None,
     start_box: str = "reduced",
+    candidates: np.ndarray | None = None,
 ) -> RigidResult:
     """Rigid pose that brings `n_inliers` one-to-one pairs closest, globally to `gap_tol`.
 
@@ -292,6 +309,8 @@ def search_rigid(
     listener : callable, optional
         Receives every `dcreg.trace.Event` (stage ``rigid``); returning True stops the search.
     start_box : {"reduced", "safe"}
+    candidates : (n, m) bool array, optional
+        The feasible pairs; `n_inliers` of them must be one to one.
 
     Returns
     -------
@@ -305,7 +324,10 @@ def search_rigid(
     swapped = len(source) > len(target)
     if swapped:  # the inverse pose has the same residuals
         clouds.reverse()
-    model = RigidModel(clouds[0], clouds[1], n_inliers, reduced_box=start_box == "reduced")
+        candidates = None if candidates is None else candidates.T
+    model = RigidModel(
+        clouds[0], clouds[1], n_inliers, reduced_box=start_box == "reduced", candidates=candidates
+    )
     bound = RigidBound(model, threads)
     theta, value, bound.n_assignments = model.start(limits.time_s)
     spent = time.perf_counter() - began
@@ -455,6 +477,7 @@ def search_multi(
     threads: int = 1,
     listener: Listener | None = None,
     start_box: str = "reduced",
+    candidates: np.ndarray | None = None,
     bound: str = "paper",
     margin: float | None = None,
     separation: float = 0.1,
@@ -472,7 +495,7 @@ def search_multi(
 
     Parameters
     ----------
-    source, target, n_inliers, gap_tol, limits, threads, listener, start_box
+    source, target, n_inliers, gap_tol, limits, threads, listener, start_box, candidates
         As in `search_rigid`; `gap_tol` is that of the norm objective. ``limits.time_s`` is for all
         stages, the other limits for each.
     bound : str
@@ -493,8 +516,10 @@ def search_multi(
     began = time.perf_counter()
     limits = limits or Limits()
     margin = gap_tol if margin is None else margin
-    basins = [_first_basin(source, target, n_inliers, limits.time_s and 0.25 * limits.time_s)]
-    model = Translation3D(source, target, n_inliers, reduced_box=start_box == "reduced")
+    model = Translation3D(
+        source, target, n_inliers, reduced_box=start_box == "reduced", candidates=candidates
+    )
+    basins = [_first_basin(model, candidates, limits.time_s and 0.25 * limits.time_s)]
     bounding = make_bound(bound, model, threads)
     descents = _Collector(model)
     left = _less_time(limits, time.perf_counter() - began)
@@ -516,7 +541,7 @@ def search_multi(
         target.mean(axis=0) - source.mean(axis=0),
     ]
     complete = complete and len(translations) <= max_basins and len(centres) <= _NORM_DESCENTS
-    rigid = RigidModel(source, target, n_inliers)
+    rigid = RigidModel(source, target, n_inliers, candidates=candidates)
     n_nodes, status = found.n_nodes, found.status
     n_assignments = bounding.n_assignments + descents.spent
     for done, translation in enumerate(translations):
@@ -534,8 +559,8 @@ def search_multi(
             break
         time_s = None if time_s is None else time_s / (len(translations) - done)
         turned = _turn(
-            source + translation, target, n_inliers, worth, gap_tol,
-            Limits(time_s, limits.nodes), listener,
+            RotationModel(source + translation, target, n_inliers, candidates),
+            worth, gap_tol, Limits(time_s, limits.nodes), listener,
         )  # fmt: skip
         rotation = RotationModel.matrix(turned.theta)
         theta, value, spent = rigid.refine(_theta(rotation, translation))
@@ -565,33 +590,32 @@ def search_multi(
 
 
 def _first_basin(
-    source: np.ndarray, target: np.ndarray, n_inliers: int, time_limit: float | None
+    norms: Translation3D, candidates: np.ndarray | None, time_limit: float | None
 ) -> Basin:
     """The best of descents from a grid of poses: where every search for the pose may start."""
+    source, target = norms.source, norms.target
     centre_x, centre_y = source.mean(axis=0), target.mean(axis=0)
-    theta, value, _ = RigidModel(source - centre_x, target - centre_y, n_inliers).start(time_limit)
+    theta, value, _ = RigidModel(
+        source - centre_x, target - centre_y, norms.n_inliers, candidates=candidates
+    ).start(time_limit)
     T = pose(theta)
     T[:3, 3] += centre_y - T[:3, :3] @ centre_x
     translation = T[:3, :3].T @ T[:3, 3]
-    norm_value = Translation3D(source, target, n_inliers).objective(translation)[0]
-    return Basin(translation, norm_value, T, value)
+    return Basin(translation, norms.objective(translation)[0], T, value)
 
 
 def _turn(
-    shifted: np.ndarray,
-    target: np.ndarray,
-    n_inliers: int,
+    model: RotationModel,
     worth: float,
     gap_tol: float,
     limits: Limits,
     listener: Listener | None,
 ) -> SearchResult:
-    """Search the rotations of a shifted source with an objective below `worth`.
+    """Search the rotations with an objective below `worth`.
 
     Its rotation is where a joint descent starts, so it need not be the best one to `gap_tol`.
     """
     began = time.perf_counter()
-    model = RotationModel(shifted, target, n_inliers)
     bound = RotationBound(model)
     theta, value, bound.n_assignments = model.start(limits.time_s)
     value = min(value, worth)

@@ -1,7 +1,8 @@
 """Bounds over boxes of rigid poses, and the local descent between matching and pose.
 
 A box has seven axes: four of a quaternion, three of the translation of y = R x + t. Point sets are
-stored by component, (3, n) and (3, m). Why the bounds hold is written in `dcreg.rigid`.
+stored by component, (3, n) and (3, m). Where not every pair is feasible, n more rows follow in the
+target: what pair (i, j) costs beyond its residual. Why the bounds hold is written in `dcreg.rigid`.
 """
 
 from __future__ import annotations
@@ -71,6 +72,8 @@ def cap_costs(moved, reach, angle, shifted, out):
             turned = dot * cosine + math.sqrt(max(0.0, full * full - dot * dot)) * sine
             best = full if dot >= full * cosine else turned
             row[i] = reach[i] * reach[i] + other - 2.0 * best
+    if shifted.shape[0] > 3:
+        out += shifted[3:].T
 
 
 @jit
@@ -116,6 +119,8 @@ def pair_costs(moved, reach, angle, shifted, half, out):
             boxed = math.sqrt(a * a + b * b + c * c) - widen
             short = max(0.0, max(capped, boxed))
             row[j] = short * short
+    if shifted.shape[0] > 3:
+        out += shifted[3:]
 
 
 @jit
@@ -162,7 +167,8 @@ def bid(cost, k, b):
 def residuals(moved, shifted, delta, terms):
     """Terms of every pair at delta = (r, s): |e|^2, 2e and 2 m x e, as (7, m, n).
 
-    e = x - y + s + r x m with m = x + y: the residual that bounds the true one from below.
+    e = x - y + s + r x m with m = x + y: the residual that bounds the true one from below. What a
+    pair costs beyond it is added to |e|^2.
     """
     r0, r1, r2, s0, s1, s2 = delta[0], delta[1], delta[2], delta[3], delta[4], delta[5]
     for j in range(shifted.shape[1]):
@@ -180,6 +186,8 @@ def residuals(moved, shifted, delta, terms):
             terms[4, j, i] = 2.0 * e
             terms[5, j, i] = 2.0 * f
             terms[6, j, i] = 2.0 * g
+    if shifted.shape[0] > 3:
+        terms[0] += shifted[3:].T
 
 
 @jit
@@ -330,6 +338,7 @@ def vertex_bound(moved, shifted, corners, half, k, floor, cutoff, col_of):
 
 @jit
 def move(points, shift, out):
+    """Subtract a shift from the points; further rows of `out` stay."""
     for c in range(3):
         for j in range(points.shape[1]):
             out[c, j] = points[c, j] - shift[c]
@@ -357,7 +366,7 @@ def bound_boxes(lower, upper, cutoff, source, target, k, bounds, values):
     reach = column_norms(source)
     radius = math.sqrt((reach**2).mean())
     caps, costs = np.empty((m, n)), np.empty((n, m))
-    corners, shifted = np.empty((8, 3)), np.empty((3, m))
+    corners, shifted = np.empty((8, 3)), target.copy()
     spent = 0
     for box in range(len(lower)):
         values[box] = np.inf
@@ -411,7 +420,7 @@ def fit_rigid(source, target, col_of, theta):
             mean_y += target[:, j]
     mean_x /= count
     mean_y /= count
-    x, y = np.empty_like(source), np.empty_like(target)
+    x, y = np.empty_like(source), np.empty((3, target.shape[1]))
     for c in range(3):
         x[c] = source[c] - mean_x[c]
         y[c] = target[c] - mean_y[c]
@@ -423,7 +432,7 @@ def fit_rigid(source, target, col_of, theta):
 def objective(theta, source, target, k):
     """E at a pose and the column matched to every source point (-1: none)."""
     moved = rotation_matrix(theta[:4]) @ source
-    shifted = np.empty_like(target)
+    shifted = target.copy()
     move(target, theta[4:], shifted)
     cost = np.empty((source.shape[1], target.shape[1]))
     for i in range(cost.shape[0]):
@@ -434,6 +443,8 @@ def objective(theta, source, target, k):
                 moved[2, i] - shifted[2, j],
             )
             cost[i, j] = x * x + y * y + z * z
+    if shifted.shape[0] > 3:
+        cost += shifted[3:]
     value, col_of, _ = k_assignment_duals(cost, k)
     return value, col_of
 
@@ -444,7 +455,7 @@ def nearest_scores(thetas, source, target, k):
     scores = np.empty(len(thetas))
     reach = column_norms(source)
     caps = np.empty((target.shape[1], source.shape[1]))
-    shifted = np.empty_like(target)
+    shifted = target.copy()
     for at in range(len(thetas)):
         moved = rotation_matrix(thetas[at, :4]) @ source
         move(target, thetas[at, 4:], shifted)

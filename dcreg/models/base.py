@@ -92,7 +92,7 @@ def with_prices(
     if candidates is None:
         return np.ascontiguousarray(features)
     price = 16.0 * n_inliers * reach**2
-    return np.vstack([features, np.where(candidates, 0.0, price)])
+    return np.ascontiguousarray(np.vstack([features, np.where(candidates, 0.0, price)]))
 
 
 def mean_of_largest(values: np.ndarray, count: int) -> float:

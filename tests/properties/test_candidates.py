@@ -12,12 +12,17 @@ from hypothesis import strategies as st
 import dcreg
 from dcreg import certificate
 from dcreg.bounds import make_bound
+from dcreg.box import Box
 from dcreg.kernels import reference, vertices
 from dcreg.models import Similarity2D, Translation3D
-from dcreg.polish import fit_pose
+from dcreg.polish import fit_pose, objective
 from dcreg.problem import InputError, Problem
+from dcreg.rigid import RigidBound, RigidModel, pose, search_multi, search_rigid
 from dcreg.rotation import RotationBound, RotationModel
+from dcreg.search import Limits
 from dcreg.verification import verify
+from tests.fuzz.reference import enclose_norm3d, optimum_rigid3d
+from tests.properties.test_rigid_bounds import Parts
 
 
 def feasible_problem(seed, dim, most=6):
@@ -108,6 +113,199 @@ def test_the_optimum_over_feasible_pairs_is_found(seed):
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
 
 
+def rigid_box(model, generator, size):
+    """Poses within the start box, `size` of it wide."""
+    root = model.roots()[generator.integers(4)]
+    lower = generator.uniform(root.lower, root.upper)
+    return Box(lower, lower + size * (root.upper - lower))
+
+
+def least_at(theta, x, y, mask, k):
+    """The objective at a rigid pose by the reference assignment."""
+    T = pose(theta)
+    moved = x @ T[:3, :3].T + T[:3, 3]
+    return least(((moved[:, None] - y[None]) ** 2).sum(-1), mask, k)
+
+
+def rigid_model(seed, **settings):
+    """Centred clouds and their model."""
+    x, y, k, mask = feasible_problem(seed, 3)
+    x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+    return RigidModel(x, y, k, candidates=mask, **settings), (x, y, mask, k)
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([1.0, 0.3, 0.1, 0.01]),
+    st.sampled_from([0.5, 0.95, 1.0, 1.5, 10.0]),
+    st.booleans(),
+)
+def test_rigid_bound_holds_for_the_feasible_pairs(seed, size, tightness, reduced):
+    model, problem = rigid_model(seed, reduced_box=reduced)
+    generator = np.random.default_rng(seed + 1)
+    box = rigid_box(model, generator, size)
+    thetas = [box.centre, *box.sample(generator, 30), *box.vertices()[::9]]
+    true = [least_at(theta, *problem) for theta in thetas]
+    found = RigidBound(model).evaluate(box.lower[None], box.upper[None], tightness * min(true))
+    assert 0.0 <= found.lower_bounds[0] <= min(true) + 1e-9
+    assert found.values[0] >= true[0] - 1e-9
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 0.1, 0.01]))
+def test_each_rigid_bound_alone_holds_for_the_feasible_pairs(seed, size):
+    model, problem = rigid_model(seed)
+    generator = np.random.default_rng(seed + 1)
+    box = rigid_box(model, generator, size)
+    lowest = min(least_at(theta, *problem) for theta in box.sample(generator, 30))
+    parts = Parts(model, box)
+    costs = parts.costs()
+    assert reference.k_assignment(costs, model.n_inliers) <= lowest + 1e-9
+    mask = problem[2]
+    assert (costs[~mask] > model.n_inliers * costs[mask].max()).all()
+    if len(parts.corners):
+        assert parts.vertex_bound() <= lowest + 1e-9
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_rigid_bound_at_a_pose_is_the_objective_of_the_feasible_pairs(seed):
+    model, problem = rigid_model(seed)
+    theta = rigid_box(model, np.random.default_rng(seed + 1), 0.0).centre
+    true = least_at(theta, *problem)
+    bound = RigidBound(model).evaluate(theta[None], theta[None], 1.01 * true + 1e-6)
+    assert bound.lower_bounds[0] == pytest.approx(true, abs=1e-7)
+    refined, refined_value, _ = model.refine(theta)
+    assert refined_value <= true + 1e-9
+    for at, expected in ((theta, true), (refined, refined_value)):
+        value, col_of = model.objective(at)
+        assert value == pytest.approx(expected, abs=1e-9)
+        rows = np.flatnonzero(col_of >= 0)
+        assert len(rows) == model.n_inliers
+        assert problem[2][rows, col_of[rows]].all()
+
+
+def test_rigid_vertex_bound_is_tight_where_only_forbidden_pairs_are_better():
+    generator = np.random.default_rng(5)
+    x, y = generator.standard_normal((2, 10, 3))
+    x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+    model = RigidModel(x, y, 10, candidates=np.eye(10, dtype=bool))
+    theta, best, _ = model.refine(np.array([1.0, 0, 0, 0, 0, 0, 0]))
+    half = 0.01 * np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    parts = Parts(model, Box(theta - half, theta + half))
+    assert RigidModel(x, y, 10).objective(theta)[0] < 0.7 * best
+    assert 0.98 * best <= parts.vertex_bound() <= best + 1e-9
+
+
+@pytest.mark.parametrize("start_box", ["reduced", "safe"])
+@pytest.mark.parametrize("seed", range(15))
+def test_mode_full_finds_the_rigid_optimum_over_feasible_pairs(seed, start_box):
+    x, y, k, mask = feasible_problem(seed, 3)
+    optimum = optimum_rigid3d(x, y, mask, k)
+    found = dcreg.register(
+        x, y, n_inliers=k, model="rigid3d", mode="full", candidates=mask, gap_tol=0.05,
+        start_box=start_box,
+    )  # fmt: skip
+    assert found.status is dcreg.Status.OPTIMAL
+    assert found.certificate_scope == "rigid pose"
+    assert found.lower_bound <= optimum + 1e-9
+    assert optimum - 1e-9 <= found.upper_bound <= optimum + 0.05 + 1e-9
+    assert optimum - 1e-9 <= found.objective <= found.objective_certified + 1e-9
+    assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_mode_multi_bounds_and_poses_are_of_feasible_pairs(seed):
+    x, y, k, mask = feasible_problem(seed, 3)
+    optimum = optimum_rigid3d(x, y, mask, k)
+    found = dcreg.register(
+        x, y, n_inliers=k, model="rigid3d", mode="multi", candidates=mask, gap_tol=0.05
+    )
+    assert found.status is dcreg.Status.OPTIMAL
+    assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
+    norms = np.linalg.norm(y - y.mean(axis=0), axis=1)
+    order = np.argsort(norms)
+    low, high = enclose_norm3d(x, norms[order], mask[:, order], k, 0.05, 300_000)
+    assert found.lower_bound <= high + 1e-9
+    assert low - 1e-9 <= found.upper_bound <= high + 0.05 + 1e-9
+    assert found.lower_bound <= optimum + 1e-9
+    # nothing certifies the pose of this mode; on problems this small it is the best all the same
+    assert found.objective == pytest.approx(optimum, abs=1e-6)
+
+
+def test_every_basin_of_mode_multi_is_one_of_feasible_pairs():
+    upper = []
+    for seed in range(15):
+        x, y, k, mask = feasible_problem(seed, 3)
+        events = []
+        found = search_multi(x, y, k, gap_tol=0.05, candidates=mask, listener=events.append)
+        for basin in found.basins:
+            value, _ = objective(x, y, basin.T, k, mask)
+            assert basin.value == pytest.approx(value, abs=1e-9)
+        optimum = optimum_rigid3d(x, y, mask, k)
+        turns = [event.upper_bound for event in events if event.stage == "basin"]
+        assert all(value >= optimum - 1e-9 for value in turns)
+        upper += turns
+    assert upper
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_prices_of_zero_change_no_step_of_the_rigid_search(seed):
+    x, y, k, mask = feasible_problem(seed, 3)
+    runs = [
+        search_rigid(x, y, k, gap_tol=0.05, limits=Limits(nodes=2000), candidates=candidates)
+        for candidates in (None, np.ones_like(mask))
+    ]
+    for name in ("n_nodes", "n_assignments", "lower_bound", "upper_bound", "status"):
+        assert getattr(runs[0], name) == getattr(runs[1], name)
+    np.testing.assert_array_equal(runs[0].T, runs[1].T)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_with_every_pair_feasible_mode_multi_finds_the_same(seed):
+    x, y, k, mask = feasible_problem(seed, 3)
+    runs = [
+        search_multi(x, y, k, gap_tol=0.05, candidates=candidates)
+        for candidates in (None, np.ones_like(mask))
+    ]
+    assert runs[0].value == pytest.approx(runs[1].value, abs=1e-9)
+    assert runs[0].lower_bound <= runs[1].upper_bound + 1e-9
+    assert runs[1].lower_bound <= runs[0].upper_bound + 1e-9
+
+
+@pytest.mark.parametrize("mode", ["full", "multi", "auto"])
+def test_a_feasible_optimum_stays_the_optimum_and_a_forbidden_one_does_not(mode):
+    generator = np.random.default_rng(4)
+    x = generator.standard_normal((10, 3)) * [1.0, 0.7, 0.4]
+    y = x[:, [1, 2, 0]] + [0.3, -0.2, 0.1] + 0.05 * generator.standard_normal((10, 3))
+    settings = {"n_inliers": 10, "model": "rigid3d", "mode": mode, "gap_tol": 0.05}
+    free = dcreg.register(x, y, **settings)
+    i, j = free.assignment.T
+    wide = generator.random((10, 10)) < 0.2
+    wide[i, j] = True
+    kept = dcreg.register(x, y, candidates=wide, **settings)
+    assert kept.objective == pytest.approx(free.objective, abs=1e-9)
+    assert kept.assignment.tolist() == free.assignment.tolist()
+    narrow = np.ones((10, 10), dtype=bool)
+    narrow[i[:6], j[:6]] = False
+    other = dcreg.register(x, y, candidates=narrow, **settings)
+    assert narrow[other.assignment[:, 0], other.assignment[:, 1]].all()
+    assert other.objective > free.objective + 1e-3
+
+
+@pytest.mark.parametrize(("clutter", "mode"), [(0, "full"), (40, "multi")])
+def test_mode_auto_takes_candidates(clutter, mode):
+    generator = np.random.default_rng(0)
+    x = generator.random((20, 3)) * [1.0, 0.7, 0.4]
+    y = x[:, [1, 2, 0]] + [0.3, -0.2, 0.1] + 0.005 * generator.standard_normal((20, 3))
+    x, y = (np.concatenate([points, generator.random((clutter, 3))]) for points in (x, y))
+    mask = generator.random((len(x), len(y))) < 0.1
+    np.fill_diagonal(mask[:20, :20], True)
+    found = dcreg.register(x, y, n_inliers=20, model="rigid3d", gap_tol=0.01, candidates=mask)
+    assert found.mode == mode
+    assert found.status is dcreg.Status.OPTIMAL
+    assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
+    assert found.rotation == pytest.approx(np.eye(3)[[1, 2, 0]], abs=0.02)
+
+
 def test_candidates_resolve_the_surrogate_in_3d():
     generator = np.random.default_rng(0)
     x = generator.random((20, 3)) * [1.0, 0.7, 0.4]
@@ -151,18 +349,23 @@ def test_bad_candidates_are_refused(candidates, message):
         Problem(points, points, 3, "similarity2d", candidates=candidates)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"model": "rigid3d", "mode": "full"}, "mode 'full' treats every pair as feasible"),
-        ({"model": "rigid3d", "mode": "multi"}, "mode 'multi' treats every pair as feasible"),
-        ({"model": "similarity2d", "bound": "termwise"}, "bound 'termwise-r1' treats every pair"),
-    ],
-)
-def test_what_does_not_take_candidates_says_so(settings, message):
-    points = np.random.default_rng(2).random((5, 3 if settings["model"] == "rigid3d" else 2))
+@pytest.mark.parametrize("mode", ["paper", "multi", "full", "auto"])
+def test_too_few_feasible_pairs_are_refused_in_every_mode(mode):
+    points = np.random.default_rng(2).random((5, 3))
+    mask = np.zeros((5, 5), dtype=bool)
+    mask[:, :2] = True  # ten pairs, of which two are one to one
+    message = "at most 2 pairs can be matched one to one, fewer than n_inliers = 3"
     with pytest.raises(InputError, match=message):
-        dcreg.register(points, points, n_inliers=3, candidates=np.eye(5, dtype=bool), **settings)
+        dcreg.register(points, points, n_inliers=3, model="rigid3d", mode=mode, candidates=mask)
+
+
+def test_what_does_not_take_candidates_says_so():
+    points = np.random.default_rng(2).random((5, 2))
+    with pytest.raises(InputError, match="bound 'termwise-r1' treats every pair as feasible"):
+        dcreg.register(
+            points, points, n_inliers=3, model="similarity2d", bound="termwise",
+            candidates=np.eye(5, dtype=bool),
+        )  # fmt: skip
 
 
 def certified(seed, dim, tmp_path):

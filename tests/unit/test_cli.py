@@ -228,6 +228,24 @@ def test_bad_candidates_exit_2(call, tmp_path, fake, pairs, words):
     assert fake.called is None
 
 
+@pytest.mark.parametrize("mode", ["auto", "full", "multi", "paper"])
+def test_candidates_hold_in_every_3d_mode(mode, tmp_path):
+    source = np.random.default_rng(3).random((8, 3))
+    np.savetxt(tmp_path / "source.txt", source)
+    np.savetxt(tmp_path / "target.txt", source[::-1] + 1.0)
+    pairs = [[i, j] for i in range(8) for j in {i, 7 - i}]
+    np.savetxt(tmp_path / "pairs.txt", pairs, fmt="%d")
+    outcome = run(
+        *("register", tmp_path / "source.txt", tmp_path / "target.txt", "--model", "rigid3d"),
+        *("--n-inliers", 8, "--mode", mode, "--candidates", tmp_path / "pairs.txt"),
+        *("--json", "-", "--quiet"),
+    )
+    assert outcome.exit_code == 0, outcome.stderr
+    found = json.loads(outcome.stdout)
+    assert found["mode"] == ("full" if mode == "auto" else mode)
+    assert found["assignment"] == [[i, 7 - i] for i in range(8)]
+
+
 def test_too_few_arguments_exit_2():
     outcome = run("register", "a.txt", "b.txt", "--model", "similarity2d")
     assert outcome.exit_code == 2

@@ -254,6 +254,8 @@ def test_trace_is_monotone_within_a_stage_and_ends(spatial, tmp_path):
 def test_auto_takes_the_mode_for_the_problem(n, m, k, settings, mode, rng):
     source, target = rng.standard_normal((n, 3)), rng.standard_normal((m, 3))
     assert choose_mode(Problem(source, target, k, "rigid3d"), **settings) == mode
+    few = Problem(source, target, k, "rigid3d", candidates=np.eye(n, m, dtype=bool))
+    assert choose_mode(few, **settings) == mode
     flat = Problem(source[:, :2], target[:, :2], k, "similarity2d")
     assert choose_mode(flat, **settings) == "paper"
 
@@ -264,7 +266,7 @@ def test_result_states_the_mode_that_ran(asked, spatial):
     full = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode=asked)
     assert (full.mode, full.certificate_scope) == ("full", "rigid pose")
     paper = dcreg.register(
-        source, target, n_inliers=30, model="rigid3d", mode=asked, candidates=np.eye(30, dtype=bool)
+        source, target, n_inliers=30, model="rigid3d", mode=asked, certificate=True
     )
     assert (paper.mode, paper.certificate_scope) == ("paper", "translation in norm space")
 
