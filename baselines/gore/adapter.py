@@ -21,7 +21,13 @@ class Adapter(CorrespondenceMethod):
         start = time.perf_counter()
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
         bound = self.options["noise_factor"] * instance.noise_bound
-        removal = remove_outliers(source, target, bound, start + SHARE_FOR_REMOVAL * limits.time_s)
+        removal = remove_outliers(
+            source,
+            target,
+            bound,
+            start + SHARE_FOR_REMOVAL * limits.time_s,
+            self.options["rotation_search"],
+        )
         left = removal.kept
         pose, _, sampled = ransac(
             source[left],
