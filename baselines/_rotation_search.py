@@ -71,6 +71,11 @@ def most_correspondences(
     return _most_of(source, target, np.column_stack([rows, rows]), radius, cutoff, slack, deadline)
 
 
+def warm_up() -> None:
+    """Compile the search; problems as easy as those of a warm-up end without it."""
+    most_matches(np.eye(3), np.eye(3), 0.1, 0, 0, np.inf)
+
+
 def _most_of(
     source: np.ndarray,
     target: np.ndarray,
