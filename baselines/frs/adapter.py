@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from baselines import _rotation_search
 from baselines._consensus import Consensus
 from baselines._octree import Incumbent, OctreeSearch
 from baselines.contract import Baseline, Instance, Limits, Solution
@@ -17,6 +18,10 @@ SCOPE = (
 
 class Adapter(Baseline):
     """Branch and bound over translations and rotations for the number of matched points."""
+
+    def warm_up(self, instance: Instance) -> None:
+        super().warm_up(instance)
+        _rotation_search.warm_up()
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         began = time.perf_counter()

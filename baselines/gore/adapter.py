@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 
+from baselines import _rotation_search
 from baselines._frontends import CorrespondenceMethod, Estimate
 from baselines._ransac import count_within, ransac
 from baselines.contract import Instance, Limits
@@ -17,11 +18,21 @@ SHARE_FOR_REMOVAL = 0.8  # of the time; the rest is for RANSAC
 class Adapter(CorrespondenceMethod):
     """The better of the best consensus met while removing and RANSAC's on the survivors."""
 
+    def warm_up(self, instance: Instance) -> None:
+        super().warm_up(instance)
+        _rotation_search.warm_up()
+
     def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
         start = time.perf_counter()
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
         bound = self.options["noise_factor"] * instance.noise_bound
-        removal = remove_outliers(source, target, bound, start + SHARE_FOR_REMOVAL * limits.time_s)
+        removal = remove_outliers(
+            source,
+            target,
+            bound,
+            start + SHARE_FOR_REMOVAL * limits.time_s,
+            self.options["rotation_search"],
+        )
         left = removal.kept
         pose, _, sampled = ransac(
             source[left],

@@ -2,26 +2,38 @@
 
 A consensus set holds the correspondences i with ``|R x_i + t - y_i| <= bound`` for one pose. Every
 number called `reach` is at least the size of the largest consensus set through a correspondence;
-what reaches less than a consensus set already found goes. Intervals may be too wide, never too
-narrow, so rounding gets a margin.
+what reaches less than a consensus set already found goes.
+
+For two members k and i of one set, ``|R (x_i - x_k) - (y_i - y_k)| <= 2 bound``. So each k is tried
+as a common origin, which leaves a rotation and twice the bound. How many others one rotation can
+bring within it is bounded by intervals of angles, and where these do not remove k, found exactly by
+branch and bound over rotations. Intervals and tolerances may be too wide, never too narrow, so
+rounding gets a margin.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from baselines._consistency import consistency_graph
+from baselines._octree import OutOfTimeError
 from baselines._ransac import count_within
 from baselines._robust import refit, squared_residuals
+from baselines._rotation_search import most_correspondences
 
-# For rounding: lengths (relative), cosines, and angles at which intervals end.
+# For rounding: the tolerance and lengths (both relative), cosines, angles at which intervals end.
 MARGIN = 1e-9
+LENGTH_MARGIN = 1e-15
 COSINE_MARGIN = 1e-14
 ANGLE_MARGIN = 1e-7
+
+_ARCS_PER_SLICE = 100_000  # between two looks at the clock: some 15 ms
+NEXT, LEFT, MOST, BEST, CHANGED = range(5)  # places in the integer state of the intervals
 
 
 @dataclass
@@ -40,89 +52,158 @@ def remove_outliers(
     target: np.ndarray,
     bound: float,
     deadline: float = np.inf,
+    rotation_search: bool = True,
 ) -> Removal:
     """Drop correspondences as long as one can be dropped, or to the deadline.
 
-    Each is tried as a common origin, which leaves a problem of rotation among the correspondences
-    whose lengths agree with it, at twice the bound.
+    Parameters
+    ----------
+    source, target : (n, 3) arrays
+        Row i of one corresponds to row i of the other.
+    bound : float
+        Largest residual in a consensus set.
+    deadline : float
+        Moment of `time.perf_counter()` to end by.
+    rotation_search : bool
+        Search all rotations about the correspondences that the intervals of angles leave.
     """
-    n = len(source)
-    rows_as_pairs = np.column_stack([np.arange(n), np.arange(n)])  # a point may be in several
-    rows = consistency_graph(source, target, rows_as_pairs, 2 * bound * (1 + MARGIN), 1.0)
-    graph = np.unpackbits(rows.view(np.uint8), axis=1, bitorder="little")[:, :n].astype(bool)
-    alive = np.ones(n, dtype=bool)
-    reach = graph.sum(axis=1) + 1
-    best, most, finished = None, 0, True
-    agreeing = np.zeros(n, dtype=bool)  # with the best pose: they reach that many, so they stay
-    changed = True
-    while changed and finished:
-        changed = False
-        for k in np.argsort(-reach, kind="stable"):
-            if not alive[k] or agreeing[k]:
+    state = _Removing(source, target, bound, deadline)
+    try:
+        state.settle(state.arcs)
+        # What the search removes or finds lets the far cheaper intervals remove more.
+        while rotation_search and state.sweep(state.search):
+            state.settle(state.arcs)
+        finished = True
+    except OutOfTimeError:
+        finished = False
+    return Removal(np.flatnonzero(state.alive), state.reach, state.best, state.most, finished)
+
+
+class _Removing:
+    """Who is left of one problem, and the best pose met."""
+
+    def __init__(self, source: np.ndarray, target: np.ndarray, bound: float, deadline: float):
+        self.source, self.target, self.bound, self.deadline = source, target, bound, deadline
+        n = len(source)
+        extent = np.linalg.norm(np.ptp(source, axis=0)) + np.linalg.norm(np.ptp(target, axis=0))
+        self.tolerance = 2 * bound * (1 + MARGIN) + LENGTH_MARGIN * extent
+        rows_as_pairs = np.column_stack([np.arange(n), np.arange(n)])  # a point may be in several
+        rows = consistency_graph(source, target, rows_as_pairs, self.tolerance, 1.0)
+        bits = np.unpackbits(rows.view(np.uint8), axis=1, bitorder="little")
+        self.graph = bits[:, :n].astype(bool)
+        self.alive = np.ones(n, dtype=bool)
+        self.reach = self.graph.sum(axis=1) + 1
+        self.best: np.ndarray | None = None
+        self.most = 0
+        self.agreeing = np.zeros(n, dtype=bool)  # with the best pose: they reach that many
+        self.searched = np.full(n, -1)  # number of partners at the last search
+
+    def settle(self, bound_on_others: Callable) -> None:
+        """Sweep until nothing changes."""
+        while self.sweep(bound_on_others):
+            pass
+
+    def sweep(self, bound_on_others: Callable) -> bool:
+        """Try every correspondence once as the origin; whether any went or the best pose rose."""
+        before = self.alive.sum(), self.most
+        for k in np.argsort(-self.reach, kind="stable"):
+            if not self.alive[k] or self.agreeing[k]:
                 continue
-            members = np.flatnonzero(graph[k] & alive)
-            reach[k] = min(reach[k], len(members) + 1)
-            if reach[k] >= most:
-                count, rotation = _rotation_reach(
-                    source[members] - source[k], target[members] - target[k], 2 * bound, most - 1
-                )
-                reach[k] = min(reach[k], count + 1)
-                pose = np.eye(4)
-                pose[:3, :3], pose[:3, 3] = rotation, target[k] - rotation @ source[k]
-                if count_within(source, target, pose, bound) > 0.5 * most:
-                    pose = refit(pose, source, target, bound)
-                consensus = int(count_within(source, target, pose, bound))
-                if consensus > most:
-                    best, most = pose, consensus
-                    agreeing = squared_residuals(pose, source, target) <= bound**2
-            if reach[k] < most:
-                alive[k] = False
-                changed = True
-            if time.perf_counter() > deadline:
-                finished = False
-                break
-    return Removal(np.flatnonzero(alive), reach, best, most, finished)
+            others = np.flatnonzero(self.graph[k] & self.alive)
+            self.reach[k] = min(self.reach[k], len(others) + 1)
+            if self.reach[k] >= self.most:
+                count, rotation = bound_on_others(k, others)
+                self.reach[k] = min(self.reach[k], count + 1)
+                self._offer(k, rotation)
+            self.alive[k] = self.reach[k] >= self.most
+            if time.perf_counter() > self.deadline:
+                raise OutOfTimeError
+        return before != (self.alive.sum(), self.most)
+
+    def arcs(self, k: int, others: np.ndarray) -> tuple[int, np.ndarray]:
+        """Bound on the others in a set with k of more than the best one's size, by intervals."""
+        x, y = self.source[others] - self.source[k], self.target[others] - self.target[k]
+        return _rotation_reach(x, y, self.tolerance, self.most - 1, self.deadline)
+
+    def search(self, k: int, others: np.ndarray) -> tuple[int, np.ndarray]:
+        """The same by branch and bound: exact, unless it is too small for k to stay."""
+        if self.searched[k] == len(others):  # they only become fewer: the same as last time
+            return len(others), np.eye(3)
+        x, y = self.source[others] - self.source[k], self.target[others] - self.target[k]
+        # With `most - 1` others k stays, so counts up to one less need not be told apart.
+        found = most_correspondences(x, y, self.tolerance, self.most - 2, 0, self.deadline)
+        self.searched[k] = len(others)
+        return found.upper_bound, found.rotation
+
+    def _offer(self, k: int, rotation: np.ndarray) -> None:
+        """Take the pose of that rotation about k, fitted to those it suits, if it is the best."""
+        source, target, bound = self.source, self.target, self.bound
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation, target[k] - rotation @ source[k]
+        if count_within(source, target, pose, bound) > 0.5 * self.most:
+            pose = refit(pose, source, target, bound)
+        consensus = int(count_within(source, target, pose, bound))
+        if consensus > self.most:
+            self.best, self.most = pose, consensus
+            self.agreeing = squared_residuals(pose, source, target) <= bound**2
 
 
-@njit(cache=True)
-def _rotation_reach(source, target, tolerance, wanted):
+def _rotation_reach(
+    source: np.ndarray,
+    target: np.ndarray,
+    tolerance: float,
+    wanted: int,
+    deadline: float = np.inf,
+) -> tuple[int, np.ndarray]:
     """Bound on ``|{i: |R x_i - y_i| <= tolerance}|`` over all rotations, and the best R met.
 
     Correspondences that reach fewer than `wanted` are dropped until none is; the bound holds for
     all sets of `wanted` and more.
     """
-    n = len(source)
+    x, y, spread = _directions(source, target, tolerance)
+    alive = np.ones(len(x), dtype=bool)
     rotation = np.eye(3)
-    lengths_x, lengths_y = np.empty(n), np.empty(n)
+    state = np.array([0, len(x), 0, 0, 0])
+    while not _drop_by_arcs(x, y, spread, wanted, alive, rotation, state, _ARCS_PER_SLICE):
+        if time.perf_counter() > deadline:
+            return len(x), rotation  # no bound, but a rotation worth trying
+    return int(min(state[LEFT], state[MOST])), rotation
+
+
+@njit(cache=True)
+def _directions(source, target, tolerance):
+    """Unit vectors, and the largest angle between R x_i and y_i that the tolerance allows."""
+    n = len(source)
     x, y = np.zeros((n, 3)), np.zeros((n, 3))
-    spread = np.empty(n)  # largest angle between R x_i and y_i that the tolerance allows
+    spread = np.empty(n)
     for i in range(n):
-        lengths_x[i] = np.sqrt((source[i] ** 2).sum())
-        lengths_y[i] = np.sqrt((target[i] ** 2).sum())
-        if lengths_x[i] <= tolerance or lengths_y[i] <= tolerance:
+        a, b = np.sqrt((source[i] ** 2).sum()), np.sqrt((target[i] ** 2).sum())
+        if a > 0:
+            x[i] = source[i] / a
+        if b > 0:
+            y[i] = target[i] / b
+        if a <= tolerance or b <= tolerance:
             spread[i] = np.pi  # near the origin every rotation may do
-            if lengths_x[i] > 0:
-                x[i] = source[i] / lengths_x[i]
-            if lengths_y[i] > 0:
-                y[i] = target[i] / lengths_y[i]
-            continue
-        x[i] = source[i] / lengths_x[i]
-        y[i] = target[i] / lengths_y[i]
-        cosine = (lengths_x[i] ** 2 + lengths_y[i] ** 2 - tolerance**2) / (
-            2 * lengths_x[i] * lengths_y[i]
-        )
-        spread[i] = np.arccos(min(1.0, max(-1.0, cosine - COSINE_MARGIN)))
-    alive = np.ones(n, dtype=np.bool_)
-    left, best = n, 0
+        else:
+            cosine = (a**2 + b**2 - tolerance**2) / (2 * a * b)
+            spread[i] = np.arccos(min(1.0, max(-1.0, cosine - COSINE_MARGIN)))
+    return x, y, spread
+
+
+@njit(cache=True)
+def _drop_by_arcs(x, y, spread, wanted, alive, rotation, state, budget):
+    """Whether it came to the end; pauses after `budget` arcs."""
+    n = len(x)
     starts, ends = np.empty(2 * n), np.empty(2 * n)
-    changed = True
-    while changed:
-        changed, most = False, 0
-        for k in range(n):
+    while True:
+        for k in range(state[NEXT], n):
+            if budget <= 0:
+                state[NEXT] = k
+                return False
             if not alive[k]:
                 continue
             if spread[k] >= np.pi / 2:  # tells nothing of the rotation
-                most = max(most, left)
+                state[MOST] = max(state[MOST], state[LEFT])
                 continue
             align = _rotation_between(x[k], y[k])
             always, count = 1, 0
@@ -140,17 +221,21 @@ def _rotation_reach(source, target, tolerance, wanted):
                     if high > 2 * np.pi:
                         starts[count], ends[count] = 0.0, high - 2 * np.pi
                         count += 1
+            budget -= state[LEFT]
             stabbed, angle = _stab(np.sort(starts[:count]), np.sort(ends[:count]))
-            if always + stabbed > best:
-                best = always + stabbed
-                rotation = _about(y[k], angle) @ align
-            if always + stabbed < wanted:
+            reach = always + stabbed
+            if reach > state[BEST]:
+                state[BEST] = reach
+                rotation[:] = _about(y[k], angle) @ align
+            if reach < wanted:
                 alive[k] = False
-                left -= 1
-                changed = True
+                state[LEFT] -= 1
+                state[CHANGED] = 1
             else:
-                most = max(most, always + stabbed)
-    return min(left, most), rotation
+                state[MOST] = max(state[MOST], reach)
+        if not state[CHANGED]:
+            return True
+        state[NEXT] = state[MOST] = state[CHANGED] = 0
 
 
 @njit(cache=True)

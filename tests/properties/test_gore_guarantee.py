@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from baselines.gore.removal import _arc, _rotation_reach, remove_outliers
+from baselines._octree import OutOfTimeError
+from baselines._robust import refit, squared_residuals, weighted_pose
+from baselines._rotation_search import Found, most_correspondences
+from baselines.gore import removal as gore
+from baselines.gore.removal import _arc, _Removing, _rotation_reach, remove_outliers
 
 
 @st.composite
@@ -28,6 +36,24 @@ def problems(draw: st.DrawFn) -> tuple:
     target = source @ rotation.T + offset + generator.standard_normal(3)
     target[n_inliers:] = target.mean(axis=0) + generator.uniform(-0.5, 0.5, (n - n_inliers, 3))
     return source, target, bound, n_inliers, rotation
+
+
+def sparse(seed: int, n: int = 60, n_inliers: int = 6, bound: float = 0.05) -> tuple:
+    """Few inliers under a wide bound: problems that intervals of angles alone leave half done."""
+    generator = np.random.default_rng(seed)
+    source = generator.uniform(-0.5, 0.5, (n, 3))
+    offset = generator.standard_normal((n, 3))
+    offset *= bound * generator.random((n, 1)) / np.linalg.norm(offset, axis=1, keepdims=True)
+    target = Rotation.random(random_state=generator).apply(source) + offset
+    target[n_inliers:] = target.mean(axis=0) + generator.uniform(-0.5, 0.5, (n - n_inliers, 3))
+    return source, target, bound, n_inliers
+
+
+def loses_inliers(problem: tuple) -> bool:
+    """Whether the guarantee is broken for the planted set; it is off where a larger is known."""
+    source, target, bound, n_inliers = problem
+    removal = remove_outliers(source, target, bound)
+    return removal.consensus <= n_inliers and not set(range(n_inliers)) <= set(removal.kept)
 
 
 @given(problems())
@@ -80,3 +106,92 @@ def test_most_outliers_go() -> None:
     assert removal.consensus >= 40
     assert len(removal.kept) <= 45
     assert set(range(40)) <= set(removal.kept)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.03, 0.05, 0.1, 0.2]))
+@settings(max_examples=60, deadline=None)
+def test_no_set_as_large_as_the_best_known_loses_a_member(seed: int, bound: float) -> None:
+    """Planted or not: sets from fits to random triples, those of chance included."""
+    source, target, _, _ = sparse(seed, 30, 5, bound)
+    removal = remove_outliers(source, target, bound)
+    generator = np.random.default_rng(seed)
+    for _ in range(300):
+        weights = np.zeros(30)
+        weights[generator.choice(30, 3, replace=False)] = 1.0
+        pose = refit(weighted_pose(source, target, weights), source, target, bound)
+        members = np.flatnonzero(squared_residuals(pose, source, target) <= bound**2)
+        if len(members) >= removal.consensus:
+            assert set(members) <= set(removal.kept)
+
+
+@given(problems(), st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_searched_reach_is_no_less_than_the_planted_consensus(problem: tuple, cut: bool) -> None:
+    source, target, bound, n_inliers, _ = problem
+    state = _Removing(source, target, bound, np.inf)
+    if cut:  # as if the planted set were known: with it the search ends earliest
+        state.most = n_inliers
+    for k in range(0, n_inliers, 5):
+        others = np.flatnonzero(state.graph[k])
+        assert set(range(n_inliers)) <= {*others, k}
+        reach, rotation = state.search(k, others)
+        assert n_inliers - 1 <= reach <= len(others)
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
+
+
+def test_search_removes_and_finds_what_intervals_do_not() -> None:
+    tighter = larger = 0
+    for seed in range(20):
+        source, target, bound, _ = sparse(seed, 40, 6, 0.1)
+        arcs = remove_outliers(source, target, bound, rotation_search=False)
+        both = remove_outliers(source, target, bound)
+        assert both.consensus >= arcs.consensus
+        assert set(both.kept) <= set(arcs.kept) or both.consensus > arcs.consensus
+        larger += both.consensus > arcs.consensus
+        tighter += both.consensus == arcs.consensus and len(both.kept) < len(arcs.kept)
+    assert larger >= 3
+    assert tighter >= 3  # no larger set is known: the tighter bound alone did it
+
+
+def half_the_tolerance(x, y, radius, *rest) -> Found:
+    return most_correspondences(x, y, radius / 2, *rest)
+
+
+def one_too_few(*args) -> Found:
+    found = most_correspondences(*args)
+    return replace(found, upper_bound=found.upper_bound - 1)
+
+
+@pytest.mark.parametrize("wrong", [half_the_tolerance, one_too_few])
+def test_a_wrong_bound_in_the_search_would_lose_inliers(
+    wrong, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The guarantee's tests on these problems can fail."""
+    problems = [sparse(seed) for seed in range(30)]
+    assert not any(loses_inliers(problem) for problem in problems)
+    monkeypatch.setattr(gore, "most_correspondences", wrong)
+    assert any(loses_inliers(problem) for problem in problems)
+
+
+def test_search_out_of_time_leaves_what_intervals_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(*_: object) -> Found:
+        raise OutOfTimeError
+
+    source, target, bound, _ = sparse(2)
+    arcs = remove_outliers(source, target, bound, rotation_search=False)
+    monkeypatch.setattr(gore, "most_correspondences", late)
+    cut = remove_outliers(source, target, bound)
+    assert arcs.finished
+    assert not cut.finished
+    np.testing.assert_array_equal(cut.kept, arcs.kept)
+
+
+@pytest.mark.parametrize(("n", "bound", "limit"), [(3000, 0.12, 0.5), (200, 0.15, 1.6)])
+def test_time_limit_holds(n: int, bound: float, limit: float) -> None:
+    """Amid the intervals of one correspondence of thousands, and (where fast) amid the search."""
+    remove_outliers(*sparse(0)[:3])  # compiled
+    source, target, _, _ = sparse(0, n, 6, bound)
+    start = time.perf_counter()
+    removal = remove_outliers(source, target, bound, start + limit)
+    assert time.perf_counter() - start < limit + 0.8  # one slice, a refit, and a loaded machine
+    assert len(removal.kept) > 0

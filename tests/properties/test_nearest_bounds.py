@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from baselines._consensus import Consensus
 from baselines._octree import OCTANTS, Incumbent, OctreeSearch
 from baselines._poses import apply, homogeneous
-from baselines._rotation_search import most_matches
+from baselines._rotation_search import most_correspondences, most_matches
 from baselines.contract import Instance, Limits
 from baselines.frs import search as frs
 from baselines.goicp import kernels
@@ -179,6 +179,22 @@ class TestRotationSearch:
         assert found.upper_bound <= max(cutoff, found.count + slack)
         for rotation in Rotation.random(200, random_state=generator).as_matrix():
             assert count(rotation, radius - 1e-9) <= max(found.upper_bound, cutoff)
+
+    @given(SEEDS, st.sampled_from([0.02, 0.1, 0.3]), st.integers(-1, 6), st.integers(0, 2))
+    def test_bounds_the_count_of_correspondences(self, seed, radius, cutoff, slack):
+        generator, source, target = clouds(seed)
+        n = min(len(source), len(target))
+        source, target = source[:n], target[:n]
+        found = most_correspondences(source, target, radius, cutoff, slack, never())
+
+        def count(rotation: np.ndarray, within: float) -> int:
+            distances = np.linalg.norm(source @ rotation.T - target, axis=1)
+            return int((distances <= within).sum())
+
+        assert found.count <= count(found.rotation, radius + 1e-9)
+        assert found.upper_bound <= max(cutoff, found.count + slack)
+        for rotation in Rotation.random(200, random_state=generator).as_matrix():
+            assert count(rotation, radius - 1e-9) <= found.upper_bound
 
     @given(SEEDS)
     def test_planted_points_are_all_found(self, seed):

@@ -1,0 +1,33 @@
+"""The warm-up of the methods that search rotations compiles the search."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from baselines import _rotation_search, registry
+from baselines.contract import Instance, Limits
+
+
+@pytest.mark.parametrize("name", ["frs", "gots", "gore"])
+def test_solves_compile_nothing_after_the_warm_up(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise the first solve that needs the search takes seconds beyond any limit."""
+    compiled, runs = _rotation_search._search, []
+
+    def counted(*arguments: object) -> int:
+        runs.append(name)
+        return compiled(*arguments)
+
+    monkeypatch.setattr(_rotation_search, "_search", counted)
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (2, 20, 3))
+    instance = Instance("random", *points, "rigid3d", 12, (1, 1), 0.04, 0)
+    method = registry.load(name)
+    method.warm_up(instance)
+    assert runs
+    n_compiled = len(compiled.signatures)
+    runs.clear()
+    method.solve(instance, Limits(0.5))
+    assert runs
+    assert len(compiled.signatures) == n_compiled
