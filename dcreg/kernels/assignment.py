@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.kernels.compiling import jit, jit_reduction
+from dcreg.kernels.selection import least
 
 
 @jit
@@ -80,16 +81,14 @@ def dual_bound(cost, k, b):
     return r.sum() - b.sum()
 
 
-@jit_reduction
+@jit
 def row_minima(cost, b, out):
     """out_i = min_j (c_ij + b_j)."""
-    n, m = cost.shape
-    for i in range(n):
-        low = cost[i, 0] + b[0]
-        for j in range(1, m):
-            value = cost[i, j] + b[j]
-            low = value if value < low else low
-        out[i] = low
+    total = np.empty(b.size)
+    for i in range(cost.shape[0]):
+        for j in range(b.size):
+            total[j] = cost[i, j] + b[j]
+        out[i] = least(total)
 
 
 @jit
@@ -99,10 +98,17 @@ def _leave_rows(cost, k, b, a, col_of):
     row_minima(cost, b, a[:n])
     if k == n:
         return np.inf
-    order = np.argsort(a[:n], kind="mergesort")
-    for i in order[k:]:
-        col_of[i] = m
-    return a[order[k]]
+    price = np.partition(a[:n], k)[k]
+    left = n - k
+    for i in range(n):
+        if a[i] > price:
+            col_of[i] = m
+            left -= 1
+    for i in range(n - 1, -1, -1):
+        if left > 0 and a[i] == price:
+            col_of[i] = m
+            left -= 1
+    return price
 
 
 @jit
@@ -125,21 +131,21 @@ def _take_cheapest(cost, a, b, col_of, row_of, free):
 
 
 @jit_reduction
-def _raise_to(least, costs, level):
+def _raise_to(lowest, costs, level):
     for j in range(costs.size):
-        least[j] = max(least[j], level - costs[j])
+        lowest[j] = max(lowest[j], level - costs[j])
 
 
 @jit
 def _lower_prices(cost, spare_price, a, b, col_of, row_of):
     """Prices of free columns fall as far as the rows' duals allow: most of them to zero."""
     n, m = cost.shape
-    least = np.full(m, b.min())
+    lowest = np.full(m, b.min())
     for i in range(n):
-        _raise_to(least, cost[i], spare_price if col_of[i] == m else a[i])
+        _raise_to(lowest, cost[i], spare_price if col_of[i] == m else a[i])
     for j in range(m):
         if row_of[j] < 0:
-            b[j] = min(b[j], least[j])
+            b[j] = min(b[j], lowest[j])
 
 
 @jit
@@ -156,28 +162,22 @@ def _leave_columns(left, a, b, row_of):
 
 @jit_reduction
 def _relax(costs, b, shift, row, dist, pred):
-    """Shorten distances by way of `row`; returns the least of all. Closed columns have b infinite."""
-    low = np.inf
+    """Shorten distances by way of `row`. Closed columns have b infinite."""
     for j in range(costs.size):
         d = shift + (costs[j] + b[j])
         closer = d < dist[j]
         dist[j] = d if closer else dist[j]
         pred[j] = row if closer else pred[j]
-        low = dist[j] if dist[j] < low else low
-    return low
 
 
 @jit
 def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
     """The same by way of all rows at the spare column at once."""
-    low = np.inf
     for j in range(b.size):
         d = shift + (spare_cost[j] + b[j])
         if d < dist[j]:
             dist[j] = d
             pred[j] = spare_row[j]
-        low = min(low, dist[j])
-    return low
 
 
 @jit
@@ -199,20 +199,19 @@ def _augment(cost, spare_price, a, b, col_of, row_of, free, left):
         n_scanned, reach, row = 0, 0.0, source
         while True:
             if row == dummy:
-                low = _relax(no_cost, open_b, reach - a[dummy], dummy, dist, pred)
+                _relax(no_cost, open_b, reach - a[dummy], dummy, dist, pred)
             elif row >= 0:
-                low = _relax(cost[row], open_b, reach - a[row], row, dist, pred)
+                _relax(cost[row], open_b, reach - a[row], row, dist, pred)
                 if spare_open and reach - a[row] + spare_price < spare_dist:
                     spare_dist = reach - a[row] + spare_price
                     pred[spare] = row
             elif row == -2:  # the rows at the spare column
-                low = _relax_spare(spare_cost, spare_row, open_b, reach - spare_price, dist, pred)
-            else:  # nothing new to relax from
-                low = dist.min()
+                _relax_spare(spare_cost, spare_row, open_b, reach - spare_price, dist, pred)
+            low = least(dist)
             if spare_dist < low:
                 column, reach = spare, spare_dist
             else:
-                column, reach = _nearest(dist, low, row_of), low
+                column, reach = _first(dist, low), low
                 if row_of[column] < 0:
                     break
             scanned[n_scanned], reached[n_scanned] = column, reach
@@ -252,15 +251,11 @@ def _augment(cost, spare_price, a, b, col_of, row_of, free, left):
 
 
 @jit
-def _nearest(dist, low, row_of):
-    """A column at distance `low`, a free one if there is any: it ends the path."""
-    found = -1
+def _first(dist, low):
+    at = dist.size
     for j in range(dist.size):
-        if dist[j] <= low:
-            found = j
-            if row_of[j] < 0:
-                break
-    return found
+        at = min(at, j if dist[j] == low else dist.size)
+    return at
 
 
 @jit

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.kernels.assignment import improve_assignment, k_assignment_duals, row_minima
-from dcreg.kernels.compiling import jit, jit_reduction
+from dcreg.kernels.compiling import jit
 from dcreg.kernels.features import (
     NORM3D,
     allocate,
@@ -19,6 +19,7 @@ from dcreg.kernels.features import (
     pair_costs,
     vertex,
 )
+from dcreg.kernels.selection import smallest_sum
 from dcreg.kernels.vertices import objectives
 
 LATTICE = 2.0**30  # cells per axis; finer boxes are not told apart
@@ -181,61 +182,6 @@ def _dual_profile(cost, k, b, profile):
     row_minima(cost, b, profile)
     profile -= b.sum() / k
     return smallest_sum(profile, k)
-
-
-# Separate loops: each of these vectorises, their fusion does not.
-@jit_reduction
-def _extent(values):
-    low, high = values[0], values[0]
-    for i in range(values.size):
-        low = values[i] if values[i] < low else low
-    for i in range(values.size):
-        high = values[i] if values[i] > high else high
-    return low, high
-
-
-@jit_reduction
-def _below(values, level):
-    """How many numbers lie below `level`, and how far all of them together."""
-    count, depth = 0.0, 0.0
-    for i in range(values.size):
-        depth += max(level - values[i], 0.0)
-    for i in range(values.size):
-        count += 1.0 if values[i] < level else 0.0
-    return count, depth
-
-
-@jit
-def smallest_sum(values, k):
-    """Sum of the k smallest numbers, from below up to rounding.
-
-    It is the maximum over levels t of the concave ``k t - sum max(0, t - value)``; cutting planes find it
-    in a few vectorised passes, where selection would branch on every number.
-    """
-    if k == values.size:
-        return values.sum()
-    low, high = _extent(values)
-    f_low, slope_low = k * low, float(k)
-    count, depth = _below(values, high)
-    f_high, slope_high = k * high - depth, k - count
-    if slope_high >= 0.0:
-        return f_high
-    best = max(f_low, f_high)
-    for _ in range(60):
-        at = (f_high - f_low + slope_low * low - slope_high * high) / (slope_low - slope_high)
-        ceiling = f_low + slope_low * (at - low)
-        if not low < at < high:
-            break
-        count, depth = _below(values, at)
-        f = k * at - depth
-        best = max(best, f)
-        if ceiling - f <= 1e-12 * abs(ceiling) or count == k:
-            break
-        if count < k:
-            low, f_low, slope_low = at, f, k - count
-        else:
-            high, f_high, slope_high = at, f, k - count
-    return best
 
 
 @jit

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from dcreg.assignment import k_assignment, pairs_of
 from dcreg.kernels import assignment as kernels
 from dcreg.kernels import reference
-from dcreg.kernels.shared import smallest_sum
+from dcreg.kernels.selection import greatest, least, smallest_sum
 
 
 @st.composite
@@ -68,6 +69,12 @@ def test_any_starting_prices_lead_to_the_optimum(case, seed, spread):
     assert cost[matched, col_of[matched]].sum() == pytest.approx(value, abs=1e-9)
     assert value == pytest.approx(reference.k_assignment(cost, k), abs=1e-8)
     assert kernels.dual_bound(cost, k, prices) == pytest.approx(value, abs=1e-8)
+
+
+@given(arrays(np.float64, st.integers(1, 40), elements=st.floats(allow_nan=False)))
+def test_least_and_greatest_of_any_numbers(values):
+    assert least(values) == values.min()
+    assert greatest(values) == values.max()
 
 
 @given(st.integers(1, 40), st.integers(0, 2**32 - 1), st.booleans())

@@ -1,0 +1,93 @@
+"""The least of some numbers, and the sum of the k smallest."""
+
+from __future__ import annotations
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from dcreg.kernels.compiling import jit, jit_reduction
+
+_MAGNITUDE = np.int64(0x7FFFFFFFFFFFFFFF)
+
+
+@intrinsic
+def _as_float(typing_context, bits):
+    """The float64 with these 64 bits."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.bitcast(arguments[0], ir.DoubleType())
+
+    return types.float64(types.int64), generate
+
+
+@jit
+def _ordered(bits):
+    """Integers in the order of the float64 they are the bits of; its own inverse."""
+    return bits ^ ((bits >> 63) & _MAGNITUDE)
+
+
+@jit
+def least(values):
+    """Minimum of a contiguous array without NaN.
+
+    By way of integers: the compiler vectorises their minimum, and not that of floating-point numbers.
+    """
+    low, bits = _MAGNITUDE, values.view(np.int64)
+    for i in range(bits.size):
+        low = min(low, _ordered(bits[i]))
+    return _as_float(_ordered(low))
+
+
+@jit
+def greatest(values):
+    """Maximum of a contiguous array without NaN, as `least`."""
+    high, bits = -_MAGNITUDE, values.view(np.int64)
+    for i in range(bits.size):
+        high = max(high, _ordered(bits[i]))
+    return _as_float(_ordered(high))
+
+
+@jit_reduction
+def _below(values, level):
+    """How many numbers lie below `level`, and how far all of them together."""
+    count, depth = 0.0, 0.0
+    for i in range(values.size):
+        depth += max(level - values[i], 0.0)
+    for i in range(values.size):
+        count += 1.0 if values[i] < level else 0.0
+    return count, depth
+
+
+@jit
+def smallest_sum(values, k):
+    """Sum of the k smallest numbers, from below up to rounding.
+
+    It is the maximum over levels t of the concave ``k t - sum max(0, t - value)``; cutting planes find it
+    in a few vectorised passes, where selection would branch on every number.
+    """
+    if k == values.size:
+        return values.sum()
+    low, high = least(values), greatest(values)
+    f_low, slope_low = k * low, float(k)
+    count, depth = _below(values, high)
+    f_high, slope_high = k * high - depth, k - count
+    if slope_high >= 0.0:
+        return f_high
+    best = max(f_low, f_high)
+    for _ in range(60):
+        at = (f_high - f_low + slope_low * low - slope_high * high) / (slope_low - slope_high)
+        ceiling = f_low + slope_low * (at - low)
+        if not low < at < high:
+            break
+        count, depth = _below(values, at)
+        f = k * at - depth
+        best = max(best, f)
+        if ceiling - f <= 1e-12 * abs(ceiling) or count == k:
+            break
+        if count < k:
+            low, f_low, slope_low = at, f, k - count
+        else:
+            high, f_high, slope_high = at, f, k - count
+    return best
