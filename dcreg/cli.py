@@ -116,6 +116,14 @@ ThreadsOption = Annotated[int, typer.Option(metavar="N", parser=_whole, help="Th
 PolishOption = Annotated[
     bool, typer.Option(help="Refine pose and pairs jointly after the certified search.")
 ]
+CandidatesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--candidates",
+        metavar="FILE",
+        help="Feasible pairs: two columns, source row and target row, from 0. Default: all.",
+    ),
+]
 SourceKeyOption = Annotated[
     str | None, typer.Option(metavar="KEY", help="Array of an .npz or .mat source.")
 ]
@@ -168,14 +176,7 @@ def register(
     node_limit: NodeLimitOption = None,
     threads: ThreadsOption = 1,
     polish: PolishOption = True,
-    candidates_path: Annotated[
-        str | None,
-        typer.Option(
-            "--candidates",
-            metavar="FILE",
-            help="Feasible pairs: two columns, source row and target row, from 0. Default: all.",
-        ),
-    ] = None,
+    candidates_path: CandidatesOption = None,
     source_key: SourceKeyOption = None,
     target_key: TargetKeyOption = None,
     json_path: Annotated[
@@ -289,6 +290,7 @@ def sweep(
     node_limit: NodeLimitOption = None,
     threads: ThreadsOption = 1,
     polish: PolishOption = True,
+    candidates_path: CandidatesOption = None,
     source_key: SourceKeyOption = None,
     target_key: TargetKeyOption = None,
     out_path: Annotated[
@@ -318,11 +320,15 @@ def sweep(
         _check_suffix("--out", out_path, tuple(_SWEEP_WRITERS))
         _check_suffix("--plot", plot_path, (SWEEP_PAGE, *SWEEP_IMAGES))
         _check_images(plot_path)
-        _check_outputs({"--out": out_path, "--plot": plot_path}, inputs=(source, target))
+        inputs = (source, target) if candidates_path is None else (source, target, candidates_path)
+        _check_outputs({"--out": out_path, "--plot": plot_path}, inputs=inputs)
         counts = _counts(n_inliers)
         problem = _problem(
             (source, source_key), (target, target_key), model.value, "1.0", scale_range
         )
+        candidates = None
+        if candidates_path is not None:  # enough for which counts, `dcreg.sweep` finds out
+            candidates = _candidates(candidates_path, len(problem.source))
         if not quiet:
             for line in _advice(problem):
                 log.print(line, style="yellow", highlight=False, soft_wrap=True)
@@ -338,6 +344,7 @@ def sweep(
                 time_limit=time_limit,
                 node_limit=node_limit,
                 threads=threads,
+                candidates=candidates,
                 polish=polish,
                 listener=progress,
             )

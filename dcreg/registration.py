@@ -305,8 +305,6 @@ def register(
         raise InputError(
             f"mode: {mode!r} is unknown for {model}; choose from {[AUTO, *MODES[model]]}"
         )
-    if problem.candidates is not None:
-        _check_takes_candidates(bound)
     if certificate and mode != CERTIFIABLE[model][0]:
         raise InputError(f"certificate: mode {mode!r} keeps no leaf boxes; use mode 'paper'")
     bound_parts(bound)  # unknown names end here, also where a mode has bounds of its own
@@ -455,14 +453,6 @@ def _polish(
         problem.candidates,
         deadline,
     )
-
-
-def _check_takes_candidates(bound: str) -> None:
-    blind = [part for part in bound_parts(bound) if part.startswith("termwise")]
-    if blind:
-        raise InputError(
-            f"candidates: bound {blind[0]!r} treats every pair as feasible; use another bound"
-        )
 
 
 def _check_settings(**settings: float | None) -> None:

@@ -34,7 +34,7 @@ from dcreg.box import LongestEdge
 from dcreg.frame import Frame
 from dcreg.models import Model, Similarity2D, Translation3D
 from dcreg.polish import objective, polish
-from dcreg.problem import InputError, Problem, default_gap_tol
+from dcreg.problem import Candidates, InputError, Problem, default_gap_tol
 from dcreg.registration import (
     DEFAULT_BOUND,
     TRANSLATION_SHARE,
@@ -207,13 +207,15 @@ def sweep(
     node_limit: int | None = None,
     memory_limit_mb: float | None = None,
     threads: int = 1,
+    candidates: Candidates | None = None,
     polish: bool = True,
     listener: Listener | None = None,
 ) -> SweepResult:
     """Register two clouds for several numbers of inliers, with bounds for each.
 
     For every cardinality the problem of `dcreg.register` in mode ``paper`` is solved; searches share
-    their poses, and a bound for fewer pairs serves for more of them where it is good enough.
+    their poses, and a bound for fewer pairs serves for more of them where it is good enough. The k
+    cheapest pairs of a feasible matching are feasible, so `candidates` change nothing about that.
 
     Parameters
     ----------
@@ -221,7 +223,7 @@ def sweep(
     n_inliers : sequence of int or float
         Cardinalities, in any order and with repetitions; floats in (0, 1] are fractions of
         ``min(n, m)``.
-    model, bound, scale_range, threads, polish
+    model, bound, scale_range, threads, candidates, polish
         As in `dcreg.register`.
     gap_tol : float, optional
         Absolute tolerance for every cardinality; default `dcreg.default_gap_tol` of each.
@@ -255,7 +257,7 @@ def sweep(
     ('optimal', [0.01, 0.01, 0.01, 0.03, 0.11])
     """
     began = time.perf_counter()
-    problems = _problems(source, target, n_inliers, model, scale_range)
+    problems = _problems(source, target, n_inliers, model, scale_range, candidates)
     check_size(problems[0])
     bound_parts(bound)
     _check_settings(
@@ -285,6 +287,7 @@ def _problems(
     n_inliers: Sequence[int | float],
     model: str,
     scale_range: tuple[float, float],
+    candidates: Candidates | None,
 ) -> list[Problem]:
     """One problem per distinct cardinality, ascending."""
     if isinstance(n_inliers, str) or not isinstance(n_inliers, Iterable):
@@ -294,7 +297,9 @@ def _problems(
         )
     made = {
         problem.n_inliers: problem
-        for problem in (Problem(source, target, k, model, scale_range) for k in n_inliers)
+        for problem in (
+            Problem(source, target, k, model, scale_range, candidates) for k in n_inliers
+        )
     }
     if not made:
         raise InputError("n_inliers: the list is empty; give at least one count or fraction")
@@ -328,9 +333,11 @@ class _Sweep:
             gap_tol = default_gap_tol(problem.target, k) or default_gap_tol(problem.source, k)
         model: Model
         if problem.model == "similarity2d":
-            model = Similarity2D(source, target, k, problem.scale_range)
+            model = Similarity2D(
+                source, target, k, problem.scale_range, candidates=problem.candidates
+            )
         else:
-            model = Translation3D(source, target, k)
+            model = Translation3D(source, target, k, candidates=problem.candidates)
         return _Level(problem, model, gap_tol / self.area)
 
     def _left(self, share: float = 1.0) -> float | None:
@@ -441,11 +448,18 @@ class _Sweep:
             status = rotated if status is Status.OPTIMAL else status
         T_certified = self.frame.pose(T)
         problem = level.problem
-        value, pairs = objective(problem.source, problem.target, T_certified, level.k)
+        value, pairs = objective(
+            problem.source, problem.target, T_certified, level.k, problem.candidates
+        )
         final_T, final_value = T_certified, value
         if polish_pose:
             final_T, final_value, pairs, spent = polish(
-                problem.source, problem.target, T_certified, level.k, problem.scale_range
+                problem.source,
+                problem.target,
+                T_certified,
+                level.k,
+                problem.scale_range,
+                candidates=problem.candidates,
             )
             level.stages.append(
                 {
@@ -489,6 +503,7 @@ class _Sweep:
             gap_tol=level.gap_tol,
             time_limit=None if left is None else max(0.0, left) / n_left,
             node_limit=self.limits.nodes,
+            candidates=level.problem.candidates,
             listener=self.listener,
         )
         level.n_nodes += found.n_nodes

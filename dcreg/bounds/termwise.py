@@ -53,7 +53,7 @@ class SeparableBound(TermwiseBound):
             self.low, self.high = self._aggregates()
 
     def _aggregates(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ranges of the aggregated features over all matchings."""
+        """Ranges of the aggregated features over all matchings, feasible or not."""
         model = self.model
         if model.kind == features.NORM3D:
             ordered = np.sort(model.source, axis=0)
@@ -79,9 +79,8 @@ class SeparableBound(TermwiseBound):
     ) -> int:
         model, k = self.model, self.model.n_inliers
         if model.kind == features.NORM3D:
-            norms = model.target_features[0]
             return termwise.norm_bounds(
-                model.source, norms, k, self.low, self.high, self.averaged,
+                model.source, model.target_features, k, self.low, self.high, self.averaged,
                 lower, upper, bounds, thetas,
             )  # fmt: skip
         if self.averaged:

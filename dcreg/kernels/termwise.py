@@ -39,7 +39,7 @@ BILINEAR = np.array([[3, 0], [4, 1], [5, 2], [6, 3]])
 
 @jit
 def pair_features(source, target, out):
-    """out[f, i, j] for the seven features, then yy as the eighth plane."""
+    """out[f, i, j] for the seven features, then yy and the price of the pair as the eighth plane."""
     for i in range(source.shape[0]):
         a, b = source[i, 0], source[i, 1]
         for j in range(target.shape[1]):
@@ -52,6 +52,8 @@ def pair_features(source, target, out):
             out[5, i, j] = u
             out[6, i, j] = v
             out[7, i, j] = u * u + v * v
+            if target.shape[0] > 2:
+                out[7, i, j] += target[2 + i, j]
 
 
 @jit
@@ -178,11 +180,12 @@ def entry_bound(features, k, lower, upper, bounds):
 
 
 @jit
-def norm_bounds(source, norms, k, low, high, averaged, lower, upper, bounds, thetas):
+def norm_bounds(source, target, k, low, high, averaged, lower, upper, bounds, thetas):
     """R1 (`averaged`) or R2 in norm space; `low` and `high` are the ranges of the aggregates of x.
 
     One assignment a box. R1 writes the t that minimises its quadratic into `thetas`.
     """
+    norms = target[0]
     n, m = source.shape[0], norms.size
     cost, alpha, beta = np.empty((n, m)), np.empty(3), np.empty(3)
     length_low, length_high = np.empty(n), np.empty(n)
@@ -208,6 +211,8 @@ def norm_bounds(source, norms, k, low, high, averaged, lower, upper, bounds, the
                 constant += c0 + _add_length(source[i], lo, up, length_high[i], weight, beta)
             for j in range(m):
                 cost[i, j] = charge + norms[j] * (slope + norms[j])
+                if target.shape[0] > 1:
+                    cost[i, j] += target[1 + i, j]
         value, _ = k_assignment(cost, k)
         value += constant
         for a in range(3):

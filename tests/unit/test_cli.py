@@ -228,6 +228,14 @@ def test_bad_candidates_exit_2(call, tmp_path, fake, pairs, words):
     assert fake.called is None
 
 
+def test_candidates_reach_the_sweep(sweep_call, tmp_path, fake_sweep):
+    pairs = [[i, j] for i in range(12) for j in (i, (i + 1) % 12)]
+    np.savetxt(tmp_path / "pairs.txt", pairs, fmt="%d")
+    assert run(*sweep_call, "--candidates", tmp_path / "pairs.txt").exit_code == 0
+    lists = [sorted(columns) for columns in fake_sweep.called["candidates"]]
+    assert lists == [sorted([i, (i + 1) % 12]) for i in range(12)]
+
+
 @pytest.mark.parametrize("mode", ["auto", "full", "multi", "paper"])
 def test_candidates_hold_in_every_3d_mode(mode, tmp_path):
     source = np.random.default_rng(3).random((8, 3))

@@ -251,6 +251,45 @@ def test_space_both_stages():
     assert np.allclose(swept.results[1].rotation, expected, atol=0.1)
 
 
+def half_of(pairs, n, m, seed=3):
+    """A mask with `pairs` that (i, i) and half of all others."""
+    mask = np.random.default_rng(seed).random((n, m)) < 0.5
+    mask[:pairs, :pairs] |= np.eye(pairs, dtype=bool)
+    return mask
+
+
+def test_candidates_hold_for_every_cardinality(clouds):
+    mask = half_of(18, 24, 24)
+    found = dcreg.sweep(*clouds, [16, 18, 20, 22], model="similarity2d", candidates=mask)
+    free = dcreg.sweep(*clouds, [16, 18, 20, 22], model="similarity2d")
+    for mine, other in zip(found.results, free.results, strict=True):
+        alone = dcreg.register(
+            *clouds, n_inliers=mine.n_inliers, model="similarity2d", candidates=mask
+        )
+        assert mine.status is Status.OPTIMAL
+        assert mask[tuple(mine.assignment.T)].all()
+        assert abs(mine.upper_bound - alone.upper_bound) <= mine.gap_tol
+        assert mine.upper_bound >= other.lower_bound
+    # twenty true pairs of which two are ruled out: the sweep must notice
+    assert found.results[2].upper_bound > free.results[2].upper_bound
+
+
+def test_candidates_hold_in_space():
+    clouds = solid(n_common=10, n_points=12)
+    mask = half_of(10, 12, 12)
+    found = dcreg.sweep(*clouds, [8, 10], model="rigid3d", candidates=mask)
+    for result in found.results:
+        assert result.status is Status.OPTIMAL
+        assert mask[tuple(result.assignment.T)].all()
+
+
+def test_too_few_candidates_are_refused_for_the_cardinality_that_lacks_them(clouds):
+    mask = np.zeros((24, 24), bool)
+    mask[:20, :20] = np.eye(20, dtype=bool)
+    with pytest.raises(InputError, match=r"at most 20 pairs .* n_inliers = 22"):
+        dcreg.sweep(*clouds, [18, 22], model="similarity2d", candidates=mask)
+
+
 def test_plain_values_for_json(found):
     content = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert content["status"] == "optimal"
