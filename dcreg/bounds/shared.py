@@ -61,7 +61,7 @@ class VertexCache:
             self._empty()
         capacity = len(self.keys)
         while capacity < self.used + count:
-            capacity *= 2
+            capacity *= 4  # pages never written take no memory; copying takes time
         if capacity > len(self.keys):
             for name in self._ARRAYS:
                 old = getattr(self, name)
