@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from dcreg.kernels.compiling import jit
+from dcreg.kernels.sorting import COLUMNS
 
 SIMILARITY2D = 0  # theta = (s cos, s sin, t_x, t_y)
 NORM3D = 1  # theta = t, feature |x + t|
@@ -33,6 +34,19 @@ def move(kind, source, theta, out):
         for i in range(n):
             a, b, c = source[i, 0] + theta[0], source[i, 1] + theta[1], source[i, 2] + theta[2]
             out[i, 0] = math.sqrt(a * a + b * b + c * c)
+
+
+@jit
+def norm_columns(source, shifts, table):
+    """``|x_i + t|`` for several t at once, the `COLUMNS` columns of `shifts` and of `table`."""
+    for i in range(source.shape[0]):
+        x, y, z = source[i, 0], source[i, 1], source[i, 2]
+        for column in range(COLUMNS):
+            a, b, c = x + shifts[0, column], y + shifts[1, column], z + shifts[2, column]
+            table[i, column] = a * a + b * b + c * c
+    numbers = table.reshape(-1)
+    for at in range(numbers.size):  # a loop of its own: only so do the roots vectorise
+        numbers[at] = math.sqrt(numbers[at])
 
 
 @jit

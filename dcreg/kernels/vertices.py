@@ -14,11 +14,13 @@ from dcreg.kernels.features import (
     interval_costs,
     move,
     n_vertices,
+    norm_columns,
     on_line,
     pair_costs,
     vertex,
 )
 from dcreg.kernels.line import line_matching, line_value
+from dcreg.kernels.sorting import COLUMNS, sort_columns
 
 
 @jit
@@ -102,14 +104,35 @@ def edge_bound(kind, source, target, k, lower, upper, bounds):
 def objectives(kind, source, target, k, thetas, values):
     """E at every row of `thetas`. Returns the number of assignments."""
     if on_line(kind, target):
-        norms, ordered = np.empty((source.shape[0], 1)), np.sort(target[0])
-        for row in range(thetas.shape[0]):
-            move(kind, source, thetas[row], norms)
-            values[row] = line_value(np.sort(norms[:, 0]), ordered, k)
-        return thetas.shape[0]
+        return _objectives_on_line(kind, source, target[0], k, thetas, values)
     moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
     for row in range(thetas.shape[0]):
         move(kind, source, thetas[row], moved)
         pair_costs(moved, target, cost)
         values[row], _ = k_assignment(cost, k)
     return thetas.shape[0]
+
+
+@jit
+def _objectives_on_line(kind, source, target, k, thetas, values):
+    """`objectives` from sorted norms, several rows at once: sorting is most of the work.
+
+    Every value is the same to the last bit whichever rows share its table: slices for threads may
+    cut `thetas` anywhere.
+    """
+    n, rows = source.shape[0], thetas.shape[0]
+    ordered, norms = np.sort(target), np.empty(n)
+    table, shifts = np.empty((n, COLUMNS)), np.empty((3, COLUMNS))
+    together = rows - 1 if rows % COLUMNS == 1 else rows  # one row alone is not worth a table
+    for first in range(0, together, COLUMNS):
+        for column in range(COLUMNS):  # beyond the last row: that row again
+            shifts[:, column] = thetas[min(first + column, rows - 1)]
+        norm_columns(source, shifts, table)
+        sort_columns(table)
+        for column in range(min(COLUMNS, rows - first)):
+            norms[:] = table[:, column]
+            values[first + column] = line_value(norms, ordered, k)
+    for row in range(together, rows):
+        move(kind, source, thetas[row], norms.reshape(n, 1))
+        values[row] = line_value(np.sort(norms), ordered, k)
+    return rows
