@@ -245,7 +245,7 @@ def branch_and_bound(
 
 
 def _share(most: int, n_open: int) -> int:
-    return min(most, max(FEWEST, n_open // 8))
+    return min(most, max(FEWEST, n_open // 4))
 
 
 def _settled(values: np.ndarray, gap_tol: float) -> np.ndarray:

@@ -22,7 +22,8 @@ from dcreg.kernels import shared
 from dcreg.models import Model
 from dcreg.search import Evaluation
 
-# A cache beyond this is emptied and fills again: bounds stay valid, some vertices are solved twice.
+# A cache beyond this forgets the half not met for longest: bounds stay valid, some vertices are solved
+# twice.
 MAX_CACHE_BYTES = 400 * 2**20
 
 
@@ -30,7 +31,7 @@ class VertexCache:
     """What is known at the vertices met so far, by their place on the start box's dyadic lattice.
 
     ``lows`` bounds E from below; ``values`` is E where it was solved, else infinite; ``duals`` and
-    ``profiles`` as in `dcreg.kernels.shared`.
+    ``profiles`` as in `dcreg.kernels.shared`, ``levels`` the k-th smallest entry of the profile, about.
 
     Parameters
     ----------
@@ -40,25 +41,25 @@ class VertexCache:
         Entries of a profile and of a dual vector; 0 where none is needed.
     """
 
-    _ARRAYS = ("keys", "thetas", "lows", "values", "profiles", "duals")
+    _ARRAYS = ("keys", "thetas", "lows", "values", "levels", "profiles", "duals", "met")
 
     def __init__(self, start: Box, profile_size: int, duals_size: int) -> None:
         self.origin, self.width = start.lower, start.upper - start.lower
-        self._sizes = (profile_size, duals_size)
         self.max_vertices = MAX_CACHE_BYTES // (8 * (profile_size + duals_size + 16))
-        self._empty()
-
-    def _empty(self, capacity: int = 1024) -> None:
-        self.used = 0
+        capacity = 1024
+        self.used = self._calls = 0
         self.keys = np.empty((capacity, 4), np.int64)
+        self.met = np.empty(capacity, np.int64)  # the last call that asked for it
         self.thetas = np.empty((capacity, self.origin.size))
-        self.lows, self.values = np.empty(capacity), np.empty(capacity)
-        self.profiles, self.duals = (np.empty((capacity, size)) for size in self._sizes)
+        self.lows, self.values, self.levels = (np.empty(capacity) for _ in range(3))
+        self.profiles, self.duals = (
+            np.empty((capacity, size)) for size in (profile_size, duals_size)
+        )
         self.table = np.full(4 * capacity, -1, np.int64)
 
     def _reserve(self, count: int) -> None:
         if self.used + count > self.max_vertices:
-            self._empty()
+            self._forget()
         capacity = len(self.keys)
         while capacity < self.used + count:
             capacity *= 4  # pages never written take no memory; copying takes time
@@ -71,6 +72,15 @@ class VertexCache:
             self.table = np.empty(4 * capacity, np.int64)
             shared.rebuild(self.table, self.keys, self.used)
 
+    def _forget(self) -> None:
+        """Keep the half of the vertices that was met last."""
+        keep = np.sort(np.argsort(self.met[: self.used], kind="stable")[self.used // 2 :])
+        for name in self._ARRAYS:
+            array = getattr(self, name)
+            array[: keep.size] = array[keep]
+        self.used = keep.size
+        shared.rebuild(self.table, self.keys, self.used)
+
     def find(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, int]:
         """Slots of the boxes' vertices (-1 beyond the last), and the first slot that is new."""
         slots = np.full((len(lower), 2**self.origin.size), -1, np.int64)
@@ -79,6 +89,8 @@ class VertexCache:
         self.used = shared.find_or_add(
             self.table, self.keys, self.thetas, before, self.origin, self.width, lower, upper, slots
         )
+        self._calls += 1
+        self.met[slots[slots >= 0]] = self._calls
         return slots, before
 
 
@@ -100,15 +112,17 @@ class SharedBound(ModelBound):
         slots, before = cache.find(lower, upper)
         self._estimate(slots, before)
         bounds = np.empty(len(lower))
-        binding, points = np.empty(len(lower), np.int64), np.empty(lower.shape)
+        binding, points = np.empty(len(lower), np.int64), 0.5 * (lower + upper)
         rows = np.arange(len(lower))
         while rows.size:
             bounds[rows], binding[rows], points[rows] = self._bound(
-                slots[rows], lower[rows], upper[rows], cutoff
+                slots[rows], lower[rows], upper[rows], cutoff, points[rows]
             )
             # a bound that rests on an estimate and does not prune yet deserves the true value
             rows = rows[(bounds[rows] < cutoff) & np.isinf(cache.values[binding[rows]])]
-            self._solve(np.unique(binding[rows]), warm=True)
+            which = np.unique(binding[rows])
+            self._blend(slots, which, settled=0)
+            self._solve(which, warm=True)
         self._tighten(slots, points, cutoff, bounds)
         best = np.where(slots >= 0, cache.values[slots], np.inf).argmin(axis=1)
         best = slots[np.arange(len(slots)), best]
@@ -118,13 +132,10 @@ class SharedBound(ModelBound):
         """Value or lower bound of the vertices from `before` on."""
         cache, model = self.cache, self.model
         new = np.arange(before, cache.used)
-        donors = np.full(new.size, -1, np.int64)
-        if cache.duals.shape[1]:
-            shared.nearest_solved(
-                slots, before, cache.thetas, cache.values, self.loss_weights, donors
-            )
-        self._solve(new[donors < 0])
-        new, donors = new[donors >= 0], donors[donors >= 0]
+        cache.values[new] = np.inf
+        known = self._blend(slots, new, settled=before)
+        self._solve(new[~known])
+        new = new[known]
 
         def work(part: slice) -> int:
             shared.estimate_vertices(
@@ -133,16 +144,43 @@ class SharedBound(ModelBound):
                 model.target_features,
                 model.n_inliers,
                 new[part],
-                donors[part],
                 cache.thetas,
                 cache.lows,
                 cache.values,
+                cache.levels,
                 cache.profiles,
                 cache.duals,
             )
             return 0
 
         self._run(work, new.size)
+
+    def _blend(self, slots: np.ndarray, which: np.ndarray, settled: int) -> np.ndarray:
+        """Prices from neighbours; False where there are none."""
+        cache = self.cache
+        known = np.zeros(which.size, np.bool_)
+        if not cache.duals.shape[1] or not which.size:
+            return known
+
+        start, boxes = shared.boxes_of(slots, which)
+
+        def work(part: slice) -> int:
+            shared.blend_prices(
+                slots,
+                which[part],
+                start[part.start :],
+                boxes,
+                settled,
+                cache.thetas,
+                cache.values,
+                self.loss_weights,
+                cache.duals,
+                known[part],
+            )
+            return 0
+
+        self._run(work, which.size)
+        return known
 
     def _solve(self, which: np.ndarray, warm: bool = False) -> None:
         """Exact values, duals and profiles at the vertices `which`; `warm`: from their estimates."""
@@ -159,6 +197,7 @@ class SharedBound(ModelBound):
                 cache.thetas,
                 cache.lows,
                 cache.values,
+                cache.levels,
                 cache.profiles,
                 cache.duals,
             )
@@ -166,11 +205,15 @@ class SharedBound(ModelBound):
         self._run(work, which.size)
 
     def _bound(
-        self, slots: np.ndarray, lower: np.ndarray, upper: np.ndarray, cutoff: float
+        self,
+        slots: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float,
+        points: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cache, model = self.cache, self.model
         bounds, binding = np.empty(len(lower)), np.empty(len(lower), np.int64)
-        points = np.empty(lower.shape)
 
         def work(part: slice) -> int:
             shared.shared_bound(
@@ -180,6 +223,7 @@ class SharedBound(ModelBound):
                 self.loss_weights,
                 cache.thetas,
                 cache.lows,
+                cache.levels,
                 cache.profiles,
                 slots[part],
                 lower[part],
@@ -231,6 +275,7 @@ class TightExactBound(TightBound):
                 model.n_inliers,
                 cache.thetas,
                 cache.lows,
+                cache.levels,
                 cache.profiles,
                 cache.duals,
                 slots[weak[part]],

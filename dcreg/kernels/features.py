@@ -50,14 +50,18 @@ def norm_columns(source, shifts, table):
 
 
 @jit
-def curvature(kind, source, delta, out):
-    """R_i(delta) = |J_i delta|^2: what the tangent at theta0 misses at theta0 + delta."""
-    n = source.shape[0]
+def curvature(kind, axes, delta, out):
+    """R_i(delta) = |J_i delta|^2: what the tangent at theta0 misses at theta0 + delta.
+
+    `axes` is the source with one row per axis, so that the loop streams.
+    """
+    n = axes.shape[1]
     if kind == SIMILARITY2D:
+        x, y = axes[0], axes[1]
+        cos, sin, right, up = delta[0], delta[1], delta[2], delta[3]
         for i in range(n):
-            x, y = source[i, 0], source[i, 1]
-            u = delta[0] * x - delta[1] * y + delta[2]
-            v = delta[1] * x + delta[0] * y + delta[3]
+            u = cos * x[i] - sin * y[i] + right
+            v = sin * x[i] + cos * y[i] + up
             out[i] = u * u + v * v
     else:
         r = delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2

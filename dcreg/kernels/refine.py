@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dcreg.kernels.compiling import jit
+from dcreg.kernels.compiling import jit, jit_reduction
 from dcreg.kernels.features import NORM3D, SIMILARITY2D
 from dcreg.kernels.vertices import objective
 
@@ -70,26 +70,33 @@ def refine_similarity2d(source, target, k, low, high, theta):
     return best, value, spent
 
 
+@jit_reduction
+def fit_norm3d(axes, lengths, theta, out):
+    """One majorise-minimise step for matched points: put x_i + t at its length along its direction.
+
+    `axes` is the matched source with one row per axis, `lengths` the norms of its partners.
+    """
+    x, y, z = axes[0], axes[1], axes[2]
+    right, up, ahead = theta[0], theta[1], theta[2]
+    to_x = to_y = to_z = 0.0
+    for i in range(x.size):
+        a, b, c = x[i] + right, y[i] + up, z[i] + ahead
+        length = math.sqrt(a * a + b * b + c * c)
+        missing = (lengths[i] - length) / length if length > 0.0 else 0.0
+        to_x += missing * a
+        to_y += missing * b
+        to_z += missing * c
+    out[0], out[1], out[2] = right + to_x / x.size, up + to_y / x.size, ahead + to_z / x.size
+
+
 @jit
-def fit_norm3d(source, target, col_of, theta, out):
-    """One majorise-minimise step for fixed pairs: put x_i + t at length |y_j| along its direction."""
-    count = 0
-    out[:] = 0.0
+def _matched(source, target, col_of, axes, lengths):
+    found = 0
     for i in range(col_of.size):
-        j = col_of[i]
-        if j >= 0:
-            count += 1
-            a, b, c = source[i, 0] + theta[0], source[i, 1] + theta[1], source[i, 2] + theta[2]
-            length = math.sqrt(a * a + b * b + c * c)
-            if length > 0.0:
-                ratio = target[0, j] / length
-                out[0] += ratio * a
-                out[1] += ratio * b
-                out[2] += ratio * c
-            out[0] -= source[i, 0]
-            out[1] -= source[i, 1]
-            out[2] -= source[i, 2]
-    out /= count
+        if col_of[i] >= 0:
+            axes[:, found] = source[i]
+            lengths[found] = target[0, col_of[i]]
+            found += 1
 
 
 @jit
@@ -99,10 +106,12 @@ def refine_norm3d(source, target, k, theta):
     value, col_of = objective(NORM3D, source, target, k, best)
     spent = 1
     trial, step = np.empty(3), np.empty(3)
+    axes, lengths = np.empty((3, k)), np.empty(k)
     for _ in range(_MAX_ROUNDS):
         trial[:] = best
+        _matched(source, target, col_of, axes, lengths)
         for _ in range(20):
-            fit_norm3d(source, target, col_of, trial, step)
+            fit_norm3d(axes, lengths, trial, step)
             trial[:] = step
         trial_value, trial_col = objective(NORM3D, source, target, k, trial)
         spent += 1

@@ -60,34 +60,46 @@ def _below(values, level):
     return count, depth
 
 
-@jit
-def smallest_sum(values, k):
-    """Sum of the k smallest numbers, from below up to rounding.
+@jit_reduction
+def total(values):
+    """Sum in whatever order is fastest (the same on every run)."""
+    found = 0.0
+    for i in range(values.size):
+        found += values[i]
+    return found
 
-    It is the maximum over levels t of the concave ``k t - sum max(0, t - value)``; cutting planes find it
-    in a few vectorised passes, where selection would branch on every number.
+
+@jit
+def smallest_sum(values, k, level, spacing):
+    """Sum of the k smallest numbers, from below up to rounding, and their greatest up to rounding.
+
+    It is the maximum over levels t of the concave ``k t - sum max(0, t - value)``. Cutting planes find it
+    in a few vectorised passes, where selection would branch on every number: the fewer, the nearer the
+    guess `level` of the k-th smallest number and `spacing` of those around it.
     """
     if k == values.size:
-        return values.sum()
-    low, high = least(values), greatest(values)
-    f_low, slope_low = k * low, float(k)
-    count, depth = _below(values, high)
-    f_high, slope_high = k * high - depth, k - count
-    if slope_high >= 0.0:
-        return f_high
-    best = max(f_low, f_high)
-    for _ in range(60):
-        at = (f_high - f_low + slope_low * low - slope_high * high) / (slope_low - slope_high)
-        ceiling = f_low + slope_low * (at - low)
-        if not low < at < high:
-            break
+        return total(values), level
+    low = high = f_low = f_high = slope_low = slope_high = 0.0
+    above = below = False  # whether points on both sides of the maximum are known
+    best, at = -np.inf, level
+    spacing += 1e-15 * abs(level) + 1e-300
+    for _ in range(400):
         count, depth = _below(values, at)
-        f = k * at - depth
-        best = max(best, f)
-        if ceiling - f <= 1e-12 * abs(ceiling) or count == k:
+        f, slope = k * at - depth, k - count
+        if f > best:
+            best, level = f, at
+        if slope == 0.0:
             break
-        if count < k:
-            low, f_low, slope_low = at, f, k - count
+        if slope > 0.0:
+            low, f_low, slope_low, below = at, f, slope, True
         else:
-            high, f_high, slope_high = at, f, k - count
-    return best
+            high, f_high, slope_high, above = at, f, slope, True
+        if above and below:
+            at = (f_high - f_low + slope_low * low - slope_high * high) / (slope_low - slope_high)
+            ceiling = f_low + slope_low * (at - low)
+            if ceiling - best <= 1e-12 * abs(ceiling) or not low < at < high:
+                break
+        else:
+            at += 1.5 * slope * spacing
+            spacing *= 4.0
+    return best, level

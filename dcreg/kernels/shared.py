@@ -6,6 +6,8 @@ once under its integer coordinates, whichever boxes it belongs to.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from dcreg.kernels.assignment import improve_assignment, k_assignment_duals, row_minima
@@ -19,10 +21,12 @@ from dcreg.kernels.features import (
     pair_costs,
     vertex,
 )
-from dcreg.kernels.selection import smallest_sum
+from dcreg.kernels.norm_bound import norm_curvature
+from dcreg.kernels.selection import least, smallest_sum, total
 from dcreg.kernels.vertices import objectives
 
 LATTICE = 2.0**30  # cells per axis; finer boxes are not told apart
+_FAR = 1e6  # an estimate's handicap against solved vertices
 _STEPS = 40  # towards the best linearisation point
 
 
@@ -85,13 +89,14 @@ def find_or_add(table, keys, thetas, used, origin, width, lower, upper, slots):
 
 
 @jit
-def best_linearisation(vertices, values, weights, point):
+def best_linearisation(vertices, values, weights, cutoff, enough, point):
     """Value and place (in `point`) of the theta0 with the greatest
     ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]``.
 
     The dual is the least of ``sum_v w_v (E(v) - Q(v)) + Q(sum_v w_v v)`` over weights w on the
     vertices. Pairwise Frank-Wolfe steps with exact line search; theta0 is the weighted vertex and every
-    iterate is valid, so the best one is kept.
+    iterate is valid, so the best one is kept. Given up where the dual shows that `cutoff` is out of
+    reach, and ended where `enough` is reached.
     """
     count, dim = vertices.shape
     w = np.full(count, 1.0 / count)
@@ -101,13 +106,14 @@ def best_linearisation(vertices, values, weights, point):
             centre[a] += w[v] * vertices[v, a]
     best = -np.inf
     for _ in range(_STEPS):
-        low, high = np.inf, -np.inf
+        low, high, ceiling = np.inf, -np.inf, 0.0
         toward, away = 0, 0
         for v in range(count):
             term = values[v]
             for a in range(dim):
                 d = vertices[v, a] - centre[a]
                 term -= weights[a] * d * d
+            ceiling += w[v] * term
             if term < low:
                 low, toward = term, v
             if w[v] > 0.0 and term > high:
@@ -115,7 +121,7 @@ def best_linearisation(vertices, values, weights, point):
         if low > best:
             best = low
             point[:] = centre
-        if high - low <= 1e-3 * (abs(low) + 1e-12):
+        if ceiling < cutoff or low >= enough or high - low <= 1e-3 * (abs(low) + 1e-12):
             break
         curve = 0.0
         for a in range(dim):
@@ -132,7 +138,9 @@ def best_linearisation(vertices, values, weights, point):
 
 
 @jit
-def solve_vertices(kind, source, target, k, warm, slots, thetas, lows, values, profiles, duals):
+def solve_vertices(
+    kind, source, target, k, warm, slots, thetas, lows, values, levels, profiles, duals
+):
     """E at the vertices `slots`, with optimal duals and dual profile. Returns the assignments spent.
 
     With duals b >= 0 let r_i = min_j (c_ij + b_j) - (sum b) / k. For any charge R_i on the rows the sum
@@ -154,67 +162,101 @@ def solve_vertices(kind, source, target, k, warm, slots, thetas, lows, values, p
         else:
             values[slot], _, duals[slot] = k_assignment_duals(cost, k)
         lows[slot] = values[slot]
-        _dual_profile(cost, k, duals[slot], profiles[slot])
+        _, levels[slot] = _dual_profile(cost, k, duals[slot], profiles[slot])
     return slots.size
 
 
 @jit
 def estimate_vertices(
-    kind, source, target, k, slots, donors, thetas, lows, values, profiles, duals
+    kind, source, target, k, slots, thetas, lows, values, levels, profiles, duals
 ):
-    """Lower bounds on E and profiles at the vertices `slots` from the duals of nearby vertices.
+    """Lower bounds on E and profiles at the vertices `slots` from the prices blended there.
 
     One pass over the costs instead of an assignment. `values` stays infinite: no upper bound is known.
     """
     moved, _, cost = allocate(kind, source.shape[0], target.shape[1])
-    for at in range(slots.size):
-        slot = slots[at]
+    for slot in slots:
         move(kind, source, thetas[slot], moved)
         pair_costs(moved, target, cost)
-        duals[slot] = duals[donors[at]]
-        lows[slot] = _dual_profile(cost, k, duals[slot], profiles[slot])
+        lows[slot], levels[slot] = _dual_profile(cost, k, duals[slot], profiles[slot])
         values[slot] = np.inf
 
 
 @jit
 def _dual_profile(cost, k, b, profile):
-    """Fill r_i = min_j (c_ij + b_j) - (sum b) / k and return the sum of its k smallest entries."""
+    """Fill r_i = min_j (c_ij + b_j) - (sum b) / k; sum and greatest of its k smallest entries."""
     row_minima(cost, b, profile)
-    profile -= b.sum() / k
-    return smallest_sum(profile, k)
+    profile -= total(b) / k
+    mean = total(profile) / profile.size
+    return smallest_sum(profile, k, mean, (mean - least(profile)) / profile.size)
 
 
 @jit
-def nearest_solved(slots, before, thetas, values, weights, donors):
-    """Of every slot from `before` on: the nearest solved vertex in the first box that has it, or -1."""
-    donors[:] = -1
+def boxes_of(slots, which):
+    """Boxes that have the vertex ``which[at]``: ``boxes[start[at] : start[at + 1]]``."""
+    first = which.min()
+    place = np.full(which.max() - first + 1, -1)
+    for at in range(which.size):
+        place[which[at] - first] = at
+    owner = np.full(slots.shape, -1)
+    start = np.zeros(which.size + 1, np.int64)
     for box in range(slots.shape[0]):
         for v in range(slots.shape[1]):
-            slot = slots[box, v]
-            if slot < before or donors[slot - before] >= 0:
-                continue
-            nearest = np.inf
-            for other in slots[box]:
-                if other < 0 or other >= before:
-                    continue
-                distance = 0.0 if values[other] < np.inf else 1e6
-                for a in range(weights.size):
-                    distance += weights[a] * (thetas[slot, a] - thetas[other, a]) ** 2
-                if distance < nearest:
-                    nearest = distance
-                    donors[slot - before] = other
+            at = slots[box, v] - first
+            if 0 <= at < place.size and place[at] >= 0:
+                owner[box, v] = place[at]
+                start[place[at] + 1] += 1
+    start = np.cumsum(start)
+    boxes, filled = np.empty(start[-1], np.int64), start[:-1].copy()
+    for box in range(slots.shape[0]):
+        for at in owner[box]:
+            if at >= 0:
+                boxes[filled[at]] = box
+                filled[at] += 1
+    return start, boxes
 
 
 @jit
-def charged_value(kind, source, k, low, profile, delta, missed):
+def blend_prices(slots, which, start, boxes, settled, thetas, values, weights, duals, found):
+    """Prices at the vertices `which` from the other vertices of all boxes that have them (`boxes_of`).
+
+    A mean with weights ``distance^-6``: optimal prices are continuous and piecewise linear in the costs,
+    so the mean of the nearest on all sides lies closer than any one of them. Estimates count only where
+    no neighbour is solved, and only those of slots below `settled`. `found` tells which have any.
+    """
+    mean = np.empty(duals.shape[1])
+    for at in range(which.size):
+        slot, whole = which[at], 0.0
+        mean[:] = 0.0
+        for box in boxes[start[at] : start[at + 1]]:
+            for other in slots[box]:
+                if other < 0 or other == slot:
+                    continue
+                solved = values[other] < np.inf
+                if not solved and other >= settled:
+                    continue
+                distance = 0.0 if solved else _FAR
+                for a in range(weights.size):
+                    distance += weights[a] * (thetas[slot, a] - thetas[other, a]) ** 2
+                weight = 1.0 / (distance * distance * distance)
+                whole += weight
+                for j in range(mean.size):
+                    mean[j] += weight * duals[other, j]
+        found[at] = whole > 0.0
+        if found[at]:
+            duals[slot] = mean / whole
+
+
+@jit
+def charged_value(kind, axes, k, low, level, profile, delta, missed):
     """Lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from a vertex's value and profile."""
-    curvature(kind, source, delta, missed)
-    n = missed.size
     if profile.size == 0:  # all R_i alike
-        return low - k * missed[0]
-    for i in range(n):
+        return low - k * (delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2)
+    curvature(kind, axes, delta, missed)
+    level -= total(missed) / missed.size
+    for i in range(missed.size):
         missed[i] = profile[i] - missed[i]
-    return smallest_sum(missed, k)
+    return smallest_sum(missed, k, level, 2.0 * abs(low) / (k * k))[0]
 
 
 @jit
@@ -225,6 +267,7 @@ def shared_bound(
     weights,
     thetas,
     lows,
+    levels,
     profiles,
     slots,
     lower,
@@ -237,11 +280,15 @@ def shared_bound(
 ):
     """``max_theta0 min_v min_P sum p_ij [E_ij(v) - R_i(v - theta0)]`` per box, from shared values.
 
-    Starts with theta0 at the centre (`moves` = 0: the shared bound) and moves it up to `moves` times to
-    the best place of a quadratic model of the loss with diagonal `weights`; the bound itself is always
+    Starts with theta0 at `points` (the centre: the shared bound) and moves it up to `moves` times to the
+    best place of a quadratic model of the loss with diagonal `weights`; the bound itself is always
     evaluated with the true R_i. `binding` receives the slot of the limiting vertex, `points` theta0.
     """
-    dim = lower.shape[1]
+    if kind == NORM3D and moves > 0:
+        norm_bounds(source, k, weights, thetas, lows, slots, lower, upper, cutoff, bounds, points)
+        binding[:] = slots[:, 0]  # all vertices are solved
+        return
+    dim, axes = lower.shape[1], source.T.copy()
     missed = np.empty(source.shape[0])
     corner, charged = np.empty((16, dim)), np.empty(16)
     delta, point = np.empty(dim), np.empty(dim)
@@ -249,7 +296,7 @@ def shared_bound(
         count = n_vertices(lower[box], upper[box])
         for v in range(count):
             corner[v] = thetas[slots[box, v]]
-        point[:] = 0.5 * (lower[box] + upper[box])
+        point[:] = points[box]
         bounds[box] = -np.inf
         for step in range(moves + 1):
             bound, at = np.inf, 0
@@ -258,7 +305,7 @@ def shared_bound(
                     delta[a] = corner[v, a] - point[a]
                 slot = slots[box, v]
                 charged[v] = charged_value(
-                    kind, source, k, lows[slot], profiles[slot], delta, missed
+                    kind, axes, k, lows[slot], levels[slot], profiles[slot], delta, missed
                 )
                 if charged[v] < bound:
                     bound, at = charged[v], slot
@@ -274,14 +321,44 @@ def shared_bound(
             for v in range(count):
                 for a in range(dim):
                     charged[v] += weights[a] * (corner[v, a] - point[a]) ** 2
-            promise = best_linearisation(corner[:count], charged[:count], weights, point)
+            promise = best_linearisation(
+                corner[:count], charged[:count], weights, cutoff, np.inf, point
+            )
             if promise < cutoff:
                 break  # the box will be divided in any case: no use in a better bound
 
 
 @jit
+def norm_bounds(source, k, weights, thetas, lows, slots, lower, upper, cutoff, bounds, points):
+    """`shared_bound` in norm space, where R_i = |v - theta0|^2 and the best theta0 is found in one go."""
+    dim, axes = lower.shape[1], source.T.copy()
+    corner, values = np.empty((8, dim)), np.empty(8)
+    point, own = np.empty(dim), np.empty(dim)
+    reach = 1.05 * cutoff  # bounds beyond the cutoff by more than rounding
+    for box in range(lower.shape[0]):
+        count = n_vertices(lower[box], upper[box])
+        for v in range(count):
+            corner[v] = thetas[slots[box, v]]
+            values[v] = lows[slots[box, v]]
+        bounds[box] = best_linearisation(
+            corner[:count], values[:count], weights, cutoff, reach, points[box]
+        )
+        if not bounds[box] < cutoff < np.inf:
+            continue
+        radius = 0.0
+        for a in range(dim):
+            radius += 0.25 * (upper[box, a] - lower[box, a]) ** 2
+        radius = math.sqrt(radius)
+        norm_curvature(axes, k, 0.5 * (lower[box] + upper[box]), radius, math.sqrt(reach), own)
+        bound = best_linearisation(corner[:count], values[:count], own, cutoff, reach, point)
+        if bound > bounds[box]:
+            bounds[box] = max(bounds[box], min(bound, reach))
+            points[box] = point
+
+
+@jit
 def exact_bound(
-    kind, source, target, k, thetas, lows, profiles, duals, slots, points, cutoff, bounds
+    kind, source, target, k, thetas, lows, levels, profiles, duals, slots, points, cutoff, bounds
 ):
     """Raise `bounds` by exact minima over P at the vertices that limit them, theta0 in `points`.
 
@@ -290,6 +367,7 @@ def exact_bound(
     """
     moved, missed, cost = allocate(kind, source.shape[0], target.shape[1])
     charged, exact = np.empty(slots.shape[1]), np.empty(slots.shape[1], np.bool_)
+    axes = source.T.copy()
     spent = 0
     for box in range(slots.shape[0]):
         charged[:] = np.inf
@@ -298,7 +376,7 @@ def exact_bound(
             if slot >= 0:
                 delta = thetas[slot] - points[box]
                 charged[v] = charged_value(
-                    kind, source, k, lows[slot], profiles[slot], delta, missed
+                    kind, axes, k, lows[slot], levels[slot], profiles[slot], delta, missed
                 )
         exact[:] = False
         while True:
@@ -308,7 +386,7 @@ def exact_bound(
             slot = slots[box, v]
             move(kind, source, thetas[slot], moved)
             pair_costs(moved, target, cost)
-            curvature(kind, source, thetas[slot] - points[box], missed)
+            curvature(kind, axes, thetas[slot] - points[box], missed)
             for i in range(missed.size):
                 for j in range(cost.shape[1]):
                     cost[i, j] -= missed[i]

@@ -61,7 +61,7 @@ def paper_bound(kind, source, target, k, lower, upper, bounds, thetas, values):
     """
     dim = lower.shape[1]
     moved, missed, cost = allocate(kind, source.shape[0], target.shape[1])
-    theta, delta = np.empty(dim), np.empty(dim)
+    theta, delta, axes = np.empty(dim), np.empty(dim), source.T.copy()
     n_assignments = 0
     for box in range(lower.shape[0]):
         bounds[box] = np.inf
@@ -71,7 +71,7 @@ def paper_bound(kind, source, target, k, lower, upper, bounds, thetas, values):
                 delta[a] = theta[a] - 0.5 * (lower[box, a] + upper[box, a])
             move(kind, source, theta, moved)
             pair_costs(moved, target, cost)
-            curvature(kind, source, delta, missed)
+            curvature(kind, axes, delta, missed)
             for i in range(cost.shape[0]):
                 for j in range(cost.shape[1]):
                     cost[i, j] -= missed[i]

@@ -82,7 +82,9 @@ def test_smallest_sum_equals_sorting(n, seed, ties):
     generator = np.random.default_rng(seed)
     values = generator.integers(0, 4, n) * 1.0 if ties else generator.standard_normal(n)
     k = int(generator.integers(1, n + 1))
-    assert smallest_sum(values, k) == pytest.approx(np.sort(values)[:k].sum(), abs=1e-9)
+    level, spacing = generator.normal(0.0, 5.0), generator.choice([0.0, 1e-6, 1.0])
+    found, _ = smallest_sum(values, k, level, spacing)
+    assert found == pytest.approx(np.sort(values)[:k].sum(), abs=1e-9)
 
 
 @pytest.mark.parametrize("k", [0, 4])

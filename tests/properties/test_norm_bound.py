@@ -1,0 +1,102 @@
+"""The curvature of the norm objective within a box, and the bound that rests on it."""
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from dcreg.bounds import make_bound
+from dcreg.box import Box, LongestEdge
+from dcreg.kernels import reference
+from dcreg.kernels.norm_bound import norm_curvature
+from dcreg.models import Translation3D
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def in_ball(generator, centre, radius):
+    step = generator.standard_normal(3)
+    return centre + radius * generator.random() ** (1 / 3) * step / np.linalg.norm(step)
+
+
+def half_hessian(points, lengths):
+    norms = np.linalg.norm(points, axis=1)
+    u = points / norms[:, None]
+    across = np.eye(3) - u[:, :, None] * u[:, None, :]
+    return (np.eye(3) - (lengths / norms)[:, None, None] * across).sum(axis=0)
+
+
+@example(262142, 0.0, 0.001)  # not the lesser of two valid matrices, axis by axis
+@given(seeds, st.sampled_from([0.0, 0.02, 0.3]), st.sampled_from([0.001, 0.02, 0.1, 0.5]))
+def test_curvature_is_at_least_that_of_any_matching_that_matters(seed, noise, radius):
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(1, 40))
+    k = int(generator.integers(max(1, n - 3), n + 1))
+    source = generator.standard_normal((n, 3)) * generator.uniform(0.2, 1.5, 3)
+    centre = 0.3 * generator.standard_normal(3)
+    rows = generator.permutation(n)[:k]
+    optimum = in_ball(generator, centre, radius)
+    fitting = np.linalg.norm(source[rows] + optimum, axis=1)
+    lengths = np.abs(fitting + noise * generator.standard_normal(k))
+    misfit = np.linalg.norm(fitting - lengths)
+    weights = np.empty(3)
+    norm_curvature(source.T.copy(), k, centre, radius, misfit, weights)
+    assert (weights >= 0.0).all()
+    for _ in range(20):
+        t = in_ball(generator, centre, radius)
+        hessian = half_hessian(source[rows] + t, lengths)
+        assert np.linalg.eigvalsh(np.diag(weights) - hessian).min() >= -1e-9 * k
+
+
+@pytest.mark.parametrize("side", [np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])])
+def test_curvature_allows_for_the_turn_and_the_stretch_across_the_ball(side):
+    """Points on one axis, the optimum at one end of the ball, the Hessian at the other."""
+    axis, radius = np.array([1.0, 0.0, 0.0]), 0.1
+    source = np.outer(np.linspace(1.0, 2.0, 5), axis)
+    lengths = np.linalg.norm(source - radius * axis, axis=1)
+    weights = np.empty(3)
+    norm_curvature(source.T.copy(), 5, np.zeros(3), radius, 0.0, weights)
+    hessian = half_hessian(source + radius * side, lengths)
+    least = np.linalg.eigvalsh(np.diag(weights) - hessian).min()
+    assert 0.0 <= least < 6.0 * radius  # valid, and not by much
+
+
+def planted(generator, n, k, noise):
+    """Source and target whose optimum lies near -shift."""
+    source = generator.standard_normal((n, 3)) * np.array([1.0, 0.7, 0.4])
+    shift = 0.3 * generator.standard_normal(3)
+    target = source + noise * generator.standard_normal((n, 3))
+    return Translation3D(source + shift, target, k), -shift
+
+
+@given(seeds, st.sampled_from([0.0, 0.03]), st.sampled_from([0.3, 0.1, 0.03]), st.booleans())
+def test_bound_below_a_finite_cutoff_holds_in_every_descendant(seed, noise, half, partial):
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(8, 30))
+    model, optimum = planted(generator, n, n - 2 * partial, noise)
+    centre, least, _ = model.refine(optimum)
+    centre = centre + half * generator.uniform(-1.5, 1.5, 3)
+    box = Box(centre - half, centre + half)
+    model.start_box = lambda: box
+    bound = make_bound("tight", model)
+    lower, upper = box.lower[None], box.upper[None]
+    for factor in (1.0, 1.3, 3.0):
+        cutoff = factor * least + 1e-4
+        found = bound.evaluate(lower, upper, cutoff)
+        for at in range(len(lower)):
+            thetas = generator.uniform(lower[at], upper[at], (10, 3))
+            inside = np.clip(model.refine(0.5 * (lower[at] + upper[at]))[0], lower[at], upper[at])
+            for theta in [*thetas, inside]:
+                assert found.lower_bounds[at] <= reference.objective(model, theta) + 1e-9
+        lower, upper = LongestEdge(model.axis_weights)(lower, upper)
+
+
+def test_curvature_raises_the_bound_near_an_optimum_that_fits():
+    """Off the optimum, with a cutoff near the least value, the box falls; not by the plain bound."""
+    model, optimum = planted(np.random.default_rng(1), 200, 200, 0.005)
+    centre, least, _ = model.refine(optimum)
+    lower, upper = centre + 0.08, centre + 0.13
+    cutoff = 1.2 * least
+    plain = make_bound("tight", model).evaluate(lower[None], upper[None], np.inf).lower_bounds[0]
+    found = make_bound("tight", model).evaluate(lower[None], upper[None], cutoff).lower_bounds[0]
+    assert plain < cutoff < found <= reference.objective(model, lower)

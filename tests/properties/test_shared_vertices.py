@@ -1,0 +1,77 @@
+"""What the bounds over shared vertices pass on from one box to the next: prices and the cache."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dcreg.bounds import make_bound
+from dcreg.bounds.shared import VertexCache
+from dcreg.box import Box, LongestEdge
+from dcreg.kernels import shared
+from dcreg.search import branch_and_bound
+from tests.problems import models
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seeds)
+def test_prices_are_the_mean_of_the_neighbours_by_distance(seed):
+    generator = np.random.default_rng(seed)
+    used, m = 12, 5
+    thetas, duals = generator.standard_normal((used, 4)), generator.random((used, m))
+    values = np.where(generator.random(used) < 0.5, 1.0, np.inf)
+    slots = np.array([generator.permutation(used)[:6] for _ in range(4)])
+    slots[0, 5] = -1
+    weights, settled = generator.uniform(0.5, 2.0, 4), int(generator.integers(0, used + 1))
+    which = np.unique(generator.integers(0, used, 4))
+    expected, known = duals.copy(), []
+    for slot in which:
+        others = [o for box in slots if slot in box for o in box if o not in (-1, slot)]
+        others = [o for o in others if values[o] < np.inf or o < settled]
+        known.append(bool(others))
+        if others:
+            distance = (weights * (thetas[others] - thetas[slot]) ** 2).sum(axis=1)
+            distance += np.where(np.isinf(values[others]), 1e6, 0.0)
+            expected[slot] = np.average(duals[others], axis=0, weights=distance**-3.0)
+    # as in the search, a neighbour whose prices count is none of those that are being replaced
+    apart = not any(values[s] < np.inf or s < settled for s in which)
+    found = np.zeros(which.size, np.bool_)
+    start, boxes = shared.boxes_of(slots, which)
+    shared.blend_prices(slots, which, start, boxes, settled, thetas, values, weights, duals, found)
+    assert found.tolist() == known
+    first = which[0]
+    assert duals[first] == pytest.approx(expected[first])
+    if apart:
+        assert duals == pytest.approx(expected)
+
+
+def test_a_full_cache_forgets_what_was_met_least_recently():
+    cache = VertexCache(Box(np.zeros(4), np.ones(4)), 2, 2)
+    cache.max_vertices = 60
+    halves = [Box(np.zeros(4), np.array([0.5**i, 1.0, 1.0, 1.0])) for i in range(8)]
+    for box in halves:
+        slots, _ = cache.find(box.lower[None], box.upper[None])
+        cache.lows[slots[0]] = box.upper[0]
+    assert cache.used <= 60
+    last, before = cache.find(halves[-1].lower[None], halves[-1].upper[None])
+    assert cache.used == before  # all known
+    assert (cache.lows[last[0]] == halves[-1].upper[0]).all()
+    assert cache.thetas[last[0]].max(axis=0) == pytest.approx(halves[-1].upper)
+    cache.find(halves[1].lower[None], halves[1].upper[None])
+    assert cache.used > before  # forgotten, hence new
+
+
+@given(models(), st.sampled_from(["shared", "tight", "tight-exact"]))
+def test_a_small_cache_changes_no_certificate(model, name):
+    centre, _, _ = model.refine(model.identity + 0.2)
+    box = Box(centre - 0.3, centre + 0.3)
+    model.start_box = lambda: box
+    bound = make_bound(name, model)
+    bound.cache.max_vertices = 2**9
+    branching = LongestEdge(model.axis_weights)
+    found = branch_and_bound(bound, [box], branching=branching, gap_tol=0.02)
+    full = branch_and_bound(make_bound(name, model), [box], branching=branching, gap_tol=0.02)
+    assert found.status.value == full.status.value == "optimal"
+    assert abs(found.upper_bound - full.upper_bound) <= 0.02 + 1e-9
+    assert found.lower_bound <= full.upper_bound + 1e-9
