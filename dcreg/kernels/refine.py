@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from dcreg.kernels.assignment import improve_assignment, k_assignment_duals
 from dcreg.kernels.compiling import jit, jit_reduction
-from dcreg.kernels.features import NORM3D, SIMILARITY2D
+from dcreg.kernels.features import NORM3D, SIMILARITY2D, allocate, move, pair_costs
 from dcreg.kernels.vertices import objective
 
 _MAX_ROUNDS = 100
@@ -52,16 +53,21 @@ def fit_similarity2d(source, target, col_of, low, high, out):
 
 @jit
 def refine_similarity2d(source, target, k, low, high, theta):
-    """Admissible theta, its objective and the assignments spent, from any start `theta`."""
-    best = theta.copy()
-    _, col_of = objective(SIMILARITY2D, source, target, k, best)
-    fit_similarity2d(source, target, col_of, low, high, best)
-    value, col_of = objective(SIMILARITY2D, source, target, k, best)
-    spent = 2
-    trial = np.empty(4)
+    """Admissible theta, its objective and the assignments spent, from any start `theta`.
+
+    Every assignment starts from the prices of the one before.
+    """
+    moved, _, cost = allocate(SIMILARITY2D, source.shape[0], target.shape[1])
+    best, trial = theta.copy(), np.empty(4)
+    move(SIMILARITY2D, source, best, moved)
+    pair_costs(moved, target, cost)
+    _, col_of, prices = k_assignment_duals(cost, k)
+    value, spent = np.inf, 1
     for _ in range(_MAX_ROUNDS):
         fit_similarity2d(source, target, col_of, low, high, trial)
-        trial_value, trial_col = objective(SIMILARITY2D, source, target, k, trial)
+        move(SIMILARITY2D, source, trial, moved)
+        pair_costs(moved, target, cost)
+        trial_value, trial_col = improve_assignment(cost, k, prices)
         spent += 1
         if trial_value >= value * (1.0 - 1e-9):
             break
