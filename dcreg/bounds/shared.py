@@ -8,8 +8,8 @@ The costs E_ij(v) do not depend on the box, and R_i charges whole rows. So one e
 vertex, kept with its dual profile r (`dcreg.kernels.shared.solve_vertices`), bounds the inner minimum for
 every box that has the vertex and for every theta0. A bisection needs its new vertices only, and theta0
 may be moved to where the bound is greatest without any assignment. Most vertices need no assignment
-either: the duals of a neighbour give a profile nearly as good, and only where such a vertex limits a box
-that is not yet pruned is it solved. Derived in this project, not in the paper.
+either: the mean of the neighbours' duals gives a profile nearly as good, and only where such a vertex
+limits a box that is not yet pruned is it solved. Derived in this project, not in the paper.
 """
 
 from __future__ import annotations
@@ -246,7 +246,10 @@ class SharedBound(ModelBound):
 
 
 class TightBound(SharedBound):
-    """Shared vertex values and the linearisation point that makes the bound greatest."""
+    """Shared vertex values and the linearisation point that makes the bound greatest.
+
+    In norm space also with the curvature of E in the box (`dcreg.kernels.norm_bound`).
+    """
 
     moves = 2
 
