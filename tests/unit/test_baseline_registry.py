@@ -210,7 +210,8 @@ def library_imports(path: Path) -> set[Path]:
             "rpm_htb",
             {
                 "bounds/dc.py", "bounds/edges.py", "bounds/shared.py", "certificate.py",
-                "kernels/rigid.py", "kernels/shared.py", "rigid.py", "sweeping.py",
+                "kernels/norm_bound.py", "kernels/rigid.py", "kernels/shared.py", "rigid.py",
+                "sweeping.py",
             },
         ),
     ],
