@@ -25,6 +25,7 @@ from dcreg.search import Evaluation
 # A cache beyond this forgets the half not met for longest: bounds stay valid, some vertices are solved
 # twice.
 MAX_CACHE_BYTES = 400 * 2**20
+_FIRST = 4096  # vertices there is room for at first
 
 
 class VertexCache:
@@ -46,30 +47,29 @@ class VertexCache:
     def __init__(self, start: Box, profile_size: int, duals_size: int) -> None:
         self.origin, self.width = start.lower, start.upper - start.lower
         self.max_vertices = MAX_CACHE_BYTES // (8 * (profile_size + duals_size + 16))
-        capacity = 1024
         self.used = self._calls = 0
-        self.keys = np.empty((capacity, 4), np.int64)
-        self.met = np.empty(capacity, np.int64)  # the last call that asked for it
-        self.thetas = np.empty((capacity, self.origin.size))
-        self.lows, self.values, self.levels = (np.empty(capacity) for _ in range(3))
+        self.keys = np.empty((_FIRST, 4), np.int64)
+        self.met = np.empty(_FIRST, np.int64)  # the last call that asked for it
+        self.thetas = np.empty((_FIRST, self.origin.size))
+        self.lows, self.values, self.levels = (np.empty(_FIRST) for _ in range(3))
         self.profiles, self.duals = (
-            np.empty((capacity, size)) for size in (profile_size, duals_size)
+            np.empty((_FIRST, size)) for size in (profile_size, duals_size)
         )
-        self.table = np.full(4 * capacity, -1, np.int64)
+        self.table = np.full(4 * _FIRST, -1, np.int64)
 
     def _reserve(self, count: int) -> None:
         if self.used + count > self.max_vertices:
             self._forget()
-        capacity = len(self.keys)
-        while capacity < self.used + count:
-            capacity *= 4  # pages never written take no memory; copying takes time
-        if capacity > len(self.keys):
+        needed = self.used + count
+        if needed > len(self.keys):
+            # room for all at once: pages never written take no memory, copying again takes time
             for name in self._ARRAYS:
                 old = getattr(self, name)
-                new = np.empty((capacity, *old.shape[1:]), old.dtype)
+                new = np.empty((max(needed, self.max_vertices), *old.shape[1:]), old.dtype)
                 new[: self.used] = old[: self.used]
                 setattr(self, name, new)
-            self.table = np.empty(4 * capacity, np.int64)
+        if 2 * needed > len(self.table):
+            self.table = np.empty(8 * 2 ** int(needed).bit_length(), np.int64)
             shared.rebuild(self.table, self.keys, self.used)
 
     def _forget(self) -> None:
@@ -85,12 +85,21 @@ class VertexCache:
         """Slots of the boxes' vertices (-1 beyond the last), and the first slot that is new."""
         slots = np.full((len(lower), 2**self.origin.size), -1, np.int64)
         self._reserve(slots.size)
+        self._calls += 1
         before = self.used
         self.used = shared.find_or_add(
-            self.table, self.keys, self.thetas, before, self.origin, self.width, lower, upper, slots
+            self.table,
+            self.keys,
+            self.thetas,
+            self.met,
+            self._calls,
+            before,
+            self.origin,
+            self.width,
+            lower,
+            upper,
+            slots,
         )
-        self._calls += 1
-        self.met[slots[slots >= 0]] = self._calls
         return slots, before
 
 

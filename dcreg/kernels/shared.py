@@ -52,10 +52,11 @@ def rebuild(table, keys, used):
 
 
 @jit
-def find_or_add(table, keys, thetas, used, origin, width, lower, upper, slots):
+def find_or_add(table, keys, thetas, met, call, used, origin, width, lower, upper, slots):
     """Slot of every distinct vertex of every box (-1 beyond the last); new ones are appended.
 
-    Returns the number of slots in use. The caller guarantees room.
+    `met` notes the call that met a slot last. Returns the number of slots in use. The caller guarantees
+    room.
     """
     dim = origin.size
     mask = np.uint64(table.size - 1)
@@ -85,6 +86,7 @@ def find_or_add(table, keys, thetas, used, origin, width, lower, upper, slots):
                 keys[slot] = q
                 thetas[slot] = theta
             slots[box, index] = slot
+            met[slot] = call
     return used
 
 
