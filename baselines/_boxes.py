@@ -7,12 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from baselines.contract import Instance
-from dcreg.box import Box
-from dcreg.models import Model, Similarity2D, Translation3D
-from dcreg.search import Bound
+from dcreg.search import Bound, Box
+from dcreg.spaces import Similarity2D, Space, Translation3D
 
 
-def box_model(instance: Instance) -> Model:
+def box_model(instance: Instance) -> Space:
     """The library's model over the instance's own coordinates: of similarities, or of norm space."""
     source, target = (
         np.array(points, dtype=float, order="C") for points in (instance.source, instance.target)
@@ -23,7 +22,7 @@ def box_model(instance: Instance) -> Model:
 
 
 def bound_of_box(
-    make: Callable[[Model], Bound], instance: Instance, lower: np.ndarray, upper: np.ndarray
+    make: Callable[[Space], Bound], instance: Instance, lower: np.ndarray, upper: np.ndarray
 ) -> float:
     """What the bound made for the instance's model says of one box, as if searching from there."""
     model = box_model(instance)

@@ -26,13 +26,12 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.contract import Instance
-from dcreg.assignment import pairs_of
-from dcreg.frame import Frame
 from dcreg.kernels.assignment import k_assignment
 from dcreg.kernels.compiling import jit
-from dcreg.models import Similarity2D
-from dcreg.polish import fit_pose, polish
-from dcreg.problem import Problem
+from dcreg.local import fit_pose, polish
+from dcreg.local.assignment import pairs_of
+from dcreg.problem import Frame, Problem
+from dcreg.spaces import Similarity2D
 
 N_STATISTICS = 7
 SCOPE = "similarity pose"

@@ -33,7 +33,7 @@ from scipy.spatial.distance import cdist
 from baselines import _open3d
 from baselines._poses import fit_pose, median_spacing
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
-from dcreg.result import Status
+from dcreg.status import Status
 
 FRONT_ENDS = ("fpfh-mutual", "norm-signature", "all-pairs", "oracle")
 OPEN3D = "pip install open3d; on a bare Debian also apt-get install libusb-1.0-0 libgl1 libegl1"

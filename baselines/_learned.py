@@ -37,7 +37,7 @@ import numpy as np
 
 from baselines._poses import rigid_pose
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
-from dcreg.result import Status
+from dcreg.status import Status
 
 CHILD = Path(__file__).with_name("_learned_child.py")
 PLACES = ("checkout", "weights", "python", "device")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from baselines.contract import Limits
-from dcreg.result import Status
+from dcreg.status import Status
 
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 _NODE_BYTES = 400  # of a queue entry with its centre, without the payload

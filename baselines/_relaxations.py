@@ -27,18 +27,15 @@ import numpy as np
 from baselines._boxes import bound_of_box
 from baselines._poses import rms_radius
 from baselines.contract import Baseline, Instance, Limits, Solution, tiny
-from dcreg.bounds.base import ModelBound
-from dcreg.box import LongestEdge
-from dcreg.frame import Frame
+from dcreg.bounds.base import SpaceBound
 from dcreg.kernels import termwise, vertices
 from dcreg.kernels.assignment import k_assignment
 from dcreg.kernels.compiling import jit
-from dcreg.models import Model, Similarity2D
-from dcreg.polish import objective, polish
-from dcreg.problem import Problem
-from dcreg.search import Evaluation, branch_and_bound
+from dcreg.local import objective, polish
+from dcreg.problem import Frame, Problem
+from dcreg.search import Evaluation, Event, LongestEdge, Trace, branch_and_bound
 from dcreg.search import Limits as SearchLimits
-from dcreg.trace import Event, Trace
+from dcreg.spaces import Similarity2D, Space
 
 # Boxes divided in a round, few because a round with a convex programme a box must stay interruptible.
 _PAIRS_PER_ROUND = 20_000
@@ -97,10 +94,10 @@ def _phi_range(f, lower, upper):
     return pl + ql, ph + qh
 
 
-class SubstitutedBound(ModelBound):
+class SubstitutedBound(SpaceBound):
     """Common part of the bounds: the linear matching part, and the exact value of the candidate."""
 
-    def __init__(self, model: Model, threads: int = 1) -> None:
+    def __init__(self, model: Space, threads: int = 1) -> None:
         super().__init__(model, threads)
         n, m = len(model.source), model.target_features.shape[1]
         self.features = np.empty((termwise.N_FEATURES + 1, n, m))
@@ -152,7 +149,7 @@ class SimilaritySearch(Baseline):
     Start box, first incumbent, descents, branching and polish are those of DC-Reg.
     """
 
-    bound: type[ModelBound]
+    bound: type[SpaceBound]
 
     def warm_up(self, instance: Instance) -> None:
         self.solve(tiny(instance), Limits(time_s=30.0, nodes=100))

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from baselines._poses import apply, homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
-from dcreg.result import Status
+from dcreg.status import Status
 
 STARTS = ("identity", "centroid", "multi")
 

@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from dcreg.result import Status
+from dcreg.status import Status
 
 ModelName = Literal["similarity2d", "rigid3d"]
 

@@ -25,14 +25,15 @@ import dcreg
 from dcreg._version import __version__
 from dcreg.bounds import bound_names
 from dcreg.certificate import write as write_certificate
+from dcreg.certificate.verification import verify as verify_certificate
 from dcreg.io import read_points
+from dcreg.modes import AUTO, mode_names
 from dcreg.plot import SWEEP_IMAGES, SWEEP_PAGE, plot_registration, plot_sweep
 from dcreg.problem import MODEL_DIM, InputError, Problem, default_gap_tol, rms_radius
 from dcreg.progress import Progress
-from dcreg.registration import AUTO, DEFAULT_BOUND, MODES
-from dcreg.result import Result, Status
-from dcreg.sweeping import SweepResult
-from dcreg.verification import verify as verify_certificate
+from dcreg.result import Result
+from dcreg.status import Status
+from dcreg.sweep_result import SweepResult
 
 EXIT_OK, EXIT_OUTPUT, EXIT_INPUT, EXIT_LIMIT = 0, 1, 2, 3
 _MANY_POINTS = 4000
@@ -87,11 +88,11 @@ ModelOption = Annotated[
     ModelChoice, typer.Option(metavar="NAME", help="Kind of pose: similarity2d or rigid3d.")
 ]
 ScaleRangeOption = Annotated[
-    tuple[float, float],
+    tuple[float, float] | None,
     typer.Option(metavar="LO HI", parser=_number, help="Admissible scale (2D only)."),
 ]
 BoundOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         metavar="NAME",
         help=f"Lower bounding function: {', '.join(bound_names())}; 'a+b' takes the greater.",
@@ -160,17 +161,17 @@ def register(
             "A decimal point makes it a fraction: '1' is one pair, '1.0' is all of them.",
         ),
     ],
-    scale_range: ScaleRangeOption = (0.5, 1.5),
+    scale_range: ScaleRangeOption = None,
     mode: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
             help=f"Search mode; default: {AUTO}. In 2D paper; in 3D one of "
-            f"{', '.join(MODES['rigid3d'])}: {AUTO} takes full where all points match or there are "
+            f"{', '.join(mode_names('rigid3d'))}: {AUTO} takes full where all points match or there are "
             "few, else multi; paper for very many, and with --bound or --certificate.",
         ),
     ] = None,
-    bound: BoundOption = DEFAULT_BOUND,
+    bound: BoundOption = None,
     gap_tol: GapTolOption = None,
     time_limit: TimeLimitOption = None,
     node_limit: NodeLimitOption = None,
@@ -225,7 +226,7 @@ def register(
             for line in _advice(problem):
                 log.print(line, style="yellow", highlight=False, soft_wrap=True)
         if gap_tol is None:
-            gap_tol = default_gap_tol(problem.target, problem.n_inliers)
+            gap_tol = default_gap_tol(problem.source, problem.target, problem.n_inliers)
         with Progress(log, gap_tol=gap_tol, quiet=quiet) as progress:
             result = dcreg.register(
                 problem.source,
@@ -280,8 +281,8 @@ def sweep(
             "FROM:TO:STEP with both ends, such as 0.3:1.0:0.1 or 20:60:5.",
         ),
     ],
-    scale_range: ScaleRangeOption = (0.5, 1.5),
-    bound: BoundOption = DEFAULT_BOUND,
+    scale_range: ScaleRangeOption = None,
+    bound: BoundOption = None,
     gap_tol: GapTolOption = None,
     time_limit: Annotated[
         float | None,
@@ -397,7 +398,7 @@ def _problem(
     target: tuple[str, str | None],
     model: str,
     n_inliers: str,
-    scale_range: tuple[float, float],
+    scale_range: tuple[float, float] | None,
     candidates: str | None = None,
 ) -> Problem:
     clouds = [_cloud(path, key, model) for path, key in (source, target)]
@@ -718,12 +719,12 @@ def _verdict(result: Result) -> str:
 
 def _stages(result: Result) -> Iterator[tuple[str, str]]:
     """One line per stage that bounds something, where there are several."""
-    bounding = [stage for stage in result.stages if "lower_bound" in stage]
+    bounding = [stage for stage in result.stages if stage.status is not None]
     for stage in bounding if len(bounding) > 1 else []:
         yield (
-            f"{stage['stage']} stage",
-            f"{stage['status']}, bounds [{stage['lower_bound']:.5g}, {stage['upper_bound']:.5g}], "
-            f"{stage['n_nodes']} nodes, {stage['time_s']:.2f} s",
+            f"{stage.name} stage",
+            f"{stage.status}, bounds [{stage.lower_bound:.5g}, {stage.upper_bound:.5g}], "
+            f"{stage.n_nodes} nodes, {stage.time_s:.2f} s",
         )
 
 

@@ -14,8 +14,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from dcreg.result import Result
+from dcreg.search import Event
 from dcreg.sweeping import SweepResult
-from dcreg.trace import Event
 
 # Colours that stay apart for colour-blind readers (Okabe and Ito).
 _TARGET, _SOURCE, _PAIRS = "#0072B2", "#D55E00", "#7F7F7F"

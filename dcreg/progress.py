@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from dcreg.trace import Event
+from dcreg.search import Event
 
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _HEADER = (

@@ -2,35 +2,74 @@
 
 from __future__ import annotations
 
-import enum
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from dcreg.trace import Trace
+from dcreg.certificate.format import Certificate
+from dcreg.search import Outcome, Trace
+from dcreg.status import Status
 
-if TYPE_CHECKING:
-    from dcreg.certificate import Certificate
 
+@dataclass(frozen=True)
+class Stage:
+    """One stage of a solve, with its own bounds, work and time.
 
-class Status(enum.StrEnum):
-    """How a run ended. One vocabulary for the library, every baseline and every report."""
+    Attributes
+    ----------
+    name : str
+        ``search``, ``rotation``, ``rigid``, ``start``, ``basins``, ``basin`` or ``polish``.
+    time_s : float
+    n_nodes, n_assignments : int
+    status : Status, optional
+        How it ended; None where a stage has no bounds of its own.
+    lower_bound, upper_bound : float, optional
+        Of what this stage minimises.
+    objective_before, objective_after : float, optional
+        Of the polish: sum of squared residuals of the matched pairs.
+    """
 
-    OPTIMAL = "optimal"  # bounds closed to gap_tol: certified within the stated scope
-    CONVERGED = "converged"  # a local or heuristic method came to its own end
-    STOPPED = "stopped"  # the caller asked to stop
-    TIME_LIMIT = "time_limit"
-    NODE_LIMIT = "node_limit"
-    MEMORY_LIMIT = "memory_limit"
-    FAILED = "failed"  # raised, crashed or was killed from outside
-    UNSUPPORTED = "unsupported"  # the method cannot treat this kind of problem
-    UNAVAILABLE = "unavailable"  # the method is not installed here
-    NOT_RUN = "not_run"
+    name: str
+    time_s: float
+    n_nodes: int = 0
+    n_assignments: int = 0
+    status: Status | None = None
+    lower_bound: float | None = None
+    upper_bound: float | None = None
+    objective_before: float | None = None
+    objective_after: float | None = None
 
-    @property
-    def is_limit(self) -> bool:
-        return self in (Status.TIME_LIMIT, Status.NODE_LIMIT, Status.MEMORY_LIMIT)
+    @classmethod
+    def of(cls, name: str, found: Outcome) -> Stage:
+        """The account of one search."""
+        return cls(
+            name,
+            found.time_s,
+            found.n_nodes,
+            found.n_assignments,
+            found.status,
+            found.lower_bound,
+            found.upper_bound,
+        )
+
+    def scaled(self, factor: float) -> Stage:
+        """The same stage with its bounds in other units."""
+
+        def times(value: float | None) -> float | None:
+            return None if value is None else factor * value
+
+        return replace(
+            self, lower_bound=times(self.lower_bound), upper_bound=times(self.upper_bound)
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; what a stage does not have is left out."""
+        values = {"stage": self.name, **asdict(self)}
+        del values["name"]
+        if self.status is not None:
+            values["status"] = self.status.value
+        return {key: value for key, value in values.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -58,15 +97,15 @@ class Result:
         Sum of squared residuals of the `n_inliers` matched pairs at `T_target_source`.
     objective_certified : float
         The same sum at `T_certified`, so that the polish is reported apart.
-    n_nodes, n_assignments, n_bound_evals : int
-        Boxes bounded, exact assignments solved, bound evaluations: independent of threads and load,
-        and the same wherever floating-point results are.
+    n_nodes, n_assignments : int
+        Boxes bounded and exact assignments solved, in all stages but the polish: independent of threads
+        and load, and the same wherever floating-point results are.
     time_setup_s, time_solve_s : float
         Wall time for preparing (validation, normalisation, JIT warm-up) and for solving.
     trace : Trace
         Bound history.
-    stages : list of dict
-        One row per stage (search, rotation, polish) with its own bounds, work and time.
+    stages : list of Stage
+        In the order in which they ran.
     certificate : Certificate, optional
         The leaf boxes of the search, when asked for.
     """
@@ -87,11 +126,10 @@ class Result:
     objective_certified: float
     n_nodes: int
     n_assignments: int
-    n_bound_evals: int
     time_setup_s: float
     time_solve_s: float
     trace: Trace
-    stages: list[dict[str, Any]] = field(default_factory=list)
+    stages: list[Stage] = field(default_factory=list)
     certificate: Certificate | None = None
 
     @property
@@ -142,11 +180,10 @@ class Result:
             "objective_certified": self.objective_certified,
             "n_nodes": self.n_nodes,
             "n_assignments": self.n_assignments,
-            "n_bound_evals": self.n_bound_evals,
             "time_setup_s": self.time_setup_s,
             "time_solve_s": self.time_solve_s,
             "certificate_scope": self.certificate_scope,
             "rmse_matched": self.rmse_matched,
             "assignment": self.assignment.tolist(),
-            "stages": self.stages,
+            "stages": [stage.to_dict() for stage in self.stages],
         }

@@ -3,8 +3,8 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from dcreg.box import Box
-from dcreg.models import Similarity2D, Translation3D
+from dcreg.search import Box
+from dcreg.spaces import Similarity2D, Translation3D
 
 KINDS = ["general", "duplicates", "collinear", "noisy copy", "grid"]
 

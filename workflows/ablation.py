@@ -23,11 +23,9 @@ import typer
 
 from data.registry import dataset
 from dcreg.bounds import BOUNDS, make_bound
-from dcreg.box import Box, LongestEdge
-from dcreg.frame import Frame
-from dcreg.models import Similarity2D
-from dcreg.problem import Problem, default_gap_tol
-from dcreg.search import Limits, SearchResult, branch_and_bound
+from dcreg.problem import Frame, Problem, default_gap_tol
+from dcreg.search import Box, Limits, LongestEdge, SearchResult, branch_and_bound
+from dcreg.spaces import Similarity2D
 from workflows.disturb import make_instance
 
 WIDTHS = np.geomspace(2.0, 0.0002, 17)  # of the whole box, in units of the target's RMS radius

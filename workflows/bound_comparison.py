@@ -28,11 +28,9 @@ from baselines._boxes import box_model
 from baselines.contract import Baseline, BoxBounding, Instance
 from data.registry import dataset
 from dcreg.bounds import make_bound
-from dcreg.box import Box, LongestEdge
-from dcreg.frame import Frame
-from dcreg.models import Model
-from dcreg.problem import Problem, default_gap_tol
-from dcreg.search import Limits, branch_and_bound
+from dcreg.problem import Frame, Problem, default_gap_tol
+from dcreg.search import Box, Limits, LongestEdge, branch_and_bound
+from dcreg.spaces import Space
 from workflows.disturb import make_instance
 
 WIDTHS = np.geomspace(2.0, 0.002, 7)  # of the whole box, in RMS radii of the target
@@ -56,7 +54,7 @@ class Case:
     """A normalised instance and the optimum of its objective."""
 
     instance: Instance
-    model: Model
+    model: Space
     theta: np.ndarray
     least: float
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from dcreg.result import Status
+from dcreg.status import Status
 from workflows import UserError
 
 SCHEMA_VERSION = 1

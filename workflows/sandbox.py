@@ -21,7 +21,7 @@ from typing import Any
 import psutil
 
 from baselines.contract import Instance, Limits
-from dcreg.result import Status
+from dcreg.status import Status
 from workflows import CHECKOUT
 from workflows.config import LimitSettings, MethodSettings
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from baselines.contract import Instance
-from dcreg.result import Status
+from dcreg.status import Status
 from workflows import methods, provenance, records
 from workflows.config import Experiment, MethodSettings
 from workflows.instances import content_digest, read_problems, read_truths, with_oracle

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from baselines.contract import Baseline, Instance, Limits, Solution
-from dcreg.result import Status
+from dcreg.status import Status
 
 MAX_TRACE = 500  # events kept of one run
 COUNTERS = ("n_nodes", "n_assignments", "n_bound_evals")

@@ -6,7 +6,7 @@ import numpy as np
 
 from baselines._poses import homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
-from dcreg.result import Status
+from dcreg.status import Status
 
 
 class Adapter(Baseline):

@@ -21,7 +21,7 @@ from baselines._poses import homogeneous
 from baselines.contract import Limits
 from baselines.goicp import kernels
 from baselines.goicp.distance import Cells
-from dcreg.result import Status
+from dcreg.status import Status
 
 _DISTANCES_PER_SLICE = 200_000  # of the inner search between two looks at the clock: some 20 ms
 # The inner search ends when it knows the relaxed minimum to this share of the tolerance. With the

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
+from dcreg.rotation import Rotation3D
 
 from baselines._relaxations import (
     SimilaritySearch,
@@ -16,15 +17,12 @@ from baselines.contract import Instance, Limits, Solution
 from baselines.hbsp.rotation import SemidefiniteRotationBound
 from baselines.hbsp.similarity import SemidefiniteBound
 from dcreg.bounds import make_bound
-from dcreg.box import LongestEdge
-from dcreg.frame import Frame
-from dcreg.models import Translation3D
-from dcreg.polish import objective, polish
-from dcreg.problem import Problem
-from dcreg.result import Status
-from dcreg.rotation import RotationModel
+from dcreg.local import objective, polish
+from dcreg.problem import Frame, Problem
 from dcreg.search import Limits as SearchLimits
-from dcreg.search import branch_and_bound
+from dcreg.search import LongestEdge, branch_and_bound
+from dcreg.spaces import Translation3D
+from dcreg.status import Status
 
 # Share of the time limit after which the translation search must have made room for the rotation.
 _TRANSLATION_SHARE = 0.5
@@ -71,7 +69,7 @@ class Adapter(SimilaritySearch):
             limits=left(_TRANSLATION_SHARE),
             round_size=round_size(len(source) * len(target)),
         )
-        model = RotationModel(source + moved.theta, target, k)
+        model = Rotation3D(source + moved.theta, target, k)
         theta, value, spent_turning = model.start(left(1.0).time_s)
         offset = time.perf_counter() - began
         turned = branch_and_bound(

@@ -11,19 +11,18 @@ Boxes are those of `dcreg.rotation`: of quaternions of any length, one component
 from __future__ import annotations
 
 import numpy as np
+from dcreg.rotation import Rotation3D
 
 from baselines.hbsp.lifted import LiftedBox
-from dcreg.box import Box
 from dcreg.kernels import rotation as kernels
 from dcreg.kernels.assignment import k_assignment
-from dcreg.rotation import RotationModel
-from dcreg.search import Evaluation
+from dcreg.search import Box, Evaluation
 
 
 class SemidefiniteRotationBound:
     """Lower bound of HBSP (reconstructed) over boxes of quaternions; the candidate is the SDP's."""
 
-    def __init__(self, model: RotationModel) -> None:
+    def __init__(self, model: Rotation3D) -> None:
         self.model = model
         self.n_assignments = 0
         a, y = model.source, model.target

@@ -13,7 +13,7 @@ import numpy as np
 
 from baselines._poses import homogeneous, rigid_pose
 from baselines.contract import Baseline, Instance, Limits, Solution
-from dcreg.result import Status
+from dcreg.status import Status
 
 CHILD = Path(__file__).with_name("child.py")
 

@@ -12,7 +12,7 @@ from baselines._concave import N_STATISTICS, Clouds, Incumbent, Support, least_l
 from baselines.contract import Instance
 from baselines.rpm_cav.kernels import bound_simplex
 from baselines.rpm_cav.search import root_simplex
-from dcreg.polish import objective
+from dcreg.local import objective
 
 _ASCENTS = 30  # of the Lagrangian: one simplex must do for the whole box
 

@@ -20,7 +20,7 @@ from baselines._concave import (
 )
 from baselines.contract import Limits
 from baselines.rpm_cav.kernels import bound_children, bound_simplex, values_at
-from dcreg.result import Status
+from dcreg.status import Status
 
 _MAX_CORNERS = 256  # corners of the box tried for the root simplex
 

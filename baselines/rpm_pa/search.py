@@ -12,7 +12,7 @@ from baselines._concave import OutOfTimeError, Reduced, Support
 from baselines.contract import Limits
 from baselines.rpm_pa.kernels import extensions, test_facets, value_at
 from baselines.rpm_pa.polytope import Polytope
-from dcreg.result import Status
+from dcreg.status import Status
 
 _CLOSED = 1e-9
 # The exact variant ends when no matching can be better by the tolerance. A little less is given away to

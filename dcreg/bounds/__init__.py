@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from dcreg.bounds.base import ModelBound, Strongest
-from dcreg.bounds.dc import PaperBound
-from dcreg.bounds.edges import EdgeBound
-from dcreg.bounds.joint_lp import TermwiseR3
-from dcreg.bounds.shared import SharedBound, TightBound, TightExactBound
-from dcreg.bounds.termwise import TermwiseR1, TermwiseR2
-from dcreg.models import Model
-from dcreg.problem import InputError
+from collections.abc import Sequence
+from typing import Any
 
-BOUNDS: dict[str, type[ModelBound]] = {
+from dcreg.bounds.base import SpaceBound, Strongest
+from dcreg.bounds.dc import PaperBound
+from dcreg.bounds.dc_shared import SharedBound, TightBound, TightExactBound
+from dcreg.bounds.edges import EdgeBound
+from dcreg.bounds.names import ALIASES, DEFAULT_BOUND, bound_names, bound_parts
+from dcreg.bounds.rigid3d import RigidBound
+from dcreg.bounds.rotation3d import RotationBound
+from dcreg.bounds.termwise import TermwiseR1, TermwiseR2
+from dcreg.bounds.termwise_lp import TermwiseR3
+from dcreg.search import Box
+from dcreg.spaces import FeatureSpace
+
+# Over similarities in the plane and translations in norm space; the other spaces have one bound each.
+BOUNDS: dict[str, type[SpaceBound[Any]]] = {
     "tight": TightBound,
     "tight-exact": TightExactBound,
     "shared": SharedBound,
@@ -21,12 +28,14 @@ BOUNDS: dict[str, type[ModelBound]] = {
     "termwise-r2": TermwiseR2,
     "termwise-r3": TermwiseR3,
 }
-ALIASES = {"termwise": "termwise-r1+termwise-r2"}
 
 __all__ = [
     "ALIASES",
     "BOUNDS",
-    "ModelBound",
+    "DEFAULT_BOUND",
+    "RigidBound",
+    "RotationBound",
+    "SpaceBound",
     "Strongest",
     "bound_names",
     "bound_parts",
@@ -34,34 +43,17 @@ __all__ = [
 ]
 
 
-def bound_names() -> list[str]:
-    return [*BOUNDS, *ALIASES]
+def make_bound(
+    name: str, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
+) -> SpaceBound[Any] | Strongest:
+    """The bound called `name` over boxes made of `roots` (default: those of `space`).
 
-
-def bound_parts(name: str) -> list[str]:
-    """The single bounds that `name` stands for.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, listing the known ones.
-    """
-    parts = ALIASES.get(name, name).split("+")
-    unknown = [part for part in parts if part not in BOUNDS]
-    if unknown:
-        raise InputError(
-            f"bound: {unknown[0]!r} is unknown; choose from {bound_names()} or join some with '+'"
-        )
-    return parts
-
-
-def make_bound(name: str, model: Model, threads: int = 1) -> ModelBound | Strongest:
-    """The bound called `name` over `model`; names joined by ``+`` compete.
+    Names joined by ``+`` compete.
 
     Raises
     ------
     InputError
         For an unknown name.
     """
-    made = [BOUNDS[part](model, threads) for part in bound_parts(name)]
+    made = [BOUNDS[part](space, roots, threads) for part in bound_parts(name)]
     return made[0] if len(made) == 1 else Strongest(made)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.bounds.base import ModelBound
+from dcreg.bounds.base import SpaceBound
 from dcreg.kernels import vertices
 from dcreg.search import Evaluation
+from dcreg.spaces import FeatureSpace
 
 
-class PaperBound(ModelBound):
+class PaperBound(SpaceBound[FeatureSpace]):
     """Tangent of the convex part at the box centre, minimised over all 2^d vertices.
 
     E_ij is convex minus convex; replacing its convex part by the tangent at the centre theta0 leaves
@@ -20,16 +21,18 @@ class PaperBound(ModelBound):
     vertex. One k-assignment a vertex; the loss is of second order in the box width.
     """
 
-    def _evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
-        model = self.model
+    def _evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+    ) -> Evaluation:
+        space = self.space
         found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
 
         def work(part: slice) -> int:
             return vertices.paper_bound(
-                model.kind,
-                model.source,
-                model.target_features,
-                model.n_inliers,
+                space.kind,
+                space.source,
+                space.target_features,
+                space.n_inliers,
                 lower[part],
                 upper[part],
                 found.lower_bounds[part],

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.bounds.base import ModelBound
+from dcreg.bounds.base import SpaceBound
 from dcreg.kernels import vertices
 from dcreg.search import Evaluation
+from dcreg.spaces import FeatureSpace
 
 
-class EdgeBound(ModelBound):
+class EdgeBound(SpaceBound[FeatureSpace]):
     """``min_P sum p_ij d(feature interval of x_i over the box, y_j)^2``; never negative.
 
     Interval arithmetic on each feature (as in Go-ICP and GoTS, but one-to-one). First order in the box
@@ -17,27 +18,29 @@ class EdgeBound(ModelBound):
     is the box centre.
     """
 
-    def _evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
-        model = self.model
+    def _evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+    ) -> Evaluation:
+        space = self.space
         bounds = np.empty(len(lower))
         centres = 0.5 * (lower + upper)
         values = np.empty(len(lower))
 
         def work(part: slice) -> int:
             spent = vertices.edge_bound(
-                model.kind,
-                model.source,
-                model.target_features,
-                model.n_inliers,
+                space.kind,
+                space.source,
+                space.target_features,
+                space.n_inliers,
                 lower[part],
                 upper[part],
                 bounds[part],
             )
             spent += vertices.objectives(
-                model.kind,
-                model.source,
-                model.target_features,
-                model.n_inliers,
+                space.kind,
+                space.source,
+                space.target_features,
+                space.n_inliers,
                 centres[part],
                 values[part],
             )

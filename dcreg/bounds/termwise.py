@@ -7,63 +7,71 @@ they bound the norm objective of DC-Reg, so that the two methods differ in nothi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from dcreg.bounds.base import ModelBound
+from dcreg.bounds.base import SpaceBound
 from dcreg.kernels import features, termwise, vertices
-from dcreg.models import Model
 from dcreg.problem import InputError
-from dcreg.search import Evaluation
+from dcreg.search import Box, Evaluation
+from dcreg.spaces import FeatureSpace
 
 
-class TermwiseBound(ModelBound):
+class TermwiseBound(SpaceBound[FeatureSpace]):
     """Common part: the pair features of a 2D problem; the candidate is evaluated exactly."""
 
     kinds: tuple[int, ...] = (features.SIMILARITY2D,)
 
-    def __init__(self, model: Model, threads: int = 1) -> None:
-        super().__init__(model, threads)
-        if model.kind not in self.kinds:
+    def __init__(
+        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> None:
+        super().__init__(space, roots, threads)
+        if space.kind not in self.kinds:
             raise InputError(
                 "bound: termwise-r3 treats 2D similarity only; in 3D use termwise, termwise-r1 or "
                 "termwise-r2"
             )
-        if model.kind == features.SIMILARITY2D:
-            n, m = len(model.source), model.target_features.shape[1]
+        if space.kind == features.SIMILARITY2D:
+            n, m = len(space.source), space.target_features.shape[1]
             self.features = np.empty((8, n, m))
-            termwise.pair_features(model.source, model.target_features, self.features)
+            termwise.pair_features(space.source, space.target_features, self.features)
 
     def _values(self, thetas: np.ndarray, values: np.ndarray) -> int:
-        model = self.model
+        space = self.space
         return vertices.objectives(
-            model.kind, model.source, model.target_features, model.n_inliers, thetas, values
+            space.kind, space.source, space.target_features, space.n_inliers, thetas, values
         )
 
 
 class SeparableBound(TermwiseBound):
-    """R1 and R2: matching and pose separate, which costs one assignment a box in either model."""
+    """R1 and R2: matching and pose separate, which costs one assignment a box in either space."""
 
     kinds = (features.SIMILARITY2D, features.NORM3D)
     averaged: bool  # R1
 
-    def __init__(self, model: Model, threads: int = 1) -> None:
-        super().__init__(model, threads)
+    def __init__(
+        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> None:
+        super().__init__(space, roots, threads)
         self.low = self.high = np.empty(0)
         if self.averaged:
             self.low, self.high = self._aggregates()
 
     def _aggregates(self) -> tuple[np.ndarray, np.ndarray]:
         """Ranges of the aggregated features over all matchings, feasible or not."""
-        model = self.model
-        if model.kind == features.NORM3D:
-            ordered = np.sort(model.source, axis=0)
-            return ordered[: model.n_inliers].sum(axis=0), ordered[-model.n_inliers :].sum(axis=0)
+        space = self.space
+        if space.kind == features.NORM3D:
+            ordered = np.sort(space.source, axis=0)
+            return ordered[: space.n_inliers].sum(axis=0), ordered[-space.n_inliers :].sum(axis=0)
         low, high = np.empty(termwise.N_FEATURES), np.empty(termwise.N_FEATURES)
-        termwise.feature_ranges(self.features, model.n_inliers, low, high)
+        termwise.feature_ranges(self.features, space.n_inliers, low, high)
         self.n_assignments += 2 * termwise.N_FEATURES
         return low, high
 
-    def _evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
+    def _evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+    ) -> Evaluation:
         found = Evaluation(np.empty(len(lower)), 0.5 * (lower + upper), np.empty(len(lower)))
 
         def work(part: slice) -> int:
@@ -77,10 +85,10 @@ class SeparableBound(TermwiseBound):
     def _bound(
         self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray, thetas: np.ndarray
     ) -> int:
-        model, k = self.model, self.model.n_inliers
-        if model.kind == features.NORM3D:
+        space, k = self.space, self.space.n_inliers
+        if space.kind == features.NORM3D:
             return termwise.norm_bounds(
-                model.source, model.target_features, k, self.low, self.high, self.averaged,
+                space.source, space.target_features, k, self.low, self.high, self.averaged,
                 lower, upper, bounds, thetas,
             )  # fmt: skip
         if self.averaged:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from baselines import registry
 from baselines._poses import apply, homogeneous, rms_radius
 from baselines.contract import Baseline, Instance, Limits, Solution
-from dcreg.result import Status
+from dcreg.status import Status
 
 NAMES = registry.names()
 PAIRS = [(name, model) for name in NAMES for model in registry.read_card(name).models]

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dcreg.result import Result, Status
+from dcreg.result import Result
+from dcreg.status import Status
 from tests.fuzz import reference
 from tests.fuzz.problems import FuzzProblem
 

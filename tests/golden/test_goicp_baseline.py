@@ -15,7 +15,7 @@ import pytest
 from baselines import registry
 from baselines._poses import apply
 from baselines.contract import Instance, Limits
-from dcreg.result import Status
+from dcreg.status import Status
 
 MIRROR = os.environ.get("DCREG_DATA_MIRROR")
 FOLDER = Path(MIRROR).parent / "golden" if MIRROR else None

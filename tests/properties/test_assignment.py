@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dcreg.assignment import k_assignment, pairs_of
 from dcreg.kernels import assignment as kernels
-from dcreg.kernels import reference
 from dcreg.kernels.selection import greatest, least, smallest_sum
+from dcreg.local.assignment import k_assignment, pairs_of
+from tests.oracles import kernels as reference
 
 
 @st.composite

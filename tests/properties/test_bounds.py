@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcreg.bounds import BOUNDS, make_bound
-from dcreg.box import Box, LongestEdge
-from dcreg.kernels import reference
-from dcreg.models import Similarity2D
+from dcreg.search import Box, LongestEdge
+from dcreg.spaces import Similarity2D
+from tests.oracles import kernels as reference
 from tests.problems import models, models_with_boxes
 
 NAMES = [*BOUNDS, "paper+edges", "termwise"]
@@ -174,8 +174,8 @@ def test_refinement_returns_an_admissible_point_with_its_objective(model, seed):
 
 
 def test_joint_termwise_bound_in_3d_is_refused():
-    from dcreg.models import Translation3D
     from dcreg.problem import InputError
+    from dcreg.spaces import Translation3D
 
     model = Translation3D(np.eye(3), np.eye(3), 2)
     with pytest.raises(InputError, match="2D similarity only"):

@@ -6,22 +6,22 @@ import re
 
 import numpy as np
 import pytest
+from dcreg.rigid import Rigid3D, RigidBound, pose, search_multi, search_rigid
+from dcreg.rotation import Rotation3D, RotationBound
 from hypothesis import given
 from hypothesis import strategies as st
 
 import dcreg
 from dcreg import certificate
 from dcreg.bounds import BOUNDS, make_bound
-from dcreg.box import Box
-from dcreg.kernels import reference, vertices
-from dcreg.models import Similarity2D, Translation3D
-from dcreg.polish import fit_pose, objective
+from dcreg.certificate.verification import verify
+from dcreg.kernels import vertices
+from dcreg.local import fit_pose, objective
 from dcreg.problem import InputError, Problem
-from dcreg.rigid import RigidBound, RigidModel, pose, search_multi, search_rigid
-from dcreg.rotation import RotationBound, RotationModel
-from dcreg.search import Limits
-from dcreg.verification import verify
+from dcreg.search import Box, Limits
+from dcreg.spaces import Similarity2D, Translation3D
 from tests.fuzz.reference import enclose_norm3d, optimum_rigid3d
+from tests.oracles import kernels as reference
 from tests.properties.test_rigid_bounds import Parts
 
 
@@ -84,7 +84,7 @@ def test_bounds_hold_for_the_feasible_pairs(seed, name):
 @given(st.integers(0, 2**32 - 1))
 def test_rotation_bound_holds_for_the_feasible_pairs(seed):
     x, y, k, mask = feasible_problem(seed, 3)
-    model = RotationModel(x, y, k, mask)
+    model = Rotation3D(x, y, k, mask)
     generator = np.random.default_rng(seed + 1)
     centre = generator.standard_normal(4)
     lower, upper = centre - 0.2, centre + 0.2
@@ -129,7 +129,7 @@ def rigid_model(seed, **settings):
     """Centred clouds and their model."""
     x, y, k, mask = feasible_problem(seed, 3)
     x, y = x - x.mean(axis=0), y - y.mean(axis=0)
-    return RigidModel(x, y, k, candidates=mask, **settings), (x, y, mask, k)
+    return Rigid3D(x, y, k, candidates=mask, **settings), (x, y, mask, k)
 
 
 @given(
@@ -185,11 +185,11 @@ def test_rigid_vertex_bound_is_tight_where_only_forbidden_pairs_are_better():
     generator = np.random.default_rng(5)
     x, y = generator.standard_normal((2, 10, 3))
     x, y = x - x.mean(axis=0), y - y.mean(axis=0)
-    model = RigidModel(x, y, 10, candidates=np.eye(10, dtype=bool))
+    model = Rigid3D(x, y, 10, candidates=np.eye(10, dtype=bool))
     theta, best, _ = model.refine(np.array([1.0, 0, 0, 0, 0, 0, 0]))
     half = 0.01 * np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     parts = Parts(model, Box(theta - half, theta + half))
-    assert RigidModel(x, y, 10).objective(theta)[0] < 0.7 * best
+    assert Rigid3D(x, y, 10).objective(theta)[0] < 0.7 * best
     assert 0.98 * best <= parts.vertex_bound() <= best + 1e-9
 
 

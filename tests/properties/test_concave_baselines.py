@@ -29,8 +29,8 @@ from baselines.rpm_pa.kernels import value_at
 from baselines.rpm_pa.polytope import Polytope
 from baselines.rpm_pa.search import Search, Settings
 from dcreg import objective
-from dcreg.polish import fit_pose
-from dcreg.result import Status
+from dcreg.local import fit_pose
+from dcreg.status import Status
 from tests.problems import KINDS, cloud
 
 SCALES = (0.5, 1.5)

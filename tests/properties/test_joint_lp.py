@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from scipy.optimize import linprog
 
 from dcreg.bounds import make_bound
-from dcreg.bounds.joint_lp import TermwiseR3
-from dcreg.box import Box, LongestEdge
+from dcreg.bounds.termwise_lp import TermwiseR3
 from dcreg.kernels import termwise
+from dcreg.search import Box, LongestEdge
 from tests.problems import models_with_boxes
 
 
@@ -116,8 +116,8 @@ def test_children_are_no_weaker_than_their_parent(model_and_box):
 
 
 def test_treats_2d_only():
-    from dcreg.models import Translation3D
     from dcreg.problem import InputError
+    from dcreg.spaces import Translation3D
 
     with pytest.raises(InputError, match="2D similarity only"):
         make_bound("termwise-r3", Translation3D(np.eye(3), np.eye(3), 2))

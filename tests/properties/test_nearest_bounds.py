@@ -22,7 +22,7 @@ from baselines.goicp.adapter import Frame, optimal_translations
 from baselines.goicp.distance import Cells
 from baselines.goicp.search import GoICP, Settings, uncertainty
 from baselines.gots import search as gots
-from dcreg.result import Status
+from dcreg.status import Status
 
 SEEDS = st.integers(0, 2**32 - 1)
 WIDTHS = st.sampled_from([np.pi, 0.8, 0.2, 0.03, 0.0])

@@ -17,7 +17,7 @@ from baselines import registry
 from baselines._poses import apply
 from baselines.contract import Instance, Limits
 from baselines.gots.search import points_of
-from dcreg.result import Status
+from dcreg.status import Status
 
 COUNT = int(os.environ.get("CERTIFICATES", "6"))
 LIMITS = Limits(time_s=float(os.environ.get("CERTIFICATE_SECONDS", "3")))

@@ -6,11 +6,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dcreg.bounds import make_bound
-from dcreg.box import Box, LongestEdge
-from dcreg.kernels import reference
 from dcreg.kernels.norm_bound import norm_curvature
 from dcreg.kernels.shared import best_linearisation
-from dcreg.models import Translation3D
+from dcreg.search import Box, LongestEdge
+from dcreg.spaces import Translation3D
+from tests.oracles import kernels as reference
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from dcreg.rotation import Rotation3D
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,14 +23,12 @@ from baselines.hbsp.rotation import SemidefiniteRotationBound, quaternion_form, 
 from baselines.hbsp.similarity import SemidefiniteBound
 from baselines.rpm_bp.bound import BilinearBound, best_multipliers, separable
 from dcreg.bounds import make_bound
-from dcreg.box import Box, LongestEdge
-from dcreg.kernels import reference
-from dcreg.models import Similarity2D, Translation3D
-from dcreg.polish import objective
-from dcreg.result import Status
-from dcreg.rotation import RotationModel
+from dcreg.local import objective
+from dcreg.search import Box, LongestEdge, branch_and_bound
 from dcreg.search import Limits as SearchLimits
-from dcreg.search import branch_and_bound
+from dcreg.spaces import Similarity2D, Translation3D
+from dcreg.status import Status
+from tests.oracles import kernels as reference
 from tests.problems import models_with_boxes
 from tests.properties.test_rotation_bounds import facet_boxes, problems
 
@@ -167,7 +166,7 @@ def test_lifted_bound_holds_whatever_the_solver_answers(seed, dim, garbled):
 @given(problems(), facet_boxes())
 def test_rotation_bound_is_below_the_objective(problem, box):
     source, target, k = problem
-    model = RotationModel(source, target, k)
+    model = Rotation3D(source, target, k)
     found = value(SemidefiniteRotationBound(model), box)
     thetas = np.vstack([box.sample(np.random.default_rng(0), 30), box.vertices()])
     assert found <= min(model.objective(theta)[0] for theta in thetas) + 1e-9
@@ -176,7 +175,7 @@ def test_rotation_bound_is_below_the_objective(problem, box):
 @given(problems(), facet_boxes(halves=(0.1,)))
 def test_rotation_bound_closes_at_a_point(problem, box):
     source, target, k = problem
-    model = RotationModel(source, target, k)
+    model = Rotation3D(source, target, k)
     point = Box(box.centre, box.centre)
     tolerance = 1e-6 * k * (1 + (source**2).sum() + (target**2).sum())
     found = value(SemidefiniteRotationBound(model), point)
@@ -189,7 +188,7 @@ def test_rotations_of_the_box_lie_in_their_range(box, seed):
     generator = np.random.default_rng(seed)
     W = generator.normal(size=(3, 3))
     for theta in box.sample(generator, 20):
-        R = RotationModel.matrix(theta)
+        R = Rotation3D.matrix(theta)
         assert (least - 1e-12 <= R).all()
         assert (most + 1e-12 >= R).all()
         unit = theta / np.linalg.norm(theta)
@@ -318,7 +317,7 @@ def test_no_wrong_rotation():
     n_telling = 0
     for seed in range(N_PROBLEMS):
         source, target, k = clouds(seed, 3)
-        model = RotationModel(source, target, k)
+        model = Rotation3D(source, target, k)
         least = least_rotation(source, target, k)
         gap_tol = tolerance(seed, least, k)
         starts = [model.refine(theta) for theta in np.vstack([np.eye(4), 2 * np.eye(4) - 1])]

@@ -4,15 +4,15 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from dcreg.rigid import Rigid3D, RigidBound, largest_subset_mean, pose
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dcreg.box import Box
 from dcreg.kernels import rigid as kernels
 from dcreg.kernels.assignment import dual_bound, k_assignment
-from dcreg.polish import objective
-from dcreg.rigid import RigidBound, RigidModel, largest_subset_mean, pose
+from dcreg.local import objective
+from dcreg.search import Box
 from tests.problems import KINDS, cloud
 
 
@@ -38,7 +38,7 @@ def problems(draw, max_points=6):
 def boxes(draw, halves=(1.0, 0.5, 0.1, 0.01)):
     """Rotations and translations of any place and size, perhaps flat along some axes."""
     generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    root = draw(st.sampled_from(RigidModel(np.eye(3), np.eye(3), 1, reduced_box=False).roots()))
+    root = draw(st.sampled_from(Rigid3D(np.eye(3), np.eye(3), 1, reduced_box=False).roots()))
     centre = np.append(generator.uniform(-1.0, 1.0, 4), generator.uniform(-0.7, 0.7, 3))
     half = generator.uniform(0.2, 1.0, 7)
     half[:4] *= draw(st.sampled_from(halves))
@@ -57,7 +57,7 @@ def values_in(problem, box, count=40):
 
 
 def evaluate(problem, box, cutoff):
-    return RigidBound(RigidModel(*problem)).evaluate(box.lower[None], box.upper[None], cutoff)
+    return RigidBound(Rigid3D(*problem)).evaluate(box.lower[None], box.upper[None], cutoff)
 
 
 class Parts:
@@ -98,7 +98,7 @@ def test_bound_is_below_the_objective_anywhere_in_the_box(problem, box, tightnes
 @given(problems(), boxes())
 def test_each_bound_alone_is_below_the_objective(problem, box):
     lowest = min(values_in(problem, box))
-    parts = Parts(RigidModel(*problem), box)
+    parts = Parts(Rigid3D(*problem), box)
     assert k_assignment(parts.costs(), parts.k)[0] <= lowest + 1e-9
     if len(parts.corners):
         assert parts.vertex_bound() <= lowest + 1e-9
@@ -120,7 +120,7 @@ def test_bound_at_a_single_pose_is_the_objective(problem, box):
 
 @given(problems(), boxes(halves=(0.5, 0.1)))
 def test_rotations_of_a_box_lie_within_its_angle(problem, box):
-    parts = Parts(RigidModel(*problem), box)
+    parts = Parts(Rigid3D(*problem), box)
     centre = Rotation.from_quat(box.centre[:4], scalar_first=True)
     for theta in box.sample(np.random.default_rng(1), 30):
         turn = Rotation.from_quat(theta[:4], scalar_first=True) * centre.inv()
@@ -129,7 +129,7 @@ def test_rotations_of_a_box_lie_within_its_angle(problem, box):
 
 @given(problems(), boxes(halves=(0.5, 0.1)), st.floats(0.5, 2.0))
 def test_auction_never_exceeds_the_assignment(problem, box, scale):
-    parts = Parts(RigidModel(*problem), box)
+    parts = Parts(Rigid3D(*problem), box)
     costs = scale * parts.costs()
     b = np.zeros(costs.shape[1])
     kernels.bid(costs, parts.k, b)
@@ -152,7 +152,7 @@ def test_boxes_about_the_optimum_lose_little(k, size, rng):
     """Curvature costs nothing while the matching holds: the bound falls by far less than width."""
     source = centred(rng.standard_normal((12, 3)))
     target = centred(source + 0.03 * rng.standard_normal((12, 3)))
-    model = RigidModel(source, target, k)
+    model = Rigid3D(source, target, k)
     theta, best, _ = model.refine(np.array([1.0, 0, 0, 0, 0, 0, 0]))
     half = size * np.array([0.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
     parts = Parts(model, Box(theta - half, theta + half))

@@ -4,15 +4,15 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
+from dcreg.rotation import Rotation3D, RotationBound
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from dcreg.box import Box, LongestEdge
 from dcreg.kernels import rotation as kernels
 from dcreg.kernels.assignment import k_assignment, k_assignment_duals
-from dcreg.rotation import RotationBound, RotationModel
+from dcreg.search import Box, LongestEdge
 from tests.problems import KINDS, cloud
 
 
@@ -78,7 +78,7 @@ def problems(draw, max_points=6):
 def facet_boxes(draw, halves=(1.0, 0.5, 0.1, 0.01)):
     """A box inside one of the four root facets, of any place and size, perhaps flat."""
     generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    root = draw(st.sampled_from(RotationModel.roots()))
+    root = draw(st.sampled_from(Rotation3D.roots()))
     centre = generator.uniform(-1.0, 1.0, 4)
     half = draw(st.sampled_from(halves)) * generator.uniform(0.2, 1.0, 4)
     half[generator.random(4) < 0.1] = 0.0
@@ -89,7 +89,7 @@ def facet_boxes(draw, halves=(1.0, 0.5, 0.1, 0.01)):
 
 
 def evaluate(problem, box, cutoff=np.inf):
-    bound = RotationBound(RotationModel(*problem))
+    bound = RotationBound(Rotation3D(*problem))
     return bound.evaluate(box.lower[None], box.upper[None], cutoff)
 
 
@@ -165,7 +165,7 @@ def test_candidates_are_upper_bounds_at_the_centre(problem, box):
 
 @given(problems(), facet_boxes(), st.sampled_from([-1.0, 2.5, -0.1]))
 def test_length_and_sign_of_a_quaternion_do_not_matter(problem, box, factor):
-    model = RotationModel(*problem)
+    model = Rotation3D(*problem)
     theta = box.centre
     np.testing.assert_allclose(model.matrix(factor * theta), model.matrix(theta), atol=1e-12)
     assert model.objective(factor * theta)[0] == pytest.approx(model.objective(theta)[0], abs=1e-9)
@@ -173,13 +173,13 @@ def test_length_and_sign_of_a_quaternion_do_not_matter(problem, box, factor):
 
 @given(facet_boxes())
 def test_matrix_agrees_with_scipy(box):
-    matrix = RotationModel.matrix(box.centre)
+    matrix = Rotation3D.matrix(box.centre)
     np.testing.assert_allclose(matrix, rotation_of(box.centre).as_matrix(), atol=1e-12)
 
 
 def test_roots_and_their_children_hold_every_rotation(rng):
-    lower = np.array([root.lower for root in RotationModel.roots()])
-    upper = np.array([root.upper for root in RotationModel.roots()])
+    lower = np.array([root.lower for root in Rotation3D.roots()])
+    upper = np.array([root.upper for root in Rotation3D.roots()])
     for _ in range(6):
         lower, upper = LongestEdge(np.ones(4))(lower, upper)
     assert len(lower) == 4 * 64
@@ -197,7 +197,7 @@ def test_bound_is_second_order_at_the_optimum(rng):
     source = rng.standard_normal((12, 3))
     target = source + 0.05 * rng.standard_normal((12, 3))
     problem = (source, target, 12)
-    theta, value, _ = RotationModel(*problem).refine(np.array([1.0, 0.0, 0.0, 0.0]))
+    theta, value, _ = Rotation3D(*problem).refine(np.array([1.0, 0.0, 0.0, 0.0]))
     width = np.array([0.0, 1.0, 1.0, 1.0])
     for half in (0.02, 0.01, 0.005, 0.0025):
         box = Box(theta - half * width, theta + half * width)

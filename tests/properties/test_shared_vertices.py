@@ -6,10 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcreg.bounds import make_bound
-from dcreg.bounds.shared import VertexCache
-from dcreg.box import Box, LongestEdge
+from dcreg.bounds.dc_shared import VertexCache
 from dcreg.kernels import shared
-from dcreg.search import branch_and_bound
+from dcreg.search import Box, LongestEdge, branch_and_bound
 from tests.problems import models
 
 seeds = st.integers(0, 2**32 - 1)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dcreg
-from dcreg.models import Similarity2D, Translation3D
+from dcreg.spaces import Similarity2D, Translation3D
 from tests.problems import cloud, models
 
 

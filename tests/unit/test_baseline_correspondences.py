@@ -24,7 +24,7 @@ from baselines._frontends import (
 )
 from baselines._poses import apply, homogeneous, median_spacing
 from baselines.contract import Instance, Limits
-from dcreg.result import Status
+from dcreg.status import Status
 
 LIMITS = Limits(time_s=20.0)
 NOISE = 0.01

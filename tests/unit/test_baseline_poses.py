@@ -24,7 +24,7 @@ from baselines._poses import (
 )
 from baselines._starts import STARTS, best_of_starts, start_poses
 from baselines.contract import Instance, Limits
-from dcreg.result import Status
+from dcreg.status import Status
 
 
 def instance_of(model: str, seed: int = 0, n: int = 30) -> Instance:

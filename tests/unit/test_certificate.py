@@ -10,15 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import dcreg.verification
+import dcreg.certificate.verification
 from dcreg.bounds import make_bound
-from dcreg.box import LongestEdge
 from dcreg.certificate import Certificate, CertificateError, of_search, read, write
-from dcreg.frame import Frame
-from dcreg.models import Similarity2D, Translation3D
-from dcreg.problem import Problem
-from dcreg.search import Leaves, Limits, branch_and_bound
-from dcreg.verification import FAMILIES, Proof, check_cover, check_samples, verify
+from dcreg.certificate.verification import FAMILIES, Proof, check_cover, check_samples, verify
+from dcreg.problem import Frame, Problem
+from dcreg.search import Leaves, Limits, LongestEdge, branch_and_bound
+from dcreg.spaces import Similarity2D, Translation3D
 from tests.problems import models_with_boxes
 
 DIM = {"similarity2d": 2, "translation3d": 3}

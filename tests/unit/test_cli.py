@@ -19,9 +19,10 @@ from typer.testing import CliRunner
 import dcreg
 from dcreg import cli
 from dcreg.progress import Progress
-from dcreg.result import Result, Status
+from dcreg.result import Result
+from dcreg.search import Event, Trace
+from dcreg.status import Status
 from dcreg.sweeping import SweepResult
-from dcreg.trace import Event, Trace
 
 ISSUE_KEYS = {
     *("status", "T_target_source", "scale", "n_inliers", "bound", "mode", "lower_bound"),

@@ -10,11 +10,11 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg import sparse
-from dcreg.assignment import k_assignment
+from dcreg.local import sparse
+from dcreg.local.assignment import k_assignment
+from dcreg.local.sampled_rotation import search_sampled_rotation
 from dcreg.problem import InputError
-from dcreg.result import Status
-from dcreg.sampling import search_sampled_rotation
+from dcreg.status import Status
 
 NOISE = 0.005
 ROTATION = Rotation.from_rotvec([0.4, -1.9, 1.1]).as_matrix()

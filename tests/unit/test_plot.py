@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from dcreg import plot
-from dcreg.result import Result, Status
+from dcreg.result import Result
+from dcreg.search import Event, Trace
+from dcreg.status import Status
 from dcreg.sweeping import SweepResult
-from dcreg.trace import Event, Trace
 
 
 def result(dim, lower=0.5, **changes):

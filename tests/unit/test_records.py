@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from baselines.contract import Instance
-from dcreg.result import Status
+from dcreg.status import Status
 from workflows import records
 from workflows.aggregate import accounting
 from workflows.instances import (

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.frame import Frame
-from dcreg.models import Similarity2D, Translation3D
-from dcreg.problem import Problem, default_gap_tol
+from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.registration import choose_mode
-from dcreg.result import Status
+from dcreg.spaces import Similarity2D, Translation3D
+from dcreg.status import Status
 from tests.problems import KINDS, cloud
 
 BOUNDS_2D = ["paper", "edges", "termwise", "paper+edges"]
@@ -295,7 +294,7 @@ def test_full_mode_bounds_the_objective_it_reports(spatial, rng):
 @pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
 def test_certificate_of_a_search_is_proven_apart_from_it(model, planar, spatial, rng, tmp_path):
     from dcreg.certificate import write
-    from dcreg.verification import verify
+    from dcreg.certificate.verification import verify
 
     source, target, _ = planar if model == "similarity2d" else spatial
     target = target + 0.05 * rng.standard_normal(target.shape)

@@ -4,14 +4,14 @@ from itertools import combinations, permutations
 
 import numpy as np
 import pytest
+from dcreg.rigid import Rigid3D, search_multi, search_rigid
 from scipy.spatial.transform import Rotation
 
 import dcreg
 from data import registry
-from dcreg.polish import fit_pose, objective
-from dcreg.result import Status
-from dcreg.rigid import RigidModel, search_multi, search_rigid
+from dcreg.local import fit_pose, objective
 from dcreg.search import Limits
+from dcreg.status import Status
 from tests.problems import KINDS, cloud
 from workflows.disturb import make_instance
 
@@ -80,7 +80,7 @@ def test_start_box_holds_the_optimum(start_box, rng):
         source, target = rng.standard_normal((5, 3)), rng.standard_normal((5, 3))
         source, target = source - source.mean(axis=0), target - target.mean(axis=0)
         for k in (2, 4, 5):
-            box = RigidModel(source, target, k, start_box == "reduced").translations()
+            box = Rigid3D(source, target, k, start_box == "reduced").translations()
             rows, columns = rng.permutation(5)[:k], rng.permutation(5)[:k]
             t = fit_pose(source[rows], target[columns], (1.0, 1.0))[:3, 3]
             assert (t >= box.lower - 1e-12).all()

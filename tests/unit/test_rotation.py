@@ -4,11 +4,11 @@ from itertools import combinations, permutations
 
 import numpy as np
 import pytest
+from dcreg.rotation import Rotation3D, search_rotation
 from scipy.spatial.transform import Rotation
 
 from dcreg.kernels import rotation as kernels
-from dcreg.result import Status
-from dcreg.rotation import RotationModel, search_rotation
+from dcreg.status import Status
 from tests.problems import KINDS, cloud
 
 
@@ -103,12 +103,12 @@ def test_fit_agrees_with_the_singular_value_decomposition(rng):
     for mirror in (1.0, -1.0):
         source, target = rng.standard_normal((2, 8, 3)) * [1.0, 1.0, mirror]
         theta = kernels.best_rotation(np.arange(8), source.T.copy(), target.T.copy())
-        np.testing.assert_allclose(RotationModel.matrix(theta), kabsch(source, target), atol=1e-9)
+        np.testing.assert_allclose(Rotation3D.matrix(theta), kabsch(source, target), atol=1e-9)
 
 
 def test_refine_stays_in_a_root_and_never_rises(rng):
     source, target, _, _ = planted(rng, n=20, noise=0.2)
-    model = RotationModel(source, target, 15)
+    model = Rotation3D(source, target, 15)
     for theta in rng.standard_normal((20, 4)):
         before, _ = model.objective(theta)
         after, value, spent = model.refine(theta)

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from dcreg.box import Box, LongestEdge
-from dcreg.result import Status
-from dcreg.search import Evaluation, Leaves, Limits, branch_and_bound
+from dcreg.search import Box, Evaluation, Leaves, Limits, LongestEdge, branch_and_bound
+from dcreg.status import Status
 
 
 class Ripples:

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.models import Similarity2D
 from dcreg.problem import InputError
-from dcreg.result import Status
+from dcreg.spaces import Similarity2D
+from dcreg.status import Status
 
 COUNTS = [16, 17, 18, 19, 20, 22, 24]
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from dcreg.box import Box, LongestEdge
-from dcreg.polish import polish
-from dcreg.result import Status
-from dcreg.search import Evaluation, Limits, branch_and_bound
+from dcreg.local import polish
+from dcreg.search import Box, Evaluation, Limits, LongestEdge, branch_and_bound
+from dcreg.status import Status
 
 
 class Parabola:

@@ -35,7 +35,7 @@ FAULTS = {"raises": "", "hangs": "", "grows": "time_s: 20", "is_killed": ""}
 # Bounds that lose ten times the squared size of their box: valid, of the same order, and weaker.
 WEAKER = """
 
-_evaluate = ModelBound.evaluate
+_evaluate = SpaceBound.evaluate
 
 
 def _weaker(self, lower, upper, cutoff):
@@ -44,7 +44,7 @@ def _weaker(self, lower, upper, cutoff):
     return found
 
 
-ModelBound.evaluate = _weaker
+SpaceBound.evaluate = _weaker
 """
 
 pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("workflow")]

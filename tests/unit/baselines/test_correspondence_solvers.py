@@ -18,7 +18,7 @@ from baselines._robust import gnc_pose, weighted_pose
 from baselines.clipper.dense import dense_clique
 from baselines.contract import Instance, Limits
 from baselines.mac.enumerate import HeaviestCliques
-from dcreg.result import Status
+from dcreg.status import Status
 
 NOISE = 0.01
 METHODS = ["teaser", "gnc_tls", "clipper", "sc2_pcr", "mac", "gore", "ransac"]

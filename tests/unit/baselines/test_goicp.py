@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from baselines import registry
 from baselines._poses import apply, homogeneous
 from baselines.contract import Instance, Limits
-from dcreg.result import Status
+from dcreg.status import Status
 
 METHODS = ["goicp", "frs", "gots"]
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from baselines import registry
 from baselines.contract import Instance, Limits, Solution
-from dcreg.result import Status
+from dcreg.status import Status
 
 METHODS = ["dcp", "dgr", "hunter"]
 LIMITS = Limits(time_s=20.0)

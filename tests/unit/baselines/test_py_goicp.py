@@ -14,7 +14,7 @@ from baselines import registry
 from baselines._poses import apply, homogeneous
 from baselines.contract import Instance, Limits
 from baselines.py_goicp.adapter import trim_fraction
-from dcreg.result import Status
+from dcreg.status import Status
 
 # Pairs points by index and fits them, which is enough to see whether units and axes are kept. It
 # prints to standard output like the real library.

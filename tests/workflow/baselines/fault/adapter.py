@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 from baselines.contract import Baseline, Instance, Limits, Solution
-from dcreg.result import Status
+from dcreg.status import Status
 
 UNLUCKY = 13
 

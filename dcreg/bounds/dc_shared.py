@@ -14,13 +14,14 @@ limits a box that is not yet pruned is it solved. Derived in this project, not i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from dcreg.bounds.base import ModelBound
-from dcreg.box import Box
+from dcreg.bounds.base import SpaceBound
 from dcreg.kernels import shared
-from dcreg.models import Model
-from dcreg.search import Evaluation
+from dcreg.search import Box, Evaluation
+from dcreg.spaces import FeatureSpace
 
 # A cache beyond this forgets the half not met for longest: bounds stay valid, some vertices are solved
 # twice.
@@ -103,20 +104,24 @@ class VertexCache:
         return slots, before
 
 
-class SharedBound(ModelBound):
+class SharedBound(SpaceBound[FeatureSpace]):
     """The paper's linearisation at the box centre, over shared vertex values."""
 
     moves = 0
 
-    def __init__(self, model: Model, threads: int = 1) -> None:
-        super().__init__(model, threads)
-        n, m = len(model.source), model.target_features.shape[1]
+    def __init__(
+        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> None:
+        super().__init__(space, roots, threads)
+        n, m = len(space.source), space.target_features.shape[1]
         # in norm space all R_i are alike: the value alone gives every bound exactly
-        sizes = (0, 0) if model.axis_weights.size == 3 else (n, m)
-        self.cache = VertexCache(model.start_box(), *sizes)
-        self.loss_weights = model.n_inliers * model.axis_weights**2
+        sizes = (0, 0) if space.axis_weights.size == 3 else (n, m)
+        self.cache = VertexCache(self.roots[0], *sizes)
+        self.loss_weights = space.n_inliers * space.axis_weights**2
 
-    def _evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
+    def _evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+    ) -> Evaluation:
         cache = self.cache
         slots, before = cache.find(lower, upper)
         self._estimate(slots, before)
@@ -127,7 +132,7 @@ class SharedBound(ModelBound):
             bounds[rows], binding[rows], points[rows] = self._bound(
                 slots[rows], lower[rows], upper[rows], cutoff, points[rows]
             )
-            # a bound that rests on an estimate and does not prune yet deserves the true value
+            # where an estimate limits a box that is not pruned yet, the vertex is solved
             rows = rows[(bounds[rows] < cutoff) & np.isinf(cache.values[binding[rows]])]
             which = np.unique(binding[rows])
             self._blend(slots, which, settled=0)
@@ -139,7 +144,7 @@ class SharedBound(ModelBound):
 
     def _estimate(self, slots: np.ndarray, before: int) -> None:
         """Value or lower bound of the vertices from `before` on."""
-        cache, model = self.cache, self.model
+        cache, space = self.cache, self.space
         new = np.arange(before, cache.used)
         cache.values[new] = np.inf
         known = self._blend(slots, new, settled=before)
@@ -148,10 +153,10 @@ class SharedBound(ModelBound):
 
         def work(part: slice) -> int:
             shared.estimate_vertices(
-                model.kind,
-                model.source,
-                model.target_features,
-                model.n_inliers,
+                space.kind,
+                space.source,
+                space.target_features,
+                space.n_inliers,
                 new[part],
                 cache.thetas,
                 cache.lows,
@@ -193,14 +198,14 @@ class SharedBound(ModelBound):
 
     def _solve(self, which: np.ndarray, warm: bool = False) -> None:
         """Exact values, duals and profiles at the vertices `which`; `warm`: from their estimates."""
-        cache, model = self.cache, self.model
+        cache, space = self.cache, self.space
 
         def work(part: slice) -> int:
             return shared.solve_vertices(
-                model.kind,
-                model.source,
-                model.target_features,
-                model.n_inliers,
+                space.kind,
+                space.source,
+                space.target_features,
+                space.n_inliers,
                 warm,
                 which[part],
                 cache.thetas,
@@ -221,14 +226,14 @@ class SharedBound(ModelBound):
         cutoff: float,
         points: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        cache, model = self.cache, self.model
+        cache, space = self.cache, self.space
         bounds, binding = np.empty(len(lower)), np.empty(len(lower), np.int64)
 
         def work(part: slice) -> int:
             shared.shared_bound(
-                model.kind,
-                model.source,
-                model.n_inliers,
+                space.kind,
+                space.source,
+                space.n_inliers,
                 self.loss_weights,
                 cache.thetas,
                 cache.lows,
@@ -273,7 +278,7 @@ class TightExactBound(TightBound):
     def _tighten(
         self, slots: np.ndarray, points: np.ndarray, cutoff: float, bounds: np.ndarray
     ) -> None:
-        cache, model = self.cache, self.model
+        cache, space = self.cache, self.space
         if not cache.profiles.shape[1]:  # all R_i alike: nothing to gain
             return
         weak = np.flatnonzero(bounds < cutoff)
@@ -281,10 +286,10 @@ class TightExactBound(TightBound):
 
         def work(part: slice) -> int:
             return shared.exact_bound(
-                model.kind,
-                model.source,
-                model.target_features,
-                model.n_inliers,
+                space.kind,
+                space.source,
+                space.target_features,
+                space.n_inliers,
                 cache.thetas,
                 cache.lows,
                 cache.levels,

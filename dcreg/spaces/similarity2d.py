@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.box import Box
 from dcreg.kernels import features
 from dcreg.kernels.refine import refine_similarity2d
-from dcreg.models.base import Model, largest_subset_mean, mean_of_largest, radius, with_prices
+from dcreg.search import Box
+from dcreg.spaces.base import largest_subset_mean, mean_of_largest, radius, with_prices
+from dcreg.spaces.features import FeatureSpace
 
 
-class Similarity2D(Model):
+class Similarity2D(FeatureSpace):
     """T(x) = [[t1, -t2], [t2, t1]] x + (t3, t4), DC-Reg section "2D similarity".
 
     Parameters
@@ -51,7 +52,7 @@ class Similarity2D(Model):
         spread = max(float(np.sqrt((source**2).sum(axis=1).mean())), 1e-12)
         self.axis_weights = np.array([spread, spread, 1.0, 1.0])
 
-    def start_box(self) -> Box:
+    def roots(self) -> list[Box]:
         high = self.scale_range[1]
         if self.reduced_box:
             reach = high * largest_subset_mean(self.source, self.n_inliers)
@@ -64,7 +65,7 @@ class Similarity2D(Model):
         else:
             reach = high * radius(self.source) + radius(self.target)
             lower, upper = np.full(2, -reach), np.full(2, reach)
-        return Box(np.array([-high, -high, *lower]), np.array([high, high, *upper]))
+        return [Box(np.array([-high, -high, *lower]), np.array([high, high, *upper]))]
 
     def admissible(self, thetas: np.ndarray) -> np.ndarray:
         scale = np.hypot(thetas[:, 0], thetas[:, 1])

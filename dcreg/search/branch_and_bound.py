@@ -8,127 +8,51 @@ independent, so the result does not depend on how many threads evaluate them.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import replace
 
 import numpy as np
 
-from dcreg.box import Box
-from dcreg.nodes import OpenNodes
-from dcreg.result import Status
-from dcreg.trace import Event, Listener
+from dcreg.search.bound import Bound
+from dcreg.search.budget import Budget
+from dcreg.search.leaves import Leaves
+from dcreg.search.nodes import OpenNodes
+from dcreg.search.outcome import Outcome
+from dcreg.search.trace import Event
+from dcreg.status import Status
 
-
-@dataclass
-class Evaluation:
-    """What a bound says of B boxes.
-
-    Attributes
-    ----------
-    lower_bounds : (B,) array
-        Valid for every admissible theta of the box; +inf when the box holds none.
-    thetas : (B, d) array
-        One parameter per box worth knowing, admissible or not.
-    values : (B,) array
-        Upper bounds on the objective at `thetas`; +inf where theta is not admissible.
-    """
-
-    lower_bounds: np.ndarray
-    thetas: np.ndarray
-    values: np.ndarray
-
-
-class Bound(Protocol):
-    """A lower bounding function: the part that the paper's comparison exchanges."""
-
-    @property
-    def n_assignments(self) -> int: ...
-
-    def evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
-        """Bound B boxes (rows of `lower`, `upper`); above `cutoff` precision is of no use."""
-        ...
-
-
-# A descent starts from a value no worse than the last start's, growing by this factor a round: often
-# while the search finds better and better places, seldom when it only closes the gap.
+# A descent starts where the round's best value is no worse than the last start's times this factor per
+# round since: often while the search finds better and better places, seldom when it only closes the gap.
 REFINING_PATIENCE = 1.01
 
-FEWEST = 16  # boxes a round divides, if the search allows as many
+MIN_ROUND = 16  # boxes a round divides at least, if the search allows as many
 
 # theta -> (better theta, its objective, assignments spent): descent from a promising parameter
 Refine = Callable[[np.ndarray], tuple[np.ndarray, float, int]]
 Branching = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Where a search must stop; its bounds stay valid. None: no limit."""
-
-    time_s: float | None = None
-    nodes: int | None = None
-    memory_mb: float | None = None
-
-
-class Leaves:
-    """The undivided boxes at the end of a search: together they cover the roots exactly.
-
-    ``reason`` is PRUNED (bound at least upper_bound - gap_tol), EMPTY (no admissible parameter) or
-    OPEN (a limit came first).
-    """
-
-    PRUNED, EMPTY, OPEN = 0, 1, 2
-
-    def __init__(self) -> None:
-        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
-
-    def add(
-        self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray, is_open: bool = False
-    ) -> None:
-        reason = np.where(np.isinf(bounds), self.EMPTY, self.OPEN if is_open else self.PRUNED)
-        self._parts.append((lower.copy(), upper.copy(), bounds.copy(), reason.astype(np.int8)))
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """``lower`` (L, d), ``upper`` (L, d), ``bounds`` (L,) and ``reason`` (L,)."""
-        names = ("lower", "upper", "bounds", "reason")
-        return dict(zip(names, map(np.concatenate, zip(*self._parts, strict=True)), strict=True))
-
-
-@dataclass
-class SearchResult:
-    status: Status
-    theta: np.ndarray
-    lower_bound: float
-    upper_bound: float
-    n_nodes: int
-    n_assignments: int
-    time_s: float
-    events: list[Event] = field(default_factory=list)
-
-
 def branch_and_bound(
     bound: Bound,
-    roots: list[Box],
+    budget: Budget,
     *,
     branching: Branching,
     gap_tol: float,
     refine: Refine | None = None,
     start: tuple[np.ndarray, float] | None = None,
-    limits: Limits | None = None,
-    round_size: int = 16,
-    listener: Listener | None = None,
     stage: str = "search",
     leaves: Leaves | None = None,
-) -> SearchResult:
+) -> Outcome:
     """Minimise a function over boxes to within `gap_tol`, by Algorithm 1 of DC-Reg.
 
     Parameters
     ----------
     bound : Bound
-        The function is known through it alone. It must be non-negative.
-    roots : list of Box
-        Together they hold the region searched.
+        The function is known through it alone, and must be non-negative. ``bound.roots`` are searched,
+        a round dividing at most ``bound.round_size`` boxes: a share of those there are, so that while few
+        are open the next ones are chosen with care.
+    budget : Budget
+        Its listener is told of every round; what is left of it ends the search.
     branching : callable
         Divides B boxes into 2 B.
     gap_tol : float
@@ -137,23 +61,18 @@ def branch_and_bound(
         Local descent, tried from the most promising parameter of each round.
     start : (theta, value), optional
         A known admissible parameter and its objective: the first incumbent.
-    limits : Limits, optional
-    round_size : int
-        Most open boxes divided per round. A round takes a share of those there are: while few are open,
-        the next ones are chosen with care.
-    listener : callable, optional
-        Receives an `Event` whenever a bound moved; returning True stops the search.
+    stage : str
+        Name of this search in its events.
     leaves : Leaves, optional
         Collects the leaf boxes with their bounds, for a certificate.
 
     Returns
     -------
-    SearchResult
+    Outcome
         ``lower_bound <= min <= upper_bound`` whatever the status.
     """
-    limits = limits or Limits()
-    clock = time.perf_counter
-    began = clock()
+    roots = bound.roots
+    began = budget.elapsed()
     theta, upper_bound = start if start is not None else (roots[0].centre, np.inf)
     nodes = OpenNodes(roots[0].dim)
     pruned_bound = np.inf  # least bound among pruned boxes: part of the certificate
@@ -164,11 +83,11 @@ def branch_and_bound(
     def lower_bound() -> float:
         return min(nodes.lower_bound, pruned_bound, upper_bound)
 
-    def report(kind: str) -> bool:
+    def report(kind: str) -> None:
         event = Event(
             kind,
             stage,
-            clock() - began,
+            budget.elapsed(),
             n_nodes,
             bound.n_assignments + n_refining,
             len(nodes),
@@ -177,10 +96,10 @@ def branch_and_bound(
             status.value if status is not None else "",
         )
         if kind == "bound" and events and _same_bounds(events[-1], event):
-            kind = "tick"  # told to the listener, not kept
+            budget.tell(replace(event, kind="tick"))  # told to the listener, not kept
         else:
             events.append(event)
-        return bool(listener(event)) if listener is not None else False
+            budget.tell(event)
 
     lower = np.array([box.lower for box in roots])
     upper = np.array([box.upper for box in roots])
@@ -195,8 +114,8 @@ def branch_and_bound(
         best = int(np.argmin(_settled(found.values, gap_tol)))
         if found.values[best] < upper_bound:
             theta, upper_bound = found.thetas[best].copy(), float(found.values[best])
-        late = limits.time_s is not None and clock() - began > limits.time_s
-        if refine is not None and not late and found.values[best] <= worth_refining:
+        over = budget.is_over
+        if refine is not None and not over and found.values[best] <= worth_refining:
             worth_refining = float(found.values[best])
             candidate, value, spent = refine(found.thetas[best])
             n_refining += spent
@@ -213,39 +132,40 @@ def branch_and_bound(
         # terminate
         if lower_bound() >= upper_bound - gap_tol:
             status = Status.OPTIMAL
-        elif late:
-            status = Status.TIME_LIMIT
-        elif limits.nodes is not None and n_nodes >= limits.nodes:
+        elif over:
+            status = Status.STOPPED if budget.stopped else Status.TIME_LIMIT
+        elif budget.nodes is not None and n_nodes >= budget.nodes:
             status = Status.NODE_LIMIT
-        elif limits.memory_mb is not None and nodes.nbytes > limits.memory_mb * 2**20:
+        elif budget.memory_mb is not None and nodes.nbytes > budget.memory_mb * 2**20:
             status = Status.MEMORY_LIMIT
-        if report("bound" if status is None else "end") and status is None:
+        report("bound" if status is None else "end")
+        if budget.stopped and status is None:
             status = Status.STOPPED
             report("end")
         if status is None:
             # branch
-            lower, upper, inherited = nodes.pop(
-                _share(round_size, len(nodes)), upper_bound - gap_tol
-            )
+            count = _round(bound.round_size, len(nodes))
+            lower, upper, inherited = nodes.pop(count, upper_bound - gap_tol)
             lower, upper = branching(lower, upper)
             inherited = np.repeat(inherited, 2)
     final_bound = lower_bound()
     if leaves is not None and len(nodes):
         leaves.add(*nodes.pop(len(nodes), np.inf), is_open=status is not Status.OPTIMAL)
-    return SearchResult(
+    return Outcome(
         status,
         theta,
         final_bound,
         upper_bound,
         n_nodes,
         bound.n_assignments + n_refining,
-        clock() - began,
+        budget.elapsed() - began,
         events,
     )
 
 
-def _share(most: int, n_open: int) -> int:
-    return min(most, max(FEWEST, n_open // 4))
+def _round(most: int, n_open: int) -> int:
+    """How many of the open boxes to divide next."""
+    return min(most, max(MIN_ROUND, n_open // 4))
 
 
 def _settled(values: np.ndarray, gap_tol: float) -> np.ndarray:

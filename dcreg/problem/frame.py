@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dcreg.problem import Problem, rms_radius
+from dcreg.problem.problem import Problem
+from dcreg.problem.tolerance import unit_length
 
 
 @dataclass(frozen=True)
@@ -19,8 +20,13 @@ class Frame:
 
     @classmethod
     def of(cls, problem: Problem) -> Frame:
-        unit = rms_radius(problem.target) or rms_radius(problem.source) or 1.0
+        unit = unit_length(problem.source, problem.target) or 1.0
         return cls(problem.source.mean(axis=0), problem.target.mean(axis=0), unit)
+
+    @property
+    def area(self) -> float:
+        """Squared units of the files in one squared unit of the frame: the factor of objectives."""
+        return self.unit**2
 
     def source(self, points: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray((points - self.source_centre) / self.unit)

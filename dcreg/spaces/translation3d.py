@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.box import Box
 from dcreg.kernels import features
 from dcreg.kernels.refine import refine_norm3d
-from dcreg.models.base import Model, mean_of_largest, radius, with_prices
+from dcreg.search import Box
+from dcreg.spaces.base import mean_of_largest, radius, with_prices
+from dcreg.spaces.features import FeatureSpace
 
 
-class Translation3D(Model):
+class Translation3D(FeatureSpace):
     """Match the norms of the moved source and of the target, which no rotation changes.
 
     The objective is ``sum p_ij (|x_i + t| - |y_j|)^2``. It is a lower bound on the full rigid objective
@@ -48,21 +49,15 @@ class Translation3D(Model):
         self.reduced_box = reduced_box
         self.axis_weights = np.ones(3)
 
-    def start_box(self) -> Box:
+    def roots(self) -> list[Box]:
         """Every minimiser is stationary: t = mean of (|y| u - x) over the matched, u unit vectors."""
         if not self.reduced_box:
             reach = self.norms.max() + np.sqrt((self.source**2).sum(axis=1)).max()
-            return Box(np.full(3, -reach), np.full(3, reach))
+            return [Box(np.full(3, -reach), np.full(3, reach))]
         reach = mean_of_largest(self.norms, self.n_inliers)
         low_x = np.array([mean_of_largest(-x, self.n_inliers) for x in self.source.T])
         high_x = np.array([mean_of_largest(x, self.n_inliers) for x in self.source.T])
-        return Box(-(reach + high_x), reach + low_x)
-
-    def admissible(self, thetas: np.ndarray) -> np.ndarray:
-        return np.ones(len(thetas), dtype=bool)
-
-    def touches(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        return np.ones(len(lower), dtype=bool)
+        return [Box(-(reach + high_x), reach + low_x)]
 
     def seeds(self) -> np.ndarray:
         """The identity and the 26 neighbours of a coarse grid around it."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dcreg.assignment import k_assignment, pairs_of
-from dcreg.sparse import is_large, nearest_pairs, sparse_matching
+from dcreg.local.assignment import k_assignment, pairs_of
+from dcreg.local.fit import fit_pose
+from dcreg.local.sparse import is_large, nearest_pairs, sparse_matching
+from dcreg.search import Budget
 
 _MAX_ROUNDS = 100
 _MAX_LARGE_ROUNDS = 10
@@ -55,29 +55,6 @@ def objective(
     return value, pairs_of(col_of)
 
 
-def fit_pose(
-    source: np.ndarray, target: np.ndarray, scale_range: tuple[float, float]
-) -> np.ndarray:
-    """Least-squares pose of paired points (Umeyama 1991), scale clipped to `scale_range`.
-
-    The rotation is proper (determinant +1) also for mirrored or degenerate data.
-    """
-    d = source.shape[1]
-    mean_x, mean_y = source.mean(axis=0), target.mean(axis=0)
-    x, y = source - mean_x, target - mean_y
-    u, singular, vt = np.linalg.svd(y.T @ x)
-    sign = np.ones(d)
-    sign[-1] = 1.0 if np.linalg.det(u) * np.linalg.det(vt) > 0 else -1.0
-    rotation = (u * sign) @ vt
-    spread = float((x**2).sum())
-    low, high = scale_range
-    scale = float(np.clip((singular * sign).sum() / spread, low, high)) if spread > 0 else low
-    T = np.eye(d + 1)
-    T[:d, :d] = scale * rotation
-    T[:d, d] = mean_y - T[:d, :d] @ mean_x
-    return T
-
-
 def polish(
     source: np.ndarray,
     target: np.ndarray,
@@ -85,7 +62,7 @@ def polish(
     n_inliers: int,
     scale_range: tuple[float, float],
     candidates: np.ndarray | None = None,
-    deadline: float | None = None,
+    budget: Budget | None = None,
 ) -> tuple[np.ndarray, float, np.ndarray, int]:
     """Alternate matching and least-squares pose from `T_target_source` until neither changes.
 
@@ -94,21 +71,22 @@ def polish(
     source, target, T_target_source, n_inliers, candidates
         As in `objective`.
     scale_range : (low, high)
-    deadline : float, optional
-        Reading of `time.perf_counter` after which no further step begins.
+    budget : Budget, optional
+        When it is over no further step begins.
 
     Returns
     -------
     T_target_source, objective, assignment, n_assignments
         Never worse than the pose given.
     """
+    budget = budget or Budget()
     if candidates is None and is_large(len(source), len(target)):
-        return _polish_large(source, target, T_target_source, n_inliers, scale_range, deadline)
+        return _polish_large(source, target, T_target_source, n_inliers, scale_range, budget)
     T = T_target_source
     value, pairs = objective(source, target, T, n_inliers, candidates)
     spent = 1
     for _ in range(_MAX_ROUNDS):
-        if _is_past(deadline):
+        if budget.is_over:
             break
         trial = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
         trial_value, trial_pairs = objective(source, target, trial, n_inliers, candidates)
@@ -125,7 +103,7 @@ def _polish_large(
     T_target_source: np.ndarray,
     n_inliers: int,
     scale_range: tuple[float, float],
-    deadline: float | None,
+    budget: Budget,
 ) -> tuple[np.ndarray, float, np.ndarray, int]:
     """As `polish`: first by nearest neighbours, then by quick one-to-one matchings, then a proved one."""
 
@@ -135,11 +113,11 @@ def _polish_large(
     T = T_target_source
     value, pairs = quick(T)
     spent = 1
-    if _is_past(deadline):
+    if budget.is_over:
         return T, value, pairs, spent
     trial = _nearest_polish(source, target, T, n_inliers, scale_range)
     for _ in range(_MAX_LARGE_ROUNDS):
-        if _is_past(deadline):
+        if budget.is_over:
             return T, value, pairs, spent
         trial_value, trial_pairs = quick(trial)
         spent += 1
@@ -151,10 +129,6 @@ def _polish_large(
     if proved_value < value:
         value, pairs = proved_value, proved_pairs
     return T, value, pairs, spent + 1
-
-
-def _is_past(deadline: float | None) -> bool:
-    return deadline is not None and time.perf_counter() > deadline
 
 
 def _nearest_polish(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 
@@ -12,8 +12,19 @@ from pathlib import Path
 class Event:
     """State of a search at one moment.
 
-    ``kind`` is ``start``, ``bound`` (a bound moved), ``tick`` (regular report) or ``end``.
-    ``stage`` names the search that speaks (``search``, ``rotation``).
+    Attributes
+    ----------
+    kind : {"bound", "tick", "end"}
+        A bound moved; a regular report; the search is over.
+    stage : str
+        The search that speaks (``search``, ``rotation``, ``k=40`` …).
+    time_s : float
+        Seconds since the solve began; one clock for all stages.
+    n_nodes, n_assignments, n_open : int
+        Of this stage: boxes bounded, exact assignments, boxes still to be divided.
+    lower_bound, upper_bound : float
+    status : str
+        How the search ended; empty before.
     """
 
     kind: str
@@ -30,9 +41,11 @@ class Event:
     def gap(self) -> float:
         return max(0.0, self.upper_bound - self.lower_bound)
 
-
-# Called with every event; returning True asks the search to stop (status "stopped").
-Listener = Callable[[Event], bool | None]
+    def scaled(self, factor: float) -> Event:
+        """The same moment with its bounds in other units."""
+        return replace(
+            self, lower_bound=factor * self.lower_bound, upper_bound=factor * self.upper_bound
+        )
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""What every transformation model offers to bounds and search."""
+"""What every parameter space offers to bounds and search."""
 
 from __future__ import annotations
 
@@ -6,51 +6,35 @@ import abc
 
 import numpy as np
 
-from dcreg.box import Box
-from dcreg.kernels import vertices
-
-# Descents for the first incumbent: enough for a good upper bound, cheap beside any search.
-N_DESCENTS = 6
+from dcreg.search import Box, Budget
 
 
-class Model(abc.ABC):
+class Space(abc.ABC):
     """A parameterised family of poses over a normalised problem.
 
     Attributes
     ----------
-    kind : int
-        Selects the compiled kernels (`dcreg.kernels.features`).
-    source : (n, d) array
-        Normalised source points.
-    target_features : (q, m) or (q + n, m) array
-        What the moved source is compared with: target points in 2D, their norms in norm space. Where
-        not every pair is feasible, the prices of the pairs follow (`with_prices`).
     n_inliers : int
     axis_weights : (dim,) array
         RMS motion of the source per unit step along each axis.
     scope : str
-        What a certificate over this model speaks of.
+        What a certificate over this space speaks of.
+    n_descents : int
+        Descents made for the first incumbent: enough for a good upper bound, cheap beside any search.
     """
 
-    kind: int
-    source: np.ndarray
-    target_features: np.ndarray
     n_inliers: int
     axis_weights: np.ndarray
     scope: str
-    identity: np.ndarray  # the pose that moves nothing
+    n_descents: int
 
     @abc.abstractmethod
-    def start_box(self) -> Box:
-        """A box that holds every global minimiser."""
+    def roots(self) -> list[Box]:
+        """Boxes that together hold every global minimiser."""
 
     @abc.abstractmethod
-    def admissible(self, thetas: np.ndarray) -> np.ndarray:
-        """Which of (B, dim) parameters are poses of the family."""
-
-    @abc.abstractmethod
-    def touches(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """Which of B boxes may hold an admissible parameter (False only when surely none)."""
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        """E(theta) and the column matched to every source row (-1: none)."""
 
     @abc.abstractmethod
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
@@ -60,25 +44,48 @@ class Model(abc.ABC):
     def seeds(self) -> np.ndarray:
         """(S, dim) parameters spread over the family, to start descents from."""
 
-    def first_incumbent(self) -> tuple[np.ndarray, float, int]:
-        """The best of a few descents from the most promising seeds: theta, objective, work."""
-        seeds = self.seeds()
-        values = np.empty(len(seeds))
-        spent = vertices.objectives(
-            self.kind, self.source, self.target_features, self.n_inliers, seeds, values
-        )
-        descents = [
-            self.refine(seed) for seed in seeds[np.argsort(values, kind="stable")[:N_DESCENTS]]
-        ]
-        theta, value, _ = min(descents, key=lambda descent: descent[1])
-        return theta, value, spent + sum(descent[2] for descent in descents)
+    @abc.abstractmethod
+    def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
+        """How promising each seed is, the least first, and the assignments that took."""
 
-    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
-        """E(theta) and the column matched to every source row (-1: none)."""
-        value, col_of = vertices.objective(
-            self.kind, self.source, self.target_features, self.n_inliers, theta
-        )
-        return float(value), col_of
+    @property
+    def n_pairs(self) -> int:
+        """Pairs that one look at the objective has to price."""
+        return self.n_source * self.n_target
+
+    @property
+    @abc.abstractmethod
+    def n_source(self) -> int: ...
+
+    @property
+    @abc.abstractmethod
+    def n_target(self) -> int: ...
+
+    def admissible(self, thetas: np.ndarray) -> np.ndarray:
+        """Which of (B, dim) parameters are poses of the family."""
+        return np.ones(len(thetas), dtype=bool)
+
+    def touches(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Which of B boxes may hold an admissible parameter (False only when surely none)."""
+        return np.ones(len(lower), dtype=bool)
+
+    def start(self, budget: Budget) -> tuple[np.ndarray, float, int]:
+        """The best of a few descents from the most promising seeds: theta, objective, work.
+
+        At least one descent is made, however short the time.
+        """
+        seeds = self.seeds()
+        scores, spent = self.score(seeds)
+        best: tuple[np.ndarray, float] | None = None
+        for seed in seeds[np.argsort(scores, kind="stable")[: self.n_descents]]:
+            if best is not None and budget.is_over:
+                break
+            theta, value, assignments = self.refine(seed)
+            spent += assignments
+            if best is None or value < best[1]:
+                best = theta, value
+        assert best is not None
+        return *best, spent
 
 
 def with_prices(

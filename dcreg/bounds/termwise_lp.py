@@ -15,6 +15,7 @@ valid for any multipliers y of the right sign: tolerances of the LP solver canno
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import OptimizeResult, linprog
@@ -22,8 +23,8 @@ from scipy.optimize import OptimizeResult, linprog
 from dcreg.bounds.termwise import TermwiseBound
 from dcreg.kernels import termwise
 from dcreg.kernels.assignment import k_assignment
-from dcreg.models import Model, Similarity2D
-from dcreg.search import Evaluation
+from dcreg.search import Box, Evaluation
+from dcreg.spaces import FeatureSpace, Similarity2D
 
 MAX_ROUNDS = 100
 RECENT = 40  # matchings kept from box to box
@@ -43,10 +44,12 @@ _N_COLUMNS = int(_AGGREGATE[-1]) + 1
 class TermwiseR3(TermwiseBound):
     """The joint LP relaxation; the candidate is its pose, moved to the nearest admissible scale."""
 
-    def __init__(self, model: Model, threads: int = 1) -> None:
-        super().__init__(model, threads)
-        assert isinstance(model, Similarity2D)
-        self.scale_range = model.scale_range
+    def __init__(
+        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> None:
+        super().__init__(space, roots, threads)
+        assert isinstance(space, Similarity2D)
+        self.scale_range = space.scale_range
         self.planes = self.features.reshape(len(self.features), -1)
         extremes = [sign * plane for plane in self.planes[:-1] for sign in (1.0, -1.0)]
         self.extremes = np.array([self._price(cost)[1] for cost in extremes])
@@ -57,13 +60,15 @@ class TermwiseR3(TermwiseBound):
         """Least total of `cost` over all matchings, and the aggregates of a matching attaining it."""
         shape = self.features.shape[1:]
         value, col_of = k_assignment(
-            np.ascontiguousarray(cost.reshape(shape)), self.model.n_inliers
+            np.ascontiguousarray(cost.reshape(shape)), self.space.n_inliers
         )
         self.n_assignments += 1
         rows = np.flatnonzero(col_of >= 0)
         return float(value), self.features[:, rows, col_of[rows]].sum(axis=1)
 
-    def _evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
+    def _evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+    ) -> Evaluation:
         found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
         for box in range(len(lower)):
             found.lower_bounds[box], theta = self._solve(lower[box], upper[box], cutoff)
@@ -75,7 +80,7 @@ class TermwiseR3(TermwiseBound):
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float
     ) -> tuple[float, np.ndarray]:
         """Bound and pose of one box."""
-        master = _Master(lower, upper, self.low, self.high, self.model.n_inliers)
+        master = _Master(lower, upper, self.low, self.high, self.space.n_inliers)
         matchings = np.vstack([self.extremes, *self.recent])
         bound, theta = -np.inf, 0.5 * (lower + upper)
         for _ in range(MAX_ROUNDS):

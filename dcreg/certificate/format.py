@@ -14,16 +14,10 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dcreg._version import __version__
-
-if TYPE_CHECKING:  # a reader of certificates needs none of the code that makes them
-    from dcreg.box import Box
-    from dcreg.frame import Frame
-    from dcreg.search import Leaves, SearchResult
 
 FORMAT = "dcreg leaf cover"
 FORMAT_VERSION = 2
@@ -100,53 +94,6 @@ class Certificate:
                 getattr(self, entry.name), dtype=_dtype(entry.name), order="C"
             )
             object.__setattr__(self, entry.name, value if value.ndim else value.item())
-
-
-def of_search(
-    found: SearchResult,
-    leaves: Leaves,
-    start: Box,
-    frame: Frame,
-    source: np.ndarray,
-    target: np.ndarray,
-    *,
-    model: str,
-    mode: str,
-    bound: str,
-    n_inliers: int,
-    scale_range: tuple[float, float],
-    gap_tol: float,
-    candidates: np.ndarray | None = None,
-) -> Certificate:
-    """The certificate of one search.
-
-    `source`, `target` as given, `gap_tol` in normalised units, `candidates` the mask of feasible pairs.
-    """
-    cover = leaves.arrays()
-    return Certificate(
-        source_digest=digest(source),
-        target_digest=digest(target),
-        model=model,
-        mode=mode,
-        bound=bound,
-        status=found.status.value,
-        n_inliers=n_inliers,
-        scale_range=np.array(scale_range),
-        source_centre=frame.source_centre,
-        target_centre=frame.target_centre,
-        unit=frame.unit,
-        start_lower=start.lower,
-        start_upper=start.upper,
-        leaf_lower=cover["lower"],
-        leaf_upper=cover["upper"],
-        leaf_bounds=cover["bounds"],
-        leaf_reasons=cover["reason"],
-        theta=found.theta,
-        lower_bound=found.lower_bound,
-        upper_bound=found.upper_bound,
-        gap_tol=gap_tol,
-        candidates=np.empty((0, 2)) if candidates is None else np.argwhere(candidates),
-    )
 
 
 def digest(points: np.ndarray) -> str:

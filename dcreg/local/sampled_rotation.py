@@ -10,16 +10,15 @@ otherwise it ends as ``converged``.
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from scipy.spatial import cKDTree
 
 from dcreg.kernels import rotation as kernels
 from dcreg.kernels.vertices import match_on_line
-from dcreg.result import Status
-from dcreg.rotation import RotationModel, RotationResult
-from dcreg.sparse import nearest_pairs, sparse_matching
+from dcreg.local.sparse import nearest_pairs, sparse_matching
+from dcreg.search import Budget, Outcome
+from dcreg.spaces import Rotation3D
+from dcreg.status import Status
 
 _CELLS_PER_AXIS = 7  # of the quaternion cube: about 25 degrees
 _SAMPLE = 100
@@ -35,9 +34,9 @@ def search_sampled_rotation(
     n_inliers: int,
     *,
     gap_tol: float,
-    time_limit: float | None = None,
-) -> RotationResult:
-    """Good rotation about the origin for clouds too large for `dcreg.rotation.search_rotation`.
+    budget: Budget,
+) -> Outcome:
+    """Good rotation about the origin for clouds too large for a search.
 
     Parameters
     ----------
@@ -45,24 +44,21 @@ def search_sampled_rotation(
         The translation is already applied to the source; nothing is centred.
     n_inliers : int
     gap_tol : float
-    time_limit : float, optional
-        Seconds, checked after each descent; one descent is always made.
+    budget : Budget
+        Looked at after each descent; one descent is always made.
 
     Returns
     -------
-    RotationResult
-        Status ``optimal`` only where the bounds of the full problem prove it, else ``converged``.
+    Outcome
+        Its theta is a quaternion. Status ``optimal`` only where the bounds of the full problem prove it,
+        otherwise ``converged``, or the limit that came first.
     """
-    began = time.perf_counter()
-
-    def late() -> bool:
-        return time_limit is not None and time.perf_counter() - began > time_limit
-
+    began = budget.elapsed()
     few, some = spread_rows(source_shifted, _SAMPLE), spread_rows(source_shifted, _DESCENT_SAMPLE)
     tree = cKDTree(target)
     sparse_tree = cKDTree(target[spread_rows(target, _SCORED_TARGETS)])
     share = n_inliers / len(source_shifted)
-    grid = RotationModel.grid(_CELLS_PER_AXIS)
+    grid = Rotation3D.grid(_CELLS_PER_AXIS)
     scores = [
         nearest_pairs(
             source_shifted[few] @ kernels.rotation_matrix(q).T, sparse_tree, _part(share, few.size)
@@ -72,33 +68,32 @@ def search_sampled_rotation(
     sample = source_shifted[some]
     descents: list[tuple[float, np.ndarray]] = []
     for at in np.argsort(scores, kind="stable")[:_DESCENTS]:
-        start = kernels.rotation_matrix(grid[at])
-        rotation = _descend(sample, target, tree, _part(share, some.size), start)
-        descents.append(
-            (_two_sided(source_shifted, sample, target, tree, share, rotation), rotation)
-        )
-        if late():
+        theta = _descend(sample, target, tree, _part(share, some.size), grid[at])
+        descents.append((_two_sided(source_shifted, sample, target, tree, share, theta), theta))
+        if budget.is_over:
             break
     descents.sort(key=lambda descent: descent[0])
-    rotation = descents[0][1]
-    if not late():
-        rotation = _descend(source_shifted, target, tree, n_inliers, rotation)
-    matching = sparse_matching(source_shifted @ rotation.T, target, n_inliers, prove=False)
+    theta = descents[0][1]
+    if not budget.is_over:
+        theta = _descend(source_shifted, target, tree, n_inliers, theta)
+    turned = source_shifted @ kernels.rotation_matrix(theta).T
+    matching = sparse_matching(turned, target, n_inliers, prove=False)
     lower, _ = match_on_line(
         np.linalg.norm(source_shifted, axis=1), np.linalg.norm(target, axis=1), n_inliers
     )
-    status = Status.TIME_LIMIT if late() else Status.CONVERGED
+    status = Status.CONVERGED
     if matching.value - lower <= gap_tol:
         status = Status.OPTIMAL
-    return RotationResult(
-        rotation,
-        matching.pairs,
+    elif budget.is_over:
+        status = Status.STOPPED if budget.stopped else Status.TIME_LIMIT
+    return Outcome(
+        status,
+        theta,
         min(float(lower), matching.value),
         matching.value,
         0,
         matching.n_assignments,
-        status,
-        time.perf_counter() - began,
+        budget.elapsed() - began,
     )
 
 
@@ -114,21 +109,20 @@ def _part(share: float, count: int) -> int:
 
 
 def _descend(
-    points: np.ndarray, target: np.ndarray, tree: cKDTree, k: int, rotation: np.ndarray
+    points: np.ndarray, target: np.ndarray, tree: cKDTree, k: int, theta: np.ndarray
 ) -> np.ndarray:
     """Alternate the k nearest neighbours and the best rotation while their distance falls."""
-    best, least = rotation, np.inf
+    best, least = theta, np.inf
     for _ in range(_MAX_ROUNDS):
-        pairs, value = nearest_pairs(points @ rotation.T, tree, k)
+        pairs, value = nearest_pairs(points @ kernels.rotation_matrix(theta).T, tree, k)
         if value >= least * (1.0 - 1e-4):
             break
-        best, least = rotation, value
-        quaternion = kernels.best_rotation(
+        best, least = theta, value
+        theta = kernels.best_rotation(
             np.arange(k),
             np.ascontiguousarray(points[pairs[:, 0]].T),
             np.ascontiguousarray(target[pairs[:, 1]].T),
         )
-        rotation = kernels.rotation_matrix(quaternion)
     return best
 
 
@@ -138,9 +132,13 @@ def _two_sided(
     target: np.ndarray,
     tree: cKDTree,
     share: float,
-    rotation: np.ndarray,
+    theta: np.ndarray,
 ) -> float:
-    """Mean squared distance of the nearest pairs, from the worse side: a collapse fits one side only."""
+    """Mean squared distance of the nearest pairs, taken from either cloud; the larger one counts.
+
+    A source that collapses onto one part of the target is near to it, but the target not to the source.
+    """
+    rotation = kernels.rotation_matrix(theta)
     back = target[spread_rows(target, _DESCENT_SAMPLE)]
     k_back = _part(share * len(source) / len(target), len(back))
     k = _part(share, len(sample))

@@ -19,7 +19,14 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from dcreg.certificate import INADMISSIBLE, PRUNED, Certificate, CertificateError, digest, read
+from dcreg.certificate.format import (
+    INADMISSIBLE,
+    PRUNED,
+    Certificate,
+    CertificateError,
+    digest,
+    read,
+)
 
 BATCH = 64  # boxes treated at once: bounds the memory of the vectorised steps
 MAX_DENSE = 4_000_000  # pairs of which cost matrices are formed

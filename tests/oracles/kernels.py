@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from dcreg.box import Box
-from dcreg.models import Model, Similarity2D
+from dcreg.search import Box
+from dcreg.spaces import Similarity2D, Space
 
 
 def k_assignment(cost: np.ndarray, k: int) -> float:
@@ -35,7 +35,7 @@ def k_assignment_brute_force(cost: np.ndarray, k: int) -> float:
     )
 
 
-def features(model: Model, theta: np.ndarray) -> np.ndarray:
+def features(model: Space, theta: np.ndarray) -> np.ndarray:
     """(n, q) features of the source moved by `theta`."""
     if isinstance(model, Similarity2D):
         a, b, tx, ty = theta
@@ -43,16 +43,16 @@ def features(model: Model, theta: np.ndarray) -> np.ndarray:
     return np.linalg.norm(model.source + theta, axis=1, keepdims=True)
 
 
-def costs(model: Model, theta: np.ndarray) -> np.ndarray:
+def costs(model: Space, theta: np.ndarray) -> np.ndarray:
     moved = features(model, theta)
     return ((moved[:, None, :] - model.target_features.T[None]) ** 2).sum(axis=-1)
 
 
-def objective(model: Model, theta: np.ndarray) -> float:
+def objective(model: Space, theta: np.ndarray) -> float:
     return k_assignment(costs(model, theta), model.n_inliers)
 
 
-def curvature(model: Model, delta: np.ndarray) -> np.ndarray:
+def curvature(model: Space, delta: np.ndarray) -> np.ndarray:
     """|J_i delta|^2; in norm space J_i is the identity."""
     if isinstance(model, Similarity2D):
         a, b, tx, ty = delta
@@ -60,7 +60,7 @@ def curvature(model: Model, delta: np.ndarray) -> np.ndarray:
     return np.full(len(model.source), float(delta @ delta))
 
 
-def paper_bound(model: Model, box: Box) -> float:
+def paper_bound(model: Space, box: Box) -> float:
     """min over vertices of the k-assignment of E_ij(v) - R_i(v - centre)."""
     return min(
         k_assignment(

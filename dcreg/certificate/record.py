@@ -1,0 +1,65 @@
+"""The certificate of one search: its leaves, put down in the terms of the file format."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.certificate.format import Certificate, digest
+from dcreg.problem import Frame, Problem
+from dcreg.search import Box, Leaves, Outcome
+
+
+def record(
+    found: Outcome,
+    leaves: Leaves,
+    start: Box,
+    problem: Problem,
+    *,
+    family: str,
+    mode: str,
+    bound: str,
+    gap_tol: float,
+) -> Certificate:
+    """What the search `found` over `start` proves; all lengths are in the unit of the frame.
+
+    Parameters
+    ----------
+    found : Outcome
+    leaves : Leaves
+        Of this search.
+    start : Box
+        Its only root.
+    problem : Problem
+        As it was given, in its own units.
+    family : str
+        One of `dcreg.certificate.format.MODELS`.
+    mode, bound : str
+    gap_tol : float
+        In normalised units.
+    """
+    cover, frame = leaves.arrays(), Frame.of(problem)
+    pairs = problem.candidates
+    return Certificate(
+        source_digest=digest(problem.source),
+        target_digest=digest(problem.target),
+        model=family,
+        mode=mode,
+        bound=bound,
+        status=found.status.value,
+        n_inliers=problem.n_inliers,
+        scale_range=np.array(problem.scale_range),
+        source_centre=frame.source_centre,
+        target_centre=frame.target_centre,
+        unit=frame.unit,
+        start_lower=start.lower,
+        start_upper=start.upper,
+        leaf_lower=cover["lower"],
+        leaf_upper=cover["upper"],
+        leaf_bounds=cover["bounds"],
+        leaf_reasons=cover["reason"],
+        theta=found.theta,
+        lower_bound=found.lower_bound,
+        upper_bound=found.upper_bound,
+        gap_tol=gap_tol,
+        candidates=np.empty((0, 2)) if pairs is None else np.argwhere(pairs),
+    )

@@ -1,0 +1,22 @@
+"""The modes: ways from a problem to a pose, and what each of them accepts."""
+
+from dcreg.modes.table import (
+    AUTO,
+    MODES,
+    Mode,
+    choose_mode,
+    find_mode,
+    mode_names,
+)
+from dcreg.modes.task import Answer, Task
+
+__all__ = [
+    "AUTO",
+    "MODES",
+    "Answer",
+    "Mode",
+    "Task",
+    "choose_mode",
+    "find_mode",
+    "mode_names",
+]

@@ -1,0 +1,77 @@
+"""Mode `paper`: the two cases of DC-Reg, similarity in the plane and the two stages in space."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.bounds import RotationBound, make_bound
+from dcreg.local.sampled_rotation import search_sampled_rotation
+from dcreg.local.sparse import is_large
+from dcreg.modes.task import Answer, Task
+from dcreg.search import Budget, Outcome, minimise
+from dcreg.spaces import FeatureSpace, Rotation3D, Similarity2D, Translation3D
+from dcreg.status import Status
+
+# Share of the time that the translation search may use before the rotation gets its turn.
+TRANSLATION_SHARE = 0.8
+
+
+def space_of(task: Task) -> Similarity2D | Translation3D:
+    """The space of the certified search."""
+    if task.dim == 2:
+        return Similarity2D(
+            task.source,
+            task.target,
+            task.n_inliers,
+            task.scale_range,
+            task.reduced_box,
+            task.candidates,
+        )
+    return Translation3D(
+        task.source, task.target, task.n_inliers, task.reduced_box, task.candidates
+    )
+
+
+def run(task: Task) -> Answer:
+    """The similarity; or one translation in norm space, then the rotation about the origin."""
+    space = space_of(task)
+    bound = make_bound(task.bound, space, threads=task.threads)
+    budget = task.budget if task.dim == 2 else task.budget.part(TRANSLATION_SHARE)
+    found = minimise(space, bound, budget, gap_tol=task.gap_tol, leaves=task.leaves)
+    answer = Answer(
+        np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,
+        cover=(bound.roots[0], found),
+    )  # fmt: skip
+    answer.add("search", found)
+    place(task, space, found.theta, task.budget, answer)
+    return answer
+
+
+def place(
+    task: Task, space: FeatureSpace, theta: np.ndarray, budget: Budget, answer: Answer
+) -> None:
+    """Complete the answer of a search that ended at `theta`: its pose, in space by a rotation search."""
+    if isinstance(space, Similarity2D):
+        answer.T = space.pose(theta)
+        return
+    shifted = task.source + theta
+    found = turn(task, shifted, budget)
+    answer.add("rotation", found)
+    rotation = Rotation3D.matrix(found.theta)
+    answer.T = np.eye(4)
+    answer.T[:3, :3] = rotation
+    answer.T[:3, 3] = rotation @ theta
+    # a sampled rotation that came to its own end claims nothing: the status stays the translation's
+    if answer.status is Status.OPTIMAL and found.status is not Status.CONVERGED:
+        answer.status = found.status
+
+
+def turn(task: Task, shifted: np.ndarray, budget: Budget) -> Outcome:
+    """The best rotation of the shifted source; of large clouds a sampled one."""
+    if task.candidates is None and is_large(len(task.source), len(task.target)):
+        return search_sampled_rotation(
+            shifted, task.target, task.n_inliers, gap_tol=task.gap_tol, budget=budget
+        )
+    space = Rotation3D(shifted, task.target, task.n_inliers, task.candidates)
+    bound = RotationBound(space, threads=task.threads)
+    return minimise(space, bound, budget, gap_tol=task.gap_tol, stage="rotation")

@@ -1,0 +1,139 @@
+"""The table of modes. A mode refuses what it would ignore."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from dcreg.bounds.names import DEFAULT_BOUND, bound_parts
+from dcreg.modes import full, multi, paper
+from dcreg.modes.task import Answer, Task
+from dcreg.problem import InputError, Problem, suggestion
+
+AUTO = "auto"
+# A dense cost matrix beyond this many pairs does not fit the memory of a common machine.
+MAX_PAIRS = 100_000_000
+# In norm space these match sorted numbers and need no cost matrix.
+MATRIX_FREE_BOUNDS = {"tight", "tight-exact", "shared"}
+# Mode `full` closes on this many pairs in seconds, whatever the outliers.
+FULL_PAIRS = 1_600
+# Beyond this a single box of modes `full` and `multi` takes seconds.
+RIGID_PAIRS = 160_000
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One way from a problem to a pose.
+
+    Attributes
+    ----------
+    name, model : str
+        The same name may serve several models.
+    run : callable
+    takes_bound : bool
+        Whether the bounding function can be chosen; otherwise the mode has its own, `own_bound`.
+    certifies : str
+        Family of the certificate its search can record (`dcreg.certificate.format.MODELS`); empty: none.
+    summary : str
+        One line for help texts and manuals.
+    """
+
+    name: str
+    model: str
+    run: Callable[[Task], Answer]
+    summary: str
+    takes_bound: bool = True
+    own_bound: str = DEFAULT_BOUND
+    certifies: str = ""
+
+    def check(self, problem: Problem, bound: str | None, certificate: bool) -> None:
+        """Refuse settings that this mode would ignore, and clouds it cannot hold.
+
+        Raises
+        ------
+        InputError
+        """
+        if bound is not None:
+            bound_parts(bound)  # unknown names end here
+            if not self.takes_bound:
+                raise InputError(
+                    f"bound: {bound!r}, but mode {self.name!r} has bounds of its own; leave the bound "
+                    "out, or choose mode 'paper'"
+                )
+        if certificate and not self.certifies:
+            raise InputError(
+                f"certificate: mode {self.name!r} keeps no leaf boxes; use mode 'paper'"
+            )
+        n, m = len(problem.source), len(problem.target)
+        if n * m > MAX_PAIRS and not self._is_matrix_free(problem, bound):
+            remedy = "downsample both clouds first (a voxel grid or farthest points)"
+            if problem.dim == 3:
+                remedy += (
+                    f", or use mode 'paper' with bound {DEFAULT_BOUND!r} and without candidates"
+                )
+            raise InputError(f"source, target: {n} x {m} pairs exceed {MAX_PAIRS:,}; {remedy}")
+
+    def _is_matrix_free(self, problem: Problem, bound: str | None) -> bool:
+        return (
+            self.certifies == "translation3d"
+            and problem.candidates is None
+            and MATRIX_FREE_BOUNDS.issuperset(bound_parts(bound or self.own_bound))
+        )
+
+
+MODES = (
+    Mode(
+        "paper", "similarity2d", paper.run,
+        "the similarity, searched as in the paper; certifies the pose",
+        certifies="similarity2d",
+    ),
+    Mode(
+        "full", "rigid3d", full.run,
+        "translation and rotation searched together; certifies the rigid pose",
+        takes_bound=False, own_bound="rigid",
+    ),
+    Mode(
+        "multi", "rigid3d", multi.run,
+        "every near-optimal translation gets its rotation search; certifies the norm objective",
+    ),
+    Mode(
+        "paper", "rigid3d", paper.run,
+        "the paper's two stages: one translation in norm space, then its rotation",
+        certifies="translation3d",
+    ),
+)  # fmt: skip
+
+
+def mode_names(model: str) -> list[str]:
+    """Modes of a model, beside `AUTO`."""
+    return [mode.name for mode in MODES if mode.model == model]
+
+
+def find_mode(model: str, name: str) -> Mode:
+    """The mode called `name`.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, listing the known ones.
+    """
+    for mode in MODES:
+        if (mode.model, mode.name) == (model, name):
+            return mode
+    raise InputError(
+        f"mode: {name!r} is unknown for {model}{suggestion(name, [AUTO, *mode_names(model)])}"
+    )
+
+
+def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = False) -> str:
+    """The mode that gives the best pose for the time.
+
+    ``full`` where it closes within seconds: all points match, or few pairs; else ``multi``, which ends
+    by itself and tries the same first poses. ``paper`` where only it will do: for certificates, a bound
+    that was asked for, and large clouds.
+    """
+    n, m = len(problem.source), len(problem.target)
+    only_paper = certificate or bound is not None
+    if problem.model == "similarity2d" or only_paper or n * m > RIGID_PAIRS:
+        return "paper"
+    return "full" if problem.n_inliers == n == m or n * m <= FULL_PAIRS else "multi"

@@ -1,0 +1,20 @@
+"""What is to be solved: clouds, pairs and tolerance, checked before anything long starts."""
+
+from dcreg.problem.errors import InputError, suggestion
+from dcreg.problem.frame import Frame
+from dcreg.problem.pairs import Candidates
+from dcreg.problem.problem import MODEL_DIM, ModelName, Problem
+from dcreg.problem.tolerance import default_gap_tol, rms_radius, unit_length
+
+__all__ = [
+    "MODEL_DIM",
+    "Candidates",
+    "Frame",
+    "InputError",
+    "ModelName",
+    "Problem",
+    "default_gap_tol",
+    "rms_radius",
+    "suggestion",
+    "unit_length",
+]

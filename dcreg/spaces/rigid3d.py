@@ -1,0 +1,195 @@
+"""Rigid poses in space: what modes `full` and `multi` of the 3D pipeline search.
+
+Solved is, for points x_i, y_j and k pairs,
+
+    min over R in SO(3), t in R^3 and one-to-one P of k pairs of  sum_ij p_ij |R x_i + t - y_j|^2,
+
+the objective that the norm space of the paper only bounds from below. theta is a quaternion of any
+length followed by t; the quaternions are the four facets of `dcreg.spaces.rotation3d`.
+
+Start box
+---------
+For fixed pairs the best t is mean(y) - R mean(x), so an optimum has one within the means of any k
+targets, widened by the length of the mean of any k sources. Where all points of both sets match
+and both are centred, that is the single value 0 and only the rotation is searched.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from dcreg.kernels import rigid as kernels
+from dcreg.search import Box
+from dcreg.spaces.base import Space, mean_of_largest, radius, with_prices
+from dcreg.spaces.rotation3d import Rotation3D
+
+_SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored
+_ROUNDING = 1e-12
+
+
+def largest_subset_mean(points: np.ndarray, count: int, cells: int = 8) -> float:
+    """An upper bound on ``|mean of any `count` points|`` in space.
+
+    The support function of the subset means is the mean of the largest projections. Directions are
+    sampled at the cell centres of the faces of a cube: another point of a cell is at most sqrt(2) /
+    cells away and both have length >= 1, so they differ by an angle of at most 2 asin(distance / 2).
+    """
+    steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
+    face = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    half = np.concatenate([np.insert(face, axis, 1.0, axis=1) for axis in range(3)])
+    directions = half / np.linalg.norm(half, axis=1, keepdims=True)
+    projections = np.sort(points @ np.concatenate([directions, -directions]).T, axis=0)
+    farthest = max(0.0, float(projections[-count:].mean(axis=0).max()))
+    return farthest / np.cos(2.0 * np.arcsin(np.sqrt(0.5) / cells))
+
+
+class Rigid3D(Space):
+    """Rigid poses of centred clouds; theta is a quaternion and a translation, y = R x + t.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+        n <= m is best: nearest distances are taken from the source.
+    n_inliers : int
+    reduced_box : bool
+        Start from the translations that an optimum can have, or from the plain safe box.
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+    """
+
+    # A unit step of a facet coordinate turns by 1 to 2 radians, which moves points at the RMS radius
+    # by about this much; a unit step of the translation moves them by one.
+    axis_weights = np.array([1.3, 1.3, 1.3, 1.3, 1.0, 1.0, 1.0])
+    scope = "rigid pose"
+    n_descents = 24
+
+    def __init__(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        reduced_box: bool = True,
+        candidates: np.ndarray | None = None,
+    ) -> None:
+        self.source = np.ascontiguousarray(np.asarray(source, dtype=np.float64).T)
+        target = np.asarray(target, dtype=np.float64)
+        reach = radius(source) + radius(target)
+        self.target = with_prices(target.T, candidates, n_inliers, reach)
+        self.n_inliers = n_inliers
+        self.reduced_box = reduced_box
+        # of `between`: the clouds were moved there, and perhaps exchanged
+        self._centres = np.zeros(3), np.zeros(3)
+        self._swapped = False
+
+    @classmethod
+    def between(
+        cls,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        reduced_box: bool = True,
+        candidates: np.ndarray | None = None,
+    ) -> Rigid3D:
+        """The space over both clouds centred, the smaller one as its source.
+
+        The inverse pose has the same residuals, and centred clouds have the smallest start box; `pose`
+        and `theta` translate.
+        """
+        centres = source.mean(axis=0), target.mean(axis=0)
+        clouds = [source - centres[0], target - centres[1]]
+        swapped = len(source) > len(target)
+        if swapped:
+            clouds.reverse()
+            candidates = None if candidates is None else candidates.T
+        space = cls(clouds[0], clouds[1], n_inliers, reduced_box, candidates)
+        space._centres, space._swapped = centres, swapped
+        return space
+
+    @property
+    def n_source(self) -> int:
+        return int(self.source.shape[1])
+
+    @property
+    def n_target(self) -> int:
+        return int(self.target.shape[1])
+
+    def translations(self) -> Box:
+        """A box that holds the translation of every optimum."""
+        k = self.n_inliers
+        if self.reduced_box:
+            if k == self.source.shape[1]:
+                reach = float(np.linalg.norm(self.source.mean(axis=1)))
+            else:
+                reach = largest_subset_mean(self.source.T, k)
+            lower = np.array([-mean_of_largest(-y, k) for y in self.target[:3]])
+            upper = np.array([mean_of_largest(y, k) for y in self.target[:3]])
+            # rounding must not cut off the optimum, yet a centred set keeps zero width
+            reach = 0.0 if reach < _ROUNDING else reach
+            lower, upper = (np.where(np.abs(v) < _ROUNDING, 0.0, v) for v in (lower, upper))
+            return Box(lower - reach, upper + reach)
+        reach = float(sum(kernels.column_norms(p).max() for p in (self.source, self.target)))
+        return Box(np.full(3, -reach), np.full(3, reach))
+
+    def roots(self) -> list[Box]:
+        """Together they hold every optimum."""
+        box = self.translations()
+        return [
+            Box(np.append(facet.lower, box.lower), np.append(facet.upper, box.upper))
+            for facet in Rotation3D.roots()
+        ]
+
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        """E at a pose and the column matched to every source row (-1: none)."""
+        return kernels.objective(theta, self.source, self.target, self.n_inliers)
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """Alternate matching and best pose from `theta`: theta, objective, assignments."""
+        theta, value, spent = kernels.refine(theta, self.source, self.target, self.n_inliers)
+        theta[:4] /= theta[:4][np.argmax(np.abs(theta[:4]))]
+        return theta, value, spent
+
+    def seeds(self) -> np.ndarray:
+        """Regular poses, as many as may be scored in a moment; always with t at the box centre."""
+        box = self.translations()
+        n_pairs = self.source.shape[1] * self.target.shape[1]
+        per_axis = 3 if 27 * 256 * n_pairs <= _SCORED_PAIRS else 1
+        cells = 4 if per_axis**3 * 256 * n_pairs <= _SCORED_PAIRS else 2
+        steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
+        facet = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        turns = np.concatenate([np.insert(facet, axis, 1.0, axis=1) for axis in range(4)])
+        offsets = (np.arange(per_axis) - per_axis // 2) / max(1, per_axis)
+        shifts = np.array(list(itertools.product(offsets, repeat=3))) * (box.upper - box.lower)
+        shifts = np.unique(shifts, axis=0) + box.centre
+        return np.concatenate(
+            [np.repeat(turns, len(shifts), axis=0), np.tile(shifts, (len(turns), 1))], axis=1
+        )
+
+    def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
+        """By nearest neighbours, which takes no assignment."""
+        return kernels.nearest_scores(seeds, self.source, self.target, self.n_inliers), 0
+
+    def pose(self, theta: np.ndarray) -> np.ndarray:
+        """The (4, 4) matrix that maps the source as it was given onto the target."""
+        T = np.eye(4)
+        T[:3, :3] = Rotation3D.matrix(theta[:4])
+        T[:3, 3] = theta[4:]
+        if self._swapped:
+            T = np.linalg.inv(T)
+        T[:3, 3] += self._centres[1] - T[:3, :3] @ self._centres[0]
+        return T
+
+    def theta(self, T: np.ndarray) -> np.ndarray:
+        """The parameter of a pose: the inverse of `pose`."""
+        T = T.copy()
+        T[:3, 3] -= self._centres[1] - T[:3, :3] @ self._centres[0]
+        if self._swapped:
+            T = np.linalg.inv(T)
+        corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+        moved = corners @ T[:3, :3].T + T[:3, 3]
+        theta = np.empty(7)
+        kernels.fit_rigid(
+            np.ascontiguousarray(corners.T), np.ascontiguousarray(moved.T), np.arange(4), theta
+        )
+        return theta

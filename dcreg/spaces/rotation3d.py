@@ -1,0 +1,108 @@
+"""Rotations about the origin: the second stage of the 3D pipeline.
+
+Solved is, for points a_i (translation already applied), y_j and k pairs,
+
+    min over R in SO(3) and one-to-one P of k pairs of  E_P(R) = sum_ij p_ij |R a_i - y_j|^2,
+
+a rotation about the origin, without centring.
+
+Why boxes of quaternions
+------------------------
+theta is a quaternion (w, x, y, z) of any length. The eight facets of the cube [-1, 1]^4 hold each
+quaternion once up to length; q and -q are the same rotation, so the four facets where one
+component is +1 hold every rotation, and only those on their rims more often. They are the roots.
+A box has zero width along its facet's axis, is never divided there, and needs no chart number.
+Both bounds are native to such boxes. The angle-axis cube would waste 48 % of its volume outside
+the pi-ball, cover half-turns twice and need an enclosure by such a box for B2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.kernels import rotation as kernels
+from dcreg.search import Box
+from dcreg.spaces.base import Space, radius, with_prices
+
+_START_CELLS_PER_AXIS = 4  # of the regular grid of seeds
+
+
+class Rotation3D(Space):
+    """Rotations about the origin; theta is a quaternion (w, x, y, z) of any length but zero.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+    n_inliers : int
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+    """
+
+    axis_weights = np.ones(4)
+    scope = "rotation about the origin"
+    n_descents = 8
+
+    def __init__(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        candidates: np.ndarray | None = None,
+    ) -> None:
+        self.source = np.ascontiguousarray(np.asarray(source, dtype=np.float64).T)
+        target = np.asarray(target, dtype=np.float64)
+        reach = radius(source) + radius(target)
+        self.target = with_prices(target.T, candidates, n_inliers, reach)
+        self.n_inliers = n_inliers
+
+    @property
+    def n_source(self) -> int:
+        return int(self.source.shape[1])
+
+    @property
+    def n_target(self) -> int:
+        return int(self.target.shape[1])
+
+    @staticmethod
+    def roots() -> list[Box]:
+        """The four facets w, x, y, z = 1 of the cube [-1, 1]^4: together every rotation."""
+        boxes = []
+        for axis in range(4):
+            lower = -np.ones(4)
+            lower[axis] = 1.0
+            boxes.append(Box(lower, np.ones(4)))
+        return boxes
+
+    @staticmethod
+    def grid(cells: int) -> np.ndarray:
+        """(4 cells^3, 4) quaternions: the centres of a regular division of the four facets."""
+        steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
+        facet = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        return np.concatenate([np.insert(facet, axis, 1.0, axis=1) for axis in range(4)])
+
+    def seeds(self) -> np.ndarray:
+        return self.grid(_START_CELLS_PER_AXIS)
+
+    def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
+        """By nearest neighbours, which takes no assignment."""
+        return kernels.nearest_scores(seeds, self.source, self.target, self.n_inliers), 0
+
+    @staticmethod
+    def matrix(theta: np.ndarray) -> np.ndarray:
+        """The rotation of a quaternion: proper, and the same for theta, -theta and 2 theta."""
+        return kernels.rotation_matrix(np.asarray(theta, dtype=np.float64))
+
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        """E at a rotation and the column matched to every source row (-1: none)."""
+        return kernels.objective(theta, self.source, self.target, self.n_inliers)
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """Alternate matching and best rotation from `theta`: theta, objective, assignments."""
+        theta, value, spent = kernels.refine(theta, self.source, self.target, self.n_inliers)
+        return theta / theta[np.argmax(np.abs(theta))], value, spent
+
+    def pose(self, theta: np.ndarray) -> np.ndarray:
+        """The (4, 4) matrix of the rotation."""
+        T = np.eye(4)
+        T[:3, :3] = self.matrix(theta)
+        return T

@@ -1,0 +1,111 @@
+"""What a sweep over cardinalities returns: one result each, a table of them, a suggestion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dcreg.result import Result
+from dcreg.status import Status
+
+# An elbow must lie below the chord of the curve by at least this share of the curve's height.
+_CLEAR_BEND = 0.1
+_ROUNDING = 1e-3  # curves this flat, beside the tolerated residual, rise by rounding
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """Optima for several cardinalities, fewest pairs first.
+
+    Attributes
+    ----------
+    results : list of Result
+        One per cardinality, as of `dcreg.register` in mode ``paper``. Work and time are those spent
+        on this cardinality; where another search proved the bounds there are no nodes.
+    proven_by : list of int or None
+        The cardinality whose search gave the `lower_bound` of each result, perhaps its own; None
+        where no search was needed because the objective is a sum of squares.
+    """
+
+    results: list[Result]
+    proven_by: list[int | None]
+
+    @property
+    def status(self) -> Status:
+        """``optimal`` if all are; else that of the first one that is not."""
+        return next((r.status for r in self.results if not r.success), Status.OPTIMAL)
+
+    @property
+    def suggested_n_inliers(self) -> int | None:
+        """Elbow of the RMSE of the final poses: a suggestion, nothing is proven about it.
+
+        The cardinality farthest below the chord between the ends of the curve; None where the
+        curve has no clear bend.
+        """
+        k = np.array([r.n_inliers for r in self.results], dtype=float)
+        rmse = np.array([r.rmse_matched for r in self.results])
+        height = rmse[-1] - rmse[0]
+        tolerated = np.sqrt(self.results[-1].gap_tol / k[-1])
+        if len(k) < 3 or height <= _ROUNDING * tolerated:
+            return None
+        below = rmse[0] + height * (k - k[0]) / (k[-1] - k[0]) - rmse
+        at = int(np.argmax(below))
+        return int(k[at]) if below[at] >= _CLEAR_BEND * height else None
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row of plain numbers per cardinality, for tables and figures.
+
+        ``rms_low`` and ``rms`` enclose the RMS residual at the optimum: the roots of the bounds
+        per pair. ``next_pair`` is the mean increase of the objective per additional pair up to
+        the next cardinality of the sweep, by the upper bounds; ``next_pair_low`` and
+        ``next_pair_high`` enclose that of the optima. ``rmse_matched`` is of the final pose; in 3D
+        the others speak of norms.
+        """
+        following: list[Result | None] = [*self.results[1:], None]
+        return [
+            _row(result, after, proven_by)
+            for result, after, proven_by in zip(
+                self.results, following, self.proven_by, strict=True
+            )
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON: the table, the suggestion, and every result in full."""
+        return {
+            "status": self.status.value,
+            "suggested_n_inliers": self.suggested_n_inliers,
+            "table": self.rows(),
+            "results": [result.to_dict() for result in self.results],
+        }
+
+
+def _row(result: Result, after: Result | None, proven_by: int | None) -> dict[str, Any]:
+    k = result.n_inliers
+    row: dict[str, Any] = {
+        "n_inliers": k,
+        "status": result.status.value,
+        "lower_bound": result.lower_bound,
+        "upper_bound": result.upper_bound,
+        "gap": result.gap,
+        "gap_tol": result.gap_tol,
+        "rms": float(np.sqrt(result.upper_bound / k)),
+        "rms_low": float(np.sqrt(max(0.0, result.lower_bound) / k)),
+        "rmse_matched": result.rmse_matched,
+        "next_pair": None,
+        "next_pair_low": None,
+        "next_pair_high": None,
+        "proven_by": proven_by,
+        "n_nodes": result.n_nodes,
+        "n_assignments": result.n_assignments,
+        "time_s": result.time_solve_s,
+    }
+    if after is not None:
+        more = after.n_inliers - k
+        row["next_pair"] = (after.upper_bound - result.upper_bound) / more
+        # the next pair costs at least what the average one does, or the k best of k' would be better
+        floor = result.lower_bound / k
+        row["next_pair_low"] = max((after.lower_bound - result.upper_bound) / more, floor)
+        row["next_pair_high"] = (after.upper_bound - result.lower_bound) / more
+    return row
