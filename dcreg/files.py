@@ -13,8 +13,8 @@ from pathlib import Path
 def whole_file(path: str | Path) -> Iterator[Path]:
     """A neighbour of `path` to write to; it takes the place of `path` when the block ends well.
 
-    Whatever goes wrong (a full disk, an interrupt, an error of the writer), an old file stays as it was and
-    no half-written one is left.
+    Whatever goes wrong (a full disk, an interrupt, an error of the writer), an old file stays as it was
+    and no half-written one is left.
 
     Examples
     --------

@@ -172,7 +172,7 @@ class Rigid3D(Space):
 
     def pose(self, theta: np.ndarray) -> np.ndarray:
         """The (4, 4) matrix that maps the source as it was given onto the target."""
-        T = np.eye(4)
+        T: np.ndarray = np.eye(4)
         T[:3, :3] = Rotation3D.matrix(theta[:4])
         T[:3, 3] = theta[4:]
         if self._swapped:
