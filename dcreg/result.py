@@ -26,6 +26,8 @@ class Stage:
         How it ended; None where a stage has no bounds of its own.
     lower_bound, upper_bound : float, optional
         Of what this stage minimises.
+    gap_tol : float, optional
+        The gap asked of this stage, where it is not the one asked of the solve.
     objective_before, objective_after : float, optional
         Of the polish: sum of squared residuals of the matched pairs.
     """
@@ -37,11 +39,12 @@ class Stage:
     status: Status | None = None
     lower_bound: float | None = None
     upper_bound: float | None = None
+    gap_tol: float | None = None
     objective_before: float | None = None
     objective_after: float | None = None
 
     @classmethod
-    def of(cls, name: str, found: Outcome) -> Stage:
+    def of(cls, name: str, found: Outcome, gap_tol: float | None = None) -> Stage:
         """The account of one search."""
         return cls(
             name,
@@ -51,17 +54,15 @@ class Stage:
             found.status,
             found.lower_bound,
             found.upper_bound,
+            gap_tol,
         )
 
     def scaled(self, factor: float) -> Stage:
         """The same stage with its bounds in other units."""
 
-        def times(value: float | None) -> float | None:
-            return None if value is None else factor * value
-
-        return replace(
-            self, lower_bound=times(self.lower_bound), upper_bound=times(self.upper_bound)
-        )
+        names = ("lower_bound", "upper_bound", "gap_tol")
+        present = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return replace(self, **{name: factor * value for name, value in present.items()})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what a stage does not have is left out."""

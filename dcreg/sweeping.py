@@ -287,7 +287,7 @@ class _Sweep:
         level.stopped_by = found.status
         level.time_s += found.time_s
         level.events = found.events
-        level.searches.append(Stage.of("search", found))
+        level.searches.append(Stage.of("search", found, gap_tol))
         if better:
             self._exchange()
 

@@ -113,13 +113,14 @@ def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
     answer.add("search", found)
     translations = _low_places(task, settings, bound, descents, found, answer)
     for done, translation in enumerate(translations):
+        name = f"basin {done + 1} of {len(translations)}"
         if task.budget.is_over:
             answer.complete = False
             if answer.status is Status.OPTIMAL:
                 answer.status = Status.STOPPED if task.budget.stopped else Status.TIME_LIMIT
             break
         budget = task.budget.part(1.0 / (len(translations) - done))
-        _try_basin(task, settings, norms, rigid, translation, budget, answer)
+        _try_basin(task, settings, norms, rigid, translation, budget, answer, name)
     answer.basins.sort(key=lambda basin: basin.value)
     answer.T, answer.value = answer.basins[0].T, answer.basins[0].value
     return answer
@@ -207,6 +208,7 @@ def _try_basin(
     translation: np.ndarray,
     budget: Budget,
     answer: MultiAnswer,
+    name: str,
 ) -> None:
     """The rotation search about one translation, where it may better the best pose."""
     best = min(basin.value for basin in answer.basins)
@@ -221,7 +223,7 @@ def _try_basin(
     value = min(value, worth)
     turned = minimise(
         space, RotationBound(space, threads=task.threads), budget,
-        gap_tol=max(task.gap_tol, BASIN_GAP * value), start=(theta, value), stage="basin",
+        gap_tol=max(task.gap_tol, BASIN_GAP * value), start=(theta, value), stage=name,
     )  # fmt: skip
     rotation = Rotation3D.matrix(turned.theta)
     T = np.eye(4)
@@ -229,7 +231,7 @@ def _try_basin(
     theta, value, refining = rigid.refine(rigid.theta(T))
     answer.basins.append(Basin(translation, norm_value, rigid.pose(theta), value))
     turned.n_assignments += spent + refining
-    answer.stages.append(Stage.of("basin", turned))
+    answer.add(name, turned)
     if answer.status is Status.OPTIMAL or turned.status is Status.STOPPED:
         answer.status = turned.status
 

@@ -100,7 +100,6 @@ class Case:
             "status": result.status.value,
             "n_nodes": result.n_nodes,
             "n_assignments": result.n_assignments,
-            "n_bound_evals": result.n_bound_evals,
             "lower_bound": result.lower_bound,
             "upper_bound": result.upper_bound,
             "objective": result.objective,

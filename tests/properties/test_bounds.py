@@ -77,8 +77,7 @@ def test_shared_vertices_keep_every_descendant_valid(name, data):
     half = data.draw(st.sampled_from([0.3, 0.05, 0.01]))
     centre, _, _ = model.refine(model.identity + 0.2)
     box = Box(centre - half, centre + half)
-    model.start_box = lambda: box
-    bound = make_bound(name, model)
+    bound = make_bound(name, model, [box])
     lower, upper = box.lower[None], box.upper[None]
     generator = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     # below a low cutoff estimates stay estimates, below a high one the binding vertices are solved
@@ -152,7 +151,7 @@ def test_boxes_without_an_admissible_scale_are_recognised(model_and_box):
 def test_start_box_holds_every_refined_minimum(model, seed):
     """No local minimum found from anywhere lies below what the start box contains."""
     generator = np.random.default_rng(seed)
-    box = model.start_box()
+    (box,) = model.roots()
     best_inside, best_anywhere = np.inf, np.inf
     for _ in range(20):
         theta, value, _ = model.refine(generator.uniform(-3, 3, box.dim))

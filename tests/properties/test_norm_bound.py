@@ -78,8 +78,7 @@ def test_bound_below_a_finite_cutoff_holds_in_every_descendant(seed, noise, half
     centre, least, _ = model.refine(optimum)
     centre = centre + half * generator.uniform(-1.5, 1.5, 3)
     box = Box(centre - half, centre + half)
-    model.start_box = lambda: box
-    bound = make_bound("tight", model)
+    bound = make_bound("tight", model, [box])
     lower, upper = box.lower[None], box.upper[None]
     for factor in (1.0, 1.3, 3.0):
         cutoff = factor * least + 1e-4

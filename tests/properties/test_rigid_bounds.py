@@ -4,15 +4,17 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from dcreg.rigid import Rigid3D, RigidBound, largest_subset_mean, pose
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from dcreg.bounds import RigidBound
 from dcreg.kernels import rigid as kernels
 from dcreg.kernels.assignment import dual_bound, k_assignment
 from dcreg.local import objective
 from dcreg.search import Box
+from dcreg.spaces import Rigid3D
+from dcreg.spaces.rigid3d import largest_subset_mean
 from tests.problems import KINDS, cloud
 
 
@@ -52,8 +54,9 @@ def boxes(draw, halves=(1.0, 0.5, 0.1, 0.01)):
 
 def values_in(problem, box, count=40):
     """E by the public objective, at poses of the box."""
+    space = Rigid3D(*problem)
     thetas = np.concatenate([box.sample(np.random.default_rng(0), count), box.vertices()[::7]])
-    return [objective(*problem[:2], pose(theta), problem[2])[0] for theta in thetas]
+    return [objective(*problem[:2], space.pose(theta), problem[2])[0] for theta in thetas]
 
 
 def evaluate(problem, box, cutoff):
@@ -71,7 +74,7 @@ class Parts:
         tangent = np.linalg.norm(self.corners, axis=1).max() if count else np.inf
         self.angle = 2.0 * np.arctan(tangent)
         self.half = box.half_widths[4:]
-        self.moved = pose(box.centre)[:3, :3] @ model.source
+        self.moved = model.pose(box.centre)[:3, :3] @ model.source
         self.shifted = model.target.copy()
         self.shifted[:3] -= box.centre[4:, None]
         self.reach = kernels.column_norms(model.source)

@@ -4,15 +4,16 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
-from dcreg.rotation import Rotation3D, RotationBound
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
+from dcreg.bounds import RotationBound
 from dcreg.kernels import rotation as kernels
 from dcreg.kernels.assignment import k_assignment, k_assignment_duals
 from dcreg.search import Box, LongestEdge
+from dcreg.spaces import Rotation3D
 from tests.problems import KINDS, cloud
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from dcreg.bounds import make_bound
 from dcreg.bounds.dc_shared import VertexCache
 from dcreg.kernels import shared
-from dcreg.search import Box, LongestEdge, branch_and_bound
+from dcreg.search import Box, Budget, LongestEdge, branch_and_bound
 from tests.problems import models
 
 seeds = st.integers(0, 2**32 - 1)
@@ -65,12 +65,13 @@ def test_a_full_cache_forgets_what_was_met_least_recently():
 def test_a_small_cache_changes_no_certificate(model, name):
     centre, _, _ = model.refine(model.identity + 0.2)
     box = Box(centre - 0.3, centre + 0.3)
-    model.start_box = lambda: box
-    bound = make_bound(name, model)
+    bound = make_bound(name, model, [box])
     bound.cache.max_vertices = 2**9
     branching = LongestEdge(model.axis_weights)
-    found = branch_and_bound(bound, [box], branching=branching, gap_tol=0.02)
-    full = branch_and_bound(make_bound(name, model), [box], branching=branching, gap_tol=0.02)
+    found, full = (
+        branch_and_bound(b, Budget(), branching=branching, gap_tol=0.02)
+        for b in (bound, make_bound(name, model, [box]))
+    )
     assert found.status.value == full.status.value == "optimal"
     assert abs(found.upper_bound - full.upper_bound) <= 0.02 + 1e-9
     assert found.lower_bound <= full.upper_bound + 1e-9

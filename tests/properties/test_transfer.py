@@ -31,7 +31,7 @@ def test_objective_per_pair_ascends_at_any_pose(model, seed):
 @given(models())
 def test_larger_cardinalities_start_from_smaller_boxes(model):
     """A bound over all poses of the smaller cardinality so speaks of those of the larger one."""
-    boxes = [other.start_box() for other in at_every_cardinality(model)]
+    boxes = [other.roots()[0] for other in at_every_cardinality(model)]
     for wide, narrow in itertools.pairwise(boxes):
         assert (wide.lower <= narrow.lower + 1e-12).all()
         assert (narrow.upper <= wide.upper + 1e-12).all()

@@ -4,15 +4,16 @@ from itertools import combinations, permutations
 
 import numpy as np
 import pytest
-from dcreg.rigid import Rigid3D, search_multi, search_rigid
 from scipy.spatial.transform import Rotation
 
 import dcreg
 from data import registry
 from dcreg.local import fit_pose, objective
-from dcreg.search import Limits
+from dcreg.modes.multi import Settings
+from dcreg.spaces import Rigid3D
 from dcreg.status import Status
 from tests.problems import KINDS, cloud
+from tests.searches import search_multi, search_rigid
 from workflows.disturb import make_instance
 
 
@@ -103,7 +104,7 @@ def test_all_matched_leaves_only_the_rotation(rng):
 def test_planted_pose_is_certified_among_outliers(n, outliers, k, rng):
     source, target, truth = planted(rng, n, 0.03, outliers)
     gap_tol = k * 0.03**2
-    result = search_rigid(source, target, k, gap_tol=gap_tol, limits=Limits(nodes=400_000))
+    result = search_rigid(source, target, k, gap_tol=gap_tol, nodes=400_000)
     check_result(result, source, target, k)
     assert result.status is Status.OPTIMAL
     assert result.lower_bound > 0.0
@@ -124,7 +125,7 @@ def test_swapped_roles_give_the_inverse_pose(rng):
 def test_threads_do_not_change_the_outcome(rng):
     source, target, _ = planted(rng, 10, 0.05, 3)
     runs = [
-        search_rigid(source, target, 10, gap_tol=0.005, limits=Limits(nodes=8000), threads=threads)
+        search_rigid(source, target, 10, gap_tol=0.005, nodes=8000, threads=threads)
         for threads in (1, 3)
     ]
     for name in ("n_nodes", "n_assignments", "lower_bound", "upper_bound", "status"):
@@ -135,14 +136,14 @@ def test_threads_do_not_change_the_outcome(rng):
 @pytest.mark.parametrize(
     ("limits", "status"),
     [
-        (Limits(nodes=50), Status.NODE_LIMIT),
-        (Limits(time_s=1e-6), Status.TIME_LIMIT),
-        (Limits(memory_mb=1e-3), Status.MEMORY_LIMIT),
+        ({"nodes": 50}, Status.NODE_LIMIT),
+        ({"time_s": 1e-6}, Status.TIME_LIMIT),
+        ({"memory_mb": 1e-3}, Status.MEMORY_LIMIT),
     ],
 )
 def test_limits_leave_valid_bounds(limits, status, rng):
     source, target = rng.standard_normal((8, 3)), rng.standard_normal((9, 3))
-    result = search_rigid(source, target, 6, gap_tol=1e-9, limits=limits)
+    result = search_rigid(source, target, 6, gap_tol=1e-9, **limits)
     check_result(result, source, target, 6)
     assert result.status is status
     assert result.lower_bound < result.upper_bound
@@ -172,7 +173,7 @@ def test_multi_is_not_misled_by_noise(rng):
     """All points match: the norm optimum is biased, the best rigid objective is not."""
     source, target, _ = planted(rng, 40, 0.05)
     source, target = source - source.mean(axis=0), target - target.mean(axis=0)
-    result = search_multi(source, target, 40, gap_tol=40 * 0.03**2, limits=Limits(nodes=3000))
+    result = search_multi(source, target, 40, gap_tol=40 * 0.03**2, nodes=3000)
     full = search_rigid(source, target, 40, gap_tol=40 * 0.03**2)
     assert result.value == pytest.approx(full.upper_bound, rel=1e-6)
     assert result.scope.startswith("translation in norm space")
@@ -204,7 +205,7 @@ def test_multi_starts_from_poses_that_norms_cannot_tell_apart():
     instance = make_instance(registry.dataset("embedded"), "pony", "separate_outliers", 0.3, 0, 25)
     source, target, truth = instance.source, instance.target, instance.T_true
     n_inliers = len(instance.pairs)
-    result = search_multi(source, target, n_inliers, gap_tol=0.005, limits=Limits(time_s=20.0))
+    result = search_multi(source, target, n_inliers, gap_tol=0.005, time_s=20.0)
     assert not result.complete
     assert error_of(result.T, truth)[0] < 0.1
     assert result.value < objective(source, target, truth, n_inliers)[0]
@@ -214,8 +215,8 @@ def test_multi_respects_its_time_limit():
     instance = make_instance(registry.dataset("embedded"), "pony", "separate_outliers", 0.3, 0, 60)
     arguments = instance.source, instance.target, len(instance.pairs)
     few = instance.source[:9], instance.target[:9], 7
-    search_multi(*few, gap_tol=0.01, limits=Limits(nodes=10))  # compiles
-    result = search_multi(*arguments, gap_tol=1e-4, limits=Limits(time_s=0.5))
+    search_multi(*few, gap_tol=0.01, nodes=10)  # compiles
+    result = search_multi(*arguments, gap_tol=1e-4, time_s=0.5)
     assert result.status is Status.TIME_LIMIT
     assert result.time_s < 2.0
     assert result.lower_bound <= result.upper_bound
@@ -228,7 +229,7 @@ def test_multi_tells_a_mirrored_basin_from_the_true_one(rng):
     cloud_ -= cloud_.mean(axis=0)
     target = cloud_ @ Rotation.random(random_state=1).as_matrix().T + 0.4 * np.array([1.0, 0, 0])
     result = search_multi(
-        cloud_, target, 16, gap_tol=16 * 0.01**2, limits=Limits(nodes=20_000), margin=0.05
+        cloud_, target, 16, gap_tol=16 * 0.01**2, nodes=20_000, basins=Settings(margin=0.05)
     )
     assert result.value < 1e-6
     values = [basin.value for basin in result.basins]

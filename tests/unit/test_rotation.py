@@ -4,12 +4,13 @@ from itertools import combinations, permutations
 
 import numpy as np
 import pytest
-from dcreg.rotation import Rotation3D, search_rotation
 from scipy.spatial.transform import Rotation
 
 from dcreg.kernels import rotation as kernels
+from dcreg.spaces import Rotation3D
 from dcreg.status import Status
 from tests.problems import KINDS, cloud
+from tests.searches import search_rotation
 
 
 def kabsch(source, target):
@@ -73,7 +74,7 @@ def test_planted_rotation_is_recovered(k, n_outliers, rng):
     source, target, rotation, order = planted(rng)
     source = np.concatenate([source, rng.uniform(-2, 2, (n_outliers, 3))])
     target = np.concatenate([target, rng.uniform(-2, 2, (n_outliers, 3))])
-    result = search_rotation(source, target, k, gap_tol=k * 0.03**2, node_limit=50_000)
+    result = search_rotation(source, target, k, gap_tol=k * 0.03**2, nodes=50_000)
     check_result(result, source, target)
     assert result.status is Status.OPTIMAL
     assert result.upper_bound - result.lower_bound <= k * 0.03**2
@@ -94,7 +95,7 @@ def test_nothing_is_centred(rng):
 
 def test_mirrored_data_gives_a_proper_rotation(rng):
     source = rng.standard_normal((20, 3))
-    result = search_rotation(source, -source, 20, gap_tol=1.0, node_limit=5000)
+    result = search_rotation(source, -source, 20, gap_tol=1.0, nodes=5000)
     check_result(result, source, -source)
     assert result.upper_bound > 0.1
 
@@ -128,8 +129,8 @@ def test_same_input_same_work(rng):
 def test_a_tighter_gap_costs_a_bounded_factor(rng):
     """Second order pays: a hundred times smaller tolerance must not multiply the boxes likewise."""
     source, target, _, _ = planted(rng, n=40, noise=0.08)
-    loose = search_rotation(source, target, 40, gap_tol=40 * 1e-3, node_limit=100_000)
-    tight = search_rotation(source, target, 40, gap_tol=40 * 1e-5, node_limit=100_000)
+    loose = search_rotation(source, target, 40, gap_tol=40 * 1e-3, nodes=100_000)
+    tight = search_rotation(source, target, 40, gap_tol=40 * 1e-5, nodes=100_000)
     assert loose.status is tight.status is Status.OPTIMAL
     assert tight.n_nodes < 5 * loose.n_nodes
 
@@ -137,8 +138,8 @@ def test_a_tighter_gap_costs_a_bounded_factor(rng):
 def test_limits_leave_valid_bounds(rng):
     source, target = rng.standard_normal((2, 25, 3))
     certified = search_rotation(source, target, 10, gap_tol=0.1)
-    by_nodes = search_rotation(source, target, 10, gap_tol=1e-9, node_limit=200)
-    by_time = search_rotation(source, target, 10, gap_tol=1e-9, time_limit=0.0)
+    by_nodes = search_rotation(source, target, 10, gap_tol=1e-9, nodes=200)
+    by_time = search_rotation(source, target, 10, gap_tol=1e-9, time_s=0.0)
     assert by_nodes.status is Status.NODE_LIMIT
     assert by_time.status is Status.TIME_LIMIT
     for result in (by_nodes, by_time):

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
-from dcreg.search import Box, Evaluation, Leaves, Limits, LongestEdge, branch_and_bound
+from dcreg.search import Box, Budget, Evaluation, Leaves, LongestEdge, branch_and_bound
+from dcreg.search.leaves import OPEN
 from dcreg.status import Status
+
+ROOT = [Box(-np.ones(2), np.ones(2))]
 
 
 class Ripples:
@@ -13,13 +16,15 @@ class Ripples:
     centre = np.array([0.3, -0.2])
     lipschitz = 8.0
 
-    def __init__(self):
+    def __init__(self, round_size=16):
         self.n_assignments = 0
+        self.round_size = round_size
+        self.roots = ROOT
 
     def value(self, thetas):
         return ((thetas - self.centre) ** 2).sum(axis=1) + 0.3 * (1 - np.cos(8 * thetas[:, 0]))
 
-    def evaluate(self, lower, upper, cutoff):
+    def evaluate(self, lower, upper, cutoff, *, thorough=False):
         centres = 0.5 * (lower + upper)
         values = self.value(centres)
         self.n_assignments += len(values)
@@ -27,12 +32,11 @@ class Ripples:
         return Evaluation(values - self.lipschitz * radius, centres, values)
 
 
-ROOT = [Box(-np.ones(2), np.ones(2))]
-
-
-def solve(**options):
-    options = {"gap_tol": 1e-2, "branching": LongestEdge(np.ones(2)), **options}
-    return branch_and_bound(Ripples(), ROOT, **options)
+def solve(round_size=16, leaves=None, **limits):
+    return branch_and_bound(
+        Ripples(round_size), Budget(**limits), gap_tol=1e-2, branching=LongestEdge(np.ones(2)),
+        leaves=leaves,
+    )  # fmt: skip
 
 
 def dense_minimum():
@@ -68,13 +72,13 @@ def test_history_is_monotone_and_has_an_end():
 @pytest.mark.parametrize(
     ("limits", "status"),
     [
-        (Limits(nodes=50), Status.NODE_LIMIT),
-        (Limits(time_s=1e-9), Status.TIME_LIMIT),
-        (Limits(memory_mb=0.003), Status.MEMORY_LIMIT),
+        ({"nodes": 50}, Status.NODE_LIMIT),
+        ({"time_s": 1e-9}, Status.TIME_LIMIT),
+        ({"memory_mb": 0.003}, Status.MEMORY_LIMIT),
     ],
 )
 def test_limits_keep_valid_bounds(limits, status):
-    found = solve(limits=limits)
+    found = solve(**limits)
     assert found.status is status
     assert found.lower_bound <= dense_minimum() <= found.upper_bound
     assert found.events[-1].status == status.value
@@ -94,15 +98,15 @@ def test_listener_stops_the_search_and_sees_its_end():
     assert found.lower_bound <= dense_minimum() <= found.upper_bound
 
 
-@pytest.mark.parametrize("limits", [None, Limits(nodes=50)])
+@pytest.mark.parametrize("limits", [{}, {"nodes": 50}])
 def test_leaves_cover_the_root_exactly(limits):
     leaves = Leaves()
-    found = solve(limits=limits, leaves=leaves)
+    found = solve(leaves=leaves, **limits)
     parts = leaves.arrays()
     assert (parts["upper"] - parts["lower"]).prod(axis=1).sum() == pytest.approx(4.0, abs=1e-12)
     assert found.lower_bound == min(parts["bounds"].min(), found.upper_bound)
-    assert (Leaves.OPEN in parts["reason"]) == (limits is not None)
-    if limits is None:
+    assert (OPEN in parts["reason"]) == bool(limits)
+    if not limits:
         assert (parts["bounds"] >= found.upper_bound - 1e-2).all()
     points = np.random.default_rng(0).uniform(-1, 1, (200, 2))
     inside = (points[:, None] >= parts["lower"]) & (points[:, None] <= parts["upper"])
@@ -118,14 +122,16 @@ def test_two_runs_are_equal():
 def test_root_without_admissible_parameter_is_not_searched():
     class Nothing:
         n_assignments = 0
+        round_size = 16
+        roots = ROOT
 
-        def evaluate(self, lower, upper, cutoff):
+        def evaluate(self, lower, upper, cutoff, *, thorough=False):
             size = len(lower)
             return Evaluation(np.full(size, np.inf), lower.copy(), np.full(size, np.inf))
 
     start = (np.zeros(2), 1.0)
     found = branch_and_bound(
-        Nothing(), ROOT, branching=LongestEdge(np.ones(2)), gap_tol=0.1, start=start
+        Nothing(), Budget(), branching=LongestEdge(np.ones(2)), gap_tol=0.1, start=start
     )
     assert found.upper_bound == 1.0
     assert found.n_nodes == 1

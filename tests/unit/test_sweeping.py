@@ -81,21 +81,21 @@ def test_transferred_bound_is_the_share_of_the_one_it_comes_from(found):
 
 def test_search_is_asked_for_just_the_gap_that_serves_the_run(found):
     by_count = {result.n_inliers: result for result in found.results}
-    (search,) = [stage for stage in by_count[17].stages if stage["stage"] == "search"]
+    (search,) = [stage for stage in by_count[17].stages if stage.name == "search"]
     needed = 17 / 18 * (by_count[18].upper_bound - by_count[18].gap_tol)
-    assert search["gap_tol"] == pytest.approx(by_count[17].upper_bound - needed, rel=1e-5)
-    assert 0.5 * by_count[17].gap_tol <= search["gap_tol"] < by_count[17].gap_tol
+    assert search.gap_tol == pytest.approx(by_count[17].upper_bound - needed, rel=1e-5)
+    assert 0.5 * by_count[17].gap_tol <= search.gap_tol < by_count[17].gap_tol
 
 
 def test_a_good_pose_reaches_all_cardinalities(clouds, separate, monkeypatch):
-    first_incumbent = Similarity2D.first_incumbent
+    start = Similarity2D.start
 
-    def only_for_18(model):
-        if model.n_inliers == 18:
-            return first_incumbent(model)
-        return model.identity, model.objective(model.identity)[0], 1
+    def only_for_18(space, budget):
+        if space.n_inliers == 18:
+            return start(space, budget)
+        return space.identity, space.objective(space.identity)[0], 1
 
-    monkeypatch.setattr(Similarity2D, "first_incumbent", only_for_18)
+    monkeypatch.setattr(Similarity2D, "start", only_for_18)
     swept = dcreg.sweep(*clouds, COUNTS, model="similarity2d", node_limit=1)
     for mine, alone in zip(swept.results, separate, strict=True):
         assert mine.upper_bound == pytest.approx(alone.upper_bound, rel=1e-3)
@@ -245,7 +245,7 @@ def test_space_both_stages():
         assert result.lower_bound <= alone.upper_bound + 1e-12
         assert alone.lower_bound <= result.upper_bound + 1e-12
         assert result.upper_bound <= alone.upper_bound + result.gap_tol
-        assert [stage["stage"] for stage in result.stages][-2:] == ["rotation", "polish"]
+        assert [stage.name for stage in result.stages][-2:] == ["rotation", "polish"]
         assert np.linalg.det(result.rotation) == pytest.approx(1.0)
     expected = Rotation.from_rotvec([0.4, 1.9, -0.8]).as_matrix()
     assert np.allclose(swept.results[1].rotation, expected, atol=0.1)
