@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from dcreg.bounds import RigidBound
 from dcreg.modes.task import Answer, Task
 from dcreg.search import minimise
@@ -9,14 +11,23 @@ from dcreg.spaces import Rigid3D
 
 
 def run(task: Task) -> Answer:
-    """The rigid pose, certified."""
-    space = Rigid3D.between(
-        task.source, task.target, task.n_inliers, task.reduced_box, task.candidates
-    )
+    """The rigid pose, certified.
+
+    The smaller cloud is taken for the source, as nearest distances are taken from there; the inverse pose
+    has the same residuals.
+    """
+    clouds, candidates = [task.source, task.target], task.candidates
+    swapped = len(task.source) > len(task.target)
+    if swapped:
+        clouds.reverse()
+        candidates = None if candidates is None else candidates.T
+    space = Rigid3D.centred(*clouds, task.n_inliers, task.reduced_box, candidates)
     bound = RigidBound(space, threads=task.threads)
     found = minimise(space, bound, task.budget, gap_tol=task.gap_tol, stage="rigid")
+    T = space.pose(found.theta)
     answer = Answer(
-        space.pose(found.theta), found.status, found.lower_bound, found.upper_bound, space.scope
-    )
+        np.linalg.inv(T) if swapped else T, found.status, found.lower_bound, found.upper_bound,
+        space.scope,
+    )  # fmt: skip
     answer.add("rigid", found)
     return answer

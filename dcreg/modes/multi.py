@@ -96,7 +96,7 @@ def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
     norms = Translation3D(
         task.source, task.target, task.n_inliers, task.reduced_box, task.candidates
     )
-    rigid = Rigid3D.between(task.source, task.target, task.n_inliers, candidates=task.candidates)
+    rigid = Rigid3D.centred(task.source, task.target, task.n_inliers, candidates=task.candidates)
     first, first_stage = _first_basin(norms, rigid, task.budget)
     descents = _Descents(norms)
     bound = make_bound(task.bound, norms, threads=task.threads)

@@ -79,12 +79,10 @@ class Rigid3D(Space):
         self.target = with_prices(target.T, candidates, n_inliers, reach)
         self.n_inliers = n_inliers
         self.reduced_box = reduced_box
-        # of `between`: the clouds were moved there, and perhaps exchanged
-        self._centres = np.zeros(3), np.zeros(3)
-        self._swapped = False
+        self._centres = np.zeros(3), np.zeros(3)  # of the clouds as they were given, see `centred`
 
     @classmethod
-    def between(
+    def centred(
         cls,
         source: np.ndarray,
         target: np.ndarray,
@@ -92,19 +90,13 @@ class Rigid3D(Space):
         reduced_box: bool = True,
         candidates: np.ndarray | None = None,
     ) -> Rigid3D:
-        """The space over both clouds centred, the smaller one as its source.
+        """The space over both clouds centred, which gives the smallest start box.
 
-        The inverse pose has the same residuals, and centred clouds have the smallest start box; `pose`
-        and `theta` translate.
+        `pose` and `theta` translate to and from the clouds as they were given.
         """
         centres = source.mean(axis=0), target.mean(axis=0)
-        clouds = [source - centres[0], target - centres[1]]
-        swapped = len(source) > len(target)
-        if swapped:
-            clouds.reverse()
-            candidates = None if candidates is None else candidates.T
-        space = cls(clouds[0], clouds[1], n_inliers, reduced_box, candidates)
-        space._centres, space._swapped = centres, swapped
+        space = cls(source - centres[0], target - centres[1], n_inliers, reduced_box, candidates)
+        space._centres = centres
         return space
 
     @property
@@ -153,12 +145,9 @@ class Rigid3D(Space):
     def seeds(self) -> np.ndarray:
         """Regular poses, as many as may be scored in a moment; always with t at the box centre."""
         box = self.translations()
-        n_pairs = self.source.shape[1] * self.target.shape[1]
-        per_axis = 3 if 27 * 256 * n_pairs <= _SCORED_PAIRS else 1
-        cells = 4 if per_axis**3 * 256 * n_pairs <= _SCORED_PAIRS else 2
-        steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
-        facet = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-        turns = np.concatenate([np.insert(facet, axis, 1.0, axis=1) for axis in range(4)])
+        per_axis = 3 if 27 * 256 * self.n_pairs <= _SCORED_PAIRS else 1
+        cells = 4 if per_axis**3 * 256 * self.n_pairs <= _SCORED_PAIRS else 2
+        turns = Rotation3D.grid(cells)
         offsets = (np.arange(per_axis) - per_axis // 2) / max(1, per_axis)
         shifts = np.array(list(itertools.product(offsets, repeat=3))) * (box.upper - box.lower)
         shifts = np.unique(shifts, axis=0) + box.centre
@@ -175,8 +164,6 @@ class Rigid3D(Space):
         T: np.ndarray = np.eye(4)
         T[:3, :3] = Rotation3D.matrix(theta[:4])
         T[:3, 3] = theta[4:]
-        if self._swapped:
-            T = np.linalg.inv(T)
         T[:3, 3] += self._centres[1] - T[:3, :3] @ self._centres[0]
         return T
 
@@ -184,8 +171,6 @@ class Rigid3D(Space):
         """The parameter of a pose: the inverse of `pose`."""
         T = T.copy()
         T[:3, 3] -= self._centres[1] - T[:3, :3] @ self._centres[0]
-        if self._swapped:
-            T = np.linalg.inv(T)
         corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
         moved = corners @ T[:3, :3].T + T[:3, 3]
         theta = np.empty(7)

@@ -83,7 +83,7 @@ class Subject:
             "source": raw.source.round(6),
             "target": target,
             "n_inliers": n_inliers,
-            "gap_tol": default_gap_tol(target, n_inliers, self.tau),
+            "gap_tol": default_gap_tol(raw.source, target, n_inliers, self.tau),
             "model": "similarity2d" if two_d else "rigid3d",
         } | ({"scale_range": raw.scale_range} if two_d else {})
 

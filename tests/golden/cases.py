@@ -61,7 +61,7 @@ class Case:
     node_limit: int | None = None
     polish: bool = True
     with_trace: bool = False
-    scale_range: tuple[float, float] = (0.5, 1.5)
+    scale_range: tuple[float, float] | None = None
 
     def solve(self, threads: int = 1, jitter: float = 0.0, seed: int = 0) -> Result:
         """The library's answer; `jitter` moves every coordinate by about that much."""

@@ -315,6 +315,60 @@ def test_mode_without_leaves_refuses_to_promise_a_certificate(spatial):
         dcreg.register(source, target, n_inliers=30, model="rigid3d", mode="full", certificate=True)
 
 
+@pytest.mark.parametrize("bound", ["paper", "tight"])
+def test_mode_full_refuses_a_bound_it_would_ignore(bound, spatial):
+    source, target, _ = spatial
+    with pytest.raises(dcreg.InputError, match=r"bound: .* mode 'full' has bounds of its own"):
+        dcreg.register(
+            source, target, n_inliers=30, model="rigid3d", mode="full", bound=bound
+        )  # fmt: skip
+
+
+def test_space_refuses_a_scale_it_would_ignore(spatial):
+    source, target, _ = spatial
+    with pytest.raises(dcreg.InputError, match=r"scale_range: .*rigid3d has no scale"):
+        dcreg.register(
+            source, target, n_inliers=30, model="rigid3d", scale_range=(0.9, 1.1)
+        )  # fmt: skip
+
+
+def test_a_fixed_scale_leaves_rotation_and_translation(planar):
+    source, target, T = planar
+    fixed = dcreg.register(
+        source, target, n_inliers=25, model="similarity2d", scale_range=(1.2, 1.2)
+    )
+    assert fixed.scale == pytest.approx(1.2, rel=1e-12)
+    np.testing.assert_allclose(fixed.T_target_source, T, atol=1e-6)
+    other = dcreg.register(
+        source, target, n_inliers=25, model="similarity2d", scale_range=(1.0, 1.0)
+    )
+    assert other.status is Status.OPTIMAL
+    assert other.scale == pytest.approx(1.0, rel=1e-12)
+    assert other.objective > 0.1
+
+
+def test_mode_multi_counts_the_descents_it_starts_with(spatial):
+    source, target, _ = spatial
+    result = dcreg.register(source, target, n_inliers=25, model="rigid3d", mode="multi")
+    start = result.stages[0]
+    assert start.name == "start"
+    assert start.n_assignments >= 48  # 24 descents of two assignments at least
+    counted = sum(stage.n_assignments for stage in result.stages if stage.name != "polish")
+    assert result.n_assignments == counted
+
+
+def test_mode_multi_tells_of_every_basin(spatial):
+    source, target, _ = spatial
+    seen = []
+    result = dcreg.register(
+        source, target, n_inliers=25, model="rigid3d", mode="multi", listener=seen.append
+    )
+    names = [stage.name for stage in result.stages if stage.name.startswith("basin ")]
+    assert names
+    assert set(names) <= {event.stage for event in result.trace}
+    assert [e.time_s for e in seen] == sorted(e.time_s for e in seen)
+
+
 def test_rounding_of_a_single_place_is_no_unit_of_length():
     source = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
     target = np.array([[0.1, 0.7]]) + np.zeros((3, 1))  # its mean is a rounding error away

@@ -296,3 +296,38 @@ def test_plain_values_for_json(found):
     assert content["suggested_n_inliers"] == 20
     assert [row["n_inliers"] for row in content["table"]] == COUNTS
     assert [result["n_inliers"] for result in content["results"]] == COUNTS
+
+
+def test_large_clouds_get_the_same_rotation_stage_as_a_single_call(monkeypatch):
+    """Beyond a dense matrix the rotation is sampled, in a sweep as in `register`."""
+    from dcreg.local import sparse
+
+    monkeypatch.setattr(sparse, "DENSE_PAIRS", 100)
+    source, target = solid(n_common=24, noise=0.01)
+    swept = dcreg.sweep(source, target, [24], model="rigid3d").results[0]
+    alone = dcreg.register(source, target, n_inliers=24, model="rigid3d", mode="paper")
+    turns = [
+        next(stage for stage in result.stages if stage.name == "rotation")
+        for result in (swept, alone)
+    ]
+    assert [stage.n_nodes for stage in turns] == [0, 0]  # sampled, not searched
+    np.testing.assert_allclose(swept.T_target_source, alone.T_target_source, atol=1e-6)
+
+
+def test_polish_of_a_sweep_ends_with_its_time(monkeypatch):
+    """Past the limit a pose is valued once and not polished, as in `register`."""
+    clouds = flat(noise=0.05)
+    results = dcreg.sweep(*clouds, [20, 22], model="similarity2d", time_limit=1e-9).results
+    for result in results:
+        (polished,) = [stage for stage in result.stages if stage.name == "polish"]
+        assert polished.n_assignments == 1
+        np.testing.assert_array_equal(result.T_target_source, result.T_certified)
+
+
+def test_times_of_all_stages_are_on_one_clock():
+    found = dcreg.sweep(*solid(), [18, 20], model="rigid3d")
+    for result in found.results:
+        times = [event.time_s for event in result.trace]
+        assert times == sorted(times)
+    stages = {event.stage for result in found.results for event in result.trace}
+    assert "rotation" in stages
