@@ -16,12 +16,12 @@ def run(task: Task) -> Answer:
     The smaller cloud is taken for the source, as nearest distances are taken from there; the inverse pose
     has the same residuals.
     """
-    clouds, candidates = [task.source, task.target], task.candidates
-    swapped = len(task.source) > len(task.target)
+    source, target, candidates = task.source, task.target, task.candidates
+    swapped = len(source) > len(target)
     if swapped:
-        clouds.reverse()
+        source, target = target, source
         candidates = None if candidates is None else candidates.T
-    space = Rigid3D.centred(*clouds, task.n_inliers, task.reduced_box, candidates)
+    space = Rigid3D.centred(source, target, task.n_inliers, task.reduced_box, candidates)
     bound = RigidBound(space, threads=task.threads)
     found = minimise(space, bound, task.budget, gap_tol=task.gap_tol, stage="rigid")
     T = space.pose(found.theta)

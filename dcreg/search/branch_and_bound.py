@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dcreg.search.bound import Bound
+from dcreg.search.bound import Bound, Evaluation
 from dcreg.search.budget import Budget
 from dcreg.search.leaves import Leaves
 from dcreg.search.nodes import OpenNodes
@@ -71,101 +71,138 @@ def branch_and_bound(
     Outcome
         ``lower_bound <= min <= upper_bound`` whatever the status.
     """
-    roots = bound.roots
     began = budget.elapsed()
-    theta, upper_bound = start if start is not None else (roots[0].centre, np.inf)
-    nodes = OpenNodes(roots[0].dim)
-    pruned_bound = np.inf  # least bound among pruned boxes: part of the certificate
-    n_nodes = n_refining = 0
-    events: list[Event] = []
-    status: Status | None = None
-
-    def lower_bound() -> float:
-        return min(nodes.lower_bound, pruned_bound, upper_bound)
-
-    def report(kind: str) -> None:
-        event = Event(
-            kind,
-            stage,
-            budget.elapsed(),
-            n_nodes,
-            bound.n_assignments + n_refining,
-            len(nodes),
-            lower_bound(),
-            upper_bound,
-            status.value if status is not None else "",
-        )
-        if kind == "bound" and events and _same_bounds(events[-1], event):
-            budget.tell(replace(event, kind="tick"))  # told to the listener, not kept
-        else:
-            events.append(event)
-            budget.tell(event)
-
-    lower = np.array([box.lower for box in roots])
-    upper = np.array([box.upper for box in roots])
-    inherited = np.zeros(len(roots))  # the objective is a sum of squares
-    worth_refining = np.inf
-    while status is None:
-        # bound
-        found = bound.evaluate(lower, upper, upper_bound - gap_tol)
+    search = _Search(bound, budget, gap_tol, stage, leaves, start)
+    lower = np.array([box.lower for box in bound.roots])
+    upper = np.array([box.upper for box in bound.roots])
+    inherited = np.zeros(len(lower))  # the objective is a sum of squares
+    while search.status is None:
+        found = bound.evaluate(lower, upper, search.cutoff)
         bounds = np.maximum(_settled(found.lower_bounds, gap_tol), inherited)
-        n_nodes += len(bounds)
-        # update
-        best = int(np.argmin(_settled(found.values, gap_tol)))
-        if found.values[best] < upper_bound:
-            theta, upper_bound = found.thetas[best].copy(), float(found.values[best])
-        over = budget.is_over
-        if refine is not None and not over and found.values[best] <= worth_refining:
-            worth_refining = float(found.values[best])
-            candidate, value, spent = refine(found.thetas[best])
-            n_refining += spent
-            if value < upper_bound:
-                theta, upper_bound = candidate, value
-        worth_refining *= REFINING_PATIENCE
-        # prune
-        keep = bounds < upper_bound - gap_tol
-        if not keep.all():
-            pruned_bound = min(pruned_bound, float(bounds[~keep].min()))
-            if leaves is not None:
-                leaves.add(lower[~keep], upper[~keep], bounds[~keep])
-        nodes.push(lower[keep], upper[keep], bounds[keep])
-        # terminate
-        if lower_bound() >= upper_bound - gap_tol:
-            status = Status.OPTIMAL
-        elif over:
-            status = Status.STOPPED if budget.stopped else Status.TIME_LIMIT
-        elif budget.nodes is not None and n_nodes >= budget.nodes:
-            status = Status.NODE_LIMIT
-        elif budget.memory_mb is not None and nodes.nbytes > budget.memory_mb * 2**20:
-            status = Status.MEMORY_LIMIT
-        report("bound" if status is None else "end")
-        if budget.stopped and status is None:
-            status = Status.STOPPED
-            report("end")
-        if status is None:
-            # branch
-            count = _round(bound.round_size, len(nodes))
-            lower, upper, inherited = nodes.pop(count, upper_bound - gap_tol)
+        search.update(found, refine)
+        search.prune(lower, upper, bounds)
+        search.terminate()
+        if search.status is None:
+            lower, upper, inherited = search.select()
             lower, upper = branching(lower, upper)
             inherited = np.repeat(inherited, 2)
-    final_bound = lower_bound()
-    if leaves is not None and len(nodes):
-        leaves.add(*nodes.pop(len(nodes), np.inf), is_open=status is not Status.OPTIMAL)
-    return Outcome(
-        status,
-        theta,
-        final_bound,
-        upper_bound,
-        n_nodes,
-        bound.n_assignments + n_refining,
-        budget.elapsed() - began,
-        events,
-    )
+    return search.outcome(budget.elapsed() - began)
 
 
-def _round(most: int, n_open: int) -> int:
-    """How many of the open boxes to divide next."""
-    return min(most, max(MIN_ROUND, n_open // 4))
+class _Search:
+    """The state of one search; its methods are the steps of Algorithm 1."""
+
+    def __init__(
+        self,
+        bound: Bound,
+        budget: Budget,
+        gap_tol: float,
+        stage: str,
+        leaves: Leaves | None,
+        start: tuple[np.ndarray, float] | None,
+    ) -> None:
+        self.bound, self.budget, self.gap_tol = bound, budget, gap_tol
+        self.stage, self.leaves = stage, leaves
+        self.theta, self.upper_bound = start or (bound.roots[0].centre, np.inf)
+        self.nodes = OpenNodes(bound.roots[0].dim)
+        self.pruned_bound = np.inf  # least bound among pruned boxes: part of the certificate
+        self.n_nodes = self.n_refining = 0
+        self.worth_refining = np.inf
+        self.is_over = False
+        self.status: Status | None = None
+        self.events: list[Event] = []
+
+    @property
+    def cutoff(self) -> float:
+        """Boxes whose bound reaches this cannot improve the incumbent by more than the tolerance."""
+        return self.upper_bound - self.gap_tol
+
+    @property
+    def lower_bound(self) -> float:
+        return min(self.nodes.lower_bound, self.pruned_bound, self.upper_bound)
+
+    def update(self, found: Evaluation, refine: Refine | None) -> None:
+        """Take the round's best parameter for the incumbent, if it is one, and descend from it."""
+        best = int(np.argmin(_settled(found.values, self.gap_tol)))
+        value = float(found.values[best])
+        self._take(found.thetas[best], value)
+        self.is_over = self.budget.is_over
+        if refine is not None and not self.is_over and value <= self.worth_refining:
+            self.worth_refining = value
+            theta, value, spent = refine(found.thetas[best])
+            self.n_refining += spent
+            self._take(theta, value)
+        self.worth_refining *= REFINING_PATIENCE
+
+    def _take(self, theta: np.ndarray, value: float) -> None:
+        if value < self.upper_bound:
+            self.theta, self.upper_bound = theta.copy(), value
+
+    def prune(self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray) -> None:
+        """Keep the boxes that may still hold something better."""
+        self.n_nodes += len(bounds)
+        keep = bounds < self.cutoff
+        if not keep.all():
+            self.pruned_bound = min(self.pruned_bound, float(bounds[~keep].min()))
+            if self.leaves is not None:
+                self.leaves.add(lower[~keep], upper[~keep], bounds[~keep])
+        self.nodes.push(lower[keep], upper[keep], bounds[keep])
+
+    def terminate(self) -> None:
+        """Set the status if the search has come to an end, and tell of the round."""
+        budget = self.budget
+        if self.lower_bound >= self.cutoff:
+            self.status = Status.OPTIMAL
+        elif self.is_over:
+            self.status = Status.STOPPED if budget.stopped else Status.TIME_LIMIT
+        elif budget.nodes is not None and self.n_nodes >= budget.nodes:
+            self.status = Status.NODE_LIMIT
+        elif budget.memory_mb is not None and self.nodes.nbytes > budget.memory_mb * 2**20:
+            self.status = Status.MEMORY_LIMIT
+        self._report("bound" if self.status is None else "end")
+        if budget.stopped and self.status is None:
+            self.status = Status.STOPPED
+            self._report("end")
+
+    def select(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The best open boxes, to be divided next, with their bounds."""
+        count = min(self.bound.round_size, max(MIN_ROUND, len(self.nodes) // 4))
+        return self.nodes.pop(count, self.cutoff)
+
+    def outcome(self, time_s: float) -> Outcome:
+        lower_bound = self.lower_bound
+        if self.leaves is not None and len(self.nodes):
+            is_open = self.status is not Status.OPTIMAL
+            self.leaves.add(*self.nodes.pop(len(self.nodes), np.inf), is_open=is_open)
+        assert self.status is not None
+        return Outcome(
+            self.status,
+            self.theta,
+            lower_bound,
+            self.upper_bound,
+            self.n_nodes,
+            self.bound.n_assignments + self.n_refining,
+            time_s,
+            self.events,
+        )
+
+    def _report(self, kind: str) -> None:
+        event = Event(
+            kind,
+            self.stage,
+            self.budget.elapsed(),
+            self.n_nodes,
+            self.bound.n_assignments + self.n_refining,
+            len(self.nodes),
+            self.lower_bound,
+            self.upper_bound,
+            self.status.value if self.status is not None else "",
+        )
+        if kind == "bound" and self.events and _same_bounds(self.events[-1], event):
+            event = replace(event, kind="tick")  # told to the listener, not kept
+        else:
+            self.events.append(event)
+        self.budget.tell(event)
 
 
 def _settled(values: np.ndarray, gap_tol: float) -> np.ndarray:
