@@ -8,11 +8,14 @@ import numpy as np
 
 from baselines.contract import Instance
 from dcreg.search import Bound, Box
-from dcreg.spaces import Similarity2D, Space, Translation3D
+from dcreg.spaces import FeatureSpace, Similarity2D, Translation3D
+
+# (space, roots) -> bound
+MakeBound = Callable[[FeatureSpace, list[Box]], Bound]
 
 
-def box_model(instance: Instance) -> Space:
-    """The library's model over the instance's own coordinates: of similarities, or of norm space."""
+def box_space(instance: Instance) -> FeatureSpace:
+    """The library's space over the instance's own coordinates: similarities, or norm space."""
     source, target = (
         np.array(points, dtype=float, order="C") for points in (instance.source, instance.target)
     )
@@ -22,9 +25,9 @@ def box_model(instance: Instance) -> Space:
 
 
 def bound_of_box(
-    make: Callable[[Space], Bound], instance: Instance, lower: np.ndarray, upper: np.ndarray
+    make: MakeBound, instance: Instance, lower: np.ndarray, upper: np.ndarray
 ) -> float:
-    """What the bound made for the instance's model says of one box, as if searching from there."""
-    model = box_model(instance)
-    model.start_box = lambda: Box(lower, upper)  # type: ignore[method-assign]
-    return float(make(model).evaluate(lower[None], upper[None], np.inf).lower_bounds[0])
+    """What a bound says of one box at its full strength, as if a search began there."""
+    bound = make(box_space(instance), [Box(lower, upper)])
+    found = bound.evaluate(lower[None], upper[None], np.inf, thorough=True)
+    return float(found.lower_bounds[0])

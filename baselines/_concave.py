@@ -19,9 +19,8 @@ function of (u, L) is least over all matchings at a k-cardinality assignment, ex
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from dcreg.kernels.compiling import jit
 from dcreg.local import fit_pose, polish
 from dcreg.local.assignment import pairs_of
 from dcreg.problem import Frame, Problem
+from dcreg.search import Budget
 from dcreg.spaces import Similarity2D
 
 N_STATISTICS = 7
@@ -40,6 +40,37 @@ _FLAT = 1e-8  # relative extent below which all matchings agree in a statistic
 
 class OutOfTimeError(Exception):
     """The time limit came before the search had its first region; the incumbent stands."""
+
+
+class History:
+    """Rows of a bound history, in squared units of the input: one whenever a bound moved, and the last.
+
+    Parameters
+    ----------
+    budget : Budget
+        Its clock counts.
+    area : float
+        Squared units of the input in one squared unit of the search.
+    """
+
+    def __init__(self, budget: Budget, area: float) -> None:
+        self.budget, self.area = budget, area
+        self.rows: list[dict[str, Any]] = []
+
+    def add(self, lower: float, upper: float, n_nodes: int, n_assignments: int, last: bool) -> None:
+        """The state of the search; kept when a bound moved, and always the last one."""
+        bounds = {"lower_bound": lower * self.area, "upper_bound": upper * self.area}
+        if self.rows and not last and bounds.items() <= self.rows[-1].items():
+            return
+        self.rows.append(
+            {
+                "stage": "search",
+                "time_s": self.budget.elapsed(),
+                "n_nodes": n_nodes,
+                "n_assignments": n_assignments,
+                **bounds,
+            }
+        )
 
 
 class Clouds(NamedTuple):
@@ -146,7 +177,7 @@ class Reduced:
     incumbent: Incumbent
 
     @classmethod
-    def of(cls, instance: Instance) -> Reduced:
+    def of(cls, instance: Instance, budget: Budget) -> Reduced:
         """The first incumbent comes from the descents that start the library's own search, so that
         every branch and bound starts alike."""
         problem = Problem(
@@ -156,15 +187,15 @@ class Reduced:
         frame = Frame.of(problem)
         source, target = frame.source(problem.source), frame.target(problem.target)
         k, scale_range = problem.n_inliers, problem.scale_range
-        model = Similarity2D(source, target, k, scale_range)
-        theta, value, spent = model.first_incumbent()
-        start = Incumbent(source, target, k, scale_range, model.pose(theta), value, spent)
+        space = Similarity2D(source, target, k, scale_range)
+        theta, value, spent = space.start(budget)
+        start = Incumbent(source, target, k, scale_range, space.pose(theta), value, spent)
         return cls(frame, Clouds(source, target, k, *scale_range), start)
 
     @property
     def area(self) -> float:
         """Squared target units per squared normalised unit."""
-        return self.frame.unit**2
+        return self.frame.area
 
     def pose(self) -> np.ndarray:
         """The incumbent in the coordinates of the instance."""
@@ -205,11 +236,11 @@ class Support:
         self,
         clouds: Clouds,
         incumbent: Incumbent,
-        expired: Callable[[], bool],
+        budget: Budget,
         with_fixed: bool = False,
     ) -> None:
         self.clouds, self.incumbent, self.with_fixed = clouds, incumbent, with_fixed
-        self.expired = expired
+        self.budget = budget
         self.n_assignments = 0
         self.points: list[np.ndarray] = []
 
@@ -219,7 +250,7 @@ class Support:
 
     def least(self, direction: np.ndarray) -> np.ndarray:
         """The point with the least ``direction . point``."""
-        if self.expired():
+        if self.budget.is_over:
             raise OutOfTimeError
         fixed_weight = float(direction[-1]) if self.with_fixed else 0.0
         weights = np.ascontiguousarray(direction[:N_STATISTICS])

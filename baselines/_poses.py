@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from baselines.contract import Instance
+from dcreg.problem import unit_length
+
 
 def homogeneous(scale: float, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     """``p -> scale * rotation @ p + translation`` as a (d+1, d+1) matrix."""
@@ -58,10 +61,9 @@ def fit_pose(
     return homogeneous(scale, rotation, mean_target - scale * rotation @ mean_source)
 
 
-def rms_radius(points: np.ndarray) -> float:
-    """Root mean square distance to the centroid, 1 for coinciding points."""
-    radius = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    return radius if radius > 0 else 1.0
+def unit_of(instance: Instance) -> float:
+    """The library's unit of length, by which methods scale clouds; 1 where no cloud has an extent."""
+    return unit_length(instance.source, instance.target) or 1.0
 
 
 def median_spacing(points: np.ndarray) -> float:

@@ -18,28 +18,21 @@ which a method relaxes further in its own way, with phi tied to theta.
 from __future__ import annotations
 
 import abc
-import dataclasses
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from baselines._boxes import bound_of_box
-from baselines._poses import rms_radius
-from baselines.contract import Baseline, Instance, Limits, Solution, tiny
+from baselines._search import ModeOfItsOwn
+from baselines.contract import Instance
 from dcreg.bounds.base import SpaceBound
 from dcreg.kernels import termwise, vertices
 from dcreg.kernels.assignment import k_assignment
 from dcreg.kernels.compiling import jit
-from dcreg.local import objective, polish
-from dcreg.problem import Frame, Problem
-from dcreg.search import Evaluation, Event, LongestEdge, Trace, branch_and_bound
-from dcreg.search import Limits as SearchLimits
-from dcreg.spaces import Similarity2D, Space
-
-# Boxes divided in a round, few because a round with a convex programme a box must stay interruptible.
-_PAIRS_PER_ROUND = 20_000
-_MAX_ROUND = 4
+from dcreg.modes import Answer, Task
+from dcreg.modes.paper import place, space_of
+from dcreg.search import Box, Evaluation, minimise
+from dcreg.spaces import FeatureSpace
 
 # theta -> least beta.theta + gamma.phi + k (t3^2 + t4^2) over a box, relaxed, and where it is attained
 LeastOverBox = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[float, np.ndarray]]
@@ -94,31 +87,39 @@ def _phi_range(f, lower, upper):
     return pl + ql, ph + qh
 
 
-class SubstitutedBound(SpaceBound):
-    """Common part of the bounds: the linear matching part, and the exact value of the candidate."""
+class SubstitutedBound(SpaceBound[FeatureSpace]):
+    """Common part of the bounds: the linear matching part, and the exact value of the candidate.
 
-    def __init__(self, model: Space, threads: int = 1) -> None:
-        super().__init__(model, threads)
-        n, m = len(model.source), model.target_features.shape[1]
-        self.features = np.empty((termwise.N_FEATURES + 1, n, m))
-        termwise.pair_features(model.source, model.target_features, self.features)
+    Rounds are small, since one with a convex programme a box must stay interruptible.
+    """
+
+    round_pairs, max_round = 20_000, 4
+
+    def __init__(
+        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> None:
+        super().__init__(space, roots, threads)
+        self.features = np.empty((termwise.N_FEATURES + 1, space.n_source, space.n_target))
+        termwise.pair_features(space.source, space.target_features, self.features)
         self.low, self.high = np.empty(termwise.N_FEATURES), np.empty(termwise.N_FEATURES)
-        termwise.feature_ranges(self.features, model.n_inliers, self.low, self.high)
+        termwise.feature_ranges(self.features, space.n_inliers, self.low, self.high)
         self.n_assignments += 2 * termwise.N_FEATURES
 
     @abc.abstractmethod
     def least_over_box(self) -> LeastOverBox:
         """A solver of the programme in theta and phi, for the use of one thread."""
 
-    def _evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
-        model, count = self.model, len(lower)
+    def _evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+    ) -> Evaluation:
+        space, count = self.space, len(lower)
         found = Evaluation(np.empty(count), np.empty_like(lower), np.empty(count))
 
         def work(part: slice) -> int:
             lo, up, bounds = lower[part], upper[part], found.lower_bounds[part]
             beta, gamma = np.empty_like(lo), np.empty((len(lo), 3))
             spent = linearise(
-                self.features, self.low, self.high, model.n_inliers, lo, up, bounds, beta, gamma
+                self.features, self.low, self.high, space.n_inliers, lo, up, bounds, beta, gamma
             )
             least = self.least_over_box()
             for box in range(len(lo)):
@@ -126,7 +127,7 @@ class SubstitutedBound(SpaceBound):
                 bounds[box] += value
                 found.thetas[part][box] = np.clip(theta, lo[box], up[box])
             return spent + vertices.objectives(
-                model.kind, model.source, model.target_features, model.n_inliers,
+                space.kind, space.source, space.target_features, space.n_inliers,
                 found.thetas[part], found.values[part],
             )  # fmt: skip
 
@@ -134,91 +135,25 @@ class SubstitutedBound(SpaceBound):
         return found
 
 
-def gap_tolerance(instance: Instance, factor: float) -> float:
-    """Absolute tolerance: `factor` times the target's RMS radius, per matched pair."""
-    return float(instance.n_inliers * (factor * rms_radius(instance.target)) ** 2)
+class SimilaritySearch(ModeOfItsOwn):
+    """Search of the library over 2D similarities with a bound of the method's own.
 
-
-def round_size(n_pairs: int) -> int:
-    return int(np.clip(_PAIRS_PER_ROUND // n_pairs, 1, _MAX_ROUND))
-
-
-class SimilaritySearch(Baseline):
-    """Best-first search of the library over 2D similarities with a bound of the method's own.
-
-    Start box, first incumbent, descents, branching and polish are those of DC-Reg.
+    Start box, first incumbent, descents, branching, tolerance and polish are those of DC-Reg.
     """
 
-    bound: type[SpaceBound]
+    bound: type[SubstitutedBound]
 
-    def warm_up(self, instance: Instance) -> None:
-        self.solve(tiny(instance), Limits(time_s=30.0, nodes=100))
-
-    def solve(self, instance: Instance, limits: Limits) -> Solution:
-        began = time.perf_counter()
-        gap_tol = gap_tolerance(instance, self.options["gap_tol_factor"])
-        problem = Problem(
-            instance.source, instance.target, instance.n_inliers, instance.model,
-            instance.scale_range,
-        )  # fmt: skip
-        frame = Frame.of(problem)
-        area = frame.unit**2
-        model = Similarity2D(
-            frame.source(problem.source),
-            frame.target(problem.target),
-            problem.n_inliers,
-            problem.scale_range,
+    def run(self, task: Task) -> Answer:
+        space = space_of(task)
+        bound = self.bound(space, threads=task.threads)
+        found = minimise(space, bound, task.budget, gap_tol=task.gap_tol)
+        answer = Answer(
+            np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope
         )
-        bound = self.bound(model, limits.threads)
-        theta, value, spent = model.first_incumbent()
-        found = branch_and_bound(
-            bound,
-            [model.start_box()],
-            branching=LongestEdge(model.axis_weights),
-            gap_tol=gap_tol / area,
-            refine=model.refine,
-            start=(theta, value),
-            limits=SearchLimits(
-                max(0.0, limits.time_s - (time.perf_counter() - began)),
-                limits.nodes,
-                limits.memory_mb,
-            ),
-            round_size=round_size(len(problem.source) * len(problem.target)),
-        )
-        pose = frame.pose(model.pose(found.theta))
-        certified, _ = objective(problem.source, problem.target, pose, problem.n_inliers)
-        final = certified
-        if self.options["polish"]:
-            pose, final, _, _ = polish(
-                problem.source, problem.target, pose, problem.n_inliers, problem.scale_range
-            )
-        return Solution(
-            found.status,
-            pose,
-            lower_bound=found.lower_bound * area,
-            upper_bound=found.upper_bound * area,
-            gap_tol=gap_tol,
-            certificate_scope=model.scope,
-            counters={"n_nodes": found.n_nodes, "n_assignments": found.n_assignments + spent},
-            trace=trace_rows(found.events, area),
-            extra={"objective": final, "objective_certified": certified},
-        )
+        answer.add("search", found)
+        place(task, space, found.theta, task.budget, answer)
+        return answer
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
         """Lower bound over a box of theta; see `baselines.contract.BoxBounding`."""
         return bound_of_box(self.bound, instance, lower, upper)
-
-
-def trace_rows(events: list[Event], area: float, offset_s: float = 0.0) -> list[dict[str, object]]:
-    """The history in squared units of the input, its times counted from `offset_s` earlier."""
-    return Trace(
-        [
-            dataclasses.replace(
-                event,
-                time_s=event.time_s + offset_s,
-                lower_bound=event.lower_bound * area,
-                upper_bound=event.upper_bound * area,
-            )
-            for event in events
-        ]
-    ).rows()

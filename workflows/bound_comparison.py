@@ -24,7 +24,7 @@ import pandas as pd
 import typer
 
 from baselines import registry
-from baselines._boxes import box_model
+from baselines._boxes import box_space
 from baselines.contract import Baseline, BoxBounding, Instance
 from data.registry import dataset
 from dcreg.bounds import make_bound
@@ -67,7 +67,7 @@ class Case:
         frame = Frame.of(Problem(raw.source, raw.target, k, kind, raw.scale_range))
         source, target = frame.source(raw.source), frame.target(raw.target)
         instance = Instance(name, source, target, kind, k, raw.scale_range, 0.1, SEED)
-        model = box_model(instance)
+        model = box_space(instance)
         theta, value, _ = model.first_incumbent()
         found = branch_and_bound(
             make_bound("tight", model),

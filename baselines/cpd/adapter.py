@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines._poses import apply, homogeneous, rms_radius
+from baselines._poses import apply, homogeneous, unit_of
 from baselines._starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 
@@ -26,7 +26,7 @@ class Adapter(Baseline):
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         # The mixture's uniform part assumes coordinates of order one: work in target RMS radii
         # about the target's centroid, whatever the units of the data.
-        unit = rms_radius(instance.target)
+        unit = unit_of(instance)
         origin = instance.target.mean(axis=0)
         normalise = homogeneous(1 / unit, np.eye(instance.dim), -origin / unit)
         target = apply(normalise, instance.target)

@@ -5,27 +5,34 @@ of the nine products is replaced by the mean of its two active McCormick facets,
 over all matchings and of R_ba over the box. R is linear in Q = q q^T / |q|^2, of which remain: Q positive
 semidefinite, trace 1, and the products of the box's inequalities (`LiftedBox`).
 
-Boxes are those of `dcreg.rotation`: of quaternions of any length, one component fixed at 1.
+Boxes are those of `dcreg.spaces.rotation3d`: of quaternions of any length, one component fixed at 1.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from dcreg.rotation import Rotation3D
 
 from baselines.hbsp.lifted import LiftedBox
+from dcreg.bounds.base import SpaceBound
 from dcreg.kernels import rotation as kernels
 from dcreg.kernels.assignment import k_assignment
 from dcreg.search import Box, Evaluation
+from dcreg.spaces import Rotation3D
 
 
-class SemidefiniteRotationBound:
-    """Lower bound of HBSP (reconstructed) over boxes of quaternions; the candidate is the SDP's."""
+class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
+    """Lower bound of HBSP (reconstructed) over boxes of quaternions; the candidate is the SDP's.
 
-    def __init__(self, model: Rotation3D) -> None:
-        self.model = model
-        self.n_assignments = 0
-        a, y = model.source, model.target
+    Rounds are small, since one with a semidefinite programme a box must stay interruptible.
+    """
+
+    round_pairs, max_round = 20_000, 4
+
+    def __init__(self, space: Rotation3D, roots: Sequence[Box] | None = None) -> None:
+        super().__init__(space, roots)
+        a, y = space.source, space.target
         self.squares = (a**2).sum(axis=0)[:, None] + (y**2).sum(axis=0)
         self.outer = a[:, None, :, None] * y[None, :, None, :]  # (3, 3, n, m)
         self.low = np.array([[self._assign(plane) for plane in row] for row in self.outer])
@@ -34,14 +41,16 @@ class SemidefiniteRotationBound:
 
     def _assign(self, cost: np.ndarray) -> float:
         self.n_assignments += 1
-        return float(k_assignment(np.ascontiguousarray(cost), self.model.n_inliers)[0])
+        return float(k_assignment(np.ascontiguousarray(cost), self.space.n_inliers)[0])
 
-    def evaluate(self, lower: np.ndarray, upper: np.ndarray, cutoff: float) -> Evaluation:
+    def _evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+    ) -> Evaluation:
         found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
         for box in range(len(lower)):
             found.lower_bounds[box], theta = self._bound(Box(lower[box], upper[box]))
             found.thetas[box] = theta
-            found.values[box] = self.model.objective(theta)[0]
+            found.values[box] = self.space.objective(theta)[0]
         self.n_assignments += len(lower)
         return found
 

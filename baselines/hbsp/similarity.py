@@ -15,7 +15,7 @@ class SemidefiniteBound(SubstitutedBound):
         lifted = LiftedBox(4)
         normal = np.zeros((5, 5))
         normal[0, 0] = 1.0
-        k = float(self.model.n_inliers)
+        k = float(self.space.n_inliers)
 
         def least(
             beta: np.ndarray, gamma: np.ndarray, lower: np.ndarray, upper: np.ndarray

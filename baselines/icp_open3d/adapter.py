@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from baselines import _open3d
-from baselines._poses import rigid_pose, rms_radius
+from baselines._poses import rigid_pose, unit_of
 from baselines._starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 
@@ -27,7 +27,7 @@ class Adapter(Baseline):
         registration = open3d.pipelines.registration
         source, target = _open3d.cloud(instance.source), _open3d.cloud(instance.target)
         criteria = registration.ICPConvergenceCriteria(max_iteration=self.options["max_iterations"])
-        radii = rms_radius(instance.target) * np.array(self.options["coarse_distances"])
+        radii = unit_of(instance) * np.array(self.options["coarse_distances"])
         distances = [*radii, self.options["noise_factor"] * instance.noise_bound]
 
         def refine(pose: np.ndarray, deadline: float) -> np.ndarray | None:

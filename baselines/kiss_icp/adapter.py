@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines._poses import rigid_pose, rms_radius
+from baselines._poses import rigid_pose, unit_of
 from baselines._starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 
@@ -22,7 +22,7 @@ class Adapter(Baseline):
         from kiss_icp.mapping import VoxelHashMap
         from kiss_icp.registration import Registration
 
-        unit = rms_radius(instance.target)
+        unit = unit_of(instance)
         distance = self.options["max_distance"] * unit
         voxel_map = VoxelHashMap(
             # Neighbours are searched in adjacent voxels only, so voxels as large as the distance;

@@ -31,7 +31,7 @@ class BilinearBound(SubstitutedBound):
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_threads = 1
-        k = float(self.model.n_inliers)
+        k = float(self.space.n_inliers)
 
         def least(
             beta: np.ndarray, gamma: np.ndarray, lower: np.ndarray, upper: np.ndarray

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._concave import SCOPE, Reduced
-from baselines._poses import rms_radius
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from baselines.rpm_cav.box import BoxBound
 from baselines.rpm_cav.search import Search, Settings
+from dcreg.problem import default_gap_tol
+from dcreg.search import Budget
 
 
 class Adapter(Baseline):
@@ -31,15 +30,16 @@ class Adapter(Baseline):
         self.solve(tiny(instance), Limits(time_s=600.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        began = time.perf_counter()
-        reduced = Reduced.of(instance)
+        budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
+        reduced = Reduced.of(instance, budget)
         area, incumbent = reduced.area, reduced.incumbent
-        length = self.options["gap_tol_factor"] * rms_radius(instance.target)
-        gap_tol = float(instance.n_inliers * length**2)
+        gap_tol = default_gap_tol(
+            instance.source, instance.target, instance.n_inliers, self.options["gap_tol_factor"]
+        )
         settings = Settings(
             gap_tol / area, self.options["ascents"], self.options["branching"] == "gap"
         )
-        search = Search(reduced, settings, limits, began)
+        search = Search(reduced, settings, budget)
         search.run()
         return Solution(
             search.status,
@@ -52,7 +52,7 @@ class Adapter(Baseline):
                 "n_nodes": search.n_nodes,
                 "n_assignments": search.n_assignments + incumbent.n_assignments,
             },
-            trace=search.trace,
+            trace=search.history.rows,
             # The simplices' own bound; until it passes zero, that zero is the lower bound.
             extra={
                 "simplex_bound": float(search.raw_bound * area),

@@ -13,6 +13,7 @@ from baselines.contract import Instance
 from baselines.rpm_cav.kernels import bound_simplex
 from baselines.rpm_cav.search import root_simplex
 from dcreg.local import objective
+from dcreg.search import Budget
 
 _ASCENTS = 30  # of the Lagrangian: one simplex must do for the whole box
 
@@ -30,7 +31,7 @@ class BoxBound:
         self.clouds = Clouds(source, target, instance.n_inliers, low, high)
         # a value of minus infinity: no matching is worth a descent
         idle = Incumbent(source, target, self.clouds.k, (low, high), np.eye(3), -np.inf, 0)
-        support = Support(self.clouds, idle, lambda: False)
+        support = Support(self.clouds, idle, Budget())
         self.z = support.coordinates()
         self.root = root_simplex(support, self.z) if self.z.dim else np.empty((1, 0))
 

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import heapq
 import itertools
-import time
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from baselines._concave import (
     N_STATISTICS,
     Coordinates,
+    History,
     OutOfTimeError,
     Reduced,
     Support,
     least_linear,
 )
-from baselines.contract import Limits
 from baselines.rpm_cav.kernels import bound_children, bound_simplex, values_at
+from dcreg.search import Budget
 from dcreg.status import Status
 
 _MAX_CORNERS = 256  # corners of the box tried for the root simplex
@@ -87,15 +86,17 @@ class Search:
 
     reduced: Reduced
     settings: Settings
-    limits: Limits
-    began: float
+    budget: Budget
     status: Status | None = None
     lower_bound: float = 0.0  # a sum of squares
     n_nodes: int = 0
     n_assignments: int = 0
     dim: int = 0
     raw_bound: float = -np.inf  # before zero was taken for a lower bound
-    trace: list[dict[str, Any]] = field(default_factory=list)
+    history: History = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.history = History(self.budget, self.reduced.area)
 
     @property
     def upper_bound(self) -> float:
@@ -105,13 +106,10 @@ class Search:
     def cutoff(self) -> float:
         return self.upper_bound - self.settings.gap_tol
 
-    def expired(self) -> bool:
-        return time.perf_counter() - self.began > self.limits.time_s
-
     def run(self) -> None:
         clouds, incumbent = self.reduced.clouds, self.reduced.incumbent
         self.record()
-        support = Support(clouds, incumbent, self.expired)
+        support = Support(clouds, incumbent, self.budget)
         try:
             coordinates = support.coordinates()
             self.dim = coordinates.dim
@@ -162,15 +160,15 @@ class Search:
         self.record()
 
     def _ended(self, nodes: OpenSimplices) -> Status | None:
-        limits = self.limits
+        budget = self.budget
         if self.lower_bound >= self.cutoff:
             return Status.OPTIMAL
-        if self.expired():
+        if self.budget.is_over:
             return Status.TIME_LIMIT
-        if limits.nodes is not None and self.n_nodes >= limits.nodes:
+        if budget.nodes is not None and self.n_nodes >= budget.nodes:
             return Status.NODE_LIMIT
         # half of the worker's memory: the rest is Python and its libraries
-        if limits.memory_mb is not None and nodes.nbytes > 0.5 * limits.memory_mb * 2**20:
+        if budget.memory_mb is not None and nodes.nbytes > 0.5 * budget.memory_mb * 2**20:
             return Status.MEMORY_LIMIT
         return None
 
@@ -181,22 +179,12 @@ class Search:
             self.reduced.incumbent.offer(col_of)
 
     def record(self) -> None:
-        """A row of the bound history, when a bound moved or the search has ended."""
-        area = self.reduced.area
-        bounds = (self.lower_bound * area, self.upper_bound * area)
-        if self.trace and self.status is None:
-            last = self.trace[-1]
-            if bounds == (last["lower_bound"], last["upper_bound"]):
-                return
-        self.trace.append(
-            {
-                "stage": "search",
-                "time_s": time.perf_counter() - self.began,
-                "n_nodes": self.n_nodes,
-                "n_assignments": self.n_assignments + self.reduced.incumbent.n_assignments,
-                "lower_bound": bounds[0],
-                "upper_bound": bounds[1],
-            }
+        self.history.add(
+            self.lower_bound,
+            self.upper_bound,
+            self.n_nodes,
+            self.n_assignments + self.reduced.incumbent.n_assignments,
+            last=self.status is not None,
         )
 
     def finish(self, status: Status) -> None:

@@ -11,6 +11,7 @@ class Adapter(BranchAndBound):
     """Same search, box, tolerance, assignment and polish as DC-Reg; only the bound differs."""
 
     bounds = tuple(name for name in bound_names() if name.startswith("termwise"))
+    modes = ("paper",)  # others search with bounds of their own, or differ in more than the bound
 
     def supports(self, instance: Instance) -> str | None:
         if instance.dim == 3 and "termwise-r3" in self.options["bound"]:

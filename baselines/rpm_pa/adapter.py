@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
-
 from baselines._concave import SCOPE, Reduced
-from baselines._poses import rms_radius
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from baselines.rpm_pa.search import Search, Settings
+from dcreg.problem import default_gap_tol
+from dcreg.search import Budget
 
 
 class Adapter(Baseline):
@@ -23,13 +22,12 @@ class Adapter(Baseline):
         self.solve(tiny(instance), Limits(time_s=600.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        began = time.perf_counter()
-        reduced = Reduced.of(instance)
-        length = self.options["gap_tol_factor"] * rms_radius(instance.target)
-        gap_tol = float(instance.n_inliers * length**2)
-        search = Search(
-            reduced, Settings(gap_tol / reduced.area, self.options["epsilon0"]), limits, began
+        budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
+        reduced = Reduced.of(instance, budget)
+        gap_tol = default_gap_tol(
+            instance.source, instance.target, instance.n_inliers, self.options["gap_tol_factor"]
         )
+        search = Search(reduced, Settings(gap_tol / reduced.area, self.options["epsilon0"]), budget)
         search.run()
         return Solution(
             search.status,
@@ -42,6 +40,6 @@ class Adapter(Baseline):
                 "n_nodes": search.n_facets_tested,
                 "n_assignments": search.n_assignments,
             },
-            trace=search.trace,
+            trace=search.history.rows,
             extra={"n_dimensions": float(search.dim)},
         )

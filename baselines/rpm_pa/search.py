@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
-from baselines._concave import OutOfTimeError, Reduced, Support
-from baselines.contract import Limits
+from baselines._concave import History, OutOfTimeError, Reduced, Support
 from baselines.rpm_pa.kernels import extensions, test_facets, value_at
 from baselines.rpm_pa.polytope import Polytope
+from dcreg.search import Budget
 from dcreg.status import Status
 
 _CLOSED = 1e-9
@@ -42,19 +40,19 @@ class Search:
 
     reduced: Reduced
     settings: Settings
-    limits: Limits
-    began: float
+    budget: Budget
     status: Status | None = None
     lower_bound: float = 0.0  # a sum of squares
     n_facets_tested: int = 0
     n_rebuilt: int = 0
     dim: int = 0
-    trace: list[dict[str, Any]] = field(default_factory=list)
+    history: History = field(init=False)
 
     def __post_init__(self) -> None:
+        self.history = History(self.budget, self.reduced.area)
         clouds, incumbent = self.reduced.clouds, self.reduced.incumbent
         self.batch = int(np.clip(300_000 // (len(clouds.source) * len(clouds.target)), 1, _BATCH))
-        self.support = Support(clouds, incumbent, self.expired, with_fixed=True)
+        self.support = Support(clouds, incumbent, self.budget, with_fixed=True)
 
     @property
     def upper_bound(self) -> float:
@@ -70,9 +68,6 @@ class Search:
         share = _SHARE_OF_TOLERANCE if self.exact else 1e-6
         # the inner point is a mean of matchings' points, so no worse than the incumbent but for rounding
         return min(self.upper_bound, self.at_inner) - share * self.settings.gap_tol - 1e-12
-
-    def expired(self) -> bool:
-        return time.perf_counter() - self.began > self.limits.time_s
 
     def run(self) -> None:
         self.record()
@@ -146,7 +141,7 @@ class Search:
         extended = self._extended(np.array(self.rays))
         polytope = Polytope(extended[: self.dim + 1], self.lower_bound)
         for vertex in extended[self.dim + 1 :]:
-            if self.expired():
+            if self.budget.is_over:
                 raise OutOfTimeError
             polytope.annex(vertex)
         return polytope
@@ -159,35 +154,25 @@ class Search:
         return (points - self.z.origin) @ self.z.inverse.T
 
     def _ended(self, polytope: Polytope) -> Status | None:
-        limits = self.limits
+        budget = self.budget
         if self.lower_bound >= self.upper_bound - self.settings.gap_tol:
             return Status.OPTIMAL
-        if self.expired():
+        if self.budget.is_over:
             return Status.TIME_LIMIT
-        if limits.nodes is not None and self.n_facets_tested >= limits.nodes:
+        if budget.nodes is not None and self.n_facets_tested >= budget.nodes:
             return Status.NODE_LIMIT
         # the arrays are copied once to grow, and half of the worker's memory is Python's
-        if limits.memory_mb is not None and polytope.nbytes > 0.2 * limits.memory_mb * 2**20:
+        if budget.memory_mb is not None and polytope.nbytes > 0.2 * budget.memory_mb * 2**20:
             return Status.MEMORY_LIMIT
         return None
 
     def record(self) -> None:
-        """A row of the bound history, when a bound moved or the search has ended."""
-        area = self.reduced.area
-        bounds = (self.lower_bound * area, self.upper_bound * area)
-        if self.trace and self.status is None:
-            last = self.trace[-1]
-            if bounds == (last["lower_bound"], last["upper_bound"]):
-                return
-        self.trace.append(
-            {
-                "stage": "search",
-                "time_s": time.perf_counter() - self.began,
-                "n_nodes": self.n_facets_tested,
-                "n_assignments": self.n_assignments,
-                "lower_bound": bounds[0],
-                "upper_bound": bounds[1],
-            }
+        self.history.add(
+            self.lower_bound,
+            self.upper_bound,
+            self.n_facets_tested,
+            self.n_assignments,
+            last=self.status is not None,
         )
 
     @property

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines._poses import rigid_pose, rms_radius
+from baselines._poses import rigid_pose, unit_of
 from baselines._starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 
@@ -30,7 +30,7 @@ class Adapter(Baseline):
             return cloud, tree
 
         # The library's thresholds assume coordinates of order one.
-        unit = rms_radius(instance.target)
+        unit = unit_of(instance)
         target, tree = prepared(instance.target / unit)
         source, _ = prepared(instance.source / unit)
 

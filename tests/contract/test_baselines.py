@@ -12,8 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
-from baselines._poses import apply, homogeneous, rms_radius
+from baselines._poses import apply, homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
+from dcreg.problem import rms_radius
 from dcreg.status import Status
 
 NAMES = registry.names()

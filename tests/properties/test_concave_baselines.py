@@ -30,6 +30,7 @@ from baselines.rpm_pa.polytope import Polytope
 from baselines.rpm_pa.search import Search, Settings
 from dcreg import objective
 from dcreg.local import fit_pose
+from dcreg.search import Budget
 from dcreg.status import Status
 from tests.problems import KINDS, cloud
 
@@ -87,7 +88,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 def support_of(clouds: Clouds, with_fixed: bool = False) -> Support:
     idle = Incumbent(clouds.source, clouds.target, clouds.k, SCALES, np.eye(3), -np.inf, 0)
-    return Support(clouds, idle, lambda: False, with_fixed)
+    return Support(clouds, idle, Budget(), with_fixed)
 
 
 class TestReduction:
@@ -225,10 +226,9 @@ class TestPolytope:
     @given(seeds, st.sampled_from([0.0, 0.3]))
     def test_bound_of_a_cone_is_below_its_matchings(self, seed: int, epsilon0: float) -> None:
         instance = problem(seed, most=4)
-        reduced = Reduced.of(instance)
-        search = Search(reduced, Settings(0.01, epsilon0), Limits(60.0, nodes=300), 0.0)
-        search.expired = lambda: False  # type: ignore[method-assign]
-        search.support.expired = search.expired
+        budget = Budget(nodes=300)
+        reduced = Reduced.of(instance, budget)
+        search = Search(reduced, Settings(0.01, epsilon0), budget)
         kept: list[Polytope] = []
         rebuild = search._rebuilt
         search._rebuilt = lambda: kept.append(rebuild()) or kept[-1]  # type: ignore[method-assign]

@@ -11,12 +11,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from dcreg.rotation import Rotation3D
 from hypothesis import given
 from hypothesis import strategies as st
 
 from baselines import registry
-from baselines._poses import rms_radius
 from baselines.contract import BoxBounding, Instance, Limits
 from baselines.hbsp.lifted import LiftedBox
 from baselines.hbsp.rotation import SemidefiniteRotationBound, quaternion_form, rotation_range
@@ -24,9 +22,9 @@ from baselines.hbsp.similarity import SemidefiniteBound
 from baselines.rpm_bp.bound import BilinearBound, best_multipliers, separable
 from dcreg.bounds import make_bound
 from dcreg.local import objective
-from dcreg.search import Box, LongestEdge, branch_and_bound
-from dcreg.search import Limits as SearchLimits
-from dcreg.spaces import Similarity2D, Translation3D
+from dcreg.problem import rms_radius
+from dcreg.search import Box, Budget, LongestEdge, minimise
+from dcreg.spaces import Rotation3D, Similarity2D, Translation3D
 from dcreg.status import Status
 from tests.oracles import kernels as reference
 from tests.problems import models_with_boxes
@@ -95,7 +93,7 @@ def test_threads_do_not_change_a_bound(bound, rng):
     lower, upper = np.full((1, 4), -0.5), np.full((1, 4), 0.5)
     for _ in range(3):
         lower, upper = LongestEdge(model.axis_weights)(lower, upper)
-    one, two = (bound(model, threads).evaluate(lower, upper, np.inf) for threads in (1, 2))
+    one, two = (bound(model, threads=threads).evaluate(lower, upper, np.inf) for threads in (1, 2))
     np.testing.assert_array_equal(one.lower_bounds, two.lower_bounds)
     np.testing.assert_array_equal(one.values, two.values)
 
@@ -299,13 +297,14 @@ def test_no_wrong_optimum_in_norm_space(bound):
     for seed in range(N_PROBLEMS):
         source, target, k = clouds(seed, 3)
         model = Translation3D(source, target, k)
-        starts = [*model.start_box().sample(np.random.default_rng(seed), 30), *model.seeds()]
+        [root] = model.roots()
+        starts = [*root.sample(np.random.default_rng(seed), 30), *model.seeds()]
         best, least = min((model.refine(start)[:2] for start in starts), key=lambda fit: fit[1])
         gap_tol = tolerance(seed, least, k)
-        found = branch_and_bound(
-            make_bound(bound, model), [around(best, seed)] if seed % 2 else [model.start_box()],
-            branching=LongestEdge(model.axis_weights), gap_tol=gap_tol, refine=model.refine,
-            limits=SearchLimits(nodes=1000),
+        roots = [around(best, seed)] if seed % 2 else None
+        found = minimise(
+            model, make_bound(bound, model, roots), Budget(nodes=1000), gap_tol=gap_tol,
+            start=(best, np.inf),
         )  # fmt: skip
         least = min(least, found.upper_bound)
         n_telling += judge(found, gap_tol, least)
@@ -323,10 +322,10 @@ def test_no_wrong_rotation():
         starts = [model.refine(theta) for theta in np.vstack([np.eye(4), 2 * np.eye(4) - 1])]
         best, reached, _ = min(starts, key=lambda start: start[1])
         known = reached <= least + 1e-9 and seed % 2
-        found = branch_and_bound(
-            SemidefiniteRotationBound(model), [around(best, seed)] if known else model.roots(),
-            branching=LongestEdge(np.ones(4)), gap_tol=gap_tol, refine=model.refine,
-            limits=SearchLimits(nodes=60),
+        roots = [around(best, seed)] if known else None
+        found = minimise(
+            model, SemidefiniteRotationBound(model, roots), Budget(nodes=60), gap_tol=gap_tol,
+            start=(best, np.inf),
         )  # fmt: skip
         n_telling += judge(found, gap_tol, least)
     print(f"rotation: {n_telling} of {N_PROBLEMS} certified above zero")
