@@ -72,7 +72,7 @@ bounds: setup
 ## golden: compare own TEASER and Go-ICP with recorded outputs of the official programs
 .PHONY: golden
 golden: setup
-	@$(BIN)/python -m workflows.golden_comparison
+	@$(BIN)/python -m workflows.studies.golden
 
 ## fuzz: solve COUNT small random problems and count wrong certificates (expected: none)
 .PHONY: fuzz

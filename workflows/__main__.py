@@ -19,7 +19,7 @@ from data.contract import DataError
 from workflows import CHECKOUT, UserError
 
 if TYPE_CHECKING:
-    from workflows.plan import Plan
+    from workflows.stages.plan import Plan
 
 app = typer.Typer(
     help=__doc__, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
@@ -173,7 +173,7 @@ def forget(
     """Drop runs that ended so, so that the next `run` repeats them and no others."""
     import shutil
 
-    from workflows.solve import forget as drop
+    from workflows.stages.solve import forget as drop
 
     dropped = drop(folder / "runs", set(status.split(",")))
     if dropped:  # Snakemake makes nothing anew whose descendants are all there
@@ -208,7 +208,7 @@ def new_baseline(name: str) -> None:
 def plan(experiment: Experiment, out: Out, select: Select = None) -> None:
     """Write the table of planned runs."""
     from workflows import records
-    from workflows.aggregate import plan_table
+    from workflows.stages.aggregate import plan_table
 
     records.write(plan_table(_plan(experiment, select)), out)
 
@@ -222,7 +222,7 @@ def fetch(
     select: Select = None,
 ) -> None:
     """Fetch and verify the files of a dataset that the experiment needs."""
-    from workflows.generate import fetch as fetch_dataset
+    from workflows.stages.generate import fetch as fetch_dataset
 
     fetch_dataset(_plan(experiment, select), dataset, out)
     print(f"fetch     {dataset}")
@@ -238,7 +238,7 @@ def generate(
     select: Select = None,
 ) -> None:
     """Make the instances of a chunk, and apart from them their truth."""
-    from workflows.generate import generate as generate_chunk
+    from workflows.stages.generate import generate as generate_chunk
 
     specs = _plan(experiment, select).chunk(chunk)
     generate_chunk(specs, instances, truth)
@@ -257,7 +257,7 @@ def solve(
 ) -> None:
     """Run a method on a chunk of instances."""
     from workflows.config import load
-    from workflows.solve import solve as solve_chunk
+    from workflows.stages.solve import solve as solve_chunk
 
     settings = load(experiment)
     solve_chunk(
@@ -275,7 +275,7 @@ def solve(
 def evaluate(folder: Folder, out: Out) -> None:
     """Compute all metrics."""
     from workflows import records
-    from workflows.evaluate import evaluate as judge
+    from workflows.stages.evaluate import evaluate as judge
 
     metrics = judge(folder)
     records.write(metrics, out)
@@ -286,7 +286,7 @@ def evaluate(folder: Folder, out: Out) -> None:
 @user_errors
 def aggregate(experiment: Experiment, folder: Folder, select: Select = None) -> None:
     """Write the tables."""
-    from workflows.aggregate import aggregate as join
+    from workflows.stages.aggregate import aggregate as join
 
     join(_plan(experiment, select), folder)
     print(f"aggregate {folder / 'tables'}")
@@ -304,7 +304,7 @@ def report(tables: Path, out: Path) -> None:
 
 def _plan(experiment: str, select: list[str] | None = None) -> Plan:
     from workflows.config import load, parse_selection
-    from workflows.plan import expand
+    from workflows.stages.plan import expand
 
     return expand(load(experiment), parse_selection(select or []))
 

@@ -9,9 +9,9 @@ import numpy as np
 from baselines.contract import Limits
 from workflows import methods
 from workflows.config import ConfigError
-from workflows.generate import instance_of
-from workflows.plan import Plan
-from workflows.worker import COUNTERS
+from workflows.stages.generate import instance_of
+from workflows.stages.plan import Plan
+from workflows.stages.worker import COUNTERS
 
 
 def replay(plan: Plan, run_id: str) -> dict[str, Any]:

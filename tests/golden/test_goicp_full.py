@@ -2,7 +2,7 @@
 
 Official Go-ICP matches many to one. Here both poses are judged by the one-to-one objective, the one
 that `full` certifies. Times of this machine are set against a limit only, so the test can be trusted on
-a busy one; the ratio to the official times is in the table of ``python -m workflows.golden_comparison``.
+a busy one; the ratio to the official times is in the table of ``python -m workflows.studies.golden``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import dcreg
-from workflows.golden_comparison import full_row, golden_folder, read_case
+from workflows.studies.golden import full_row, golden_folder, read_case
 
 FOLDER = golden_folder()
 FILES = sorted(FOLDER.glob("goicp_*.npz")) if FOLDER else []

@@ -12,7 +12,7 @@ from baselines import _cliques
 from baselines._consistency import consistency_graph
 from baselines._poses import apply, homogeneous
 from baselines.teaser.pipeline import register
-from workflows.golden_comparison import golden_folder, main, pose_difference, read_case, teaser_row
+from workflows.studies.golden import golden_folder, main, pose_difference, read_case, teaser_row
 
 FOLDER = golden_folder()
 PATHS = sorted(FOLDER.glob("correspondences_*.npz")) if FOLDER else []

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from workflows import aggregate, records
+from workflows import records
 
 CARDS = {
     "dcreg-full": ("DC-Reg", "port", "similarity pose", "#0072b2", "o"),

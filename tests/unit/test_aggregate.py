@@ -2,7 +2,7 @@
 
 import pytest
 
-from workflows.aggregate import display_name
+from workflows.stages.aggregate import display_name
 from workflows.config import MethodSettings
 
 

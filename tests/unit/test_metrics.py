@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from workflows.evaluate import judge, relate
+from workflows.stages.evaluate import judge, relate
 from workflows.instances import Problem, Truth
 from workflows.metrics import METRICS, Case, fit_rigid, rmse, rmse_floor, rotation_error_deg
 

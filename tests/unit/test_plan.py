@@ -9,7 +9,7 @@ import pytest
 
 from workflows import CHECKOUT
 from workflows.config import ConfigError, Experiment, parse_selection
-from workflows.plan import expand
+from workflows.stages.plan import expand
 
 
 def experiment(**changes) -> Experiment:
@@ -59,7 +59,7 @@ def test_chunks_hold_one_model_and_no_more_than_asked():
 
 def test_ids_are_the_same_in_another_process():
     code = (
-        "from workflows.config import load; from workflows.plan import expand;"
+        "from workflows.config import load; from workflows.stages.plan import expand;"
         "print([run.run_id for run in expand(load('demo')).runs()])"
     )
     outputs = {

@@ -11,7 +11,7 @@ import pytest
 from baselines.contract import Instance
 from dcreg.status import Status
 from workflows import records
-from workflows.aggregate import accounting
+from workflows.stages.aggregate import accounting
 from workflows.instances import (
     Problem,
     Truth,
@@ -21,7 +21,7 @@ from workflows.instances import (
     write_problems,
     write_truths,
 )
-from workflows.solve import forget
+from workflows.stages.solve import forget
 
 
 def test_a_table_survives_parquet_and_csv(tmp_path):

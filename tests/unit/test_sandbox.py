@@ -11,7 +11,7 @@ import pytest
 
 from baselines.contract import Instance
 from workflows.config import LimitSettings, MethodSettings
-from workflows.sandbox import Sandbox, Worker
+from workflows.stages.sandbox import Sandbox, Worker
 
 FAULTS = Path(__file__).parents[1] / "workflow" / "baselines"
 LIMITS = LimitSettings(time_s=0.3, memory_mb=600, warm_up_s=30)

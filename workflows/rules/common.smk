@@ -11,7 +11,7 @@ from snakemake.exceptions import WorkflowError
 from workflows import methods
 from workflows.config import ConfigError, load, parse_selection
 from workflows.hashing import digest, digest_files
-from workflows.plan import expand, method_identity
+from workflows.stages.plan import expand, method_identity
 
 CONFIG = str(config.get("experiment", "demo"))
 SELECT = str(config.get("select") or "").split()  # as in "methods=icp,cpd tests=noise"

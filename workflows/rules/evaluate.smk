@@ -7,6 +7,6 @@ rule evaluate:
     output:
         f"{OUT}/metrics/metrics.parquet",
     params:
-        sources=sources("workflows/evaluate.py", "workflows/metrics.py"),
+        sources=sources("workflows/stages/evaluate.py", "workflows/metrics.py"),
     shell:
         "{STAGE} evaluate {OUT} --out {output}"

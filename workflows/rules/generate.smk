@@ -5,7 +5,7 @@ def fetched(wildcards):
 
 
 def generate_sources(wildcards):
-    from workflows.generate import sources_digest
+    from workflows.stages.generate import sources_digest
 
     return sources_digest(PLAN.chunk(wildcards.chunk).datasets)
 

@@ -3,6 +3,6 @@ rule plan:
         f"{OUT}/plan/plan.parquet",
     params:
         plan=digest([EXPERIMENT.model_dump(), PLAN.selection.model_dump()]),
-        sources=sources("workflows/plan.py", "workflows/records.py"),
+        sources=sources("workflows/stages/plan.py", "workflows/records.py"),
     shell:
         "{STAGE} plan {CHOICE} --out {output}"

@@ -15,7 +15,7 @@ from workflows import CHECKOUT
 from workflows.disturb import make_instance
 from workflows.hashing import digest_files
 from workflows.instances import Problem, Truth, with_oracle, write_problems, write_truths
-from workflows.plan import Chunk, InstanceSpec, Plan
+from workflows.stages.plan import Chunk, InstanceSpec, Plan
 from workflows.records import replacing
 
 # Least inlier threshold told to methods, as a share of the target's longest side. A noise-free
@@ -97,7 +97,7 @@ def sources_digest(datasets: list[str]) -> str:
     shared = ["data/contract.py", "data/loaders.py", "data/sampling.py", "workflows/disturb.py"]
     own = [f"data/{name}" for name in datasets]
     return digest_files(
-        CHECKOUT, [*shared, *own, "workflows/generate.py", "workflows/instances.py"]
+        CHECKOUT, [*shared, *own, "workflows/stages/generate.py", "workflows/instances.py"]
     )
 
 

@@ -20,8 +20,8 @@ from dcreg.status import Status
 from workflows import methods, provenance, records
 from workflows.config import Experiment, MethodSettings
 from workflows.instances import content_digest, read_problems, read_truths, with_oracle
-from workflows.plan import run_identity
-from workflows.sandbox import Sandbox
+from workflows.stages.plan import run_identity
+from workflows.stages.sandbox import Sandbox
 
 PROGRESS_S = 10.0  # between two lines of progress
 

@@ -66,7 +66,7 @@ class Worker:
         }
         with far_end, log.open("ab") as stream:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "workflows.worker", str(far_end.fileno())],
+                [sys.executable, "-m", "workflows.stages.worker", str(far_end.fileno())],
                 pass_fds=[far_end.fileno()],
                 env=environment,
                 stdin=subprocess.DEVNULL,

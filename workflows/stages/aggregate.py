@@ -12,7 +12,7 @@ import pandas as pd
 from workflows import methods, provenance, records
 from workflows.config import MethodSettings
 from workflows.instances import read_problems
-from workflows.plan import Plan
+from workflows.stages.plan import Plan
 
 MAX_OVERLAY_POINTS = 400  # per set
 

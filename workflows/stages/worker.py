@@ -1,6 +1,6 @@
 """The process in which a method runs. It gets instances through a pipe, and never any truth.
 
-``python -m workflows.worker FD`` serves requests on the inherited connection FD until it closes.
+``python -m workflows.stages.worker FD`` serves requests on the inherited connection FD until it closes.
 Every request is answered with a dict, or the process dies; the parent (`sandbox`) copes with both.
 """
 

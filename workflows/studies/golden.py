@@ -1,6 +1,6 @@
 """Our ports beside recorded answers of the official implementations: ``results/golden``.
 
-``python -m workflows.golden_comparison [NAME ...] [--golden FOLDER] [--out FOLDER]`` solves every
+``python -m workflows.studies.golden [NAME ...] [--golden FOLDER] [--out FOLDER]`` solves every
 recorded case again and writes a table per comparison as CSV and Markdown. The cases are not part
 of this repository; without ``--golden`` they are sought in ``golden`` beside the folder that
 ``DCREG_DATA_MIRROR`` names. Exit code 1 when a case that must agree does not.
