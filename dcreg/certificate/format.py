@@ -1,16 +1,15 @@
 """Certificates on disk: the leaves of a finished search, with all that is needed to check them.
 
 A certificate is an .npz of plain arrays (never a pickle), sealed with a checksum over all of them. It
-states: over the start box, the objective of one model is nowhere less than `lower_bound`, and at
-`theta` it is `upper_bound`. The proof is a leaf cover: boxes that tile the start box, each with its own
-lower bound and the reason why it was not divided further. `dcreg.verification.verify` checks a file
+states: over the start box, the objective of one family of poses is nowhere less than `lower_bound`,
+and at `theta` it is `upper_bound`. The proof is a leaf cover: boxes that tile the start box, each with
+its own lower bound and the reason why it was not divided further. `dcreg.certificate.verify` checks it
 without the code that made it. Lengths are in the unit of the frame, objectives in its square.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from dcreg._version import __version__
+from dcreg.files import whole_file
 
 FORMAT = "dcreg leaf cover"
 FORMAT_VERSION = 2
@@ -35,7 +35,7 @@ class CertificateError(ValueError):
 
 @dataclass(frozen=True)
 class Certificate:
-    """Everything a certificate states.
+    """Everything a certificate states; `dcreg.verify` checks it, `dcreg.certificate.write` keeps it.
 
     Attributes
     ----------
@@ -61,6 +61,8 @@ class Certificate:
     lower_bound, upper_bound, gap_tol : float
     candidates : (c, 2) int array
         The feasible pairs, source and target index; none: every pair is feasible.
+    dcreg_version : str
+        Of the library that made it.
     """
 
     source_digest: str
@@ -103,24 +105,25 @@ def digest(points: np.ndarray) -> str:
 
 
 def write(path: str | Path, certificate: Certificate) -> None:
-    """Write `certificate` to an .npz file, whole or not at all."""
-    path = Path(path)
+    """Write `certificate` to an .npz file, whole or not at all; `read` and `dcreg.verify` take it.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
     arrays = {
         entry.name: np.array(getattr(certificate, entry.name)) for entry in fields(certificate)
     }
     arrays |= {"format": np.array(FORMAT), "format_version": np.array(FORMAT_VERSION)}
     arrays["checksum"] = np.array(_checksum(arrays))
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("wb") as file:  # an open file keeps numpy from appending ".npz"
-            np.savez_compressed(file, allow_pickle=False, **arrays)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    # an open file keeps numpy from appending ".npz"
+    with whole_file(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def read(path: str | Path) -> Certificate:
-    """The certificate in a file, complete and with the right checksum.
+    """The certificate in a file, complete and with the right checksum; its statement is not checked.
 
     Raises
     ------
@@ -140,7 +143,7 @@ def read(path: str | Path) -> Certificate:
     if str(arrays.get("format")) != FORMAT:
         raise CertificateError(f"{path}: not a {FORMAT}")
     names = {entry.name for entry in fields(Certificate)} | {"format", "format_version"}
-    if int(arrays["format_version"]) != FORMAT_VERSION if "format_version" in arrays else True:
+    if str(arrays.get("format_version")) != str(FORMAT_VERSION):
         raise CertificateError(
             f"{path}: format version is not {FORMAT_VERSION}, the one known here"
         )
@@ -155,7 +158,7 @@ def read(path: str | Path) -> Certificate:
         certificate = Certificate(**arrays)
     except (TypeError, ValueError) as error:
         raise CertificateError(f"{path}: an entry has the wrong type ({error})") from None
-    _check_shapes(certificate)
+    check_shapes(certificate)
     return certificate
 
 
@@ -178,8 +181,14 @@ def _checksum(arrays: dict[str, np.ndarray]) -> str:
     return sha.hexdigest()
 
 
-def _check_shapes(c: Certificate) -> None:
-    """Sizes fit each other and numbers are numbers, so that later checks can rely on it."""
+def check_shapes(c: Certificate) -> None:
+    """Sizes fit each other and numbers are numbers, so that later checks can rely on it.
+
+    Raises
+    ------
+    CertificateError
+        Naming the entry.
+    """
     if c.model not in MODELS:
         raise CertificateError(f"model {c.model!r} is unknown; a certificate speaks of {MODELS}")
     dim, d = (2, 4) if c.model == "similarity2d" else (3, 3)

@@ -1,17 +1,21 @@
-"""The certificate of one search: its leaves, put down in the terms of the file format."""
+"""The certificate of one search: its leaves, put down in the terms of the file format.
+
+The only module that knows both the search and the format.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from dcreg.certificate import format
 from dcreg.certificate.format import Certificate, digest
 from dcreg.problem import Frame, Problem
-from dcreg.search import Box, Leaves, Outcome
+from dcreg.search import Box, Leaves, Outcome, leaves
 
 
 def record(
     found: Outcome,
-    leaves: Leaves,
+    cover: Leaves,
     start: Box,
     problem: Problem,
     *,
@@ -25,7 +29,7 @@ def record(
     Parameters
     ----------
     found : Outcome
-    leaves : Leaves
+    cover : Leaves
         Of this search.
     start : Box
         Its only root.
@@ -37,7 +41,7 @@ def record(
     gap_tol : float
         In normalised units.
     """
-    cover, frame = leaves.arrays(), Frame.of(problem)
+    arrays, frame = cover.arrays(), Frame.of(problem)
     pairs = problem.candidates
     return Certificate(
         source_digest=digest(problem.source),
@@ -53,13 +57,23 @@ def record(
         unit=frame.unit,
         start_lower=start.lower,
         start_upper=start.upper,
-        leaf_lower=cover["lower"],
-        leaf_upper=cover["upper"],
-        leaf_bounds=cover["bounds"],
-        leaf_reasons=cover["reason"],
+        leaf_lower=arrays["lower"],
+        leaf_upper=arrays["upper"],
+        leaf_bounds=arrays["bounds"],
+        leaf_reasons=_format_codes(arrays["reason"]),
         theta=found.theta,
         lower_bound=found.lower_bound,
         upper_bound=found.upper_bound,
         gap_tol=gap_tol,
         candidates=np.empty((0, 2)) if pairs is None else np.argwhere(pairs),
     )
+
+
+def _format_codes(reasons: np.ndarray) -> np.ndarray:
+    """The search's reasons as codes of the file format, each numbered on its own."""
+    code_of = {
+        leaves.PRUNED: format.PRUNED,
+        leaves.EMPTY: format.INADMISSIBLE,
+        leaves.OPEN: format.OPEN,
+    }
+    return np.array([code_of[reason] for reason in reasons.tolist()], dtype=np.int8)

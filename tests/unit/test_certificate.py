@@ -1,8 +1,9 @@
 """Certificates: real ones are accepted, broken ones refused with the reason, by independent code."""
 
-import ast
 import dataclasses
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import dcreg.certificate.verification
+import dcreg
 from dcreg.bounds import make_bound
-from dcreg.certificate import Certificate, CertificateError, of_search, read, write
-from dcreg.certificate.verification import FAMILIES, Proof, check_cover, check_samples, verify
+from dcreg.certificate import (
+    Certificate,
+    CertificateError,
+    families,
+    format,
+    proof,
+    read,
+    verification,
+    write,
+)
+from dcreg.certificate.cover import check_cover
+from dcreg.certificate.families import FAMILIES
+from dcreg.certificate.proof import Proof
+from dcreg.certificate.record import record
+from dcreg.certificate.verification import check_samples, verify
 from dcreg.problem import Frame, Problem
-from dcreg.search import Leaves, Limits, LongestEdge, branch_and_bound
+from dcreg.search import Budget, Leaves, LongestEdge, leaves, minimise
 from dcreg.spaces import Similarity2D, Translation3D
 from tests.problems import models_with_boxes
 
@@ -34,33 +48,28 @@ def clouds(model, n=10, extra=3, seed=0):
     return np.vstack([source, outliers[0]]), np.vstack([target, outliers[1]])
 
 
-def certify(source, target, n_inliers, model, *, bound, tau=0.04, nodes=None, reduced=True):
+def certify(
+    source, target, n_inliers, model,
+    *, bound, tau=0.04, nodes=None, reduced=True, scale_range=None,
+):  # fmt: skip
     """Search with the library's own parts and state the outcome."""
     family = "rigid3d" if model == "translation3d" else model
-    problem = Problem(source, target, n_inliers, family)
+    problem = Problem(source, target, n_inliers, family, scale_range)
     frame = Frame.of(problem)
     points = frame.source(source), frame.target(target), n_inliers
-    searched = (
+    space = (
         Translation3D(*points, reduced)
         if model == "translation3d"
         else Similarity2D(*points, problem.scale_range, reduced)
     )
-    theta, value, _ = searched.refine(searched.identity)
-    start, leaves, gap_tol = searched.start_box(), Leaves(), n_inliers * tau**2
-    found = branch_and_bound(
-        make_bound(bound, searched),
-        [start],
-        branching=LongestEdge(searched.axis_weights),
-        gap_tol=gap_tol,
-        refine=searched.refine,
-        start=(theta, value),
-        limits=Limits(nodes=nodes),
-        leaves=leaves,
+    theta, value, _ = space.refine(space.identity)
+    searched, cover, gap_tol = make_bound(bound, space), Leaves(), n_inliers * tau**2
+    found = minimise(
+        space, searched, Budget(nodes=nodes), gap_tol=gap_tol, start=(theta, value), leaves=cover
     )
-    return of_search(
-        found, leaves, start, frame, source, target,
-        model=model, mode="paper", bound=bound, n_inliers=n_inliers,
-        scale_range=problem.scale_range, gap_tol=gap_tol,
+    return record(
+        found, cover, searched.roots[0], problem,
+        family=model, mode="paper", bound=bound, gap_tol=gap_tol,
     )  # fmt: skip
 
 
@@ -161,6 +170,83 @@ def test_file_holds_what_was_written_as_plain_arrays(tmp_path, case):
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
 
 
+def test_certificate_in_memory_is_checked_like_its_file(tmp_path, case):
+    certificate, source, target = case
+    in_memory = verify(certificate, source, target)
+    on_disk = check(tmp_path, certificate, source, target)
+    assert in_memory.accepted
+    assert in_memory.checks[0].startswith("complete: ")
+    assert in_memory.checks[1:] == on_disk.checks[1:]
+    assert in_memory.statement == on_disk.statement
+    false = dataclasses.replace(certificate, upper_bound=0.99 * certificate.upper_bound)
+    assert "upper_bound: " in verify(false, source, target).reason
+    broken = dataclasses.replace(certificate, theta=certificate.theta[:-1])
+    assert "theta: shape" in verify(broken, source, target).reason
+
+
+def test_result_is_verified_in_memory():
+    source, target = clouds("similarity2d", n=8, extra=0)
+    asked = {"n_inliers": 8, "model": "similarity2d", "gap_tol": 0.5}
+    result = dcreg.register(source, target, certificate=True, **asked)
+    report = dcreg.verify(result.certificate, source, target)
+    assert report.accepted, report.reason
+    assert report.lower_bound == pytest.approx(result.lower_bound, rel=1e-12)
+    without = dcreg.register(source, target, **asked)
+    assert "certificate=True" in dcreg.verify(without.certificate, source, target).reason
+
+
+def test_progress_ends_with_all_boxes_done(case):
+    certificate, source, target = case
+    told = []
+    report = verify(certificate, source, target, progress=lambda *seen: told.append(seen))
+    done, needed = map(list, zip(*told, strict=True))
+    assert done == sorted(done)
+    assert needed == sorted(needed)
+    assert told[-1] == (report.n_boxes, report.n_boxes)
+
+
+# The search and the file format number the reasons of a leaf each for itself; record.py translates.
+@pytest.mark.parametrize(
+    ("module", "code"),
+    [(leaves, name) for name in ("PRUNED", "EMPTY", "OPEN")]
+    + [(format, name) for name in ("PRUNED", "INADMISSIBLE", "OPEN")],
+    ids=lambda value: getattr(value, "__name__", value),
+)
+def test_reasons_of_leaves_may_be_renumbered(tmp_path, monkeypatch, module, code):
+    changed = [module] if module is leaves else [format, verification, proof]
+    for each in changed:
+        if hasattr(each, code):
+            monkeypatch.setattr(each, code, 7)
+    source, target = clouds("similarity2d", extra=1)
+    certificate = certify(
+        source, target, 10, "similarity2d", bound="paper", nodes=400, scale_range=(0.9, 1.1)
+    )
+    counts = [
+        (certificate.leaf_reasons == reason).sum()
+        for reason in (format.PRUNED, format.INADMISSIBLE, format.OPEN)
+    ]
+    assert min(counts) > 0
+    assert sum(counts) == len(certificate.leaf_reasons)
+    report = check(tmp_path, certificate, source, target)
+    assert report.accepted, report.reason
+
+
+def test_failed_write_leaves_the_old_file(tmp_path, monkeypatch, case):
+    path = tmp_path / "certificate.npz"
+    write(path, case[0])
+    before = path.read_bytes()
+
+    def full_disk(file, **_):
+        file.write(b"half")
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(format.np, "savez_compressed", full_disk)
+    with pytest.raises(OSError, match="no space left"):
+        write(path, case[0])
+    assert path.read_bytes() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["certificate.npz"]
+
+
 # --- broken files -----------------------------------------------------------------------------
 
 
@@ -259,6 +345,15 @@ def test_other_clouds_are_refused(tmp_path, case):
     assert "source: other data" in check(tmp_path, certificate, moved, target).reason
     assert "target: other data" in check(tmp_path, certificate, source, target[::-1]).reason
     assert "source: other data" in check(tmp_path, certificate, target, source).reason
+
+
+def test_clouds_of_another_dimension_are_refused(case):
+    certificate = case[0]
+    dim = 5 - len(certificate.source_centre)
+    points = np.zeros((10, dim))
+    digest = format.digest(points)
+    forged = dataclasses.replace(certificate, source_digest=digest, target_digest=digest)
+    assert "source: shape" in verify(forged, points, points).reason
 
 
 def test_raised_bound_is_refuted(tmp_path, case):
@@ -385,12 +480,14 @@ def test_scale_outside_of_the_range_is_refused(tmp_path):
 
 def test_too_many_pairs_for_plain_code_are_said_to_be(tmp_path, case, monkeypatch):
     certificate, source, target = case
-    monkeypatch.setattr(dcreg.verification, "MAX_DENSE", 100)
+    monkeypatch.setattr(verification, "MAX_DENSE", 100)
+    monkeypatch.setattr(families, "MAX_DENSE", 100)
     assert "11 x 11 pairs exceed 100" in check(tmp_path, certificate, source, target).reason
 
 
 def test_any_number_of_points_is_checked_in_sorted_order(tmp_path, monkeypatch):
-    monkeypatch.setattr(dcreg.verification, "MAX_DENSE", 100)
+    monkeypatch.setattr(verification, "MAX_DENSE", 100)
+    monkeypatch.setattr(families, "MAX_DENSE", 100)
     source, target = clouds("translation3d", n=12, extra=0)
     certificate = certify(source, target, 12, "translation3d", bound="paper", nodes=500)
     report = check(tmp_path, certificate, source, target)
@@ -407,32 +504,62 @@ def test_an_effort_limit_ends_the_proof_with_a_refusal(tmp_path, case):
 # --- the parts of the proof -------------------------------------------------------------------
 
 
-def test_verification_shares_no_code_with_the_search():
-    tree = ast.parse(Path(dcreg.verification.__file__).read_text())
-    modules = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    modules |= {
-        name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names
-    }
-    assert {name for name in modules if name.startswith("dcreg")} == {"dcreg.certificate"}
+WITHOUT_THE_SEARCH = """
+import sys, types
+package = types.ModuleType("dcreg")
+package.__path__ = ["dcreg"]  # its __init__, which imports everything, is not run
+sys.modules["dcreg"] = package
+for name in ("search", "bounds", "spaces", "kernels", "local", "modes", "problem", "registration"):
+    sys.modules[f"dcreg.{name}"] = None  # importing it raises
+import numpy as np
+from dcreg.certificate import verify
+report = verify(sys.argv[1], np.load(sys.argv[2]), np.load(sys.argv[3]))
+print(report.accepted, report.reason)
+assert not [name for name in sys.modules if name.startswith("numba")]
+"""
+
+
+def test_verification_runs_where_the_search_cannot_be_imported(tmp_path, case):
+    certificate, source, target = case
+    names = [tmp_path / name for name in ("certificate.npz", "source.npy", "target.npy")]
+    write(names[0], certificate)
+    np.save(names[1], source)
+    np.save(names[2], target)
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_THE_SEARCH, *map(str, names)],
+        cwd=Path(__file__).parents[2], capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.stdout.split() == ["True"], done.stdout + done.stderr
+
+
+def test_safe_start_box_holds_the_region_of_a_single_far_point():
+    """A point between the directions on which `region` projects the cloud."""
+    angle = 0.5 * 2 * np.pi / 1024
+    points = np.array([[np.cos(angle), np.sin(angle)], [0.1, 0.0], [0.0, -0.1]])
+    space = Similarity2D(points, points, 1, (0.5, 1.5), reduced_box=False)
+    lower, upper = FAMILIES["similarity2d"](points, points, 1, (0.5, 1.5)).region()
+    (start,) = space.roots()
+    assert (start.lower <= lower + 1e-12).all()
+    assert (start.upper >= upper - 1e-12).all()
 
 
 @settings(max_examples=150)
 @given(models_with_boxes(max_points=7), st.integers(0, 2**32 - 1))
 def test_plain_bounds_hold_and_objectives_agree(case, seed):
-    model, box = case
+    space, box = case
     name = "similarity2d" if box.dim == 4 else "translation3d"
-    family = FAMILIES[name](model.source, model.target, model.n_inliers, (0.5, 1.5))
+    family = FAMILIES[name](space.source, space.target, space.n_inliers, (0.5, 1.5))
     thetas = np.vstack([box.sample(np.random.default_rng(seed), 20), box.vertices(), box.centre])
     values = np.array([family.objective(theta) for theta in thetas])
-    np.testing.assert_allclose(values, [model.objective(t)[0] for t in thetas], atol=1e-9)
+    np.testing.assert_allclose(values, [space.objective(t)[0] for t in thetas], atol=1e-9)
     lower, upper, needed = box.lower[None], box.upper[None], np.array([np.inf])
     for bound in (
         family.nearest_bound,
         family.interval_bound,
-        Proof(family, 0.0, 1)._tangent_bound,
+        Proof(family, 0.0, 1).tangent_bound,
     ):
         assert bound(lower, upper, needed)[0] <= values.min() + 1e-9
-    start = model.start_box()
+    (start,) = space.roots()
     region_lower, region_upper = family.region()
     assert (start.lower <= region_lower + 1e-9).all()
     assert (start.upper >= region_upper - 1e-9).all()
