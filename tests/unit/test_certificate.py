@@ -532,13 +532,12 @@ def test_verification_runs_where_the_search_cannot_be_imported(tmp_path, case):
     assert done.stdout.split() == ["True"], done.stdout + done.stderr
 
 
-def test_safe_start_box_holds_the_region_of_a_single_far_point():
-    """A point between the directions on which `region` projects the cloud."""
-    angle = 0.5 * 2 * np.pi / 1024
-    points = np.array([[np.cos(angle), np.sin(angle)], [0.1, 0.0], [0.0, -0.1]])
-    space = Similarity2D(points, points, 1, (0.5, 1.5), reduced_box=False)
-    lower, upper = FAMILIES["similarity2d"](points, points, 1, (0.5, 1.5)).region()
-    (start,) = space.roots()
+def test_safe_start_box_holds_the_region_of_a_single_far_pair():
+    """`region` projects the cloud on directions, and must not add to what the radii alone tell."""
+    source = np.array([[1.0, 0.0], [0.1, 0.0], [0.0, -0.1]])
+    clouds = source, -source, 1, (0.5, 1.5)
+    lower, upper = FAMILIES["similarity2d"](*clouds).region()
+    (start,) = Similarity2D(*clouds, reduced_box=False).roots()
     assert (start.lower <= lower + 1e-12).all()
     assert (start.upper >= upper - 1e-12).all()
 
