@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from dcreg.search import Box
-from dcreg.spaces import Similarity2D, Space
+from dcreg.spaces import FeatureSpace, Similarity2D
 
 
 def k_assignment(cost: np.ndarray, k: int) -> float:
@@ -35,36 +35,38 @@ def k_assignment_brute_force(cost: np.ndarray, k: int) -> float:
     )
 
 
-def features(model: Space, theta: np.ndarray) -> np.ndarray:
+def features(space: FeatureSpace, theta: np.ndarray) -> np.ndarray:
     """(n, q) features of the source moved by `theta`."""
-    if isinstance(model, Similarity2D):
+    if isinstance(space, Similarity2D):
         a, b, tx, ty = theta
-        return model.source @ np.array([[a, b], [-b, a]]) + [tx, ty]
-    return np.linalg.norm(model.source + theta, axis=1, keepdims=True)
+        return space.source @ np.array([[a, b], [-b, a]]) + [tx, ty]
+    return np.linalg.norm(space.source + theta, axis=1, keepdims=True)
 
 
-def costs(model: Space, theta: np.ndarray) -> np.ndarray:
-    moved = features(model, theta)
-    return ((moved[:, None, :] - model.target_features.T[None]) ** 2).sum(axis=-1)
+def costs(space: FeatureSpace, theta: np.ndarray) -> np.ndarray:
+    """(n, m) squared distances of features at `theta`."""
+    moved = features(space, theta)
+    return ((moved[:, None, :] - space.target_features.T[None]) ** 2).sum(axis=-1)
 
 
-def objective(model: Space, theta: np.ndarray) -> float:
-    return k_assignment(costs(model, theta), model.n_inliers)
+def objective(space: FeatureSpace, theta: np.ndarray) -> float:
+    """E(theta): the cheapest matching of features."""
+    return k_assignment(costs(space, theta), space.n_inliers)
 
 
-def curvature(model: Space, delta: np.ndarray) -> np.ndarray:
+def curvature(space: FeatureSpace, delta: np.ndarray) -> np.ndarray:
     """|J_i delta|^2; in norm space J_i is the identity."""
-    if isinstance(model, Similarity2D):
+    if isinstance(space, Similarity2D):
         a, b, tx, ty = delta
-        return ((model.source @ np.array([[a, b], [-b, a]]) + [tx, ty]) ** 2).sum(axis=1)
-    return np.full(len(model.source), float(delta @ delta))
+        return ((space.source @ np.array([[a, b], [-b, a]]) + [tx, ty]) ** 2).sum(axis=1)
+    return np.full(len(space.source), float(delta @ delta))
 
 
-def paper_bound(model: Space, box: Box) -> float:
+def paper_bound(space: FeatureSpace, box: Box) -> float:
     """min over vertices of the k-assignment of E_ij(v) - R_i(v - centre)."""
     return min(
         k_assignment(
-            costs(model, vertex) - curvature(model, vertex - box.centre)[:, None], model.n_inliers
+            costs(space, vertex) - curvature(space, vertex - box.centre)[:, None], space.n_inliers
         )
         for vertex in box.vertices()
     )
