@@ -1,33 +1,13 @@
-"""Globally optimal point cloud registration with the holistic DC bound (DC-Reg, arXiv 2603.25442)."""
+"""Globally optimal point cloud registration with the holistic DC bound (DC-Reg, arXiv 2603.25442).
 
-from dcreg._version import __version__
-from dcreg.certificate import Certificate, verify
-from dcreg.io import read_points
-from dcreg.local import objective
-from dcreg.problem import InputError, Problem, default_gap_tol
-from dcreg.registration import register
-from dcreg.result import Result, Stage
-from dcreg.search import Event, Trace
-from dcreg.status import Status
-from dcreg.sweeping import SweepResult, sweep
-from dcreg.warm_up import warm_up
+`register` and `sweep` solve, `verify` checks a certificate apart from the search, `read_points` opens
+files; results print themselves, and are written and drawn by `Result.write_json`, `plot_registration`
+and their like. All public names are in ``__init__.pyi``; each is loaded when it is first used, so that
+``import dcreg`` costs next to nothing.
+"""
 
-__all__ = [
-    "Certificate",
-    "Event",
-    "InputError",
-    "Problem",
-    "Result",
-    "Stage",
-    "Status",
-    "SweepResult",
-    "Trace",
-    "__version__",
-    "default_gap_tol",
-    "objective",
-    "read_points",
-    "register",
-    "sweep",
-    "verify",
-    "warm_up",
-]
+import lazy_loader
+
+from dcreg._version import __version__ as __version__
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

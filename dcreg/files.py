@@ -1,12 +1,15 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and results as JSON."""
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 
 @contextmanager
@@ -33,3 +36,29 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def as_json(content: Any) -> str:
+    """`content` as JSON, arrays as lists; a number that is not finite (an unknown bound) is null."""
+    return json.dumps(plain(content), indent=1, allow_nan=False)
+
+
+def plain(value: Any) -> Any:
+    """`value` made of what JSON knows; a number that is not finite becomes None."""
+    match value:
+        case dict():
+            return {str(key): plain(item) for key, item in value.items()}
+        case list() | tuple():
+            return [plain(item) for item in value]
+        case float() if not math.isfinite(value):
+            return None
+        case _ if hasattr(value, "tolist"):  # arrays and numbers of NumPy
+            return plain(value.tolist())
+        case _:
+            return value

@@ -10,19 +10,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
+from dcreg.files import whole_file
+from dcreg.names import FIGURE_PACKAGES
+from dcreg.problem import InputError
 from dcreg.result import Result
 from dcreg.search import Event
-from dcreg.sweeping import SweepResult
+from dcreg.sweep_result import SweepResult
+
+try:
+    import plotly.graph_objects as go
+    from plotly.subplots import make_subplots
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        "figures need plotly, which is missing here; install it with: pip install plotly",
+        name=error.name,
+    ) from None
 
 # Colours that stay apart for colour-blind readers (Okabe and Ito).
 _TARGET, _SOURCE, _PAIRS = "#0072B2", "#D55E00", "#7F7F7F"
 _LOWER, _UPPER = "#009E73", "#CC79A7"
 # Browsers become slow beyond this; larger clouds are thinned evenly for display only.
 _MAX_POINTS = 20_000
-SWEEP_PAGE, SWEEP_IMAGES = ".html", (".png", ".svg")
 
 
 def plot_registration(
@@ -37,9 +46,12 @@ def plot_registration(
     path : str or Path
         The HTML file to write.
     """
-    figure(source, target, result).write_html(
-        path, include_plotlyjs=True, div_id="registration", config={"displaylogo": False}
-    )
+    _write_page(figure(source, target, result), path, "registration")
+
+
+def _write_page(fig: go.Figure, path: str | Path, div_id: str) -> None:
+    with whole_file(path) as part:
+        fig.write_html(part, include_plotlyjs=True, div_id=div_id, config={"displaylogo": False})
 
 
 def figure(source: np.ndarray, target: np.ndarray, result: Result) -> go.Figure:
@@ -158,26 +170,33 @@ def _finite(events: Sequence[Event], x: str, y: str) -> tuple[list[float], list[
 # --- sweep ----------------------------------------------------------------------------------------
 
 
-def plot_sweep(sweep: SweepResult, path: str | Path, kind: str | None = None) -> None:
+def plot_sweep(sweep: SweepResult, path: str | Path) -> None:
     """Write residual and cost of the next pair against the cardinality, to choose one.
 
     Parameters
     ----------
     sweep : SweepResult
     path : str or Path
-    kind : {".html", ".png", ".svg"}, optional
-        A page with plotly inside, or an image, which needs matplotlib and seaborn; default: the
-        suffix of `path`.
+        An ``.html`` file becomes a page with plotly inside; a ``.png`` or ``.svg`` image needs
+        matplotlib and seaborn.
+
+    Raises
+    ------
+    InputError
+        For another suffix.
     """
-    kind = kind or Path(path).suffix.lower()
-    if kind == SWEEP_PAGE:
-        sweep_figure(sweep).write_html(
-            path, include_plotlyjs=True, div_id="sweep", config={"displaylogo": False}
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in FIGURE_PACKAGES:
+        raise InputError(
+            f"{path}: {suffix!r} is no kind of figure; the name must end in one of "
+            f"{', '.join(FIGURE_PACKAGES)}"
         )
-    elif kind in SWEEP_IMAGES:
-        _sweep_image(sweep, path, kind.removeprefix("."))
+    if suffix == ".html":
+        _write_page(sweep_figure(sweep), path, "sweep")
     else:
-        raise ValueError(f"{kind!r} is no kind of figure; use .html, .png or .svg")
+        with whole_file(path) as part:
+            _sweep_image(sweep, part, suffix.removeprefix("."))
 
 
 @dataclass(frozen=True)
@@ -286,8 +305,8 @@ def _suggestions(sweep: SweepResult) -> list[int]:
     return [] if suggested is None else [suggested]
 
 
-def _sweep_image(sweep: SweepResult, path: str | Path, kind: str) -> None:
-    # only images need these, and they are no dependencies of the library
+def _sweep_image(sweep: SweepResult, path: Path, kind: str) -> None:
+    # only images need these packages
     import seaborn as sns
     from matplotlib import rc_context
     from matplotlib.figure import Figure

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dcreg import text
+from dcreg._version import __version__
 from dcreg.certificate.format import Certificate
+from dcreg.certificate.format import write as write_certificate
+from dcreg.files import as_json, write_text
+from dcreg.problem import InputError
 from dcreg.search import Outcome, Trace
 from dcreg.status import Status
 
@@ -64,6 +72,13 @@ class Stage:
         present = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return replace(self, **{name: factor * value for name, value in present.items()})
 
+    def summary(self) -> str:
+        """One line of a stage that has bounds."""
+        return (
+            f"{self.status}, bounds [{self.lower_bound:.5g}, {self.upper_bound:.5g}], "
+            f"{self.n_nodes} nodes, {self.time_s:.2f} s"
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what a stage does not have is left out."""
         values = {"stage": self.name, **asdict(self)}
@@ -73,13 +88,17 @@ class Stage:
         return {key: value for key, value in values.items() if value is not None}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
-    """The outcome of `dcreg.register`, in the coordinates and units of the input files.
+    """The outcome of `dcreg.register`, in the coordinates and units of the clouds.
+
+    ``print(result)`` shows all but the pairs.
 
     Attributes
     ----------
     status : Status
+    model, mode, bound : str
+        What was solved, the mode that ran, and its lower bounding function.
     T_target_source : (d+1, d+1) array
         Homogeneous pose: ``p_target = T_target_source @ [p_source, 1]``; the final, polished pose.
     T_certified : (d+1, d+1) array
@@ -158,6 +177,17 @@ class Result:
         return self.T_target_source[:d, d]
 
     @property
+    def rotation_deg(self) -> float:
+        """Angle of the rotation in degrees: signed in 2D, about the axis in 3D."""
+        rotation = self.rotation
+        if len(rotation) == 2:
+            return math.degrees(math.atan2(rotation[1, 0], rotation[0, 0]))
+        # atan2 of sine and cosine keeps digits where the arc cosine has none, near 0 and 180 degrees
+        skew = rotation - rotation.T
+        sine = math.sqrt(skew[0, 1] ** 2 + skew[0, 2] ** 2 + skew[1, 2] ** 2) / 2
+        return math.degrees(math.atan2(sine, (np.trace(rotation) - 1) / 2))
+
+    @property
     def rmse_matched(self) -> float:
         """Root mean square residual of the matched pairs, in units of the target."""
         return float(np.sqrt(self.objective / self.n_inliers))
@@ -188,3 +218,75 @@ class Result:
             "assignment": self.assignment.tolist(),
             "stages": [stage.to_dict() for stage in self.stages],
         }
+
+    def to_json(self, **more: Any) -> str:
+        """`to_dict` and the version as JSON, with `more` keys (such as names of files).
+
+        An infinite bound becomes null.
+        """
+        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
+
+    def write_json(self, path: str | Path, **more: Any) -> None:
+        """Write `to_json` to a file."""
+        write_text(path, self.to_json(**more) + "\n")
+
+    def write_certificate(self, path: str | Path) -> None:
+        """Write the leaf boxes to an .npz file, which `dcreg.verify` checks.
+
+        Raises
+        ------
+        InputError
+            If the boxes were not kept.
+        """
+        if self.certificate is None:
+            raise InputError("certificate: none was kept; call register with certificate=True")
+        write_certificate(path, self.certificate)
+
+    def summary(self) -> str:
+        """Everything but the pairs, in lines of plain text."""
+        return text.listing(list(self._entries()))
+
+    __str__ = summary
+
+    def __repr__(self) -> str:
+        return (
+            f"<Result {self.status.value}: {self.model}, mode {self.mode}, {self.n_inliers} pairs, "
+            f"bounds [{self.lower_bound:.6g}, {self.upper_bound:.6g}], RMSE {self.rmse_matched:.4g}>"
+        )
+
+    def _entries(self) -> Iterator[tuple[str, str]]:
+        yield "status", self._verdict()
+        yield (
+            "T_target_source",
+            "\n".join(" ".join(f"{x:>14.8g}" for x in row) for row in self.T_target_source),
+        )
+        yield "scale", f"{self.scale:.6g}"
+        yield "rotation", f"{self.rotation_deg:.4f} deg"
+        yield "RMSE of pairs", f"{self.rmse_matched:.6g} over {self.n_inliers} pairs"
+        yield "lower bound", f"{self.lower_bound:.6g}"
+        yield "upper bound", f"{self.upper_bound:.6g}"
+        yield "gap", f"{self.gap:.4g} (tolerance {self.gap_tol:.4g})"
+        yield "scope of bounds", self.certificate_scope
+        bounding = [stage for stage in self.stages if stage.status is not None]
+        for stage in bounding if len(bounding) > 1 else []:
+            yield f"{stage.name} stage", stage.summary()
+        yield (
+            "objective",
+            f"{self.objective:.6g} (before the polish {self.objective_certified:.6g})",
+        )
+        yield "work", f"{self.n_nodes} nodes, {self.n_assignments} assignments"
+        yield "time", f"{self.time_solve_s:.2f} s solving, {self.time_setup_s:.2f} s before"
+        yield "method", f"{self.model}, mode {self.mode}, bound {self.bound}"
+
+    def _verdict(self) -> str:
+        status, scope = self.status, self.certificate_scope
+        if status is Status.OPTIMAL:
+            return f"optimal: certified within the tolerance, for the {scope}"
+        if status is Status.CONVERGED:
+            return "converged: came to its own end, not certified"
+        if self.gap <= self.gap_tol:
+            return (
+                f"{status.value}: best pose so far; certified for the {scope}, but a later stage "
+                "did not end"
+            )
+        return f"{status.value}: best pose so far, not certified"

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dcreg import text
+from dcreg._version import __version__
+from dcreg.files import as_json, plain, whole_file, write_text
 from dcreg.result import Result
 from dcreg.status import Status
 
@@ -15,9 +20,9 @@ _CLEAR_BEND = 0.1
 _ROUNDING = 1e-3  # curves this flat, beside the tolerated residual, rise by rounding
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SweepResult:
-    """Optima for several cardinalities, fewest pairs first.
+    """Optima for several cardinalities, fewest pairs first. ``print(found)`` shows their table.
 
     Attributes
     ----------
@@ -79,6 +84,69 @@ class SweepResult:
             "table": self.rows(),
             "results": [result.to_dict() for result in self.results],
         }
+
+    def to_json(self, **more: Any) -> str:
+        """`to_dict` and the version as JSON, with `more` keys (such as names of files)."""
+        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
+
+    def write_json(self, path: str | Path, **more: Any) -> None:
+        """Write `to_json` to a file."""
+        write_text(path, self.to_json(**more) + "\n")
+
+    def write_csv(self, path: str | Path) -> None:
+        """Write `rows`, each with its final pose (T00, T01, ...); no value is an empty field."""
+        rows = [
+            plain(row) | {f"T{i}{j}": x for (i, j), x in np.ndenumerate(result.T_target_source)}
+            for row, result in zip(self.rows(), self.results, strict=True)
+        ]
+        with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, rows[0])
+            writer.writeheader()
+            writer.writerows(rows)
+
+    def summary(self) -> str:
+        """The table and the suggestion, in lines of plain text."""
+        flat = self.results[0].model == "similarity2d"
+        headings = [
+            "pairs", "status", "lower bound", "upper bound", "RMS", "next pair", "proven by",
+            *([] if flat else ["RMSE of pose"]), "nodes", "time",
+        ]  # fmt: skip
+        suggested = self.suggested_n_inliers
+        rows = [
+            [
+                f"{'* ' if row['n_inliers'] == suggested else ''}{row['n_inliers']}",
+                row["status"],
+                f"{row['lower_bound']:.5g}",
+                f"{row['upper_bound']:.5g}",
+                f"{row['rms_low']:.4g} to {row['rms']:.4g}",
+                "" if row["next_pair"] is None else f"{row['next_pair']:.4g}",
+                "" if row["proven_by"] is None else f"k={row['proven_by']}",
+                *([] if flat else [f"{row['rmse_matched']:.4g}"]),
+                str(row["n_nodes"]),
+                f"{row['time_s']:.2f} s",
+            ]
+            for row in self.rows()
+        ]
+        legend = (
+            f"bounds on: {self.results[0].certificate_scope}; RMS: sqrt(bound / pairs), units of the "
+            "target; next pair: rise of the upper bound per additional pair"
+        )
+        if suggested is None:
+            hint = "suggestion: none, the RMSE of the poses has no clear elbow over these cardinalities"
+        else:
+            hint = (
+                f"suggestion (*), not proven: {suggested} pairs, the elbow of the RMSE of the poses"
+            )
+        return "\n".join([text.table(headings, rows, left=["status"]), legend, hint])
+
+    __str__ = summary
+
+    def __repr__(self) -> str:
+        counts = [result.n_inliers for result in self.results]
+        return (
+            f"<SweepResult {self.status.value}: {len(counts)} cardinalities from {counts[0]} to "
+            f"{counts[-1]}>"
+        )
 
 
 def _row(result: Result, after: Result | None, proven_by: int | None) -> dict[str, Any]:

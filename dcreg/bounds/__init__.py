@@ -9,11 +9,12 @@ from dcreg.bounds.base import SpaceBound, Strongest
 from dcreg.bounds.dc import PaperBound
 from dcreg.bounds.dc_shared import SharedBound, TightBound, TightExactBound
 from dcreg.bounds.edges import EdgeBound
-from dcreg.bounds.names import ALIASES, DEFAULT_BOUND, bound_names, bound_parts
+from dcreg.bounds.names import bound_parts
 from dcreg.bounds.rigid3d import RigidBound
 from dcreg.bounds.rotation3d import RotationBound
 from dcreg.bounds.termwise import TermwiseR1, TermwiseR2
 from dcreg.bounds.termwise_lp import TermwiseR3
+from dcreg.names import DEFAULT_BOUND, bound_names
 from dcreg.search import Box
 from dcreg.spaces import FeatureSpace
 
@@ -30,7 +31,6 @@ BOUNDS: dict[str, type[SpaceBound[Any]]] = {
 }
 
 __all__ = [
-    "ALIASES",
     "BOUNDS",
     "DEFAULT_BOUND",
     "RigidBound",

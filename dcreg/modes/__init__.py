@@ -1,14 +1,13 @@
 """The modes: ways from a problem to a pose, and what each of them accepts."""
 
 from dcreg.modes.table import (
-    AUTO,
     MODES,
     Mode,
     choose_mode,
     find_mode,
-    mode_names,
 )
 from dcreg.modes.task import Answer, Task
+from dcreg.names import AUTO, mode_names
 
 __all__ = [
     "AUTO",

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dcreg.bounds.names import DEFAULT_BOUND, bound_parts
+from dcreg.bounds.names import bound_parts
 from dcreg.modes import full, multi, paper
 from dcreg.modes.task import Answer, Task
+from dcreg.names import AUTO, DEFAULT_BOUND, mode_names
 from dcreg.problem import InputError, Problem, suggestion
 
-AUTO = "auto"
 # A dense cost matrix beyond this many pairs does not fit the memory of a common machine.
 MAX_PAIRS = 100_000_000
 # In norm space these match sorted numbers and need no cost matrix.
@@ -102,11 +102,6 @@ MODES = (
         certifies="translation3d",
     ),
 )  # fmt: skip
-
-
-def mode_names(model: str) -> list[str]:
-    """Modes of a model, beside `AUTO`."""
-    return [mode.name for mode in MODES if mode.model == model]
 
 
 def find_mode(model: str, name: str) -> Mode:

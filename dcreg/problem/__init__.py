@@ -1,5 +1,6 @@
 """What is to be solved: clouds, pairs and tolerance, checked before anything long starts."""
 
+from dcreg.problem.advice import advice
 from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.frame import Frame
 from dcreg.problem.pairs import Candidates
@@ -13,6 +14,7 @@ __all__ = [
     "InputError",
     "ModelName",
     "Problem",
+    "advice",
     "default_gap_tol",
     "rms_radius",
     "suggestion",

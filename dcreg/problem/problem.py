@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
+from dcreg.names import MODEL_DIM
 from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.pairs import Candidates, check_candidates
 
 ModelName = Literal["similarity2d", "rigid3d"]
-MODEL_DIM: dict[str, int] = {"similarity2d": 2, "rigid3d": 3}
 DEFAULT_SCALE_RANGE = {"similarity2d": (0.5, 1.5), "rigid3d": (1.0, 1.0)}
 
 

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
+from dcreg.files import write_text
+
 
 @dataclass(frozen=True)
 class Event:
@@ -65,6 +67,4 @@ class Trace:
 
     def write_jsonl(self, path: str | Path) -> None:
         """One JSON object per line; the last one has kind ``end`` and the status."""
-        with open(path, "w", encoding="utf-8") as stream:
-            for row in self.rows():
-                stream.write(json.dumps(row) + "\n")
+        write_text(path, "".join(json.dumps(row) + "\n" for row in self.rows()))

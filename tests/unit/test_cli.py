@@ -17,12 +17,13 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import dcreg
-from dcreg import cli
-from dcreg.progress import Progress
-from dcreg.result import Result
-from dcreg.search import Event, Trace
-from dcreg.status import Status
-from dcreg.sweeping import SweepResult
+from dcreg import Event, Result, Stage, Status, SweepResult, Trace
+from dcreg.cli import output
+from dcreg.cli.app import app
+from dcreg.cli.options import ModelChoice
+from dcreg.cli.progress import Progress
+from dcreg.io import READERS
+from dcreg.names import MODEL_DIM
 
 ISSUE_KEYS = {
     *("status", "T_target_source", "scale", "n_inliers", "bound", "mode", "lower_bound"),
@@ -32,7 +33,7 @@ ISSUE_KEYS = {
 
 
 def run(*arguments):
-    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def event(kind="bound", stage="search", time_s=0.0, n_nodes=1, lower=0.0, upper=1.0, status=""):
@@ -77,7 +78,7 @@ def fake(monkeypatch):
                 status=self.status,
                 model=options["model"],
                 mode="paper",
-                bound=options["bound"],
+                bound="tight",
                 T_target_source=np.eye(d + 1),
                 T_certified=np.eye(d + 1),
                 assignment=np.array([[0, 0]]),
@@ -90,7 +91,6 @@ def fake(monkeypatch):
                 objective_certified=1.0,
                 n_nodes=np.int64(7),
                 n_assignments=112,
-                n_bound_evals=7,
                 time_setup_s=0.1,
                 time_solve_s=0.2,
                 stages=list(self.stages),
@@ -121,11 +121,12 @@ def test_options_reach_the_library(call, fake):
 
 def test_defaults(call, clouds, fake):
     assert run(*call).exit_code == 0
-    assert fake.called["scale_range"] == (0.5, 1.5)
-    assert fake.called["bound"] == dcreg.registration.DEFAULT_BOUND
     assert fake.called["polish"] is True
-    assert fake.called["gap_tol"] == dcreg.default_gap_tol(fake.called["target"], 9)
-    assert [fake.called[name] for name in ("mode", "time_limit", "node_limit")] == [None] * 3
+    assert fake.called["threads"] == 1
+    clouds = fake.called["source"], fake.called["target"]
+    assert fake.called["gap_tol"] == dcreg.default_gap_tol(*clouds, 9)
+    left_to_the_library = ("scale_range", "mode", "bound", "time_limit", "node_limit", "candidates")
+    assert [fake.called[name] for name in left_to_the_library] == [None] * 6
 
 
 @pytest.mark.parametrize(("text", "pairs"), [("1", 1), ("1.0", 12), ("7", 7), ("0.5", 6)])
@@ -146,11 +147,22 @@ def test_key_options(clouds, fake):
 def test_help_and_version():
     outcome = run("--help")
     assert outcome.exit_code == 0
-    assert "register" in outcome.stdout
-    assert "version" in outcome.stdout
+    for command in ("register", "sweep", "verify", "version"):
+        assert command in outcome.stdout
     outcome = run("version")
     assert outcome.exit_code == 0
     assert outcome.stdout.startswith(f"dcreg {dcreg.__version__}\npython 3.")
+    outcome = run("--version")
+    assert outcome.exit_code == 0
+    assert outcome.stdout == f"dcreg {dcreg.__version__}\n"
+
+
+def test_help_lists_what_is_accepted():
+    text = " ".join(run("register", "--help").stdout.replace("│", "").split())
+    for name in [*dcreg.bound_names(), *dcreg.mode_names("rigid3d"), *ModelChoice, *READERS]:
+        assert name in text
+    assert list(ModelChoice) == list(MODEL_DIM)
+    assert "Equal numbers fix it" in text
 
 
 # --- bad input ------------------------------------------------------------------------------------
@@ -347,11 +359,10 @@ def test_summary_is_complete(call, fake):
 
 def test_summary_tells_a_closed_stage_from_an_open_one(call, fake):
     fake.status = Status.TIME_LIMIT
-    common = {"n_nodes": 5, "n_assignments": 9, "time_s": 1.25}
     fake.stages = (
-        {"stage": "search", "status": "optimal", "lower_bound": 0.5, "upper_bound": 1.0, **common},
-        {"stage": "rotation", "status": "time_limit", "lower_bound": 2, "upper_bound": 9, **common},
-        {"stage": "polish", "objective_before": 9.0, "objective_after": 1.0},
+        Stage("search", 1.25, 5, 9, Status.OPTIMAL, 0.5, 1.0),
+        Stage("rotation", 1.25, 5, 9, Status.TIME_LIMIT, 2.0, 9.0),
+        Stage("polish", 0.0, objective_before=9.0, objective_after=1.0),
     )
     text = " ".join(run(*call, "--gap-tol", "0.6").stdout.split())
     assert "time_limit: best pose so far; certified for the similarity pose, but a later" in text
@@ -365,13 +376,13 @@ def test_full_disk_is_reported_after_the_pose(call, tmp_path, fake, monkeypatch)
     old = resource.getrlimit(resource.RLIMIT_FSIZE)
     path = tmp_path / "o.json"
     path.write_text("earlier result")
-    print_summary = cli._print_summary
+    summary = Result.summary
 
-    def summary_then_limit(*arguments):
-        print_summary(*arguments)
+    def summary_then_limit(result):
         resource.setrlimit(resource.RLIMIT_FSIZE, (100, old[1]))
+        return summary(result)
 
-    monkeypatch.setattr(cli, "_print_summary", summary_then_limit)
+    monkeypatch.setattr(Result, "__str__", summary_then_limit)
     try:
         outcome = run(*call, "--json", path)
     finally:
@@ -381,17 +392,6 @@ def test_full_disk_is_reported_after_the_pose(call, tmp_path, fake, monkeypatch)
     assert f"error: cannot write {path}: File too large" in outcome.stderr
     assert path.read_text() == "earlier result"
     assert not list(tmp_path.glob(".*.part"))
-
-
-@pytest.mark.parametrize(
-    ("rotvec", "degrees"), [((0, 0, 0.1), 5.7296), ((0, np.pi, 0), 180), ((0, 0, 0), 0)]
-)
-def test_rotation_angle(rotvec, degrees):
-    from scipy.spatial.transform import Rotation
-
-    R = Rotation.from_rotvec(rotvec).as_matrix()
-    assert cli._rotation_deg(R) == pytest.approx(degrees, abs=1e-4)
-    assert cli._rotation_deg(np.array([[0.0, 1.0], [-1.0, 0.0]])) == pytest.approx(-90)
 
 
 # --- advice ---------------------------------------------------------------------------------------
@@ -581,17 +581,17 @@ def test_written_certificate_is_verified_and_a_damaged_one_refused(tmp_path):
     a, b, proof = (str(tmp_path / name) for name in ("a.txt", "b.txt", "proof.npz"))
     runner = CliRunner()
     arguments = ["register", a, b, "--model", "similarity2d", "--n-inliers", "12"]
-    assert runner.invoke(cli.app, [*arguments, "--certificate", proof]).exit_code == 0
-    accepted = runner.invoke(cli.app, ["verify", proof, a, b])
+    assert runner.invoke(app, [*arguments, "--certificate", proof]).exit_code == 0
+    accepted = runner.invoke(app, ["verify", proof, a, b])
     assert accepted.exit_code == 0
     assert "proven:" in accepted.output
-    refused = runner.invoke(cli.app, ["verify", proof, b, a])
+    refused = runner.invoke(app, ["verify", proof, b, a])
     assert refused.exit_code == 1
     assert "refused:" in refused.output
     whole = (tmp_path / "proof.npz").read_bytes()
     (tmp_path / "proof.npz").write_bytes(whole[: len(whole) // 2])
-    assert runner.invoke(cli.app, ["verify", proof, a, b]).exit_code == 1
-    assert runner.invoke(cli.app, ["verify", str(tmp_path / "none.npz"), a, b]).exit_code == 2
+    assert runner.invoke(app, ["verify", proof, a, b]).exit_code == 1
+    assert runner.invoke(app, ["verify", str(tmp_path / "none.npz"), a, b]).exit_code == 2
 
 
 # --- sweep ----------------------------------------------------------------------------------------
@@ -617,7 +617,7 @@ def fake_sweep(monkeypatch):
                     status=status,
                     model=options["model"],
                     mode="paper",
-                    bound=options["bound"],
+                    bound="tight",
                     T_target_source=np.eye(3),
                     T_certified=np.eye(3),
                     assignment=np.array([[0, 0]]),
@@ -630,7 +630,6 @@ def fake_sweep(monkeypatch):
                     objective_certified=value,
                     n_nodes=np.int64(7),
                     n_assignments=112,
-                    n_bound_evals=7,
                     time_setup_s=0.1,
                     time_solve_s=0.2,
                     trace=Trace(),
@@ -709,11 +708,12 @@ def test_sweep_bad_values_exit_2(clouds, change, words):
 
 
 def test_sweep_images_need_matplotlib_only(sweep_call, fake_sweep, tmp_path, monkeypatch):
-    found = cli.find_spec
-    monkeypatch.setattr(cli, "find_spec", lambda name: None if name == "seaborn" else found(name))
+    found = output.find_spec
+    without = lambda name: None if name == "seaborn" else found(name)  # noqa: E731
+    monkeypatch.setattr(output, "find_spec", without)
     outcome = run(*sweep_call, "--plot", tmp_path / "a.png")
     assert outcome.exit_code == 2
-    assert "images need seaborn" in outcome.stderr
+    assert ".png files need seaborn; install with: pip install seaborn" in outcome.stderr
     assert fake_sweep.called is None
     assert run(*sweep_call, "--plot", tmp_path / "a.html").exit_code == 0
 
@@ -732,7 +732,7 @@ def test_sweep_unwritable_output_exits_1(sweep_call, fake_sweep, tmp_path, monke
     def fail(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setitem(cli._SWEEP_WRITERS, ".csv", fail)
+    monkeypatch.setattr(SweepResult, "write_csv", fail)
     outcome = run(*sweep_call, "--out", tmp_path / "a.csv")
     assert outcome.exit_code == 1
     assert "No space left" in outcome.stderr

@@ -9,7 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from dcreg.io import _lzf_decompress, read_points
+from dcreg.io import read_points
+from dcreg.io.pcd import lzf_decompress
 from dcreg.problem import InputError
 
 POINTS3 = np.array([[0.5, -1.0, 2.0], [3.25, 4.0, -5.5], [1e-3, 0.0, 7.0], [8.0, 9.0, 10.0]])
@@ -387,14 +388,14 @@ def test_pcd_invalid_points_are_reported(tmp_path):
 
 def test_lzf_known_stream():
     # literal run of 3, then a copy of 7 bytes at distance 3 that overlaps its own end
-    assert _lzf_decompress(b"\x02abc\xa0\x02", 10) == b"abcabcabca"
+    assert lzf_decompress(b"\x02abc\xa0\x02", 10) == b"abcabcabca"
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(st.sampled_from([b"a", b"ab", b"xyz" * 30, b"\0" * 300, b"q"]), max_size=12))
 def test_lzf_round_trip(parts):
     data = b"".join(parts)
-    assert _lzf_decompress(lzf_compress(data), len(data)) == data
+    assert lzf_decompress(lzf_compress(data), len(data)) == data
 
 
 # --- off ------------------------------------------------------------------------------------------

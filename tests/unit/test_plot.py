@@ -5,11 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from dcreg import plot
-from dcreg.result import Result
-from dcreg.search import Event, Trace
-from dcreg.status import Status
-from dcreg.sweeping import SweepResult
+from dcreg import Event, InputError, Result, Status, SweepResult, Trace, plot
 
 
 def result(dim, lower=0.5, **changes):
@@ -39,7 +35,6 @@ def result(dim, lower=0.5, **changes):
         "objective_certified": 1.0,
         "n_nodes": 40,
         "n_assignments": 160,
-        "n_bound_evals": 40,
         "time_setup_s": 0.1,
         "time_solve_s": 2.0,
         "trace": Trace(events),
@@ -184,12 +179,12 @@ def test_sweep_files_by_suffix(tmp_path, suffix, start):
 
 
 def test_sweep_as_svg_keeps_its_words(tmp_path):
-    for name in ("a.part", "b.part"):
-        plot.plot_sweep(sweep(dim=3), tmp_path / name, kind=".svg")
-    text = (tmp_path / "a.part").read_text(encoding="utf-8")
+    for name in ("a.svg", "b.svg"):
+        plot.plot_sweep(sweep(dim=3), tmp_path / name)
+    text = (tmp_path / "a.svg").read_text(encoding="utf-8")
     for words in ("pairs to match", "suggestion: elbow at 4", "RMSE of the final pose"):
         assert words in text
-    assert text == (tmp_path / "b.part").read_text(encoding="utf-8")
+    assert text == (tmp_path / "b.svg").read_text(encoding="utf-8")
 
 
 def test_sweep_of_one_cardinality_can_be_drawn(tmp_path):
@@ -200,5 +195,5 @@ def test_sweep_of_one_cardinality_can_be_drawn(tmp_path):
 
 
 def test_sweep_refuses_other_kinds(tmp_path):
-    with pytest.raises(ValueError, match=r"'.gif'.*\.html, \.png or \.svg"):
+    with pytest.raises(InputError, match=r"a\.gif: '.gif' is no kind.*\.html, \.png, \.svg"):
         plot.plot_sweep(sweep(), tmp_path / "a.gif")

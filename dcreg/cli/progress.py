@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from dcreg.search import Event
+import dcreg
 
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _HEADER = (
@@ -23,15 +23,15 @@ _HEADER = (
 
 
 class Progress:
-    """A `dcreg.trace.Listener` that shows where a search stands, and stops it on Ctrl-C.
+    """A `dcreg.Listener` that shows where a search stands, and stops it on Ctrl-C.
 
     Used as a context manager around the search. The first interrupt (SIGINT or SIGTERM) asks the
     search to stop at its next report, so that the best pose is kept; a second one ends at once.
 
     Parameters
     ----------
-    console : rich.console.Console
-        Where to write, normally standard error.
+    console : rich.console.Console, optional
+        Where to write; default: standard error.
     gap_tol : float, optional
         Shown in the legend, so that one sees how far the gap has to fall.
     interval_s : float
@@ -42,14 +42,14 @@ class Progress:
 
     def __init__(
         self,
-        console: Console,
+        console: Console | None = None,
         *,
         gap_tol: float | None = None,
         interval_s: float = 1.0,
         quiet: bool = False,
     ) -> None:
         self.stop_requested = False
-        self._console = console
+        self._console = console or Console(stderr=True)
         self._gap_tol = gap_tol
         self._interval_s = interval_s
         self._quiet = quiet
@@ -59,7 +59,7 @@ class Progress:
         self._stage = ""
         self._last_upper = math.inf
         self._improved = False
-        self._pending: Event | None = None
+        self._pending: dcreg.Event | None = None
         self._old_handlers: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
@@ -85,7 +85,7 @@ class Progress:
         for number, handler in self._old_handlers.items():
             signal.signal(number, handler)
 
-    def __call__(self, event: Event) -> bool:
+    def __call__(self, event: dcreg.Event) -> bool:
         if not self._quiet:
             self._show(event)
         return self.stop_requested
@@ -97,7 +97,7 @@ class Progress:
         # Printing from a handler may interrupt a print half-way; a bare write may not.
         os.write(2, b"\nstopping at the next report, best pose is kept (again: quit at once)\n")
 
-    def _show(self, event: Event) -> None:
+    def _show(self, event: dcreg.Event) -> None:
         if not self._header_shown:
             self._show_header()
         self._note_improvement(event)
@@ -109,7 +109,7 @@ class Progress:
         else:
             self._pending = event
 
-    def _note_improvement(self, event: Event) -> None:
+    def _note_improvement(self, event: dcreg.Event) -> None:
         if event.stage != self._stage:  # another stage bounds another objective
             self._stage, self._last_upper = event.stage, math.inf
         self._improved |= event.upper_bound < self._last_upper
@@ -126,13 +126,13 @@ class Progress:
         self._console.print(Text(_HEADER, style="bold"), soft_wrap=True)
         self._header_shown = True
 
-    def _print(self, event: Event) -> None:
+    def _print(self, event: dcreg.Event) -> None:
         self._console.print(Text(self._line(event)), soft_wrap=True)
         self._last_print = time.monotonic()
         self._pending = None
         self._improved = False
 
-    def _line(self, event: Event) -> str:
+    def _line(self, event: dcreg.Event) -> str:
         mark = "*" if self._improved else " "
         return (
             f"{mark} {event.stage:<8}{event.n_nodes:>9}{event.n_open:>8}{event.n_assignments:>10}"

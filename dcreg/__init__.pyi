@@ -1,0 +1,45 @@
+"""The public names and where they live; ``__init__.py`` loads each of them on its first use."""
+
+from .certificate import Certificate, Report, verify
+from .io import read_candidates, read_points
+from .local import objective
+from .names import bound_names, mode_names
+from .plot import plot_registration, plot_sweep
+from .problem import Candidates, InputError, Problem, advice, default_gap_tol
+from .registration import register
+from .result import Result, Stage
+from .search import Event, Listener, Trace
+from .status import Status
+from .sweep_result import SweepResult
+from .sweeping import sweep
+from .warm_up import warm_up
+
+__version__: str
+
+__all__ = [
+    "Candidates",
+    "Certificate",
+    "Event",
+    "InputError",
+    "Listener",
+    "Problem",
+    "Report",
+    "Result",
+    "Stage",
+    "Status",
+    "SweepResult",
+    "Trace",
+    "advice",
+    "bound_names",
+    "default_gap_tol",
+    "mode_names",
+    "objective",
+    "plot_registration",
+    "plot_sweep",
+    "read_candidates",
+    "read_points",
+    "register",
+    "sweep",
+    "verify",
+    "warm_up",
+]

@@ -1,0 +1,20 @@
+"""The command line. What it does is done by the public names of `dcreg`; nothing here computes."""
+
+from __future__ import annotations
+
+import sys
+
+
+def main() -> None:
+    """Run the command ``dcreg``; where its packages are missing, say what to install."""
+    try:
+        from dcreg.cli.app import app
+    except ModuleNotFoundError as error:
+        if error.name not in ("typer", "rich"):
+            raise
+        sys.exit(
+            f"error: the command dcreg needs the package {error.name}, which is missing here; install "
+            "what it needs with: pip install typer rich plotly\n"
+            "In Python the library works without: import dcreg"
+        )
+    app(prog_name="dcreg")

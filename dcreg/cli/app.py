@@ -1,0 +1,54 @@
+"""The commands of ``dcreg`` and their versions.
+
+What a command needs is loaded when it runs: `--help` and `--version` load neither NumPy nor the solver.
+"""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version as package_version
+from typing import Annotated
+
+import typer
+
+import dcreg
+from dcreg.cli.register import register
+from dcreg.cli.sweep import sweep
+from dcreg.cli.verify import verify
+
+app = typer.Typer(
+    name="dcreg",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command()(register)
+app.command()(sweep)
+app.command()(verify)
+
+
+@app.command()
+def version() -> None:
+    """Print the versions that decide a result."""
+    typer.echo(f"dcreg {dcreg.__version__}")
+    packages = ("numpy", "scipy", "numba")
+    listing = ", ".join(f"{name} {package_version(name)}" for name in packages)
+    typer.echo(f"python {platform.python_version()}, {listing}")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"dcreg {dcreg.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def dcreg_command(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """Globally optimal point cloud registration by branch and bound."""

@@ -1,0 +1,139 @@
+"""``dcreg register``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import dcreg
+from dcreg.cli import options as o
+from dcreg.cli.inputs import parse_count, read_cloud, read_pairs
+from dcreg.cli.output import (
+    STDOUT,
+    check_outputs,
+    check_packages,
+    exit_code,
+    exit_on_bad_input,
+    print_advice,
+    write_outputs,
+)
+from dcreg.names import AUTO, mode_names
+
+_MODE_HELP = (
+    f"Search mode; default: {AUTO}. In 2D {', '.join(mode_names('similarity2d'))}; in 3D one of "
+    f"{', '.join(mode_names('rigid3d'))}: {AUTO} takes full where all points match or there are few, "
+    "else multi; paper for very many, and with --bound or --certificate."
+)
+
+
+def register(
+    source: o.SourceArgument,
+    target: o.TargetArgument,
+    model: o.ModelOption,
+    n_inliers: Annotated[
+        str,
+        typer.Option(
+            metavar="K",
+            help="Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. "
+            "A decimal point makes it a fraction: '1' is one pair, '1.0' is all of them.",
+        ),
+    ],
+    scale_range: o.ScaleRangeOption = None,
+    mode: Annotated[str | None, typer.Option(metavar="NAME", help=_MODE_HELP)] = None,
+    bound: o.BoundOption = None,
+    gap_tol: o.GapTolOption = None,
+    time_limit: o.TimeLimitOption = None,
+    node_limit: o.NodeLimitOption = None,
+    threads: o.ThreadsOption = 1,
+    polish: o.PolishOption = True,
+    candidates_path: o.CandidatesOption = None,
+    source_key: o.SourceKeyOption = None,
+    target_key: o.TargetKeyOption = None,
+    json_path: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="OUT", help="Write the result; '-' is standard output."),
+    ] = None,
+    trace_path: Annotated[
+        Path | None,
+        typer.Option("--trace", metavar="OUT.jsonl", help="Write the bound history."),
+    ] = None,
+    plot_path: Annotated[
+        Path | None, typer.Option("--plot", metavar="OUT.html", help="Write a page with figures.")
+    ] = None,
+    certificate_path: Annotated[
+        Path | None,
+        typer.Option("--certificate", metavar="OUT.npz", help="Write what `dcreg verify` checks."),
+    ] = None,
+    quiet: o.QuietOption = False,
+) -> None:
+    """Register SOURCE to TARGET and certify the result.
+
+    Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off.
+
+    Exit code: 0 solved; 2 bad input; 3 stopped at a limit or by Ctrl-C, best pose still written;
+    1 an output file could not be written.
+    """
+    from dcreg.cli.progress import Progress
+
+    with exit_on_bad_input():
+        outputs = {
+            "--json": json_path,
+            "--trace": trace_path,
+            "--plot": plot_path,
+            "--certificate": certificate_path,
+        }
+        check_outputs(outputs, source, target, candidates_path, stdout="--json")
+        check_packages(plot_path, ".html")
+        points = read_cloud(source, source_key, model)
+        problem = dcreg.Problem(
+            points,
+            read_cloud(target, target_key, model),
+            parse_count(n_inliers),
+            model.value,
+            scale_range,
+            read_pairs(candidates_path, len(points)),
+        )
+        if not quiet:
+            print_advice(problem)
+        if gap_tol is None:
+            gap_tol = dcreg.default_gap_tol(problem.source, problem.target, problem.n_inliers)
+        with Progress(gap_tol=gap_tol, quiet=quiet) as progress:
+            result = dcreg.register(
+                problem.source,
+                problem.target,
+                n_inliers=problem.n_inliers,
+                model=problem.model,
+                mode=mode,
+                bound=bound,
+                scale_range=scale_range,
+                gap_tol=gap_tol,
+                time_limit=time_limit,
+                node_limit=node_limit,
+                threads=threads,
+                candidates=problem.candidates,
+                polish=polish,
+                certificate=certificate_path is not None,
+                listener=progress,
+            )
+    # Standard output belongs to the JSON when it goes there.
+    typer.echo(result, err=json_path == STDOUT)
+    files = {"source": source, "target": target}
+    if json_path == STDOUT:
+        typer.echo(result.to_json(**files))
+    complete = write_outputs(
+        [
+            (
+                None if json_path == STDOUT else json_path,
+                lambda path: result.write_json(path, **files),
+            ),
+            (trace_path, result.trace.write_jsonl),
+            (certificate_path, result.write_certificate),
+            (
+                plot_path,
+                lambda path: dcreg.plot_registration(problem.source, problem.target, result, path),
+            ),
+        ]
+    )
+    raise typer.Exit(exit_code(result.status, complete))

@@ -1,0 +1,42 @@
+"""Feasible pairs from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from dcreg.io.common import fail
+from dcreg.io.points import read_points
+
+
+def read_candidates(path: str | Path, n_source: int) -> list[list[int]]:
+    """Read feasible pairs, as the argument `candidates` of `dcreg.register` takes them.
+
+    Parameters
+    ----------
+    path : str or Path
+        Two columns, source row and target row, from 0; any format of `read_points`.
+    n_source : int
+        Number of source points.
+
+    Returns
+    -------
+    list of list of int
+        The target rows of every source point.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds anything but pairs, or names a source row there is not.
+    """
+    path = Path(path)
+    pairs = read_points(path)
+    if pairs.shape[1] != 2 or (pairs != np.round(pairs)).any():
+        fail(path, "not a table of pairs", "give two columns of row numbers, from 0")
+    feasible: list[list[int]] = [[] for _ in range(n_source)]
+    for i, j in pairs.astype(int).tolist():
+        if not 0 <= i < n_source:
+            fail(path, f"{i} is no source row", f"use rows from 0 to {n_source - 1}")
+        feasible[i].append(j)
+    return feasible

@@ -1,0 +1,111 @@
+"""Text tables of points: `.txt`, `.csv`, `.xyz`; and the rows of numbers other formats hold."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dcreg.io.common import DIMENSIONS, fail
+
+# One text row: its line number in the file (from 1) and its fields.
+Row = tuple[int, list[str]]
+
+
+def read_text(path: Path, _: str | None) -> np.ndarray:
+    """Rows of 2 or 3 numbers, or the columns that a header row names x, y and z."""
+    return _table(path, any_width=False)
+
+
+def read_xyz(path: Path, _: str | None) -> np.ndarray:
+    """The same; columns after the third (normals, colours, intensities) are ignored."""
+    return _table(path, any_width=True)
+
+
+def _table(path: Path, *, any_width: bool) -> np.ndarray:
+    """Rows of numbers, optionally after a line with the number of points and a header row."""
+    rows = list(rows_of(lines_of(path, path.read_bytes())))
+    if not rows:
+        fail(path, "is empty", "give one point per line")
+    announced = None
+    if len(rows[0][1]) == 1 and rows[0][1][0].isdigit():
+        announced = int(rows.pop(0)[1][0])
+    names = rows.pop(0)[1] if rows and not any(map(_is_number, rows[0][1])) else None
+    if announced is not None and announced != len(rows):
+        fail(
+            path,
+            f"the first line announces {announced} points, {len(rows)} follow",
+            "the file may be cut off; mend it or correct that line",
+        )
+    if not rows:
+        fail(path, "holds no points", "give one point per line")
+    width = len(rows[0][1] if names is None else names)
+    return numbers_of(path, rows, _columns(path, names, width, any_width), width)
+
+
+def _columns(path: Path, names: list[str] | None, width: int, any_width: bool) -> list[int]:
+    """Which columns are coordinates: those the header names x, y(, z), else all of 2 or 3."""
+    lowered = [name.strip("\"' ").lower() for name in names or []]
+    if "x" in lowered and "y" in lowered:
+        return [lowered.index(axis) for axis in "xyz" if axis in lowered]
+    if width not in DIMENSIONS and not (any_width and width > 3):
+        fail(
+            path,
+            f"wrong dimension: {width} column{'s' * (width != 1)}",
+            "keep 2 or 3 columns, or add a header row that names x, y (and z)",
+        )
+    return list(range(min(width, 3)))
+
+
+def lines_of(path: Path, content: bytes) -> list[str]:
+    """Lines of a text file of any system, without their ends."""
+    if b"\0" in content[:4096]:
+        fail(path, "is not plain text (zero bytes found)", "save it as UTF-8 text")
+    text = content.decode("utf-8-sig", errors="replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def rows_of(lines: Iterable[str], first_line: int = 1) -> Iterator[Row]:
+    """Lines split into fields; blank lines and comments (``#``, ``%``, ``//``) are left out."""
+    for number, line in enumerate(lines, first_line):
+        content = re.split(r"#|%|//", line, maxsplit=1)[0].strip()
+        if content:
+            yield number, _fields(content)
+
+
+def _fields(content: str) -> list[str]:
+    """Fields of one line. An empty field between separators stays: the reader of numbers refuses it."""
+    if not re.search("[,;]", content):
+        return content.split()
+    fields = [field.strip() for field in re.split("[,;]", content)]
+    return fields[:-1] if fields[-1] == "" else fields
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
+
+
+def numbers_of(path: Path, rows: Sequence[Row], columns: Sequence[int], width: int) -> np.ndarray:
+    """The given columns of text rows as floats; errors name the line."""
+    points = np.empty((len(rows), len(columns)))
+    for i, (line, fields) in enumerate(rows):
+        if len(fields) != width:
+            fail(
+                path,
+                f"line {line} has {len(fields)} value{'s' * (len(fields) != 1)}, expected {width}",
+                "give every point the same number of values",
+            )
+        try:
+            points[i] = [float(fields[column]) for column in columns]
+        except ValueError:
+            bad = next(fields[c] for c in columns if not _is_number(fields[c]))
+            fail(path, f"line {line}: '{bad[:40]}' is not a number", "correct or remove that line")
+        if not np.isfinite(points[i]).all():
+            fail(path, f"line {line} holds NaN or infinity", "remove that point")
+    return points

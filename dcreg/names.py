@@ -1,0 +1,43 @@
+"""The names that users type: models, modes, bounds, kinds of figures.
+
+They stand apart from the code that they select, so that nothing is loaded for a name: `dcreg --help`
+must not wait for compiled code. The tables of that code are tested against these lists.
+"""
+
+from __future__ import annotations
+
+# Kind of pose: dimension of the points.
+MODEL_DIM = {"similarity2d": 2, "rigid3d": 3}
+
+AUTO = "auto"  # the mode that is chosen by the problem
+_MODES = {"similarity2d": ("paper",), "rigid3d": ("full", "multi", "paper")}
+
+BOUND_NAMES = (
+    "tight",
+    "tight-exact",
+    "shared",
+    "paper",
+    "edges",
+    "termwise-r1",
+    "termwise-r2",
+    "termwise-r3",
+)
+BOUND_ALIASES = {"termwise": "termwise-r1+termwise-r2"}
+DEFAULT_BOUND = "tight"
+
+# Suffix of a figure's file: the packages that draw it.
+FIGURE_PACKAGES = {
+    ".html": ("plotly",),
+    ".png": ("plotly", "matplotlib", "seaborn"),
+    ".svg": ("plotly", "matplotlib", "seaborn"),
+}
+
+
+def mode_names(model: str) -> list[str]:
+    """What ``mode`` takes for a model, beside ``auto``."""
+    return list(_MODES[model])
+
+
+def bound_names() -> list[str]:
+    """What ``bound`` takes, beside combinations ``a+b``."""
+    return [*BOUND_NAMES, *BOUND_ALIASES]

@@ -1,0 +1,43 @@
+"""Plain text in columns, for results that print themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def listing(entries: Sequence[tuple[str, str]]) -> str:
+    """Names and values in two columns; a value may have several lines.
+
+    Examples
+    --------
+    >>> print(listing([("status", "optimal"), ("pose", "1 0\\n0 1")]))
+    status  optimal
+    pose    1 0
+            0 1
+    """
+    width = max(len(name) for name, _ in entries) + 2
+    lines = []
+    for name, text in entries:
+        first, *rest = text.split("\n")
+        lines += [f"{name:<{width}}{first}", *(" " * width + line for line in rest)]
+    return "\n".join(lines)
+
+
+def table(headings: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[str] = ()) -> str:
+    """Rows under headings, right-aligned but for the columns named in `left`.
+
+    Examples
+    --------
+    >>> print(table(["pairs", "status"], [["6", "optimal"], ["12", "time_limit"]], ["status"]))
+    pairs  status
+        6  optimal
+       12  time_limit
+    """
+    widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
+    return "\n".join(
+        "  ".join(
+            f"{cell:<{width}}" if heading in left else f"{cell:>{width}}"
+            for cell, width, heading in zip(row, widths, headings, strict=True)
+        ).rstrip()
+        for row in [headings, *rows]
+    )
