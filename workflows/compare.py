@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from dcreg.files import whole_file
 from workflows import UserError, provenance, records
 from workflows.metrics import METRICS
 
@@ -42,7 +43,6 @@ RECORDED = [
     "message",
     "n_nodes",
     "n_assignments",
-    "n_bound_evals",
     "lower_bound",
     "upper_bound",
     "gap",
@@ -55,7 +55,7 @@ RECORDED = [
     "machine_id",
     "fingerprint",
 ]
-COUNTERS = ("n_nodes", "n_assignments", "n_bound_evals")
+COUNTERS = ("n_nodes", "n_assignments")
 QUALITY = ("rmse", "objective")
 EXPERIMENTS = ("demo", "real2d")  # kept by default
 SAME = 1e-6  # relative difference below which two floating results are one
@@ -102,11 +102,12 @@ def record(folder: Path, history: Path, version: str = "") -> Path:
         )
     version = version or provenance.default_version()
     out = history / version / known["experiment"]
-    with records.replacing(out / "runs.csv") as part:
+    out.mkdir(parents=True, exist_ok=True)
+    with whole_file(out / "runs.csv") as part:
         runs[RECORDED].to_csv(part, index=False)
     about = {key: known[key] for key in ("schema_version", "experiment", "machine", "versions")}
     about |= {"version": version, "git": known["git"], "created": known["created"]}
-    with records.replacing(out / "about.json") as part:
+    with whole_file(out / "about.json") as part:
         part.write_text(json.dumps(about, indent=1), encoding="utf-8")
     return out
 

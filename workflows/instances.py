@@ -10,8 +10,8 @@ import numpy as np
 
 from baselines._frontends import oracle_pairs
 from baselines.contract import Instance
+from dcreg.files import whole_file
 from workflows.hashing import digest_arrays, seed
-from workflows.records import replacing
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,8 @@ def content_digest(instance: Instance) -> str:
 
 def write_problems(path: Path, problems: Iterable[Problem]) -> None:
     problems = list(problems)
-    with replacing(path) as part, part.open("wb") as stream:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
             instance_id=[p.instance_id for p in problems],
@@ -107,7 +108,8 @@ def read_problems(path: Path) -> list[Problem]:
 
 def write_truths(path: Path, truths: Iterable[Truth]) -> None:
     truths = list(truths)
-    with replacing(path) as part, part.open("wb") as stream:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
             instance_id=[t.instance_id for t in truths],
