@@ -147,7 +147,7 @@ def _finish(figure: MplFigure, axes: Any, surface: str) -> None:
     )  # fmt: skip
 
 
-def _ink(surface: str) -> dict[str, Any]:
+def _ink(surface: str) -> dict[Any, Any]:
     """Matplotlib's settings for one surface; ids differ, as both drawings share a page."""
     ink, grid = INK[surface], GRID[surface]
     return {
@@ -187,7 +187,7 @@ def orders_rows(orders: pd.DataFrame) -> dict[str, Any]:
         index="bound", columns=["instance", "place"], values="order", sort=False, dropna=False
     )
     return {
-        "columns": ["bound", *(f"{instance}, {place}" for instance, place in wide.columns)],
+        "columns": ["bound", *(", ".join(titles) for titles in wide.columns.to_list())],
         "rows": [[name, *map(theme.number, row)] for name, row in wide.iterrows()],
     }
 
@@ -197,20 +197,20 @@ def losses_rows(losses: pd.DataFrame) -> dict[str, Any]:
     widths = losses["width"].unique()
     shown = {float(widths[np.abs(np.log(widths / width)).argmin()]) for width in SHOWN_WIDTHS}
     part = losses[losses["width"].isin(shown) & losses["place"].isin(("holding", "away"))]
-    wide = part.pivot_table(
+    wide = part.assign(width=part["width"].map("{:.2g}".format)).pivot_table(
         index="bound", columns=["instance", "place", "width"], values="ratio", sort=False,
         dropna=False,
     )  # fmt: skip
-    titles = [f"{instance}, {place}, {width:.2g}" for instance, place, width in wide.columns]
     return {
-        "columns": ["bound", *titles],
+        "columns": ["bound", *(", ".join(titles) for titles in wide.columns.to_list())],
         "rows": [[name, *map(theme.number, row)] for name, row in wide.iterrows()],
     }
 
 
 def searches_rows(searches: pd.DataFrame, counter: str) -> dict[str, Any]:
     """Work until the gap was first at most each of `GAPS`; a dash where it never was."""
-    columns, rows = ["bound"], {}
+    columns: list[str] = ["bound"]
+    rows: dict[str, list[str]] = {}
     for instance, part in searches.groupby("instance", sort=False):
         columns += [f"{instance}, gap {gap:g} ε" for gap in GAPS]
         for name, history in part.groupby("bound", sort=False):
@@ -218,7 +218,7 @@ def searches_rows(searches: pd.DataFrame, counter: str) -> dict[str, Any]:
             shown = [
                 theme.integer(first.iloc[0]) if len(first) else theme.MISSING for first in reached
             ]
-            rows.setdefault(name, [name]).extend(shown)
+            rows.setdefault(str(name), [str(name)]).extend(shown)
     return {"columns": columns, "rows": list(rows.values())}
 
 

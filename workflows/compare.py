@@ -178,7 +178,9 @@ def judge_method(
     alone = len(base) + len(head) - 2 * len(pairs)
     left_out = f"{alone} runs without counterpart" if alone else ""
 
-    def verdict(metric: str, unit: str, better: str, old: float, new: float, word: str, why: str):
+    def verdict(
+        metric: str, unit: str, better: str, old: float, new: float, word: str, why: str
+    ) -> Verdict:
         detail = "; ".join(part for part in (why, left_out) if part)
         return Verdict(
             experiment, method, metric, unit, better, float(old), float(new), word, detail
@@ -323,12 +325,12 @@ def print_verdicts(verdicts: pd.DataFrame, base: str, head: str) -> None:
         table = Table(title=f"{experiment}: {base} → {head}", title_justify="left")
         for column in ("method", "metric", "unit", "better is", base, head, "verdict", "detail"):
             table.add_column(column, justify="right" if column in (base, head) else "left")
-        for row in group[group["verdict"] != "same"].itertuples():
+        for values in group[group["verdict"] != "same"].itertuples(index=False):
+            row = Verdict(*values)
             style = STYLES.get(row.verdict, "")
-            numbers = (f"{row.base:.6g}", f"{row.head:.6g}")
             table.add_row(
                 *(row.method, row.metric, row.unit, row.better),
-                *numbers,
+                *(f"{row.base:.6g}", f"{row.head:.6g}"),
                 f"[{style}]{row.verdict}[/]" if style else row.verdict,
                 row.detail,
             )

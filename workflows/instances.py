@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -126,7 +127,7 @@ def read_truths(path: Path) -> dict[str, Truth]:
     return {name: Truth(name, T_true, pairs) for name, T_true, pairs in rows}
 
 
-def _packed(name: str, arrays: list[np.ndarray]) -> dict[str, np.ndarray]:
+def _packed(name: str, arrays: list[np.ndarray]) -> dict[str, Any]:
     """Arrays of different lengths as one, with the row at which each ends."""
     return {name: np.concatenate(arrays), f"{name}_ends": np.cumsum([len(a) for a in arrays])}
 

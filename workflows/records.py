@@ -139,7 +139,7 @@ def conform(table: pd.DataFrame, columns: Mapping[str, Column], where: str) -> p
             f"{where}: column {missing[0]!r} is missing (schema version {SCHEMA_VERSION}); "
             "make it again with this version"
         )
-    out = {}
+    out: dict[str, pd.Series] = {}
     for name, column in columns.items():
         values = table[name]
         try:

@@ -196,16 +196,14 @@ def _chunks(instances: Sequence[InstanceSpec], size: int) -> Iterator[Chunk]:
 
 
 def _selected(instance: InstanceSpec, selection: Selection) -> bool:
-    return all(
-        not wanted or value in wanted
-        for value, wanted in [
-            (instance.dataset, selection.datasets),
-            (instance.shape, selection.shapes),
-            (instance.test, selection.tests),
-            (instance.level, selection.levels),
-            (instance.trial, selection.trials),
-        ]
-    )
+    chosen: list[tuple[Any, Sequence[Any]]] = [
+        (instance.dataset, selection.datasets),
+        (instance.shape, selection.shapes),
+        (instance.test, selection.tests),
+        (instance.level, selection.levels),
+        (instance.trial, selection.trials),
+    ]
+    return all(not wanted or value in wanted for value, wanted in chosen)
 
 
 def _check_selection(
