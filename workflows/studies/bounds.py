@@ -29,12 +29,13 @@ import pandas as pd
 import typer
 
 from baselines import registry
+from baselines._boxes import box_space
 from baselines.contract import BoxBounding, Instance
 from data.registry import dataset
 from dcreg.bounds import BOUNDS, make_bound
 from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.search import Box, Budget, Outcome, minimise
-from dcreg.spaces import FeatureSpace, Similarity2D, Translation3D
+from dcreg.spaces import FeatureSpace
 from workflows.disturb import make_instance
 
 WIDTHS = np.geomspace(2.0, 0.0002, 13)  # of the whole box, in RMS radii of the target
@@ -71,14 +72,10 @@ class Case:
         model = dataset("embedded").model(shape)
         frame = Frame.of(Problem(raw.source, raw.target, k, model, raw.scale_range))
         source, target = frame.source(raw.source), frame.target(raw.target)
-        space: FeatureSpace = (
-            Similarity2D(source, target, k, raw.scale_range)
-            if model == "similarity2d"
-            else Translation3D(source, target, k)
-        )
+        instance = Instance(name, source, target, model, k, raw.scale_range, 0.1, SEED)
+        space = box_space(instance)
         gap_tol = default_gap_tol(source, target, k)
         found = search("tight", space, 1e-3 * gap_tol, Budget(time_s=60.0))
-        instance = Instance(name, source, target, model, k, raw.scale_range, 0.1, SEED)
         return cls(instance, space, gap_tol, found.theta, found.upper_bound)
 
 
