@@ -169,7 +169,7 @@ class Baseline(abc.ABC):
 class BoxBounding(Protocol):
     """Optional: an adapter that can bound its objective over a box of poses says so by this method.
 
-    ``python -m workflows.bound_comparison`` finds such adapters and sets their bounds beside the DC bound
+    ``python -m workflows.studies.bounds`` finds such adapters and sets their bounds beside the DC bound
     on the same boxes.
     """
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,8 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from dcreg.problem import suggestion
 
 SHA256 = r"^[0-9a-f]{64}$"
 Dim = Literal[2, 3]
@@ -155,11 +156,11 @@ class Dataset(abc.ABC):
         choices = list(choices)
         if value in choices:
             return
-        words = [choice for choice in choices if isinstance(choice, str)]
-        close = difflib.get_close_matches(str(value), words, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
-        listed = f"{choices[0]}..{choices[-1]}" if len(choices) > 20 else f"{choices}"
-        raise UnknownNameError(f"dataset {self.name}: no {what} {value!r}{hint}; it has {listed}")
+        if all(isinstance(choice, str) for choice in choices):
+            hint = suggestion(str(value), choices)
+        else:
+            hint = f"; known: {f'{choices[0]}..{choices[-1]}' if len(choices) > 20 else choices}"
+        raise UnknownNameError(f"dataset {self.name}: no {what} {value!r}{hint}")
 
 
 class PrototypeDataset(Dataset):

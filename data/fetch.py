@@ -14,9 +14,7 @@ import hashlib
 import logging
 import os
 import shutil
-import tempfile
 from collections.abc import Callable
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from urllib.parse import quote
@@ -25,6 +23,7 @@ import pooch
 import requests
 
 from data.contract import DataError, File
+from dcreg.files import whole_file
 
 log = logging.getLogger(__name__)
 CHECKOUT = Path(__file__).parents[1]
@@ -133,13 +132,10 @@ def _reason(error: requests.RequestException) -> str:
 
 
 def _place(file: File, origin: str, write: Callable[[Path], object]) -> Path:
-    """Write beside the final place, verify, then rename: readers never see half a file."""
+    """Write, and keep the file only if it is the one of the card."""
     path = cache_path(file)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    os.close(handle)
-    part = Path(name)
-    try:
+    with whole_file(path) as part:
         write(part)
         found = _digest_of(part, git=file.git_sha1 is not None)
         if found != _expected(file):
@@ -150,11 +146,6 @@ def _place(file: File, origin: str, write: Callable[[Path], object]) -> Path:
                 "Remedy: repair or drop the mirror (DCREG_DATA_MIRROR); if the origin itself has "
                 f"changed, obtain the file of that checksum and put it at {path}."
             )
-        part.chmod(0o644)
-        part.replace(path)
-    finally:
-        with suppress(FileNotFoundError):
-            part.unlink()
     return path
 
 

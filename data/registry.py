@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from data.contract import Card, DataError, Dataset, UnknownNameError
 from data.loaders import STOCK
+from dcreg.problem import suggestion
 
 HERE = Path(__file__).parent
 
@@ -50,5 +51,5 @@ def dataset(name: str) -> Dataset:
     """The dataset of this name, or an error that lists those there are."""
     found = datasets()
     if name not in found:
-        raise UnknownNameError(f"no dataset {name!r}; there are {', '.join(found)}")
+        raise UnknownNameError(f"no dataset {name!r}{suggestion(name, found)}")
     return found[name]

@@ -49,18 +49,3 @@ def transform(T: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Apply a homogeneous pose to the rows of `points`."""
     d = points.shape[1]
     return points @ T[:d, :d].T + T[:d, d]
-
-
-def fit_similarity(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Proper similarity pose with the least sum of squared residuals over given pairs."""
-    d = source.shape[1]
-    mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
-    x, y = source - mean_source, target - mean_target
-    U, singular, Vt = np.linalg.svd(y.T @ x)
-    signs = np.ones(d)
-    signs[-1] = np.sign(np.linalg.det(U @ Vt))
-    linear = (singular @ signs) / (x**2).sum() * (U * signs) @ Vt
-    T = np.eye(d + 1)
-    T[:d, :d] = linear
-    T[:d, d] = mean_target - linear @ mean_source
-    return T

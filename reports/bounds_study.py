@@ -1,6 +1,6 @@
-"""Figures and page of the ablation of bounds: ``python -m reports.ablation FOLDER``.
+"""Figures and page of the study of bounds: ``python -m reports.bounds_study FOLDER``.
 
-Reads the tables of `workflows.ablation` and writes beside them ``bounds.{svg,pdf}``,
+Reads the tables of `workflows.studies.bounds` and writes beside them ``boxes.{svg,pdf}``,
 ``searches.{svg,pdf}`` and ``index.html``, one file that needs no network and follows the reader's light
 or dark theme.
 """
@@ -21,6 +21,7 @@ import seaborn as sns
 import typer
 from matplotlib.figure import Figure as MplFigure
 
+from dcreg.bounds.names import BOUND_NAMES
 from reports import theme
 
 HERE = Path(__file__).parent
@@ -32,6 +33,7 @@ PLACES = {
     "away": "boxes away from it",
 }
 GAPS = (10.0, 3.0, 1.0, 0.3, 0.1)  # in units of the default tolerance
+SHOWN_WIDTHS = (0.5, 0.05)  # of the table of losses: the nearest ones measured
 _MARKERS = "osD^vPX<>d*"
 
 
@@ -45,23 +47,30 @@ class Look:
 
 
 def looks(names: list[str], surface: str) -> dict[str, Look]:
-    """Colours by order of the names; term-wise bounds dashed, combinations dotted."""
+    """Colours by order of the names; the dash tells the library's bounds from the methods'."""
     return {
         name: Look(
             theme.readable(theme.FALLBACK_COLORS[index % 7], theme.SURFACE[surface]),
             _MARKERS[index % len(_MARKERS)],
-            ":" if "+" in name else "--" if name.startswith("termwise") else "-",
+            _dash(name),
         )
         for index, name in enumerate(names)
     }
 
 
+def _dash(name: str) -> str:
+    """Term-wise bounds dashed, combinations dotted, methods of ``baselines/`` dash-dotted."""
+    if name.startswith("termwise"):
+        return "--"
+    return ":" if "+" in name else "-" if name in BOUND_NAMES else "-."
+
+
 # --- figures ------------------------------------------------------------------------------------
 
 
-def draw_bounds(tables: dict[str, pd.DataFrame], surface: str) -> MplFigure:
+def draw_boxes(tables: dict[str, pd.DataFrame], surface: str) -> MplFigure:
     """Bound value, and what it loses, against box width: a column per place, two rows an instance."""
-    table = tables["bounds"].assign(loss=lambda t: t["least"] - t["value"])
+    table = tables["losses"].dropna(subset="value")
     style = looks(list(dict.fromkeys(table["bound"])), surface)
     instances = list(dict.fromkeys(table["instance"]))
     figure = MplFigure(figsize=(11, 5.2 * len(instances)))
@@ -69,20 +78,16 @@ def draw_bounds(tables: dict[str, pd.DataFrame], surface: str) -> MplFigure:
     for i, instance in enumerate(instances):
         for c, (place, title) in enumerate(PLACES.items()):
             part = table[(table["instance"] == instance) & (table["place"] == place)]
-            mean = part.groupby(["bound", "width"], sort=False)[["value", "loss", "least"]].mean()
             value, loss = axes[2 * i][c], axes[2 * i + 1][c]
-            for name, look in style.items():
-                if name not in mean.index:
-                    continue
-                line = mean.loc[name].sort_index()
+            for name, line in part.sort_values("width").groupby("bound", sort=False):
+                look = style[name]
                 drawn = {
                     "color": look.color, "marker": look.marker, "linestyle": look.dash,
                     "markersize": 4, "linewidth": 1.4, "label": name,
                 }  # fmt: skip
-                value.plot(line.index, line["value"], **drawn)
-                positive = line["loss"].where(line["loss"] > 1e-9)
-                loss.plot(line.index, positive, **drawn)
-            least = mean.groupby("width")["least"].first()
+                value.plot(line["width"], line["value"], **drawn)
+                loss.plot(line["width"], line["loss"].where(line["loss"] > 1e-9), **drawn)
+            least = part.groupby("width")["least"].first()
             value.plot(
                 least.index, least, color=INK[surface], linewidth=1, label="least objective met"
             )
@@ -142,7 +147,7 @@ def _finish(figure: MplFigure, axes: Any, surface: str) -> None:
     )  # fmt: skip
 
 
-def _ink(surface: str) -> dict[str, Any]:
+def _ink(surface: str) -> dict[Any, Any]:
     """Matplotlib's settings for one surface; ids differ, as both drawings share a page."""
     ink, grid = INK[surface], GRID[surface]
     return {
@@ -182,14 +187,30 @@ def orders_rows(orders: pd.DataFrame) -> dict[str, Any]:
         index="bound", columns=["instance", "place"], values="order", sort=False, dropna=False
     )
     return {
-        "columns": ["bound", *(f"{instance}, {place}" for instance, place in wide.columns)],
+        "columns": ["bound", *(", ".join(titles) for titles in wide.columns.to_list())],
+        "rows": [[name, *map(theme.number, row)] for name, row in wide.iterrows()],
+    }
+
+
+def losses_rows(losses: pd.DataFrame) -> dict[str, Any]:
+    """Loss as a multiple of the published DC bound's, over boxes that hold the optimum or do not."""
+    widths = losses["width"].unique()
+    shown = {float(widths[np.abs(np.log(widths / width)).argmin()]) for width in SHOWN_WIDTHS}
+    part = losses[losses["width"].isin(shown) & losses["place"].isin(("holding", "away"))]
+    wide = part.assign(width=part["width"].map("{:.2g}".format)).pivot_table(
+        index="bound", columns=["instance", "place", "width"], values="ratio", sort=False,
+        dropna=False,
+    )  # fmt: skip
+    return {
+        "columns": ["bound", *(", ".join(titles) for titles in wide.columns.to_list())],
         "rows": [[name, *map(theme.number, row)] for name, row in wide.iterrows()],
     }
 
 
 def searches_rows(searches: pd.DataFrame, counter: str) -> dict[str, Any]:
     """Work until the gap was first at most each of `GAPS`; a dash where it never was."""
-    columns, rows = ["bound"], {}
+    columns: list[str] = ["bound"]
+    rows: dict[str, list[str]] = {}
     for instance, part in searches.groupby("instance", sort=False):
         columns += [f"{instance}, gap {gap:g} ε" for gap in GAPS]
         for name, history in part.groupby("bound", sort=False):
@@ -197,7 +218,7 @@ def searches_rows(searches: pd.DataFrame, counter: str) -> dict[str, Any]:
             shown = [
                 theme.integer(first.iloc[0]) if len(first) else theme.MISSING for first in reached
             ]
-            rows.setdefault(name, [name]).extend(shown)
+            rows.setdefault(str(name), [str(name)]).extend(shown)
     return {"columns": columns, "rows": list(rows.values())}
 
 
@@ -207,15 +228,15 @@ def searches_rows(searches: pd.DataFrame, counter: str) -> dict[str, Any]:
 def build(folder: Path) -> Path:
     """Write figures and page for the tables in `folder`. Returns the page's path."""
     tables = {
-        name: pd.read_csv(folder / f"{name}.csv") for name in ("bounds", "orders", "searches")
+        name: pd.read_csv(folder / f"{name}.csv") for name in ("losses", "orders", "searches")
     }
     figures = []
     for name, draw, title, caption in (
-        ("bounds", draw_bounds, "Bound value against box width",
+        ("boxes", draw_boxes, "Bound value against box width",
          "Means over the boxes of one width and place. What a bound loses falls with the width; a "
          "steeper line converges faster. A bound that loses nothing has no point."),
         ("searches", draw_searches, "Work to a given gap",
-         "Best-first search with every bound, same start box, incumbent and branching. The marker is "
+         "Best-first search with every bound, same root box, incumbent and branching. The marker is "
          "where a search ended: closed to a tenth of the tolerance, or out of time."),
     ):  # fmt: skip
         drawn = _drawings(draw, tables, folder / name)
@@ -228,6 +249,10 @@ def build(folder: Path) -> Path:
         lstrip_blocks=True,
     )
     shown = [
+        {"id": "losses", "title": "Loss beside the published DC bound's",
+         "caption": "Mean of least objective met − bound, as a multiple of that of the bound `paper`, "
+         "over boxes of one width (in RMS radii) that hold the optimum or lie away from it. A dash: "
+         "the method has no bound there."} | losses_rows(tables["losses"]),
         {"id": "orders", "title": "Empirical order of convergence",
          "caption": "Slope of log loss over log width at the smallest widths where the loss is above a "
          "thousandth of the optimum."} | orders_rows(tables["orders"]),
@@ -240,16 +265,18 @@ def build(folder: Path) -> Path:
     page = folder / "index.html"
     css = (HERE / "assets" / "report.css").read_text(encoding="utf-8")
     page.write_text(
-        environment.get_template("ablation.html").render(css=css, figures=figures, tables=shown),
+        environment.get_template("bounds_study.html").render(
+            css=css, figures=figures, tables=shown
+        ),
         encoding="utf-8",
     )
     return page
 
 
 def main(
-    folder: Annotated[Path, typer.Argument(help="with the tables")] = Path("results/ablation"),
+    folder: Annotated[Path, typer.Argument(help="with the tables")] = Path("results/bounds"),
 ) -> None:
-    """Draw the ablation and print the path of its page."""
+    """Draw the study and print the path of its page."""
     page = build(folder)
     typer.echo(f"{page} ({page.stat().st_size / 1e6:.1f} MB)")
 

@@ -208,7 +208,7 @@ def new_baseline(name: str) -> None:
 def plan(experiment: Experiment, out: Out, select: Select = None) -> None:
     """Write the table of planned runs."""
     from workflows import records
-    from workflows.stages.aggregate import plan_table
+    from workflows.stages.plan import plan_table
 
     records.write(plan_table(_plan(experiment, select)), out)
 
@@ -222,7 +222,7 @@ def fetch(
     select: Select = None,
 ) -> None:
     """Fetch and verify the files of a dataset that the experiment needs."""
-    from workflows.stages.generate import fetch as fetch_dataset
+    from workflows.stages.fetch import fetch as fetch_dataset
 
     fetch_dataset(_plan(experiment, select), dataset, out)
     print(f"fetch     {dataset}")

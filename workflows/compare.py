@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from dcreg.files import whole_file
 from workflows import UserError, provenance, records
 from workflows.metrics import METRICS
 
@@ -42,7 +43,6 @@ RECORDED = [
     "message",
     "n_nodes",
     "n_assignments",
-    "n_bound_evals",
     "lower_bound",
     "upper_bound",
     "gap",
@@ -55,7 +55,7 @@ RECORDED = [
     "machine_id",
     "fingerprint",
 ]
-COUNTERS = ("n_nodes", "n_assignments", "n_bound_evals")
+COUNTERS = ("n_nodes", "n_assignments")
 QUALITY = ("rmse", "objective")
 EXPERIMENTS = ("demo", "real2d")  # kept by default
 SAME = 1e-6  # relative difference below which two floating results are one
@@ -102,11 +102,12 @@ def record(folder: Path, history: Path, version: str = "") -> Path:
         )
     version = version or provenance.default_version()
     out = history / version / known["experiment"]
-    with records.replacing(out / "runs.csv") as part:
+    out.mkdir(parents=True, exist_ok=True)
+    with whole_file(out / "runs.csv") as part:
         runs[RECORDED].to_csv(part, index=False)
     about = {key: known[key] for key in ("schema_version", "experiment", "machine", "versions")}
     about |= {"version": version, "git": known["git"], "created": known["created"]}
-    with records.replacing(out / "about.json") as part:
+    with whole_file(out / "about.json") as part:
         part.write_text(json.dumps(about, indent=1), encoding="utf-8")
     return out
 
@@ -177,7 +178,9 @@ def judge_method(
     alone = len(base) + len(head) - 2 * len(pairs)
     left_out = f"{alone} runs without counterpart" if alone else ""
 
-    def verdict(metric: str, unit: str, better: str, old: float, new: float, word: str, why: str):
+    def verdict(
+        metric: str, unit: str, better: str, old: float, new: float, word: str, why: str
+    ) -> Verdict:
         detail = "; ".join(part for part in (why, left_out) if part)
         return Verdict(
             experiment, method, metric, unit, better, float(old), float(new), word, detail
@@ -322,12 +325,12 @@ def print_verdicts(verdicts: pd.DataFrame, base: str, head: str) -> None:
         table = Table(title=f"{experiment}: {base} → {head}", title_justify="left")
         for column in ("method", "metric", "unit", "better is", base, head, "verdict", "detail"):
             table.add_column(column, justify="right" if column in (base, head) else "left")
-        for row in group[group["verdict"] != "same"].itertuples():
+        for values in group[group["verdict"] != "same"].itertuples(index=False):
+            row = Verdict(*values)
             style = STYLES.get(row.verdict, "")
-            numbers = (f"{row.base:.6g}", f"{row.head:.6g}")
             table.add_row(
                 *(row.method, row.metric, row.unit, row.better),
-                *numbers,
+                *(f"{row.base:.6g}", f"{row.head:.6g}"),
                 f"[{style}]{row.verdict}[/]" if style else row.verdict,
                 row.detail,
             )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -10,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from dcreg.problem import suggestion
 from workflows import CHECKOUT, UserError, methods
 
 CONFIGS = CHECKOUT / "workflows" / "configs"
@@ -110,7 +110,7 @@ def find(experiment: str) -> Path:
     known = sorted(file.stem for file in CONFIGS.glob("*.yaml"))
     if experiment in known:
         return CONFIGS / f"{experiment}.yaml"
-    raise ConfigError(f"no experiment {experiment!r}{suggest(experiment, known)}")
+    raise ConfigError(f"no experiment {experiment!r}{suggestion(experiment, known)}")
 
 
 def load(experiment: str) -> Experiment:
@@ -144,7 +144,7 @@ def parse_selection(texts: Iterable[str]) -> Selection:
         axis, separator, values = text.partition("=")
         if not separator or axis not in Selection.model_fields:
             raise ConfigError(
-                f"selection {text!r}: {_AXES_HELP}{suggest(axis, Selection.model_fields)}"
+                f"selection {text!r}: {_AXES_HELP}{suggestion(axis, Selection.model_fields)}"
             )
         chosen[axis] = [value.strip() for value in values.split(",") if value.strip()]
     try:
@@ -153,14 +153,6 @@ def parse_selection(texts: Iterable[str]) -> Selection:
         raise ConfigError(
             "\n".join(f"selection {_explain(problem)}" for problem in error.errors())
         ) from error
-
-
-def suggest(word: str, known: Iterable[str]) -> str:
-    """Ending of an error message: the nearest known word, and all of them."""
-    known = sorted(known)
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
-    hint = f"; did you mean {close[0]!r}?" if close else ";"
-    return f"{hint} known: {', '.join(known) or 'none'}"
 
 
 def _check_methods(settings: Experiment) -> Iterable[str]:
@@ -173,7 +165,7 @@ def _check_methods(settings: Experiment) -> Iterable[str]:
     for index, method in enumerate(settings.methods):
         key = f"methods[{index}]"
         if method.baseline not in known:
-            yield f"{key}.baseline: no method {method.baseline!r}{suggest(method.baseline, known)}"
+            yield f"{key}.baseline: no method {method.baseline!r}{suggestion(method.baseline, known)}"
             continue
         try:
             parameters = methods.card(method.baseline).parameters
@@ -181,7 +173,7 @@ def _check_methods(settings: Experiment) -> Iterable[str]:
             yield f"{key}.baseline: {error}"
             continue
         for option in sorted(set(method.options) - set(parameters)):
-            yield f"{key}.options.{option}: unknown option{suggest(option, parameters)}"
+            yield f"{key}.options.{option}: unknown option{suggestion(option, parameters)}"
         try:
             settings.limits_of(method)
         except ValidationError as error:
@@ -199,17 +191,17 @@ def _check_datasets(settings: Experiment) -> Iterable[str]:
     for index, entry in enumerate(settings.datasets):
         key = f"datasets[{index}]"
         if entry.dataset not in known:
-            yield f"{key}.dataset: no dataset {entry.dataset!r}{suggest(entry.dataset, known)}"
+            yield f"{key}.dataset: no dataset {entry.dataset!r}{suggestion(entry.dataset, known)}"
             continue
         dataset = known[entry.dataset]
         for shape in entry.shapes:
             if shape not in dataset.shapes():
-                yield f"{key}.shapes: no shape {shape!r}{suggest(shape, dataset.shapes())}"
+                yield f"{key}.shapes: no shape {shape!r}{suggestion(shape, dataset.shapes())}"
         recorded = dataset.tests() if isinstance(dataset, RecordedDataset) else {}
         tests = recorded or DISTURBANCES
         for test, levels in entry.tests.items():
             if test not in tests:
-                yield f"{key}.tests.{test}: no such test{suggest(test, tests)}"
+                yield f"{key}.tests.{test}: no such test{suggestion(test, tests)}"
             elif recorded:
                 axis = recorded[test]
                 for level in sorted(set(levels) - set(axis.levels)):
@@ -228,7 +220,7 @@ def _explain(problem: Any) -> str:
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
     key = key.removeprefix(".")
     if problem["type"] == "extra_forbidden":
-        return f"{key}: unknown key{suggest(str(location[-1]), _keys_at(location[:-1]))}"
+        return f"{key}: unknown key{suggestion(str(location[-1]), _keys_at(location[:-1]))}"
     if problem["type"] == "missing":
         return f"{key}: missing; add it"
     return f"{key}: {problem['msg']}, is {problem['input']!r}"

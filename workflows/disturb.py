@@ -16,7 +16,6 @@ disturbance's draws depend on the level as well and are independent of the pose'
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 from collections.abc import Callable
@@ -29,6 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from data.contract import Dataset, PrototypeDataset, RawInstance, RecordedDataset
 from data.sampling import transform
+from dcreg.problem import suggestion
 
 SCALE_RANGE_2D = (0.5, 1.5)
 MAX_SHIFT = 0.5  # translation per axis
@@ -264,7 +264,5 @@ def make_instance(
 
 def _disturbance(test: str) -> Disturbance:
     if test not in DISTURBANCES:
-        close = difflib.get_close_matches(test, DISTURBANCES, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
-        raise ValueError(f"no disturbance {test!r}{hint}; there are {list(DISTURBANCES)}")
+        raise ValueError(f"no disturbance {test!r}{suggestion(test, DISTURBANCES)}")
     return DISTURBANCES[test]

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from baselines._frontends import oracle_pairs
 from baselines.contract import Instance
+from dcreg.files import whole_file
 from workflows.hashing import digest_arrays, seed
-from workflows.records import replacing
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ def content_digest(instance: Instance) -> str:
 
 def write_problems(path: Path, problems: Iterable[Problem]) -> None:
     problems = list(problems)
-    with replacing(path) as part, part.open("wb") as stream:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
             instance_id=[p.instance_id for p in problems],
@@ -107,7 +109,8 @@ def read_problems(path: Path) -> list[Problem]:
 
 def write_truths(path: Path, truths: Iterable[Truth]) -> None:
     truths = list(truths)
-    with replacing(path) as part, part.open("wb") as stream:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
             instance_id=[t.instance_id for t in truths],
@@ -124,7 +127,7 @@ def read_truths(path: Path) -> dict[str, Truth]:
     return {name: Truth(name, T_true, pairs) for name, T_true, pairs in rows}
 
 
-def _packed(name: str, arrays: list[np.ndarray]) -> dict[str, np.ndarray]:
+def _packed(name: str, arrays: list[np.ndarray]) -> dict[str, Any]:
     """Arrays of different lengths as one, with the row at which each ends."""
     return {name: np.concatenate(arrays), f"{name}_ends": np.cumsum([len(a) for a in arrays])}
 

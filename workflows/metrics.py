@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from data.sampling import fit_similarity, transform
+from data.sampling import transform
 
 # A run succeeds when its RMSE is below this share of the longest side of the bounding box of the
 # target's true inliers ...
@@ -84,10 +84,13 @@ def rmse_true(case: Case) -> float:
 
 
 def rmse_floor(case: Case) -> float:
+    from dcreg.local import fit_pose
+
     source, target = case._inliers
     if len(source) < case.dim:
         return float("nan")
-    best = fit_rigid(source, target) if case.dim == 3 else fit_similarity(source, target)
+    scale_range = (1.0, 1.0) if case.dim == 3 else (0.0, np.inf)
+    best = fit_pose(source, target, scale_range)
     return _rms(transform(best, source) - target)
 
 
@@ -177,15 +180,6 @@ METRICS: dict[str, Metric] = {
 def scale_of(T: np.ndarray) -> float:
     d = len(T) - 1
     return float(abs(np.linalg.det(T[:d, :d])) ** (1.0 / d))
-
-
-def fit_rigid(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Proper rigid pose with the least sum of squared residuals over given pairs."""
-    T = fit_similarity(source, target)
-    d = source.shape[1]
-    T[:d, :d] /= scale_of(T)
-    T[:d, d] = target.mean(axis=0) - T[:d, :d] @ source.mean(axis=0)
-    return T
 
 
 def _rotation_of(linear: np.ndarray) -> np.ndarray:

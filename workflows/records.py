@@ -1,24 +1,23 @@
 """The tables between stages: columns, their meaning, reading and writing. One schema, versioned.
 
-Every table is written as Parquet and as CSV, first beside its place and then renamed, so that a
-reader never sees half a file. `RUNS` is what a report, a comparison or a reader's own notebook
-starts from; a changed or removed column raises `SCHEMA_VERSION`, a new one does not.
+Tables are Parquet files, the ones for readers CSV files too, and are written whole or not at all.
+`runs_columns` describes what a report, a comparison or a reader's own notebook starts from. A changed
+or removed column raises `SCHEMA_VERSION`, a new one does not.
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
 
+from dcreg.files import whole_file
 from dcreg.status import Status
 from workflows import UserError
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2  # 2: without n_bound_evals, which always equalled n_nodes
 
 
 class Column(NamedTuple):
@@ -54,7 +53,7 @@ RAW: dict[str, Column] = {
     "n_target": Column(int, "points of the target"),
     "n_inliers": Column(int, "pairs the solver was told: round(ratio * true count)"),
     "seed": Column(int, "seed given to methods that draw random numbers"),
-    "status": Column(str, "how the run ended, one of dcreg.result.Status"),
+    "status": Column(str, "how the run ended, one of dcreg.Status"),
     "message": Column(str, "why, where the status needs it"),
     "T_target_source": Column(str, "JSON of the pose (rows of the homogeneous matrix), or empty"),
     "lower_bound": Column(float, "bound on the objective the method certifies (see its card)"),
@@ -64,7 +63,6 @@ RAW: dict[str, Column] = {
     "certificate_scope": Column(str, "what the two bounds speak of"),
     "n_nodes": Column(float, "boxes bounded; empty for methods without a search"),
     "n_assignments": Column(float, "exact assignments solved"),
-    "n_bound_evals": Column(float, "bound evaluations"),
     "time_solve_s": Column(float, "wall time of the solver's own call"),
     "time_warmup_s": Column(float, "imports and JIT of the worker that made the run, shared by it"),
     "time_overhead_s": Column(float, "wall time of the run in the harness less time_solve_s"),
@@ -141,7 +139,7 @@ def conform(table: pd.DataFrame, columns: Mapping[str, Column], where: str) -> p
             f"{where}: column {missing[0]!r} is missing (schema version {SCHEMA_VERSION}); "
             "make it again with this version"
         )
-    out = {}
+    out: dict[str, pd.Series] = {}
     for name, column in columns.items():
         values = table[name]
         try:
@@ -161,10 +159,11 @@ def conform(table: pd.DataFrame, columns: Mapping[str, Column], where: str) -> p
 
 def write(table: pd.DataFrame, path: Path, *, csv: bool = False) -> None:
     """Write ``path`` (Parquet), and its CSV twin where asked."""
-    with replacing(path) as part:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as part:
         table.to_parquet(part, index=False)
     if csv:
-        with replacing(path.with_suffix(".csv")) as part:
+        with whole_file(path.with_suffix(".csv")) as part:
             table.to_csv(part, index=False)
 
 
@@ -173,15 +172,3 @@ def read(path: Path, columns: Mapping[str, Column]) -> pd.DataFrame:
     if not path.is_file():
         raise SchemaError(f"{path}: no such table; run the stage that writes it first")
     return conform(pd.read_parquet(path), columns, str(path))
-
-
-@contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A path to write to, which takes the place of `path` only if all went well."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield part
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)

@@ -14,7 +14,6 @@ from scipy.io import loadmat
 
 from data.contract import Axis, DataError, File, RawInstance, RecordedDataset
 from data.fetch import fetch
-from data.sampling import fit_similarity
 
 # The originals' word for the character.
 FILE_WORD = {"fish": "fish", "character": "chinese"}
@@ -78,7 +77,9 @@ class Loader(RecordedDataset):
         read = _from_pack if path.suffix == ".npz" else _from_original
         source, target, n_pairs = read(path, int(level), trial)
         rows = np.arange(n_pairs)
-        T_true = fit_similarity(source[:n_pairs], target[:n_pairs])
+        from dcreg.local import fit_pose
+
+        T_true = fit_pose(source[:n_pairs], target[:n_pairs], (0.0, np.inf))
         return RawInstance(
             source,
             target,

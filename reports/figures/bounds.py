@@ -23,7 +23,7 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
     runs = runs.assign(row=row_names(tables.runs)).sort_values("trial", kind="stable")
     histories: dict[str, dict[str, pd.DataFrame]] = {}
     for (run_id, stage), part in traced.groupby(["run_id", "stage"], sort=False):
-        histories.setdefault(run_id, {})[stage] = thin_trace(part)
+        histories.setdefault(str(run_id), {})[str(stage)] = thin_trace(part)
     instances: list[dict[str, Any]] = []
     left, total = MOST_EVENTS, runs["instance_id"].nunique()
     for _, group in runs.groupby("instance_id", sort=False):

@@ -221,7 +221,7 @@ def draw_static(tables: Tables, styles: dict[str, Style], model: str, statistic:
     return figure
 
 
-_PRINT = {
+_PRINT: dict[Any, Any] = {
     "font.size": 8,
     "axes.titlesize": 9,
     "svg.fonttype": "none",

@@ -15,7 +15,7 @@ TITLE = "Runs that did not finish"
 def context(page: Page) -> dict[str, Any]:
     runs = page.tables.runs
     rest = runs[runs["outcome"] != "finished"]
-    groups = []
+    groups: list[dict[str, Any]] = []
     for (outcome, method, status, message), part in rest.groupby(
         ["outcome", "method", "status", "message"], sort=False
     ):
@@ -27,7 +27,7 @@ def context(page: Page) -> dict[str, Any]:
                 "status": status,
                 "message": message,
                 "count": len(part),
-                "where": ", ".join(f"{words(test)} ({n})" for test, n in tests.items()),
+                "where": ", ".join(f"{words(str(test))} ({n})" for test, n in tests.items()),
                 "runs": list(part["run_id"]),
             }
         )

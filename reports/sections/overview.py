@@ -43,12 +43,12 @@ def summary(tables: Tables) -> list[dict[str, Any]]:
     planned = tables.runs.groupby(keys, sort=False)["outcome"].agg(_outcomes).reset_index()
     sizes = tables.runs.groupby(keys, sort=False).size()
     done = summarise(tables.runs).set_index(keys)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for row in planned.to_dict("records"):
         key = tuple(row[name] for name in keys)
         rows.append(
             {
-                **row,
+                **{str(name): value for name, value in row.items()},
                 "planned": int(sizes[key]),
                 "complete": row["outcome"] == f"{sizes[key]} finished",
                 "result": done.loc[key] if key in done.index else None,

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from workflows import records
+from workflows.stages.aggregate import accounting
 
 CARDS = {
     "dcreg-full": ("DC-Reg", "port", "similarity pose", "#0072b2", "o"),
@@ -53,7 +54,7 @@ def write_tables(folder: Path) -> Path:
     table = records.frame(table.to_dict("records"), records.runs_columns())
     records.write(table, folder / "runs.parquet", csv=True)
     records.write(records.frame(traces, records.TRACES), folder / "traces.parquet", csv=True)
-    aggregate.accounting(table).to_csv(folder / "accounting.csv", index=False)
+    accounting(table).to_csv(folder / "accounting.csv", index=False)
     (folder / "provenance.json").write_text(json.dumps(_provenance()))
     (folder / "overlays.json").write_text(json.dumps(_overlays(table)))
     return folder
@@ -75,7 +76,7 @@ def _run(method, model, dataset, shape, test, level, trial, instance):
     left = tol * (0.9 if status == "optimal" else 6.0)
     number = float if posed else lambda _: float("nan")
     run = {
-        "schema_version": 1, "chunk_id": "c0", "instance_digest": "0",
+        "schema_version": records.SCHEMA_VERSION, "chunk_id": "c0", "instance_digest": "0",
         "run_id": f"{zlib.crc32(f'{instance}{method}'.encode()):08x}",
         "experiment": "made-up", "method": method, "baseline": method.split("-")[0],
         "display_name": CARDS[method][0], "provenance": CARDS[method][1], "options": "{}",
@@ -88,7 +89,6 @@ def _run(method, model, dataset, shape, test, level, trial, instance):
         "gap": left if bounds else float("nan"), "gap_tol": tol if bounds else float("nan"),
         "certificate_scope": _scope(model) if bounds else "",
         "n_nodes": nodes if bounds else None, "n_assignments": 4 * nodes if bounds else None,
-        "n_bound_evals": nodes if bounds else None,
         "time_solve_s": number(seconds), "time_warmup_s": 0.5, "time_overhead_s": 0.002,
         "peak_memory_mb": 200.0, "fingerprint": "0", "machine_id": "m0",
         "rmse": number(rmse), "rmse_over_scale": number(rmse / (1.2 if model[0] == "s" else 1)),

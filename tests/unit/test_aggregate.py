@@ -2,8 +2,8 @@
 
 import pytest
 
-from workflows.stages.aggregate import display_name
 from workflows.config import MethodSettings
+from workflows.stages.aggregate import display_name
 
 
 @pytest.mark.parametrize(

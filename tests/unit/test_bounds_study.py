@@ -1,55 +1,110 @@
-"""The ablation of bounds: boxes, orders of convergence, figures and page."""
+"""The study of bounds: discovery, boxes, validity, orders of convergence, figures and page."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from baselines import registry
 from dcreg.bounds import BOUNDS
-from dcreg.search import Limits
-from reports import ablation as page
-from workflows import ablation
+from dcreg.search import Box
+from reports import bounds_study as page
+from workflows.studies import bounds as study
+
+SMALL = {
+    "plane": ("fish", "noise", 0.03, 10, {}),
+    "space": ("pony", "noise", 0.02, 10, {}),
+}
 
 
 @pytest.fixture(scope="module")
-def instance():
-    return ablation.Instance.of("complete", "fish", "noise", 0.03, 12)
+def cases():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "CASES", SMALL)
+        yield {name: study.Case.of(name) for name in SMALL}
 
 
 @pytest.fixture(scope="module")
-def optimum(instance):
-    return ablation.search("tight", instance, 1e-3 * instance.gap_tol, Limits())
+def boxes(cases):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "WIDTHS", np.array([1.0, 0.2, 0.05]))
+        return {name: study.boxes_table(name, case) for name, case in cases.items()}
 
 
-def test_boxes_hold_the_optimum_or_not(optimum):
-    for width in (2.0, 0.01):
-        places = ablation.placements(optimum.theta, width, np.random.default_rng(0))
-        for name, boxes in places.items():
-            assert boxes or name == "away"
-            for box in boxes:
-                inside = ((box.lower <= optimum.theta) & (optimum.theta <= box.upper)).all()
-                assert (box.upper - box.lower) == pytest.approx(width)
-                assert inside == (name != "away" or (inside and width > 1))
+def test_bounds_are_found_by_name_and_methods_by_what_they_can_do():
+    names = [line.name for line in study.lines()]
+    assert names[: len(BOUNDS)] == list(BOUNDS)
+    assert len(set(names)) == len(names)
+    able = {name for name in registry.names() if hasattr(registry.load(name), "box_bound")}
+    assert {"dcreg", "rpm_htb"} == able - set(names), "their bounds are those of the library"
+    assert {"rpm_bp", "hbsp"} <= able
+    assert set(names) - set(BOUNDS) <= able
+    assert study.REFERENCE in BOUNDS
 
 
-@pytest.mark.parametrize("name", BOUNDS)
-def test_every_bound_is_below_the_least_objective_met(name, instance, optimum):
-    rng = np.random.default_rng(1)
-    for boxes in ablation.placements(optimum.theta, 0.3, rng).values():
-        for box in boxes:
-            value, spent, _ = ablation.bound_value(name, instance, box)
-            assert value <= ablation.least_found(instance, box, rng) + 1e-9
-            assert spent >= 1
+@pytest.mark.parametrize("name", SMALL)
+def test_boxes_hold_the_optimum_or_not(name, cases):
+    theta = cases[name].theta
+    for width in (2.0, 0.05):
+        for place, these in study.placements(theta, width).items():
+            assert these or place == "away"
+            for box in these:
+                inside = ((box.lower <= theta) & (theta <= box.upper)).all()
+                assert box.upper - box.lower == pytest.approx(width)
+                assert inside == (place != "away")
+
+
+def test_bounds_are_asked_for_their_full_strength(cases, monkeypatch):
+    """Without a cutoff to reach, a bound may otherwise stop early."""
+    asked = []
+
+    class Recording:
+        n_assignments = 1
+
+        def __init__(self, name, space, roots):
+            self.roots = roots
+
+        def evaluate(self, lower, upper, cutoff, *, thorough=False):
+            asked.append((self.roots, cutoff, thorough))
+            return BOUNDS["edges"](cases["plane"].space, self.roots).evaluate(lower, upper, cutoff)
+
+    monkeypatch.setattr(study, "make_bound", Recording)
+    box = Box(cases["plane"].theta - 0.1, cases["plane"].theta + 0.1)
+    study.library_bound("tight", cases["plane"], box)
+    assert asked == [([box], np.inf, True)]
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_every_bound_is_below_the_least_objective_met(name, boxes):
+    table = boxes[name].dropna(subset="value")
+    assert set(BOUNDS) <= set(table["bound"])
+    assert (table["value"] <= table["least"] + 1e-8).all()
+    of_library = table[table["bound"].isin(BOUNDS)]
+    assert (of_library["n_assignments"] >= 1).all()
+
+
+def test_methods_without_a_bound_there_stay_in_the_table(boxes):
+    values = boxes["space"].set_index("bound")["value"]
+    assert values["hbsp"].isna().all()
+    assert "rpm_bp" not in values, "a method of the plane only"
+
+
+def test_the_reference_loses_once_its_loss_and_first_order_bounds_more_in_small_boxes(boxes):
+    losses = study.losses_table(boxes["plane"])
+    ratio = losses.set_index(["bound", "place", "width"])["ratio"].sort_index()
+    np.testing.assert_allclose(ratio.loc[study.REFERENCE], 1.0)
+    for name in ("termwise-r1", "rpm_bp", "hbsp"):
+        assert ratio[name, "holding", 0.05] > 2.0
 
 
 def test_orders_are_the_slopes_of_the_loss():
     widths = np.geomspace(1, 1e-3, 12)
     rows = [
-        {"instance": "i", "place": "holding", "draw": 0, "bound": name, "width": width,
-         "value": 1.0 - 5 * width**order, "least": 1.0}
+        {"instance": "i", "place": "holding", "bound": name, "width": width, "least": 1.0,
+         "loss": 5 * width**order}
         for name, order in (("first", 1), ("second", 2)) for width in widths
     ]  # fmt: skip
-    rows += [row | {"bound": "exact", "value": 1.0} for row in rows[:12]]
-    orders = ablation.orders_table(pd.DataFrame(rows)).set_index("bound")["order"]
+    rows += [row | {"bound": "exact", "loss": 0.0} for row in rows[:12]]
+    orders = study.orders_table(pd.DataFrame(rows)).set_index("bound")["order"]
     assert orders["first"] == pytest.approx(1.0)
     assert orders["second"] == pytest.approx(2.0)
     assert np.isnan(orders["exact"])
@@ -63,19 +118,20 @@ def test_work_to_a_gap_is_that_of_the_first_event_there():
     assert row == ["b", "5", "5", "9", "9", "–"]
 
 
-def test_page_is_one_file_for_both_themes(tmp_path, instance, optimum):
-    table = ablation.bounds_table(instance, optimum.theta)
-    table.to_csv(tmp_path / "bounds.csv", index=False)
-    ablation.orders_table(table).to_csv(tmp_path / "orders.csv", index=False)
-    ablation.searches_table(instance, 0.2).to_csv(tmp_path / "searches.csv", index=False)
+def test_page_is_one_file_for_both_themes(tmp_path, cases, boxes):
+    losses = study.losses_table(pd.concat(boxes.values()))
+    losses.to_csv(tmp_path / "losses.csv", index=False)
+    study.orders_table(losses).to_csv(tmp_path / "orders.csv", index=False)
+    searches = [study.searches_table(name, case, 0.2) for name, case in cases.items()]
+    pd.concat(searches).to_csv(tmp_path / "searches.csv", index=False)
     built = page.build(tmp_path)
     text = built.read_text(encoding="utf-8")
     assert text.count("<svg") == 4  # two figures on two surfaces
-    for name in BOUNDS:
-        assert name in text
-    assert "http://" not in text.replace("http://www.w3.org", "").replace(
-        "http://purl.org", ""
-    ).replace("http://creativecommons.org", "")
-    assert {path.name for path in tmp_path.glob("*.pdf")} == {"bounds.pdf", "searches.pdf"}
-    again = page.build(tmp_path).read_text(encoding="utf-8")
-    assert again == text, "the same tables give the same page"
+    for line in study.lines():
+        assert line.name in text
+    without_names = text
+    for namespace in ("http://www.w3.org", "http://purl.org", "http://creativecommons.org"):
+        without_names = without_names.replace(namespace, "")
+    assert "http://" not in without_names
+    assert {path.name for path in tmp_path.glob("*.pdf")} == {"boxes.pdf", "searches.pdf"}
+    assert page.build(tmp_path).read_text(encoding="utf-8") == text, "same tables, same page"

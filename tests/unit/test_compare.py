@@ -7,7 +7,14 @@ import pandas as pd
 import pytest
 
 from workflows.__main__ import app
-from workflows.compare import RECORDED, CompareError, compare, judge_experiment, sign_test
+from workflows.compare import (
+    RECORDED,
+    CompareError,
+    compare,
+    judge_experiment,
+    read_version,
+    sign_test,
+)
 
 N_RUNS = 20
 
@@ -24,7 +31,6 @@ def table(rng: np.random.Generator, method: str = "dcreg") -> pd.DataFrame:
             "status": ["optimal"] * (N_RUNS - 2) + ["time_limit"] * 2,
             "n_nodes": rng.integers(100, 1000, N_RUNS),
             "n_assignments": rng.integers(1000, 10000, N_RUNS),
-            "n_bound_evals": rng.integers(100, 1000, N_RUNS),
             "gap": rng.random(N_RUNS),
             "objective": rng.random(N_RUNS),
             "rmse": rng.random(N_RUNS),
@@ -48,6 +54,14 @@ def base(rng) -> pd.DataFrame:
 
 def test_an_unchanged_version_has_no_finding(base):
     assert set(verdicts(base, base.copy()).values()) == {"same"}
+
+
+def test_a_version_recorded_with_columns_of_old_is_still_read(base, tmp_path):
+    folder = tmp_path / "old" / "e"
+    folder.mkdir(parents=True)
+    base.assign(n_bound_evals=base["n_nodes"]).to_csv(folder / "runs.csv", index=False)
+    old = read_version("old", tmp_path)["e"]
+    assert set(verdicts(old, base).values()) == {"same"}
 
 
 def test_a_rerun_differs_by_the_clock_only(base, rng):

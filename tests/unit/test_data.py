@@ -23,7 +23,6 @@ from data.fetch import ChecksumError, UnavailableError, cache_path, fetch
 from data.registry import dataset, read_card
 from data.sampling import (
     farthest_points,
-    fit_similarity,
     mutual_nearest,
     normalise,
     transform,
@@ -31,6 +30,7 @@ from data.sampling import (
 )
 from data.threedmatch import loader as threedmatch
 from data.threedmatch.select_pairs import select
+from dcreg.local import fit_pose
 
 NOWHERE = "http://127.0.0.1:9/none"  # refuses connections at once
 MIRROR = os.environ.get("DCREG_DATA_MIRROR", "")
@@ -221,7 +221,7 @@ def test_unknown_names_are_refused_with_a_suggestion():
         dataset("embedded").prototype("saurain")
     with pytest.raises(UnknownNameError, match="level of test noise 7"):
         dataset("chui_rangarajan").instance("fish", "noise", 7, 0)
-    with pytest.raises(UnknownNameError, match=r"trial of test def 100; it has 0\.\.99"):
+    with pytest.raises(UnknownNameError, match=r"trial of test def 100; known: 0\.\.99"):
         dataset("chui_rangarajan").instance("fish", "def", 1, 100)
     with pytest.raises(UnknownNameError, match="there are"):
         dataset("embeded")
@@ -268,9 +268,9 @@ def test_similarity_fit_recovers_a_pose_and_never_reflects(dim):
     Q[:, 0] *= np.sign(np.linalg.det(Q))
     T = np.eye(dim + 1)
     T[:dim, :dim], T[:dim, dim] = 0.7 * Q, rng.standard_normal(dim)
-    np.testing.assert_allclose(fit_similarity(source, transform(T, source)), T, atol=1e-12)
+    np.testing.assert_allclose(fit_pose(source, transform(T, source), (0.0, np.inf)), T, atol=1e-12)
     mirrored = source * np.r_[-1, np.ones(dim - 1)]
-    assert np.linalg.det(fit_similarity(source, mirrored)[:dim, :dim]) > 0
+    assert np.linalg.det(fit_pose(source, mirrored, (0.0, np.inf))[:dim, :dim]) > 0
 
 
 # --- embedded shapes ---------------------------------------------------------------------------

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from data.registry import dataset
-from data.sampling import fit_similarity, transform
+from data.sampling import transform
+from dcreg.local import fit_pose
 from workflows.disturb import (
     DISTURBANCES,
     deformation,
@@ -239,7 +240,7 @@ def test_warp_is_calibrated(shape, tmp_path, monkeypatch):
         warped = [warp(prototype, coefficient, rng) for _ in range(200)]
         moved = np.mean([_rms(y - prototype) for y in warped])
         left = np.mean(
-            [_rms(transform(fit_similarity(prototype, y), prototype) - y) for y in warped]
+            [_rms(transform(fit_pose(prototype, y, (0.0, np.inf)), prototype) - y) for y in warped]
         )
         assert moved == pytest.approx(CALIBRATION[shape][0][column], rel=0.15)
         assert left == pytest.approx(CALIBRATION[shape][1][column], rel=0.15)

@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from workflows.stages.evaluate import judge, relate
 from workflows.instances import Problem, Truth
-from workflows.metrics import METRICS, Case, fit_rigid, rmse, rmse_floor, rotation_error_deg
+from workflows.metrics import METRICS, Case, rmse, rmse_floor, rotation_error_deg
+from workflows.stages.evaluate import judge, relate
 
 
 def similarity(angle_deg: float, scale: float, shift: tuple[float, float]) -> np.ndarray:
@@ -104,12 +104,17 @@ def test_the_floor_is_below_every_pose(rng):
     assert 0 < rmse_floor(noisy) <= rmse(noisy)
 
 
-def test_fit_rigid_is_proper_and_exact(rng):
-    T = np.eye(4)
-    T[:3, :3] = Rotation.random(rng=rng).as_matrix()
-    T[:3, 3] = [1, 2, 3]
-    points = rng.random((6, 3))
-    assert np.allclose(fit_rigid(points, points @ T[:3, :3].T + T[:3, 3]), T)
+def test_the_floor_in_space_is_that_of_rigid_poses_in_the_plane_of_similarities(rng):
+    def floor(dim, linear):
+        points, pairs = rng.random((6, dim)), np.column_stack([np.arange(6), np.arange(6)])
+        T = np.eye(dim + 1)
+        return rmse_floor(Case(T, T, points, points @ linear.T + 3.0, pairs, 6, "embedded"))
+
+    turn = Rotation.random(rng=rng).as_matrix()
+    assert floor(3, turn) < 1e-12
+    assert floor(3, 1.2 * turn) > 0.01
+    assert floor(2, 1.2 * np.array([[0.6, -0.8], [0.8, 0.6]])) < 1e-12
+    assert floor(2, np.diag([1.0, -1.0])) > 0.01  # no reflection
 
 
 def test_a_run_without_pose_has_no_metrics_and_no_success(rng):

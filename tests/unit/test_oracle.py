@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from workflows import methods
-from workflows import solve as solving
 from workflows.config import Experiment
 from workflows.instances import (
     Problem,
@@ -18,6 +17,7 @@ from workflows.instances import (
     write_problems,
     write_truths,
 )
+from workflows.stages import solve as solving
 
 EXPERIMENT = Experiment.model_validate(
     {

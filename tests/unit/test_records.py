@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +9,6 @@ import pytest
 from baselines.contract import Instance
 from dcreg.status import Status
 from workflows import records
-from workflows.stages.aggregate import accounting
 from workflows.instances import (
     Problem,
     Truth,
@@ -21,6 +18,7 @@ from workflows.instances import (
     write_problems,
     write_truths,
 )
+from workflows.stages.aggregate import accounting
 from workflows.stages.solve import forget
 
 
@@ -48,12 +46,16 @@ def test_a_missing_or_wrong_column_is_named(tmp_path):
         records.read(tmp_path / "none.parquet", records.PLAN)
 
 
-def test_a_write_that_fails_leaves_the_old_file_and_no_part(tmp_path):
+def test_a_write_that_fails_leaves_the_old_file_and_no_part(tmp_path, monkeypatch):
+    def full_disk(table, part, **options):
+        part.write_text("half")
+        raise OSError("no space left")
+
     path = tmp_path / "file"
     path.write_text("old")
-    with contextlib.suppress(RuntimeError), records.replacing(path) as part:
-        part.write_text("half")
-        raise RuntimeError
+    monkeypatch.setattr(pd.DataFrame, "to_parquet", full_disk)
+    with pytest.raises(OSError, match="no space"):
+        records.write(pd.DataFrame({"a": [1]}), path)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 

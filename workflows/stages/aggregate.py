@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from dcreg.files import whole_file
 from workflows import methods, provenance, records
 from workflows.config import MethodSettings
 from workflows.instances import read_problems
-from workflows.stages.plan import Plan
+from workflows.stages.plan import Plan, plan_table
 
 MAX_OVERLAY_POINTS = 400  # per set
 
@@ -23,28 +24,10 @@ def aggregate(plan: Plan, folder: Path) -> None:
     runs = join_runs(plan, folder)
     records.write(runs, out / "runs.parquet", csv=True)
     records.write(join_traces(plan, folder, runs), out / "traces.parquet", csv=True)
-    with records.replacing(out / "accounting.csv") as part:
+    with whole_file(out / "accounting.csv") as part:
         accounting(runs).to_csv(part, index=False)
     _write_json(out / "provenance.json", _provenance(plan, runs))
     _write_json(out / "overlays.json", overlays(plan, folder, runs))
-
-
-def plan_table(plan: Plan) -> pd.DataFrame:
-    """The plan as a table, one row per planned run."""
-    rows = [
-        {
-            "run_id": run.run_id,
-            "chunk_id": run.chunk.name,
-            "method": run.method.name,
-            "baseline": run.method.baseline,
-            "options": json.dumps(run.method.options, sort_keys=True),
-            "instance_id": run.instance.instance_id,
-            **{axis: getattr(run.instance, axis) for axis in ("dataset", "shape", "test")},
-            **{axis: getattr(run.instance, axis) for axis in ("level", "trial", "model")},
-        }
-        for run in plan.runs()
-    ]
-    return records.frame(rows, records.PLAN)
 
 
 def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
@@ -204,5 +187,5 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def _write_json(path: Path, content: Any) -> None:
-    with records.replacing(path) as part:
+    with whole_file(path) as part:
         part.write_text(json.dumps(content, indent=1), encoding="utf-8")

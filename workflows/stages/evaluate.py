@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ def evaluate(folder: Path) -> pd.DataFrame:
     return relate(pd.concat(tables, ignore_index=True))
 
 
-def judge(run: dict[str, Any], problem: Problem, truth: Truth, dataset: str) -> dict[str, Any]:
+def judge(run: Mapping[Any, Any], problem: Problem, truth: Truth, dataset: str) -> dict[str, Any]:
     """Metrics of one run. Without a pose all of them are empty, except ``success``, which is no."""
     row: dict[str, Any] = {
         "run_id": run["run_id"],
@@ -55,8 +56,8 @@ def judge(run: dict[str, Any], problem: Problem, truth: Truth, dataset: str) -> 
     )
     for name, metric in METRICS.items():
         # What speaks of the truth alone is known also where no pose was found.
-        known = metric.compute and (found is not None or metric.better == "none")
-        row[name] = metric.compute(case) if known else np.nan
+        known = found is not None or metric.better == "none"
+        row[name] = metric.compute(case) if metric.compute and known else np.nan
     row["success"] = found is not None and bool(row["success"])
     return row
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,42 +14,18 @@ from workflows import CHECKOUT
 from workflows.disturb import make_instance
 from workflows.hashing import digest_files
 from workflows.instances import Problem, Truth, with_oracle, write_problems, write_truths
-from workflows.stages.plan import Chunk, InstanceSpec, Plan
-from workflows.records import replacing
+from workflows.stages.plan import Chunk, InstanceSpec
 
-# Least inlier threshold told to methods, as a share of the target's longest side. A noise-free
-# instance has residual 0, with which no thresholding method can work.
+# Least inlier threshold told to methods, as a share of the target's longest side: without noise the
+# residual is 0, and no method that thresholds residuals could work.
 LEAST_NOISE_BOUND = 0.01
 
 
 def generate(chunk: Chunk, instances_path: Path, truth_path: Path) -> None:
     """Write the two files of a chunk."""
-    made = [(spec, _raw(spec)) for spec in chunk.instances]
+    made = [(spec, raw_instance(spec)) for spec in chunk.instances]
     write_problems(instances_path, (problem_of(spec, raw) for spec, raw in made))
     write_truths(truth_path, (truth_of(spec, raw) for spec, raw in made))
-
-
-def fetch(plan: Plan, dataset_name: str, out: Path) -> None:
-    """Bring in all files of a dataset that the plan needs, and note the terms they come on.
-
-    Loading an instance fetches and verifies what it needs and nothing else: a whole benchmark need
-    not be downloaded for a part of it.
-    """
-    specs = [
-        spec for chunk in plan.chunks for spec in chunk.instances if spec.dataset == dataset_name
-    ]
-    card = registry.dataset(dataset_name).card
-    if card.files:
-        for spec in specs:
-            _raw(spec)
-    note = {
-        "dataset": dataset_name,
-        "instances": len(specs),
-        "licence": card.licence,
-        "citation": card.citation,
-    }
-    with replacing(out) as part:
-        part.write_text(json.dumps(note, indent=1), encoding="utf-8")
 
 
 def problem_of(spec: InstanceSpec, raw: RawInstance) -> Problem:
@@ -73,7 +48,7 @@ def instance_of(
     oracle_outliers: float | None = None,
 ) -> Instance:
     """Exactly what a worker is given for this spec; oracle pairs only where they are asked for."""
-    raw = _raw(spec)
+    raw = raw_instance(spec)
     instance = problem_of(spec, raw).for_solver(n_inliers_ratio, experiment_seed)
     if oracle_outliers is None:
         return instance
@@ -94,13 +69,15 @@ def noise_bound(raw: RawInstance) -> float:
 
 def sources_digest(datasets: list[str]) -> str:
     """Hash of all code and cards that decide the content of instances from these datasets."""
-    shared = ["data/contract.py", "data/loaders.py", "data/sampling.py", "workflows/disturb.py"]
+    shared = [
+        *("data/contract.py", "data/loaders.py", "data/sampling.py", "dcreg/local/fit.py"),
+        *("workflows/disturb.py", "workflows/instances.py", "workflows/stages/generate.py"),
+    ]
     own = [f"data/{name}" for name in datasets]
-    return digest_files(
-        CHECKOUT, [*shared, *own, "workflows/stages/generate.py", "workflows/instances.py"]
-    )
+    return digest_files(CHECKOUT, [*shared, *own])
 
 
-def _raw(spec: InstanceSpec) -> RawInstance:
+def raw_instance(spec: InstanceSpec) -> RawInstance:
+    """The instance with its truth; loading it fetches and verifies the files it needs, and no others."""
     dataset = registry.dataset(spec.dataset)
     return make_instance(dataset, spec.shape, spec.test, spec.level, spec.trial, spec.n_points)

@@ -7,20 +7,24 @@ partial selection never overwrites the results of the whole.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import product
 from typing import Any
 
+import pandas as pd
+
 from data import registry
+from dcreg.problem import suggestion
+from workflows import records
 from workflows.config import (
     ConfigError,
     DatasetSettings,
     Experiment,
     MethodSettings,
     Selection,
-    suggest,
 )
 from workflows.hashing import digest
 
@@ -137,6 +141,24 @@ def expand(experiment: Experiment, selection: Selection | None = None) -> Plan:
     return plan
 
 
+def plan_table(plan: Plan) -> pd.DataFrame:
+    """The plan as a table, one row per planned run."""
+    rows = [
+        {
+            "run_id": run.run_id,
+            "chunk_id": run.chunk.name,
+            "method": run.method.name,
+            "baseline": run.method.baseline,
+            "options": json.dumps(run.method.options, sort_keys=True),
+            "instance_id": run.instance.instance_id,
+            **{axis: getattr(run.instance, axis) for axis in ("dataset", "shape", "test")},
+            **{axis: getattr(run.instance, axis) for axis in ("level", "trial", "model")},
+        }
+        for run in plan.runs()
+    ]
+    return records.frame(rows, records.PLAN)
+
+
 def _instances(experiment: Experiment) -> list[InstanceSpec]:
     known = registry.datasets()
     specs = [
@@ -174,16 +196,14 @@ def _chunks(instances: Sequence[InstanceSpec], size: int) -> Iterator[Chunk]:
 
 
 def _selected(instance: InstanceSpec, selection: Selection) -> bool:
-    return all(
-        not wanted or value in wanted
-        for value, wanted in [
-            (instance.dataset, selection.datasets),
-            (instance.shape, selection.shapes),
-            (instance.test, selection.tests),
-            (instance.level, selection.levels),
-            (instance.trial, selection.trials),
-        ]
-    )
+    chosen: list[tuple[Any, Sequence[Any]]] = [
+        (instance.dataset, selection.datasets),
+        (instance.shape, selection.shapes),
+        (instance.test, selection.tests),
+        (instance.level, selection.levels),
+        (instance.trial, selection.trials),
+    ]
+    return all(not wanted or value in wanted for value, wanted in chosen)
 
 
 def _check_selection(
@@ -204,5 +224,5 @@ def _check_selection(
                 words = [f"{word:g}" if isinstance(word, float) else str(word) for word in known]
                 raise ConfigError(
                     f"experiment {experiment.name}: selection {axis.upper()}={value} matches "
-                    f"nothing{suggest(str(value), words)}"
+                    f"nothing{suggestion(str(value), words)}"
                 )

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from baselines.contract import Instance
+from dcreg.files import whole_file
 from dcreg.status import Status
 from workflows import methods, provenance, records
 from workflows.config import Experiment, MethodSettings
@@ -82,7 +83,7 @@ def forget(runs_folder: Path, statuses: set[str]) -> int:
                 kept.append(line)
         if len(kept) < len(lines):
             dropped += len(lines) - len(kept)
-            with records.replacing(path) as part:
+            with whole_file(path) as part:
                 part.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
             path.with_name(path.name.replace(".journal.jsonl", ".parquet")).unlink(missing_ok=True)
     return dropped

@@ -23,7 +23,7 @@ from baselines.contract import Baseline, Instance, Limits, Solution
 from dcreg.status import Status
 
 MAX_TRACE = 500  # events kept of one run
-COUNTERS = ("n_nodes", "n_assignments", "n_bound_evals")
+COUNTERS = ("n_nodes", "n_assignments")
 MB = 2**20
 
 

@@ -1,233 +1,260 @@
-"""``python -m workflows.ablation OUT``: the bounds side by side, on the same boxes and instances.
+"""``python -m workflows.studies.bounds OUT``: lower bounds side by side, on the same boxes and problems.
 
-Writes three tables to OUT.
+Compared are the library's bounds, found by name in `dcreg.bounds.BOUNDS`, and the bound of every other
+method that can bound a box of poses (`baselines.contract.BoxBounding`). A new one of either kind takes
+part without a change here. Writes to OUT
 
-- ``bounds.csv``: bound value against box width, over nested boxes centred on the certified optimum,
-  boxes that hold it off their centre, and boxes away from it; with the least objective found in the box.
-- ``orders.csv``: the empirical order of convergence, the slope of log(least - bound) against log(width).
-- ``searches.csv``: the history of one search per bound and instance, nodes and assignments against gap.
+- ``boxes.csv``: the bound on every box, and the least objective met in it. Boxes of one width are
+  centred on the certified optimum, hold it elsewhere, or lie away from it.
+- ``losses.csv``: the mean of ``least - bound`` over the boxes of one width and place, also as a multiple
+  of the loss of the published DC bound.
+- ``orders.csv``: the empirical order of convergence, the slope of log loss against log width.
+- ``searches.csv``: gap against nodes and assignments, one search per bound of the library.
 
-Bounds are found by name in `dcreg.bounds.BOUNDS`; a new one takes part without a change here.
+Coordinates are normalised: centred, RMS radius of the target 1. In 3D the parameter is the translation
+and the objective that of point norms.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pandas as pd
 import typer
 
+from baselines import registry
+from baselines._boxes import box_space
+from baselines.contract import BoxBounding, Instance
 from data.registry import dataset
 from dcreg.bounds import BOUNDS, make_bound
 from dcreg.problem import Frame, Problem, default_gap_tol
-from dcreg.search import Box, Limits, LongestEdge, SearchResult, branch_and_bound
-from dcreg.spaces import Similarity2D
+from dcreg.search import Box, Budget, Outcome, minimise
+from dcreg.spaces import FeatureSpace
 from workflows.disturb import make_instance
 
-WIDTHS = np.geomspace(2.0, 0.0002, 17)  # of the whole box, in units of the target's RMS radius
-N_FITTED = 6  # smallest widths, with a loss above this share of the optimum, that show the order
-FLOOR = 1e-3
-COMBINED = ("tight+edges", "paper+edges")  # in the searches
-N_DRAWS = 3  # boxes per width that hold the optimum off their centre, and that lie away from it
+WIDTHS = np.geomspace(2.0, 0.0002, 13)  # of the whole box, in RMS radii of the target
+N_DRAWS = 2  # boxes per width that hold the optimum off their centre, and that lie away from it
 SEED = 20260326
+REFERENCE = "paper"  # the losses of the others are given as multiples of its loss
+COMBINED = ("tight+edges", "paper+edges")  # take part in the searches
+N_FITTED = 6  # an order is fitted to the smallest widths ...
+SHOWING = 1e-3  # ... at which the loss is above this share of the optimum
+CASES = {  # shape, disturbance, level, points, options of the disturbance
+    "2D, all points match": ("fish", "noise", 0.03, 30, {}),
+    "2D, outliers": ("glyph", "mixed_outliers", 0.2, 20, {"base_deformation": 0.03}),
+    "3D norms, all points match": ("pony", "noise", 0.02, 40, {}),
+    "3D norms, outliers": ("pony", "mixed_outliers", 0.3, 30, {}),
+}
 
 
 @dataclass(frozen=True)
-class Instance:
-    """A generated 2D problem, with its model in normalised coordinates."""
+class Case:
+    """A normalised problem and the optimum of its objective."""
 
-    name: str
-    model: Similarity2D
+    instance: Instance
+    space: FeatureSpace
     gap_tol: float
+    theta: np.ndarray
+    least: float
 
     @classmethod
-    def of(
-        cls, name: str, shape: str, test: str, level: float, n_points: int, **options: float
-    ) -> Instance:
+    def of(cls, name: str) -> Case:
+        """The case called `name` in `CASES`, solved to a thousandth of the default tolerance."""
+        shape, test, level, n_points, options = CASES[name]
         raw = make_instance(dataset("embedded"), shape, test, level, 0, n_points, **options)
-        problem = Problem(raw.source, raw.target, len(raw.pairs), "similarity2d", raw.scale_range)
-        frame = Frame.of(problem)
-        model = Similarity2D(
-            frame.source(problem.source),
-            frame.target(problem.target),
-            problem.n_inliers,
-            problem.scale_range,
-        )
-        gap_tol = default_gap_tol(problem.target, problem.n_inliers) / frame.unit**2
-        return cls(name, model, gap_tol)
+        k = len(raw.pairs)
+        model = dataset("embedded").model(shape)
+        frame = Frame.of(Problem(raw.source, raw.target, k, model, raw.scale_range))
+        source, target = frame.source(raw.source), frame.target(raw.target)
+        instance = Instance(name, source, target, model, k, raw.scale_range, 0.1, SEED)
+        space = box_space(instance)
+        gap_tol = default_gap_tol(source, target, k)
+        found = search("tight", space, 1e-3 * gap_tol, Budget(time_s=60.0))
+        return cls(instance, space, gap_tol, found.theta, found.upper_bound)
 
 
-def instances() -> list[Instance]:
-    """All points match, and with outliers in both sets; small, so that weak bounds get somewhere."""
-    return [
-        Instance.of("complete", "fish", "noise", 0.03, 30),
-        Instance.of("outliers", "glyph", "mixed_outliers", 0.2, 20, base_deformation=0.03),
-    ]
+# --- boxes --------------------------------------------------------------------------------------
 
 
-# --- one box ------------------------------------------------------------------------------------
-
-
-def placements(theta: np.ndarray, width: float, rng: np.random.Generator) -> dict[str, list[Box]]:
-    """Boxes of one width: where the optimum `theta` lies in them, or that it does not."""
-    half = 0.5 * width
-    held = [theta + rng.uniform(-half, half, 4) for _ in range(N_DRAWS)]
-    # a quarter turn and some shift away; the largest boxes may reach back to the optimum
-    turned = np.array([-theta[1], theta[0], theta[2] + 0.4, theta[3] - 0.4])
-    away = [turned + rng.uniform(-0.2, 0.2, 4) for _ in range(N_DRAWS)]
-    boxes = {
-        name: [Box(centre - half, centre + half) for centre in centres]
-        for name, centres in (("centred", [theta]), ("holding", held), ("away", away))
+def placements(theta: np.ndarray, width: float) -> dict[str, list[Box]]:
+    """Boxes of one width by where the optimum `theta` lies in them; widths differ in nothing else."""
+    rng = np.random.default_rng(SEED)
+    half, dim = 0.5 * width, theta.size
+    held = [theta + half * rng.uniform(-1.0, 1.0, dim) for _ in range(N_DRAWS)]
+    if dim == 4:  # a quarter turn and a shift
+        elsewhere = np.array([-theta[1], theta[0], theta[2] + 0.4, theta[3] - 0.4])
+    else:
+        elsewhere = theta + np.array([0.6, -0.5, 0.6])
+    away = [elsewhere + rng.uniform(-0.2, 0.2, dim) for _ in range(N_DRAWS)]
+    away = [
+        centre for centre in away if (abs(theta - centre) > half).any()
+    ]  # large ones may reach back
+    centres = {"centred": [theta], "holding": held, "away": away}
+    return {
+        place: [Box(centre - half, centre + half) for centre in these]
+        for place, these in centres.items()
     }
-    boxes["away"] = [box for box in boxes["away"] if (abs(theta - box.centre) > half).any()]
-    return boxes
 
 
-def bound_value(name: str, instance: Instance, box: Box) -> tuple[float, int, float]:
-    """Bound, assignments and seconds, from nothing: what other boxes had solved does not help."""
-    model = instance.model
-    model.start_box = lambda: box  # type: ignore[method-assign]
-    began = time.perf_counter()
-    bound = make_bound(name, model)
-    found = bound.evaluate(box.lower[None], box.upper[None], np.inf)
-    del model.start_box
-    return float(found.lower_bounds[0]), bound.n_assignments, time.perf_counter() - began
+def least_met(case: Case, box: Box) -> float:
+    """Least objective met in the box: its minimum where it holds the optimum, else at least that."""
+    space = case.space
+    thetas = np.vstack([box.centre, box.vertices(), box.sample(np.random.default_rng(SEED), 60)])
+    descents = [np.clip(space.refine(theta)[0], box.lower, box.upper) for theta in thetas[:10]]
+    thetas = np.vstack([thetas, descents])
+    if ((box.lower <= case.theta) & (case.theta <= box.upper)).all():
+        thetas = np.vstack([thetas, case.theta])
+    admissible = thetas[space.admissible(thetas)]
+    return min((space.objective(theta)[0] for theta in admissible), default=np.inf)
 
 
-def least_found(instance: Instance, box: Box, rng: np.random.Generator) -> float:
-    """Least objective met in the box: an upper bound on its minimum, exact where it holds the optimum."""
-    model = instance.model
-    thetas = np.vstack([box.centre[None], box.vertices(), box.sample(rng, 100)])
-    thetas = thetas[model.admissible(thetas)]
-    descents = [np.clip(model.refine(theta)[0], box.lower, box.upper) for theta in thetas[::10]]
-    candidates = np.vstack([thetas, *(theta[None] for theta in descents)])
-    candidates = candidates[model.admissible(candidates)]
-    return min((model.objective(theta)[0] for theta in candidates), default=np.inf)
+# --- bounds -------------------------------------------------------------------------------------
+
+# Case and box -> lower bound (NaN where a method has none) and assignments solved (NaN: not counted)
+BoundBox = Callable[[Case, Box], tuple[float, float]]
 
 
-def bounds_table(instance: Instance, theta: np.ndarray) -> pd.DataFrame:
-    """Every bound on every box."""
+class Line(NamedTuple):
+    """One line of the figures: a bound of the library, or the bound of a method."""
+
+    name: str
+    models: tuple[str, ...]
+    bound: BoundBox
+
+
+def library_bound(name: str, case: Case, box: Box) -> tuple[float, float]:
+    """The bound called `name` at its full strength, as if the search began with this box."""
+    bound = make_bound(name, case.space, [box])
+    found = bound.evaluate(box.lower[None], box.upper[None], np.inf, thorough=True)
+    return float(found.lower_bounds[0]), float(bound.n_assignments)
+
+
+def method_bound(method: BoxBounding, case: Case, box: Box) -> tuple[float, float]:
+    """What a method says of the box."""
+    return float(method.box_bound(case.instance, box.lower, box.upper)), np.nan
+
+
+def lines() -> Iterator[Line]:
+    """All bounds. Methods with an option ``bound`` are left out: they run the library's."""
+    for name in BOUNDS:
+        yield Line(name, ("similarity2d", "rigid3d"), partial(library_bound, name))
+    for name in registry.names():
+        method = registry.load(name)
+        if (
+            isinstance(method, BoxBounding)
+            and "bound" not in method.options
+            and method.available() is None
+        ):
+            yield Line(name, tuple(method.card.models), partial(method_bound, method))
+
+
+def boxes_table(name: str, case: Case) -> pd.DataFrame:
+    """Every bound on every box of one case that holds an admissible pose."""
+    compared = [line for line in lines() if case.instance.model in line.models]
     rows = []
-    for width in WIDTHS:
-        rng = np.random.default_rng(SEED)  # the same directions at every width: nested boxes
-        for place, boxes in placements(theta, float(width), rng).items():
+    for width in map(float, WIDTHS):
+        for place, boxes in placements(case.theta, width).items():
             for draw, box in enumerate(boxes):
-                if not instance.model.touches(box.lower[None], box.upper[None])[0]:
+                least = least_met(case, box)
+                if not np.isfinite(least):
                     continue
-                least = least_found(instance, box, np.random.default_rng(SEED))
-                if place != "away":
-                    least = min(least, instance.model.objective(theta)[0])
-                for name in BOUNDS:
-                    value, spent, seconds = bound_value(name, instance, box)
+                for line in compared:
+                    began = time.perf_counter()
+                    value, spent = line.bound(case, box)
                     rows.append(
                         {
-                            "instance": instance.name,
-                            "place": place,
-                            "draw": draw,
-                            "width": float(width),
-                            "bound": name,
-                            "value": value,
-                            "least": least,
-                            "n_assignments": spent,
-                            "time_s": seconds,
+                            "instance": name, "place": place, "draw": draw, "width": width,
+                            "bound": line.name, "value": value, "least": least,
+                            "n_assignments": spent, "time_s": time.perf_counter() - began,
                         }
-                    )
+                    )  # fmt: skip
     return pd.DataFrame(rows)
 
 
-def orders_table(bounds: pd.DataFrame) -> pd.DataFrame:
-    """Slope of log loss over log width, of boxes that hold the optimum.
-
-    Fitted to the smallest widths at which the loss still shows beside the optimum. NaN where fewer than
-    three are left: a bound that loses nothing has no order.
-    """
-    held = bounds[bounds["place"] != "away"]
+def losses_table(boxes: pd.DataFrame) -> pd.DataFrame:
+    """Mean loss per bound, place and width, and its ratio to the loss of `REFERENCE`."""
+    axes = ["instance", "place", "width"]
     mean = (
-        held.assign(loss=held["least"] - held["value"])
-        .groupby(["instance", "place", "bound", "width"], sort=False)[["loss", "least"]]
+        boxes.assign(loss=boxes["least"] - boxes["value"])
+        .groupby([*axes, "bound"], sort=False)[["value", "least", "loss"]]
         .mean()
         .reset_index()
     )
+    reference = mean[mean["bound"] == REFERENCE].set_index(axes)["loss"].rename("reference")
+    mean = mean.join(reference, on=axes)
+    return mean.assign(ratio=mean["loss"] / mean["reference"]).drop(columns="reference")
+
+
+def orders_table(losses: pd.DataFrame) -> pd.DataFrame:
+    """Slope of log loss over log width, of boxes that hold the optimum.
+
+    NaN where fewer than three widths show a loss: a bound that loses nothing has no order.
+    """
+    held = losses[losses["place"] != "away"]
     rows = []
-    for (instance, place, name), part in mean.groupby(["instance", "place", "bound"], sort=False):
-        part = part[part["loss"] > FLOOR * part["least"]].nsmallest(N_FITTED, "width")
-        fitted = (
-            np.polyfit(np.log(part["width"]), np.log(part["loss"]), 1)
-            if len(part) > 2
-            else [np.nan]
-        )
+    for (instance, place, name), part in held.groupby(["instance", "place", "bound"], sort=False):
+        part = part[part["loss"] > SHOWING * part["least"]].nsmallest(N_FITTED, "width")
+        order = np.nan
+        if len(part) > 2:
+            order = float(np.polyfit(np.log(part["width"]), np.log(part["loss"]), 1)[0])
         rows.append(
             {
-                "instance": instance,
-                "place": place,
-                "bound": name,
-                "order": fitted[0],
-                "from_width": part["width"].min(),
-                "to_width": part["width"].max(),
+                "instance": instance, "place": place, "bound": name, "order": order,
+                "from_width": part["width"].min(), "to_width": part["width"].max(),
             }
-        )
+        )  # fmt: skip
     return pd.DataFrame(rows)
 
 
-# --- one search ---------------------------------------------------------------------------------
+# --- searches -----------------------------------------------------------------------------------
 
 
-def search(name: str, instance: Instance, gap_tol: float, limits: Limits) -> SearchResult:
-    """Algorithm 1 with the bound called `name`, as `dcreg.register` runs it."""
-    model = instance.model
-    theta, value, _ = model.first_incumbent()
-    return branch_and_bound(
-        make_bound(name, model),
-        [model.start_box()],
-        branching=LongestEdge(model.axis_weights),
-        gap_tol=gap_tol,
-        refine=model.refine,
-        start=(theta, value),
-        limits=limits,
-    )
+def search(name: str, space: FeatureSpace, gap_tol: float, budget: Budget) -> Outcome:
+    """Branch and bound with the bound called `name`, as `dcreg.register` runs it."""
+    return minimise(space, make_bound(name, space), budget, gap_tol=gap_tol)
 
 
-def searches_table(instance: Instance, time_s: float) -> pd.DataFrame:
-    """Bound history per bound; a row per change, gaps in units of the default tolerance."""
+def searches_table(name: str, case: Case, time_s: float) -> pd.DataFrame:
+    """Bound history per bound of the library; a row per change, gaps in default tolerances."""
     rows = []
-    for name in [*BOUNDS, *COMBINED]:
-        found = search(name, instance, 0.1 * instance.gap_tol, Limits(time_s=time_s))
+    for bound in [*BOUNDS, *COMBINED]:
+        found = search(bound, case.space, 0.1 * case.gap_tol, Budget(time_s=time_s))
         rows += [
             {
-                "instance": instance.name,
-                "bound": name,
-                "n_nodes": event.n_nodes,
-                "n_assignments": event.n_assignments,
-                "time_s": event.time_s,
-                "gap": event.gap / instance.gap_tol,
-                "status": found.status.value,
+                "instance": name, "bound": bound, "n_nodes": event.n_nodes,
+                "n_assignments": event.n_assignments, "time_s": event.time_s,
+                "gap": event.gap / case.gap_tol, "status": found.status.value,
             }
             for event in found.events
-        ]
+        ]  # fmt: skip
     return pd.DataFrame(rows)
 
 
 def run(out: Path, time_s: float) -> None:
     """All tables, into `out`."""
+    boxes, searches = [], []
+    for name in CASES:
+        case = Case.of(name)
+        boxes.append(boxes_table(name, case))
+        searches.append(searches_table(name, case, time_s))
+        typer.echo(f"{name}: optimum {case.least:.6g}, {len(boxes[-1])} bounds of boxes")
+    table = pd.concat(boxes)
+    losses = losses_table(table)
     out.mkdir(parents=True, exist_ok=True)
-    bounds, searches = [], []
-    for instance in instances():
-        optimum = search("tight", instance, 1e-3 * instance.gap_tol, Limits())
-        bounds.append(bounds_table(instance, optimum.theta))
-        searches.append(searches_table(instance, time_s))
-        typer.echo(f"{instance.name}: optimum {optimum.upper_bound:.6g} ({optimum.status})")
-    table = pd.concat(bounds)
-    table.to_csv(out / "bounds.csv", index=False)
-    orders_table(table).to_csv(out / "orders.csv", index=False)
+    table.to_csv(out / "boxes.csv", index=False)
+    losses.to_csv(out / "losses.csv", index=False)
+    orders_table(losses).to_csv(out / "orders.csv", index=False)
     pd.concat(searches).to_csv(out / "searches.csv", index=False)
 
 
 def main(
-    out: Annotated[Path, typer.Argument(help="folder for the tables")] = Path("results/ablation"),
+    out: Annotated[Path, typer.Argument(help="folder for the tables")] = Path("results/bounds"),
     time_s: Annotated[float, typer.Option(help="seconds per search")] = 6.0,
 ) -> None:
     """Compare the bounds and store the tables."""

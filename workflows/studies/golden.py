@@ -48,8 +48,13 @@ def read_case(path: Path) -> Case:
         return dict(file)
 
 
-def pose_difference(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """Angle in degrees between two rigid poses, and the distance of their translations."""
+def pose_difference(first: np.ndarray | None, second: np.ndarray) -> tuple[float, float]:
+    """Angle in degrees between two rigid poses, and the distance of their translations.
+
+    Infinite where the first pose is missing.
+    """
+    if first is None:
+        return np.inf, np.inf
     cosine = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1) / 2
     # Exact for small angles too, where the arc cosine is not.
     sine = np.linalg.norm(first[:3, :3] - second[:3, :3]) / (2 * np.sqrt(2))
