@@ -24,7 +24,7 @@ import pandas as pd
 import typer
 
 from baselines import registry
-from baselines._boxes import box_space
+from baselines._shared.single_boxes import box_space
 from baselines.contract import Baseline, BoxBounding, Instance
 from data.registry import dataset
 from dcreg.bounds import make_bound

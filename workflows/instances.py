@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from baselines._frontends import oracle_pairs
+from baselines._shared.front_ends import oracle_pairs
 from baselines.contract import Instance
 from workflows.hashing import digest_arrays, seed
 from workflows.records import replacing
