@@ -45,9 +45,6 @@ class Card(BaseModel):
     url: str = ""
     color: str = Field(pattern=r"^#[0-9a-fA-F]{6}$")
     marker: str = "o"
-    # Files or folders (relative to the checkout) whose text decides this method's results, beside
-    # its own folder: editing one of them reruns this method's solves and no other's.
-    depends: list[str] = []
     # Parameters with their stated defaults, shown in the report.
     parameters: dict[str, Any] = {}
 

@@ -7,7 +7,6 @@ one. Folders and modules whose names start with ``_`` are shared helpers or the 
 from __future__ import annotations
 
 import colorsys
-import difflib
 import hashlib
 import importlib.util
 import json
@@ -24,7 +23,9 @@ import yaml
 from pydantic import ValidationError
 
 from baselines.contract import Baseline, Card
+from baselines.dependencies import files_behind
 from dcreg._version import __version__ as repository_version
+from dcreg.problem.errors import suggestion
 
 ROOT = Path(__file__).resolve().parent
 TEMPLATE = ROOT / "_template"
@@ -79,7 +80,7 @@ def read_card(name: str, root: Path = ROOT) -> Card:
     """The validated ``card.yaml`` of method `name`."""
     known = names(root)
     if name not in known:
-        raise BaselineError(f"unknown method {name!r}{_suggestion(name, known)}")
+        raise BaselineError(f"unknown method {name!r}{suggestion(name, known)}")
     path = root / name / "card.yaml"
     try:
         facts = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -135,7 +136,7 @@ def version(card: Card) -> str:
 def fingerprint(name: str, root: Path = ROOT) -> str:
     """Hash of everything whose text decides the results of method `name`.
 
-    That is its folder, the card's ``depends``, the contract, and the version of the package it
+    That is its folder, all code of this checkout that it imports, and the version of the package it
     requires. A pure function of files: no adapter is imported. Facts of the card that are only
     shown (`PRESENTATION`) do not count, so that a new colour reruns nothing.
     """
@@ -146,11 +147,19 @@ def fingerprint(name: str, root: Path = ROOT) -> str:
     if card.requires:
         installed = _installed_version([card.requires.partition(".")[0]])
         digest.update(f"{card.requires}={installed}".encode())
-    own = [path for path in _files(root / name) if path.name != "card.yaml"]
-    shared = [path for entry in card.depends for path in _depended(root / name, entry)]
-    for path in [*own, *sorted(set(shared)), ROOT / "contract.py"]:
+    for path in code_of(name, root):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
+
+
+def code_of(name: str, root: Path = ROOT) -> list[Path]:
+    """Files that decide the results of a method, its card aside: its folder, and what that imports.
+
+    Child processes and data files within the folder count, whatever reads them.
+    """
+    own = [path for path in _files(root / name) if path.name != "card.yaml"]
+    behind = files_behind([*own, ROOT / "contract.py"], ROOT.parent)
+    return sorted(behind, key=_shown)
 
 
 def new_baseline(name: str, root: Path = ROOT) -> Path:
@@ -191,7 +200,7 @@ def _import_adapter(name: str, root: Path) -> ModuleType:
 def _check_option(name: str, card: Card, option: str, value: Any) -> None:
     if option not in card.parameters:
         raise BaselineError(
-            f"{name}: unknown option {option!r}{_suggestion(option, card.parameters)}"
+            f"{name}: unknown option {option!r}{suggestion(option, card.parameters)}"
         )
     default = card.parameters[option]
     if default is None or value is None:
@@ -210,30 +219,13 @@ def _card_message(path: Path, error: ValidationError) -> str:
     problem = error.errors()[0]
     field = ".".join(str(part) for part in problem["loc"])
     message = f"{_shown(path)}: field {field}: {problem['msg']}"
+    if field == "depends":
+        return f"{message}; what a method depends on is found from its imports: remove the field"
     if problem["type"] == "extra_forbidden":
-        return f"{message}{_suggestion(field, Card.model_fields)}"
+        return f"{message}{suggestion(field, Card.model_fields)}"
     if problem["type"] == "missing":
         return f"{message}; add it, see baselines/_template/card.yaml"
     return f"{message}, is {problem['input']!r}; see baselines/contract.py"
-
-
-def _suggestion(word: str, known: Iterable[str]) -> str:
-    known = sorted(known)
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
-    return f"{hint} Known: {', '.join(known) or 'none'}."
-
-
-def _depended(folder: Path, entry: str) -> list[Path]:
-    path = ROOT.parent / entry
-    if path.is_file():
-        return [path]
-    if path.is_dir():
-        return [file for file in _files(path) if file.suffix == ".py"]
-    raise BaselineError(
-        f"{_shown(folder / 'card.yaml')}: field depends: {entry!r} does not exist; "
-        "give a file or folder relative to the checkout"
-    )
 
 
 def _files(folder: Path) -> Iterator[Path]:

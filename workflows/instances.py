@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines._frontends import oracle_pairs
+from baselines._shared.front_ends import oracle_pairs
 from baselines.contract import Instance
 from dcreg.files import whole_file
 from workflows.hashing import digest_arrays, seed

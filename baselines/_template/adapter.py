@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._poses import homogeneous
+from baselines._shared.poses import homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
 from dcreg.status import Status
 

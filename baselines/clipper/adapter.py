@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
-from baselines._consistency import length_differences, sharing, vote_scale
-from baselines._frontends import CorrespondenceMethod, Estimate
-from baselines._robust import weighted_pose
+from baselines._shared.consistency import length_differences, sharing, vote_scale
+from baselines._shared.front_ends import CorrespondenceMethod, Estimate
+from baselines._shared.robust import weighted_pose
 from baselines.clipper.dense import dense_clique
 from baselines.contract import Instance, Limits
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from baselines._learned import LearnedMethod
-from baselines._starts import check_choice
+from baselines._shared.learned import LearnedMethod
+from baselines._shared.starts import check_choice
 from baselines.contract import Card
 
 

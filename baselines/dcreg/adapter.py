@@ -1,6 +1,6 @@
 """DC-Reg: the library of this repository."""
 
-from baselines._search import BranchAndBound
+from baselines._shared.library_search import BranchAndBound
 
 
 class Adapter(BranchAndBound):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from baselines._learned import LearnedMethod
+from baselines._shared.learned import LearnedMethod
 
 
 class Adapter(LearnedMethod):

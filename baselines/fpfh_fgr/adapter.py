@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines import _open3d
-from baselines._frontends import CorrespondenceMethod
-from baselines._poses import rigid_pose
+from baselines._shared import open3d_clouds
+from baselines._shared.front_ends import CorrespondenceMethod
+from baselines._shared.poses import rigid_pose
 from baselines.contract import Instance, Limits
 
 
@@ -21,8 +21,8 @@ class Adapter(CorrespondenceMethod):
         open3d.utility.random.seed(instance.seed % 2**31)
         registration = open3d.pipelines.registration
         outcome = registration.registration_fgr_based_on_correspondence(
-            _open3d.cloud(instance.source),
-            _open3d.cloud(instance.target),
+            open3d_clouds.cloud(instance.source),
+            open3d_clouds.cloud(instance.target),
             open3d.utility.Vector2iVector(pairs.astype(np.int32)),
             registration.FastGlobalRegistrationOption(
                 # Lengths of the option are in target units only with the absolute scale.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 
-from baselines import _rotation_search
-from baselines._consensus import Consensus
-from baselines._octree import Incumbent, OctreeSearch
+from baselines._shared import rotation_search
+from baselines._shared.consensus import Consensus
+from baselines._shared.cubes import Incumbent, OctreeSearch
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.frs.search import TranslationCubes, matching_translations
 
@@ -21,7 +21,7 @@ class Adapter(Baseline):
 
     def warm_up(self, instance: Instance) -> None:
         super().warm_up(instance)
-        _rotation_search.warm_up()
+        rotation_search.warm_up()
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         began = time.perf_counter()

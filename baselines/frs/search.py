@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from baselines._consensus import Consensus
-from baselines._octree import Incumbent
-from baselines._poses import homogeneous
-from baselines._rotation_search import most_matches
+from baselines._shared.consensus import Consensus
+from baselines._shared.cubes import Incumbent
+from baselines._shared.poses import homogeneous
+from baselines._shared.rotation_search import most_matches
 
 
 class TranslationCubes:

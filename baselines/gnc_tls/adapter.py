@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
-from baselines._frontends import CorrespondenceMethod, Estimate
-from baselines._robust import gnc_pose
+from baselines._shared.front_ends import CorrespondenceMethod, Estimate
+from baselines._shared.robust import gnc_pose
 from baselines.contract import Instance, Limits
 
 

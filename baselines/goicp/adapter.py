@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from baselines._poses import homogeneous
+from baselines._shared.poses import homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.goicp.search import GoICP, Settings
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from baselines._closest_point import ClosestPoint, spread_poses
-from baselines._octree import Incumbent, OctreeSearch, OutOfTimeError
-from baselines._poses import homogeneous
+from baselines._shared.closest_point import ClosestPoint, spread_poses
+from baselines._shared.cubes import Incumbent, OctreeSearch, OutOfTimeError
+from baselines._shared.poses import homogeneous
 from baselines.contract import Limits
 from baselines.goicp import kernels
 from baselines.goicp.distance import Cells

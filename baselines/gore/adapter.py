@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
-from baselines import _rotation_search
-from baselines._frontends import CorrespondenceMethod, Estimate
-from baselines._ransac import count_within, ransac
+from baselines._shared import rotation_search
+from baselines._shared.front_ends import CorrespondenceMethod, Estimate
+from baselines._shared.ransac import count_within, ransac
 from baselines.contract import Instance, Limits
 from baselines.gore.removal import remove_outliers
 
@@ -20,7 +20,7 @@ class Adapter(CorrespondenceMethod):
 
     def warm_up(self, instance: Instance) -> None:
         super().warm_up(instance)
-        _rotation_search.warm_up()
+        rotation_search.warm_up()
 
     def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
         start = time.perf_counter()

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from baselines._consistency import consistency_graph
-from baselines._octree import OutOfTimeError
-from baselines._ransac import count_within
-from baselines._robust import refit, squared_residuals
-from baselines._rotation_search import most_correspondences
+from baselines._shared.consistency import consistency_graph
+from baselines._shared.cubes import OutOfTimeError
+from baselines._shared.ransac import count_within
+from baselines._shared.robust import refit, squared_residuals
+from baselines._shared.rotation_search import most_correspondences
 
 # For rounding: the tolerance and lengths (both relative), cosines, angles at which intervals end.
 MARGIN = 1e-9

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from baselines._consensus import Consensus
-from baselines._octree import Incumbent, OctreeSearch, OutOfTimeError
-from baselines._poses import homogeneous
-from baselines._rotation_search import most_matches
+from baselines._shared.consensus import Consensus
+from baselines._shared.cubes import Incumbent, OctreeSearch, OutOfTimeError
+from baselines._shared.poses import homogeneous
+from baselines._shared.rotation_search import most_matches
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.gots.search import TranslationCubes, matching_translations, points_of
 

@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from baselines._octree import Incumbent, OutOfTimeError
+from baselines._shared.cubes import Incumbent, OutOfTimeError
 from baselines.gots.features import FeatureTree, matched_pairs
 
 

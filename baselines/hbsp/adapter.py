@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._relaxations import SimilaritySearch
+from baselines._shared.relaxations import SimilaritySearch
 from baselines.contract import Instance
 from baselines.hbsp.rotation import SemidefiniteRotationBound
 from baselines.hbsp.similarity import SemidefiniteBound

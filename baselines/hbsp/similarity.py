@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._relaxations import LeastOverBox, SubstitutedBound
+from baselines._shared.relaxations import LeastOverBox, SubstitutedBound
 from baselines.hbsp.lifted import LiftedBox
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from baselines._learned import LearnedMethod
+from baselines._shared.learned import LearnedMethod
 from baselines.contract import Card
 
 

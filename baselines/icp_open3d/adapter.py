@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from baselines import _open3d
-from baselines._poses import rigid_pose, unit_of
-from baselines._starts import STARTS, best_of_starts, check_choice
+from baselines._shared import open3d_clouds
+from baselines._shared.poses import rigid_pose, unit_of
+from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 
 
@@ -23,9 +23,9 @@ class Adapter(Baseline):
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         import open3d
 
-        _open3d.quiet()
+        open3d_clouds.quiet()
         registration = open3d.pipelines.registration
-        source, target = _open3d.cloud(instance.source), _open3d.cloud(instance.target)
+        source, target = open3d_clouds.cloud(instance.source), open3d_clouds.cloud(instance.target)
         criteria = registration.ICPConvergenceCriteria(max_iteration=self.options["max_iterations"])
         radii = unit_of(instance) * np.array(self.options["coarse_distances"])
         distances = [*radii, self.options["noise_factor"] * instance.noise_bound]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._frontends import CorrespondenceMethod
-from baselines._poses import homogeneous, proper_rotation
+from baselines._shared.front_ends import CorrespondenceMethod
+from baselines._shared.poses import homogeneous, proper_rotation
 from baselines.contract import Instance, Limits
 
 # The library derives its noise bounds from the voxel size and refuses small ones; clouds are

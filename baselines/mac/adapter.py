@@ -6,10 +6,10 @@ import time
 
 import numpy as np
 
-from baselines._cliques import pack
-from baselines._consistency import length_differences, sharing, vote_scale
-from baselines._frontends import CorrespondenceMethod, Estimate
-from baselines._robust import squared_residuals, weighted_pose
+from baselines._shared.cliques import pack
+from baselines._shared.consistency import length_differences, sharing, vote_scale
+from baselines._shared.front_ends import CorrespondenceMethod, Estimate
+from baselines._shared.robust import squared_residuals, weighted_pose
 from baselines.contract import Instance, Limits
 from baselines.mac.enumerate import HeaviestCliques
 

@@ -7,7 +7,7 @@ import time
 import numpy as np
 from numba import njit
 
-from baselines._cliques import clear_bit, count_bits, count_bits_of, lowest_bit, set_bit
+from baselines._shared.cliques import clear_bit, count_bits, count_bits_of, lowest_bit, set_bit
 
 NODES_PER_CLIQUE = 20  # of the search, beyond which a start is given up
 

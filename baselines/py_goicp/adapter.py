@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines._poses import homogeneous, rigid_pose
+from baselines._shared.poses import homogeneous, rigid_pose
 from baselines.contract import Baseline, Instance, Limits, Solution
 from dcreg.status import Status
 

@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
-from baselines._frontends import CorrespondenceMethod, Estimate
-from baselines._ransac import ransac
+from baselines._shared.front_ends import CorrespondenceMethod, Estimate
+from baselines._shared.ransac import ransac
 from baselines.contract import Instance, Limits
 
 

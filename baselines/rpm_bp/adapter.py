@@ -1,6 +1,6 @@
 """RPM-BP, reconstructed: variable substitution and bilinear envelopes."""
 
-from baselines._relaxations import SimilaritySearch
+from baselines._shared.relaxations import SimilaritySearch
 from baselines.rpm_bp.bound import BilinearBound
 
 

@@ -15,7 +15,7 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from baselines._relaxations import LeastOverBox, SubstitutedBound
+from baselines._shared.relaxations import LeastOverBox, SubstitutedBound
 
 # The products t_a t_b of phi2 and phi3: a, b, which phi, coefficient in it
 PRODUCTS = ((0, 2, 1, 1.0), (1, 3, 1, 1.0), (0, 3, 2, 1.0), (1, 2, 2, -1.0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._concave import SCOPE, Reduced
+from baselines._shared.concave import SCOPE, Reduced
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from baselines.rpm_cav.box import BoxBound
 from baselines.rpm_cav.search import Search, Settings

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._concave import N_STATISTICS, Clouds, Incumbent, Support, least_linear
+from baselines._shared.concave import N_STATISTICS, Clouds, Incumbent, Support, least_linear
 from baselines.contract import Instance
 from baselines.rpm_cav.kernels import bound_simplex
 from baselines.rpm_cav.search import root_simplex

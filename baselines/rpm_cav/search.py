@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from baselines._concave import (
+from baselines._shared.concave import (
     N_STATISTICS,
     Coordinates,
     History,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from baselines._search import BranchAndBound
+from baselines._shared.library_search import BranchAndBound
 from baselines.contract import Instance
 from dcreg.bounds import bound_names
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from baselines._concave import SCOPE, Reduced
+from baselines._shared.concave import SCOPE, Reduced
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from baselines.rpm_pa.search import Search, Settings
 from dcreg.problem import default_gap_tol

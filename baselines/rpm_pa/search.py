@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from baselines._concave import History, OutOfTimeError, Reduced, Support
+from baselines._shared.concave import History, OutOfTimeError, Reduced, Support
 from baselines.rpm_pa.kernels import extensions, test_facets, value_at
 from baselines.rpm_pa.polytope import Polytope
 from dcreg.search import Budget

@@ -7,9 +7,9 @@ import time
 import numpy as np
 from numba import njit
 
-from baselines._cliques import count_bits, has_bit
-from baselines._ransac import count_within
-from baselines._robust import squared_residuals, weighted_pose
+from baselines._shared.cliques import count_bits, has_bit
+from baselines._shared.ransac import count_within
+from baselines._shared.robust import squared_residuals, weighted_pose
 
 POWER_ITERATIONS = 10
 REFINEMENTS = 20

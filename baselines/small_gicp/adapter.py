@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from baselines._poses import rigid_pose, unit_of
-from baselines._starts import STARTS, best_of_starts, check_choice
+from baselines._shared.poses import rigid_pose, unit_of
+from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 
 

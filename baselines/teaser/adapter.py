@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
-from baselines import _cliques
-from baselines._frontends import CorrespondenceMethod, Estimate
+from baselines._shared import cliques
+from baselines._shared.front_ends import CorrespondenceMethod, Estimate
 from baselines.contract import Instance, Limits
 from baselines.teaser.pipeline import register
 
@@ -17,7 +17,7 @@ class Adapter(CorrespondenceMethod):
 
     def warm_up(self, instance: Instance) -> None:
         super().warm_up(instance)
-        _cliques.warm_up()
+        cliques.warm_up()
 
     def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
         found = register(

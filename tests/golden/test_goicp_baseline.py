@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from baselines import registry
-from baselines._poses import apply
+from baselines._shared.poses import apply
 from baselines.contract import Instance, Limits
 from dcreg.status import Status
 

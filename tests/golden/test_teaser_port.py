@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines import _cliques
-from baselines._consistency import consistency_graph
-from baselines._poses import apply, homogeneous
+from baselines._shared import cliques
+from baselines._shared.consistency import consistency_graph
+from baselines._shared.poses import apply, homogeneous
 from baselines.teaser.pipeline import register
 from workflows.studies.golden import golden_folder, main, pose_difference, read_case, teaser_row
 
@@ -58,7 +58,7 @@ def hard_case(seed: int, n: int = 1000, outlier_share: float = 0.95) -> tuple:
 def test_a_thousand_correspondences_with_95_percent_outliers_in_a_sixth_of_a_second() -> None:
     source, target, truth = hard_case(0)
     pairs = np.column_stack([np.arange(1000), np.arange(1000)])
-    _cliques.warm_up()
+    cliques.warm_up()
     register(source[:50], target[:50], pairs[:50], 0.01)
     times = []
     for seed in range(1, 6):

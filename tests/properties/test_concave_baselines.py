@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baselines import registry
-from baselines._concave import (
+from baselines._shared.concave import (
     Clouds,
     Incumbent,
     Reduced,

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from baselines._octree import OutOfTimeError
-from baselines._robust import refit, squared_residuals, weighted_pose
-from baselines._rotation_search import Found, most_correspondences
+from baselines._shared.cubes import OutOfTimeError
+from baselines._shared.robust import refit, squared_residuals, weighted_pose
+from baselines._shared.rotation_search import Found, most_correspondences
 from baselines.gore import removal as gore
 from baselines.gore.removal import _arc, _Removing, _rotation_reach, remove_outliers
 

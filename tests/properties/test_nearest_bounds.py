@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from baselines._consensus import Consensus
-from baselines._octree import OCTANTS, Incumbent, OctreeSearch
-from baselines._poses import apply, homogeneous
-from baselines._rotation_search import most_correspondences, most_matches
+from baselines._shared.consensus import Consensus
+from baselines._shared.cubes import OCTANTS, Incumbent, OctreeSearch
+from baselines._shared.poses import apply, homogeneous
+from baselines._shared.rotation_search import most_correspondences, most_matches
 from baselines.contract import Instance, Limits
 from baselines.frs import search as frs
 from baselines.goicp import kernels

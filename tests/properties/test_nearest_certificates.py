@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
-from baselines._poses import apply
+from baselines._shared.poses import apply
 from baselines.contract import Instance, Limits
 from baselines.gots.search import points_of
 from dcreg.status import Status

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
-from baselines._frontends import (
+from baselines._shared.front_ends import (
     Estimate,
     FrontEndError,
     Putative,
@@ -22,7 +22,7 @@ from baselines._frontends import (
     oracle_pairs,
     putative_pairs,
 )
-from baselines._poses import apply, homogeneous, median_spacing
+from baselines._shared.poses import apply, homogeneous, median_spacing
 from baselines.contract import Instance, Limits
 from dcreg.status import Status
 
@@ -270,7 +270,8 @@ def test_two_pairs_are_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
     if reason := method.available():
         pytest.skip(reason)
     monkeypatch.setattr(
-        "baselines._frontends.putative_pairs", lambda *_: Putative(np.array([[0, 0], [1, 1]]))
+        "baselines._shared.front_ends.putative_pairs",
+        lambda *_: Putative(np.array([[0, 0], [1, 1]])),
     )
     solution = method.solve(planted(0.0)[0], LIMITS)
     assert solution.status is Status.FAILED

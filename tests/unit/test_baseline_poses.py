@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from baselines import registry
-from baselines._poses import (
+from baselines._shared.poses import (
     apply,
     fit_pose,
     homogeneous,
@@ -22,7 +22,7 @@ from baselines._poses import (
     rigid_pose,
     rms_radius,
 )
-from baselines._starts import STARTS, best_of_starts, start_poses
+from baselines._shared.starts import STARTS, best_of_starts, start_poses
 from baselines.contract import Instance, Limits
 from dcreg.status import Status
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -48,9 +49,12 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("icp", {"max_iterations": True}, "is a bool"),
         ("icp", {"trim": 1}, "is a int; give a bool"),
         ("cpd", {"w": 1.5}, r"w = 1\.5"),
-        ("dcreg", {"bound": "papper"}, r"bound = 'papper'; choose from tight"),
-        ("rpm_htb", {"bound": "paper"}, r"choose from termwise"),
-        ("dcreg", {"mode": "quick"}, r"mode = 'quick'; choose one of \['full'"),
+        ("dcreg", {"bound": "papper"}, r"bound: 'papper' is unknown; choose from \['tight'"),
+        ("dcreg", {"bound": 3}, r"bound: '3' is unknown"),
+        ("dcreg", {"mode": "quick"}, r"mode = 'quick'; known: auto, full, multi, paper"),
+        ("dcreg", {"mode": "full", "bound": "paper"}, r"mode 'full' has bounds of its own"),
+        ("rpm_htb", {"bound": "paper"}, r"known: termwise, termwise-r1"),
+        ("rpm_htb", {"bound": None}, r"null is the library's own bound"),
         ("kiss_matcher", {"front_end": "sift"}, "fpfh-mutual, norm-signature, all-pairs, oracle"),
     ],
 )
@@ -58,6 +62,21 @@ def test_bad_option_value_is_explained(name: str, options: dict, words: str) -> 
     with pytest.raises(BaselineError, match=words) as error:
         registry.load(name, **options)
     assert str(error.value).startswith(name)
+
+
+@pytest.mark.parametrize("mode", ["full", "multi", "auto", None])
+def test_rpm_htb_runs_no_mode_that_does_without_its_bound(mode: str | None) -> None:
+    """Mode `full` has bounds of its own: DC-Reg's search would be reported as RPM-HTB."""
+    with pytest.raises(BaselineError, match=r"rpm_htb: option mode = .*; known: paper"):
+        registry.load("rpm_htb", mode=mode)
+    assert registry.load("rpm_htb").options["mode"] == "paper"
+
+
+def test_dcreg_leaves_mode_and_bound_to_the_library() -> None:
+    """An explicit bound would keep the library from choosing modes with bounds of their own."""
+    assert registry.load("dcreg").options["bound"] is None
+    assert registry.load("dcreg").options["mode"] is None
+    assert registry.load("dcreg", mode="full").options["bound"] is None
 
 
 def test_an_int_serves_as_a_float() -> None:
@@ -155,79 +174,110 @@ class TestFingerprint:
         (root / "mine" / "__pycache__" / "adapter.pyc").write_bytes(b"0")
         assert registry.fingerprint("mine", root) == before
 
-    def test_follows_what_it_depends_on(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """Editing a kernel reruns the methods built on it and no other."""
-        checkout = tmp_path / "checkout"
-        shutil.copytree(
-            registry.ROOT, checkout / "baselines", ignore=shutil.ignore_patterns("__pycache__")
-        )
-        shutil.copytree(
-            registry.ROOT.parent / "dcreg", checkout / "dcreg",
-            ignore=shutil.ignore_patterns("__pycache__"),
-        )  # fmt: skip
+
+class TestWhatAMethodDependsOn:
+    @pytest.fixture
+    def checkout(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+        """A copy of the methods and the library, free to be edited; the registry looks there."""
+        for package in ("baselines", "dcreg"):
+            shutil.copytree(
+                registry.ROOT.parent / package, tmp_path / package,
+                ignore=shutil.ignore_patterns("__pycache__"),
+            )  # fmt: skip
+        monkeypatch.setattr(registry, "ROOT", tmp_path / "baselines")
+        return tmp_path
+
+    @staticmethod
+    def rerun_by(checkout: Path, file: str, more: str = "\n# edited\n") -> set[str]:
+        """Methods whose results an edit of `file` makes stale."""
         root = checkout / "baselines"
-        monkeypatch.setattr(registry, "ROOT", root)
         before = {name: registry.fingerprint(name, root) for name in registry.names(root)}
-        for file, expected in (
-            ("bounds/dc.py", {"dcreg", "hbsp"}),
-            ("kernels/termwise.py", {"dcreg", "rpm_htb", "rpm_bp", "hbsp"}),
-        ):
-            path = checkout / "dcreg" / file
-            path.write_text(path.read_text() + "\n# edited\n")
-            after = {name: registry.fingerprint(name, root) for name in before}
-            assert {name for name in before if after[name] != before[name]} == expected
-            before = after
+        with (checkout / file).open("a") as stream:
+            stream.write(more)
+        return {name for name in before if registry.fingerprint(name, root) != before[name]}
 
-    def test_unknown_dependence_is_an_error(self, root: Path) -> None:
-        edit_card(root, depends=["dcreg/no_such_file.py"])
-        with pytest.raises(BaselineError, match="field depends: 'dcreg/no_such_file"):
-            registry.fingerprint("mine", root)
+    @pytest.mark.parametrize(
+        ("file", "some", "others"),
+        [
+            # through the library's packages, two and more imports away
+            ("dcreg/bounds/dc.py", {"dcreg", "rpm_htb", "hbsp"}, {"rpm_cav", "icp", "gore"}),
+            ("dcreg/kernels/sorting.py", {"dcreg", "rpm_bp", "rpm_cav"}, {"icp", "cpd", "dcp"}),
+            ("dcreg/local/fit.py", {"dcreg", "rpm_cav", "teaser", "icp"}, {"kiss_icp"}),
+            ("baselines/_shared/poses.py", {"icp", "gore", "teaserpp"}, {"dcreg", "rpm_htb"}),
+            # imported within a function
+            ("baselines/_shared/open3d_clouds.py", {"fpfh_ransac", "gore"}, {"icp", "goicp"}),
+            # a child process
+            ("baselines/_shared/learned_child.py", {"dcp", "dgr", "hunter"}, {"icp", "py_goicp"}),
+            ("baselines/py_goicp/child.py", {"py_goicp"}, {"goicp", "dcp"}),
+        ],
+    )
+    def test_an_edit_reruns_what_imports_the_file_and_no_other(
+        self, checkout: Path, file: str, some: set[str], others: set[str]
+    ) -> None:
+        stale = self.rerun_by(checkout, file)
+        assert some <= stale
+        assert not others & stale
 
+    @pytest.mark.parametrize(
+        "file", ["dcreg/cli.py", "dcreg/plot.py", "dcreg/sweeping.py", "baselines/registry.py"]
+    )
+    def test_nothing_follows_what_no_solve_runs(self, checkout: Path, file: str) -> None:
+        assert self.rerun_by(checkout, file) == set()
 
-def library_imports(path: Path) -> set[Path]:
-    """Files of ``dcreg`` that a file imports anywhere, directly."""
-    checkout, found = registry.ROOT.parent, set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        modules = []
-        if isinstance(node, ast.Import):
-            modules = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        for module in modules:
-            if module.partition(".")[0] == "dcreg":
-                stem = checkout.joinpath(*module.split("."))
-                found |= {f for f in (stem.with_suffix(".py"), stem / "__init__.py") if f.is_file()}
-    return found
+    def test_a_data_file_of_the_folder_counts(self, checkout: Path) -> None:
+        assert self.rerun_by(checkout, "baselines/icp/table.csv", "1,2\n") == {"icp"}
 
+    def test_a_package_that_defines_the_name_counts_with_its_imports(self, checkout: Path) -> None:
+        """`dcreg.bounds` makes bounds by name: which of its modules runs, no import says."""
+        assert "rpm_htb" in self.rerun_by(checkout, "dcreg/bounds/edges.py")
 
-@pytest.mark.parametrize(
-    ("name", "never_reached"),
-    [
-        ("dcreg", {"sweeping.py"}),
-        (
-            "rpm_htb",
-            {
-                "bounds/dc.py", "bounds/edges.py", "bounds/shared.py", "certificate.py",
-                "kernels/norm_bound.py", "kernels/rigid.py", "kernels/shared.py", "rigid.py",
-                "sweeping.py",
-            },
-        ),
-    ],
-)  # fmt: skip
-def test_search_methods_depend_on_all_they_import(name: str, never_reached: set[str]) -> None:
-    """A new kernel or module of the library must enter the cards, or its edits rerun nothing."""
-    library = registry.ROOT.parent / "dcreg"
-    reached, todo = set(), [registry.ROOT / "_search.py"]
-    while todo:
-        new = library_imports(todo.pop()) - reached
-        reached |= new
-        todo += new
-    depends = {
-        path
-        for entry in registry.read_card(name).depends
-        for path in registry._depended(registry.ROOT / name, entry)
-    }
-    missing = {path.relative_to(library).as_posix() for path in reached - depends}
-    assert missing - {"_version.py"} == never_reached
+    def test_names_loaded_late_are_followed(self, checkout: Path) -> None:
+        (checkout / "dcreg" / "__init__.py").write_text(
+            "import importlib\n"
+            '_LATE = {"register": "dcreg.registration", "plot": "dcreg.plot"}\n'
+            "def __getattr__(name):\n"
+            "    return getattr(importlib.import_module(_LATE[name]), name)\n"
+        )
+        assert "dcreg" in self.rerun_by(checkout, "dcreg/registration.py")
+        assert self.rerun_by(checkout, "dcreg/plot.py") == set()
+
+    def test_imports_for_type_checkers_do_not_count(self, checkout: Path) -> None:
+        only_types = "\nif TYPE_CHECKING:\n    from dcreg.plot import page\n"
+        assert "icp" in self.rerun_by(checkout, "baselines/icp/adapter.py", only_types)
+        assert self.rerun_by(checkout, "dcreg/plot.py") == set()
+
+    def test_what_python_loads_of_the_methods_is_counted(self) -> None:
+        """The other way round: every module of `baselines` that a method's import brings in."""
+        script = (
+            "import sys, baselines.{0}.adapter; "
+            "print(*(m.__file__ for n, m in sys.modules.items() if n.startswith('baselines') and m.__file__))"
+        )
+        for name in ("gore", "hbsp"):
+            loaded = subprocess.run(
+                [sys.executable, "-c", script.format(name)],
+                capture_output=True, text=True, check=True, cwd=registry.ROOT.parent,
+            ).stdout.split()  # fmt: skip
+            counted = {str(path) for path in registry.code_of(name)}
+            assert set(loaded) <= counted
+            assert str(registry.ROOT / name / "adapter.py") in loaded
+
+    def test_no_adapter_is_imported_and_it_is_quick(self) -> None:
+        script = (
+            "import sys, time\n"
+            "from baselines import registry\n"
+            "began = time.process_time()\n"
+            "prints = [registry.fingerprint(name) for name in registry.names()]\n"
+            "print(time.process_time() - began)\n"
+            "print([name for name in sys.modules if name.endswith('.adapter')])\n"
+        )
+        seconds, adapters = subprocess.run(
+            [sys.executable, "-c", script],
+            capture_output=True, text=True, check=True, cwd=registry.ROOT.parent,
+        ).stdout.splitlines()  # fmt: skip
+        assert float(seconds) < 0.05 * len(registry.names())
+        assert adapters == "[]"
+
+    def test_an_old_card_with_the_list_is_told_so(self, root: Path) -> None:
+        edit_card(root, depends=["dcreg/search.py"])
+        with pytest.raises(BaselineError, match=r"field depends.*imports: remove the field"):
+            registry.read_card("mine", root)

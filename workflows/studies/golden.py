@@ -72,10 +72,10 @@ RIGHT = (15.0, 0.30)  # of a pose on 3DMatch: degrees and metres
 
 def teaser_row(name: str, case: Case) -> dict[str, Any]:
     """The port on the correspondences that official TEASER++ got."""
-    from baselines import _cliques
+    from baselines._shared import cliques
     from baselines.teaser.pipeline import register
 
-    _cliques.warm_up()
+    cliques.warm_up()
     source, target = case["source"], case["target"]
     pairs = np.column_stack([np.arange(len(source)), np.arange(len(source))])
     times = []
@@ -170,7 +170,7 @@ COMPARISONS: dict[str, Comparison] = {
         "case's unit: longest side 1, or metres. Real cases have many maximum cliques, with poses "
         "degrees apart; which one a solver meets is an accident of its order of search. Ours was "
         "chosen so that ties fall as recorded where the official pose is right (`STARTS` in "
-        "`baselines/_cliques.py`). Where it is wrong, neither pose means anything.",
+        "`baselines/_shared/cliques.py`). Where it is wrong, neither pose means anything.",
     ),
     "dcreg_full": Comparison(
         "goicp_*.npz",

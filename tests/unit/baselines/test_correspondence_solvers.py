@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from baselines import _cliques, registry
-from baselines._cliques import degeneracy, maximum_clique, pack
-from baselines._consistency import consistency_graph, vote, vote_scale
-from baselines._poses import apply, homogeneous
-from baselines._ransac import ransac
-from baselines._robust import gnc_pose, weighted_pose
+from baselines._shared import registry
+from baselines._shared.cliques import degeneracy, maximum_clique, pack
+from baselines._shared.consistency import consistency_graph, vote, vote_scale
+from baselines._shared.poses import apply, homogeneous
+from baselines._shared.ransac import ransac
+from baselines._shared.robust import gnc_pose, weighted_pose
 from baselines.clipper.dense import dense_clique
 from baselines.contract import Instance, Limits
 from baselines.mac.enumerate import HeaviestCliques
@@ -129,7 +129,7 @@ class TestCliques:
     def test_of_several_the_first_in_degeneracy_order_where_none_was_grown(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(_cliques, "STARTS", 0)  # as if all grown ones were too small
+        monkeypatch.setattr(cliques, "STARTS", 0)  # as if all grown ones were too small
         for seed in range(15):
             adjacency = self.random_graph(seed)
             rows = pack(adjacency)

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
-from baselines._poses import apply, homogeneous
+from baselines._shared.poses import apply, homogeneous
 from baselines.contract import Instance, Limits
 from dcreg.status import Status
 

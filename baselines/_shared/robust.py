@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from baselines._poses import apply, homogeneous
+from baselines._shared.poses import apply, homogeneous
 
 # Truncated least squares by graduated non-convexity (Yang, Antonante, Tzoumas and Carlone, 2020).
 GNC_FACTOR = 1.4

@@ -3,7 +3,7 @@
 Run as ``python _learned_child.py RUNNER SETTINGS``, RUNNER a file that defines
 ``load(checkout, weights, settings)``, which returns a function from a problem (dict of arrays) to a
 (4, 4) pose; SETTINGS a JSON object with ``checkout``, ``weights`` and the method's options. Needs the
-standard library and NumPy only, Python 3.7 or later. See `baselines._learned` for the protocol.
+standard library and NumPy only, Python 3.7 or later. See `baselines._shared.learned` for the protocol.
 """
 
 import contextlib

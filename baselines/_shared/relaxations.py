@@ -22,8 +22,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from baselines._boxes import bound_of_box
-from baselines._search import ModeOfItsOwn
+from baselines._shared.library_search import ModeOfItsOwn
+from baselines._shared.single_boxes import bound_of_box
 from baselines.contract import Instance
 from dcreg.bounds.base import SpaceBound
 from dcreg.kernels import termwise, vertices

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import dcreg
-from baselines._boxes import bound_of_box
+from baselines._shared.single_boxes import bound_of_box
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from dcreg.bounds import DEFAULT_BOUND, bound_names, bound_parts, make_bound
 from dcreg.modes import AUTO, MODES, Answer, Mode, Task, mode_names

@@ -7,7 +7,7 @@ import time
 import numpy as np
 from numba import njit
 
-from baselines._robust import refit, weighted_pose
+from baselines._shared.robust import refit, weighted_pose
 
 BATCH = 500  # samples between two looks at the clock: a millisecond
 

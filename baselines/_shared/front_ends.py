@@ -30,8 +30,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from baselines import _open3d
-from baselines._poses import fit_pose, median_spacing
+from baselines._shared import open3d_clouds
+from baselines._shared.poses import fit_pose, median_spacing
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from dcreg.status import Status
 
@@ -165,9 +165,9 @@ def _fpfh(points: np.ndarray, normal_radius: float, feature_radius: float) -> np
     """FPFH of every point, (n, 33)."""
     import open3d
 
-    _open3d.quiet()
+    open3d_clouds.quiet()
     search = open3d.geometry.KDTreeSearchParamHybrid
-    cloud = _open3d.cloud(points)
+    cloud = open3d_clouds.cloud(points)
     cloud.estimate_normals(search(radius=normal_radius, max_nn=30))
     features = open3d.pipelines.registration.compute_fpfh_feature(
         cloud, search(radius=feature_radius, max_nn=100)

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from baselines._poses import apply, homogeneous
+from baselines._shared.poses import apply, homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
 from dcreg.status import Status
 

@@ -35,11 +35,11 @@ from typing import Any
 
 import numpy as np
 
-from baselines._poses import rigid_pose
+from baselines._shared.poses import rigid_pose
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from dcreg.status import Status
 
-CHILD = Path(__file__).with_name("_learned_child.py")
+CHILD = Path(__file__).with_name("learned_child.py")
 PLACES = ("checkout", "weights", "python", "device")
 LOADING_S = 600.0  # for imports and the network, in the warm-up
 

@@ -7,8 +7,8 @@ import time
 import numpy as np
 from scipy.spatial import cKDTree
 
-from baselines._closest_point import ClosestPoint, fit_rigid, spread_poses
-from baselines._poses import apply
+from baselines._shared.closest_point import ClosestPoint, fit_rigid, spread_poses
+from baselines._shared.poses import apply
 from baselines.contract import Instance
 
 _SHRINK = 0.7  # of the radius between two fits of the ascent

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from baselines._poses import apply, homogeneous
+from baselines._shared.poses import apply, homogeneous
 
 _AT_ONCE = 16  # poses descended between two looks at the clock
 

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial.distance import cdist
 
-from baselines._cliques import set_bit
+from baselines._shared.cliques import set_bit
 
 MOST_VOTERS = 1500  # correspondences that vote on the scale, spread evenly over more
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from baselines._octree import OutOfTimeError
+from baselines._shared.cubes import OutOfTimeError
 
 _TESTS_PER_SLICE = 2_000_000  # pair tests between two looks at the clock: some 20 ms
 _LEAST_HALF_WIDTH = 1e-6  # radians; a smaller cube is not divided and keeps its upper bound
