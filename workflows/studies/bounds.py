@@ -29,7 +29,7 @@ import pandas as pd
 import typer
 
 from baselines import registry
-from baselines._boxes import box_space
+from baselines._shared.single_boxes import box_space
 from baselines.contract import BoxBounding, Instance
 from data.registry import dataset
 from dcreg.bounds import BOUNDS, make_bound
