@@ -2,6 +2,7 @@
 
 import io
 import json
+import logging
 import math
 import os
 import resource
@@ -464,6 +465,19 @@ def test_terminal_shows_one_live_line():
     text = show([event(n_nodes=n) for n in (41, 42, 43)], terminal=True)
     assert "search         43" in text
     assert "\x1b[" in text  # redrawn in place
+
+
+def test_messages_of_the_library_are_shown_while_it_works():
+    stream = io.StringIO()
+    log = logging.getLogger("dcreg.warm_up")
+    level = logging.getLogger("dcreg").level
+    with Progress(Console(file=stream)):
+        log.info("compiling %s (once; about %d s)", "[kernels]", 9)
+    log.info("too late")
+    with Progress(Console(file=stream), quiet=True):
+        log.info("not asked for")
+    assert stream.getvalue() == "compiling [kernels] (once; about 9 s)\n"
+    assert logging.getLogger("dcreg").level == level
 
 
 def test_quiet_shows_nothing():
