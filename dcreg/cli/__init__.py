@@ -9,12 +9,14 @@ def main() -> None:
     """Run the command ``dcreg``; where its packages are missing, say what to install."""
     try:
         from dcreg.cli.app import app
+
+        app(prog_name="dcreg")
     except ModuleNotFoundError as error:
-        if error.name not in ("typer", "rich"):
+        missing = (error.name or "").partition(".")[0]
+        if missing not in ("typer", "rich"):
             raise
         sys.exit(
-            f"error: the command dcreg needs the package {error.name}, which is missing here; install "
+            f"error: the command dcreg needs the package {missing}, which is missing here; install "
             "what it needs with: pip install typer rich plotly\n"
             "In Python the library works without: import dcreg"
         )
-    app(prog_name="dcreg")

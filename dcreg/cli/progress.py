@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import signal
@@ -15,6 +16,8 @@ from rich.text import Text
 
 import dcreg
 
+# Tells what the library does beside its searches, such as compiling, in records of level INFO.
+_LIBRARY = logging.getLogger("dcreg")
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _HEADER = (
     f"  {'stage':<8}{'nodes':>9}{'open':>8}{'assign.':>10}"
@@ -61,6 +64,8 @@ class Progress:
         self._improved = False
         self._pending: dcreg.Event | None = None
         self._old_handlers: dict[signal.Signals, Any] = {}
+        self._messages = _Messages(self._console)
+        self._old_level = logging.NOTSET
 
     def __enter__(self) -> Self:
         for number in _STOP_SIGNALS:
@@ -68,12 +73,13 @@ class Progress:
                 self._old_handlers[number] = signal.signal(number, self._on_signal)
             except ValueError:  # handlers can be set in the main thread only
                 break
-        if not self._quiet and self._console.is_terminal:
-            self._live = Live(
-                Text("preparing (the first run compiles kernels, which takes a while)"),
-                console=self._console,
-                refresh_per_second=8,
-            )
+        if self._quiet:
+            return self
+        self._old_level = _LIBRARY.level
+        _LIBRARY.setLevel(logging.INFO)
+        _LIBRARY.addHandler(self._messages)
+        if self._console.is_terminal:
+            self._live = Live(Text("preparing"), console=self._console, refresh_per_second=8)
             self._live.start()
         return self
 
@@ -82,6 +88,9 @@ class Progress:
             self._live.stop()
         elif self._pending is not None:
             self._print(self._pending)
+        if not self._quiet:
+            _LIBRARY.removeHandler(self._messages)
+            _LIBRARY.setLevel(self._old_level)
         for number, handler in self._old_handlers.items():
             signal.signal(number, handler)
 
@@ -140,6 +149,17 @@ class Progress:
             f"{_number(event.gap, 4):>10}{event.time_s:>7.1f}s"
             f"{'  ' + event.status if event.status else ''}"
         )
+
+
+class _Messages(logging.Handler):
+    """Shows messages of the library, on a terminal above the live line."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(logging.INFO)
+        self._console = console
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._console.print(record.getMessage(), highlight=False, markup=False, soft_wrap=True)
 
 
 def _number(value: float, digits: int) -> str:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import logging
 import math
 import os
 import resource
@@ -466,6 +467,19 @@ def test_terminal_shows_one_live_line():
     assert "\x1b[" in text  # redrawn in place
 
 
+def test_messages_of_the_library_are_shown_while_it_works():
+    stream = io.StringIO()
+    log = logging.getLogger("dcreg.warm_up")
+    level = logging.getLogger("dcreg").level
+    with Progress(Console(file=stream)):
+        log.info("compiling %s (once; about %d s)", "[kernels]", 9)
+    log.info("too late")
+    with Progress(Console(file=stream), quiet=True):
+        log.info("not asked for")
+    assert stream.getvalue() == "compiling [kernels] (once; about 9 s)\n"
+    assert logging.getLogger("dcreg").level == level
+
+
 def test_quiet_shows_nothing():
     assert show([event("end")], quiet=True) == ""
 
@@ -763,3 +777,58 @@ def test_sweep_help_has_an_example():
     outcome = run("sweep", "--help")
     assert outcome.exit_code == 0
     assert "dcreg sweep a.txt b.txt" in outcome.stdout
+
+
+# --- what the library decides -----------------------------------------------------------------------
+
+
+def test_default_tolerance_of_a_target_without_extent(tmp_path):
+    """Its unit of length is then the source's, so the tolerance is that of the library, not zero."""
+    source = np.random.default_rng(3).random((6, 2))
+    target = np.ones((6, 2))
+    np.savetxt(tmp_path / "a.txt", source)
+    np.savetxt(tmp_path / "b.txt", target)
+    outcome = run(
+        *("register", tmp_path / "a.txt", tmp_path / "b.txt", "--model", "similarity2d"),
+        *("--n-inliers", "6", "--json", tmp_path / "o.json"),
+    )
+    assert outcome.exit_code == 0, outcome.output
+    tolerance = json.loads((tmp_path / "o.json").read_text())["gap_tol"]
+    expected = dcreg.register(source, target, n_inliers=6, model="similarity2d").gap_tol
+    assert tolerance == pytest.approx(expected)
+    assert tolerance > 0
+
+
+def test_equal_ends_of_the_scale_range_fix_the_scale(clouds, tmp_path):
+    command = ["register", *clouds, "--model", "similarity2d", "--n-inliers", "12"]
+    outcome = run(*command, "--scale-range", 1, 1, "--json", tmp_path / "o.json")
+    assert outcome.exit_code == 0, outcome.output
+    content = json.loads((tmp_path / "o.json").read_text())
+    assert content["status"] == "optimal"
+    assert content["scale"] == pytest.approx(1.0, abs=1e-12)  # 1.2 without the constraint
+    assert content["objective"] > 0.01
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--mode", "full", "--bound", "paper"], "--bound: 'paper', but mode 'full' has bounds"),
+        (["--scale-range", "0.9", "1.1"], "--scale-range: (0.9, 1.1), but rigid3d has no scale"),
+        (["--mode", "full", "--certificate", "c.npz"], "--certificate: mode 'full' keeps no leaf"),
+        (["--mode", "best"], "--mode: 'best' is unknown for rigid3d"),
+    ],
+)
+def test_what_a_mode_would_ignore_is_refused(tmp_path, monkeypatch, options, words):
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("a.txt", np.random.default_rng(3).random((6, 3)))
+    np.savetxt("b.txt", np.random.default_rng(4).random((6, 3)))
+    outcome = run("register", "a.txt", "b.txt", "--model", "rigid3d", "--n-inliers", 6, *options)
+    assert outcome.exit_code == 2
+    assert words in outcome.stderr
+    assert outcome.stdout == ""
+
+
+def test_the_command_prints_what_the_result_prints(call, fake):
+    printed = run(*call).stdout
+    source, target = fake.called.pop("source"), fake.called.pop("target")
+    assert printed == f"{fake(source, target, **fake.called)}\n"

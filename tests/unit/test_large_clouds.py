@@ -14,6 +14,8 @@ from dcreg.local import sparse
 from dcreg.local.assignment import k_assignment
 from dcreg.local.sampled_rotation import search_sampled_rotation
 from dcreg.problem import InputError
+from dcreg.search import Budget
+from dcreg.spaces import Rotation3D
 from dcreg.status import Status
 
 NOISE = 0.005
@@ -78,7 +80,7 @@ def test_outliers_return_in_time(rng):
         source, target, n_inliers=n_inliers, model="rigid3d", mode="paper", time_limit=limit
     )
     assert result.status in (Status.OPTIMAL, Status.TIME_LIMIT)
-    assert sum(stage["time_s"] for stage in result.stages[:2]) < 2 * limit
+    assert sum(stage.time_s for stage in result.stages[:2]) < 2 * limit
     assert len(result.assignment) == n_inliers
     angle, shift = pose_errors(result.T_target_source)
     assert angle < 0.5
@@ -89,14 +91,15 @@ def test_sampled_rotation_claims_only_what_its_bounds_prove(rng):
     source = spiral(rng, 2100)
     source -= source.mean(axis=0)
     target = source @ ROTATION.T + NOISE * rng.standard_normal(source.shape)
-    loose = search_sampled_rotation(source, target, 2100, gap_tol=1.0)
-    strict = search_sampled_rotation(source, target, 2100, gap_tol=1e-9)
+    loose = search_sampled_rotation(source, target, 2100, gap_tol=1.0, budget=Budget())
+    strict = search_sampled_rotation(source, target, 2100, gap_tol=1e-9, budget=Budget())
     assert loose.status is Status.OPTIMAL
     assert strict.status is Status.CONVERGED
     assert strict.lower_bound < strict.upper_bound
-    assert np.degrees(Rotation.from_matrix(strict.rotation @ ROTATION.T).magnitude()) < 0.5
-    exact = linear_sum_assignment(_squared(source @ strict.rotation.T, target))
-    value = _squared(source @ strict.rotation.T, target)[exact].sum()
+    rotation = Rotation3D.matrix(strict.theta)
+    assert np.degrees(Rotation.from_matrix(rotation @ ROTATION.T).magnitude()) < 0.5
+    exact = linear_sum_assignment(_squared(source @ rotation.T, target))
+    value = _squared(source @ rotation.T, target)[exact].sum()
     assert strict.lower_bound <= value <= strict.upper_bound + 1e-9
 
 

@@ -74,9 +74,11 @@ def test_problem_copies_its_input():
 
 
 def test_default_gap_tol_scales_with_the_square_of_the_target():
-    assert default_gap_tol(3 * GOOD, 4) == pytest.approx(9 * default_gap_tol(GOOD, 4))
+    source = np.zeros((5, 2))
+    tolerance = default_gap_tol(source, GOOD, 4)
+    assert default_gap_tol(source, 3 * GOOD, 4) == pytest.approx(9 * tolerance)
     radius = np.sqrt(((GOOD - GOOD.mean(0)) ** 2).sum(1).mean())
-    assert default_gap_tol(GOOD, 4) == pytest.approx(4 * (0.03 * radius) ** 2)
+    assert tolerance == pytest.approx(4 * (0.03 * radius) ** 2)
 
 
 def test_clouds_beyond_memory_are_refused_before_any_work():

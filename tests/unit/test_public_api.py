@@ -1,0 +1,151 @@
+"""What `dcreg` offers by name: complete, documented, and loaded only when it is used."""
+
+import ast
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import dcreg
+from dcreg import names
+from dcreg.bounds import BOUNDS
+from dcreg.cli.options import ModelChoice
+from dcreg.io import READERS
+from dcreg.modes import MODES
+
+PACKAGE = Path(dcreg.__file__).parent
+HEAVY = {"numpy", "scipy", "numba", "plotly", "matplotlib"}
+
+
+def loaded_by(code: str) -> set[str]:
+    """Top-level modules that a fresh interpreter has loaded after running `code`."""
+    code += "\nimport sys; print(*{name.split('.')[0] for name in sys.modules}, file=sys.stderr)"
+    finished = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent, check=True
+    )
+    return set(finished.stderr.split())
+
+
+def command(*arguments: str) -> str:
+    return (
+        "import sys\n"
+        f"sys.argv = ['dcreg', *{arguments!r}]\n"
+        "from dcreg.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code, end.code"
+    )
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import dcreg; dcreg.__version__; dir(dcreg)",
+        "import dcreg; dcreg.bound_names(); dcreg.mode_names('rigid3d')",
+        command("--version"),
+        command("--help"),
+        command("register", "--help"),
+        command("sweep", "--help"),
+    ],
+)
+def test_names_versions_and_help_load_nothing_heavy(code):
+    assert not loaded_by(code) & HEAVY
+
+
+def test_the_version_needs_no_formatted_text():
+    assert "rich" not in loaded_by(command("--version"))
+
+
+def test_solving_needs_neither_command_line_nor_figures():
+    code = (
+        "import numpy, dcreg\n"
+        "p = numpy.random.default_rng(0).random((5, 2))\n"
+        "print(dcreg.register(p, p, n_inliers=5, model='similarity2d'))"
+    )
+    assert not loaded_by(code) & {"typer", "rich", "plotly", "matplotlib", "pandas"}
+
+
+@pytest.mark.parametrize("package", ["typer", "rich"])
+def test_a_missing_package_of_the_command_line_is_named(package):
+    code = f"import sys; sys.modules['{package}'] = None; from dcreg.cli import main; main()"
+    finished = subprocess.run(
+        [sys.executable, "-c", code, "--help"], capture_output=True, text=True, cwd=PACKAGE.parent
+    )
+    assert finished.returncode == 1
+    assert f"needs the package {package}" in finished.stderr
+    assert "pip install typer rich plotly" in finished.stderr
+    assert "Traceback" not in finished.stderr
+
+
+def test_a_missing_plotly_is_named():
+    code = "import sys; sys.modules['plotly'] = None; import dcreg; dcreg.plot_registration"
+    finished = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent
+    )
+    assert finished.stderr.endswith(
+        "ModuleNotFoundError: figures need plotly, which is missing here; install it with: "
+        "pip install plotly\n"
+    )
+
+
+def test_public_names_are_those_of_the_stub():
+    """What type checkers see is what there is at run time."""
+    tree = ast.parse((PACKAGE / "__init__.pyi").read_text(encoding="utf-8"))
+    imported = {
+        alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    (stated,) = (ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign))
+    assert stated == sorted(stated)
+    assert set(stated) == imported == set(dcreg.__all__)
+    assert (PACKAGE / "py.typed").exists()
+
+
+@pytest.mark.parametrize("name", dcreg.__all__)
+def test_public_names_are_documented(name):
+    public = getattr(dcreg, name)
+    if inspect.isclass(public) or inspect.isfunction(public):
+        assert inspect.getdoc(public)
+        assert "dcreg" in public.__module__
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(AttributeError, match="registre"):
+        dcreg.registre  # noqa: B018
+
+
+def test_the_command_line_uses_public_names_only():
+    """So all that it does can be done from Python."""
+    used = set()
+    for path in (PACKAGE / "cli").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("dcreg"):
+                assert node.module == "dcreg.names" or f"{node.module}.".startswith("dcreg.cli.")
+            if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "dcreg":
+                used.add(node.attr)
+    assert used - {"__version__"} <= set(dcreg.__all__)
+    assert {"register", "sweep", "verify", "plot_registration"} <= used
+
+
+# --- names against the code that they select --------------------------------------------------------
+
+
+def test_names_of_bounds_are_those_of_the_table():
+    assert list(BOUNDS) == list(names.BOUND_NAMES)
+    assert names.DEFAULT_BOUND in BOUNDS
+
+
+@pytest.mark.parametrize("model", names.MODEL_DIM)
+def test_names_of_modes_are_those_of_the_table(model):
+    assert [mode.name for mode in MODES if mode.model == model] == names.mode_names(model)
+
+
+def test_models_of_the_command_line_are_those_of_the_library():
+    assert list(ModelChoice) == list(names.MODEL_DIM)
+
+
+def test_formats_of_the_command_line_are_those_of_the_readers():
+    from dcreg.cli.register import register
+
+    assert f"Files: {' '.join(READERS)}." in register.__doc__
+    assert f"A ``{' '.join(READERS)}`` file" in dcreg.read_points.__doc__

@@ -1,0 +1,186 @@
+"""Results print themselves, and are written as JSON, CSV and certificates."""
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from dcreg.files import as_json, plain, whole_file, write_text
+from dcreg.text import listing, table
+
+
+def result(**changes):
+    """A made-up optimum in the plane: a quarter turn, scale 2, 100 pairs."""
+    T = np.array([[0.0, -2.0, 5.0], [2.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    values = {
+        "status": dcreg.Status.OPTIMAL,
+        "model": "similarity2d",
+        "mode": "paper",
+        "bound": "tight",
+        "T_target_source": T,
+        "T_certified": T,
+        "assignment": np.array([[i, i] for i in range(100)]),
+        "n_inliers": 100,
+        "lower_bound": 0.75,
+        "upper_bound": 1.0,
+        "gap_tol": 0.5,
+        "certificate_scope": "similarity pose",
+        "objective": 1.0,
+        "objective_certified": 1.25,
+        "n_nodes": 40,
+        "n_assignments": 160,
+        "time_setup_s": 0.1,
+        "time_solve_s": 2.0,
+        "trace": dcreg.Trace(),
+    }
+    return dcreg.Result(**values | changes)
+
+
+def sweep(n=3, **changes):
+    counts = range(50, 50 + 10 * n, 10)
+    values = [0.5, 0.6, 5.0, 9.0]
+    results = [
+        result(n_inliers=k, lower_bound=0.9 * x, upper_bound=x, objective=x, **changes)
+        for k, x in zip(counts, values, strict=False)
+    ]
+    return dcreg.SweepResult(results, [None, *(r.n_inliers for r in results[1:])])
+
+
+def test_a_result_prints_all_but_the_pairs():
+    assert str(result()) == result().summary()
+    lines = str(result()).splitlines()
+    assert (
+        lines[0]
+        == "status           optimal: certified within the tolerance, for the similarity pose"
+    )
+    pose = [line[17:].split() for line in lines[1:4]]
+    assert np.array(pose, dtype=float).tolist() == result().T_target_source.tolist()
+    entries = {line[:17].strip(): line[17:] for line in lines}
+    assert entries["scale"] == "2"
+    assert entries["rotation"] == "90.0000 deg"
+    assert entries["RMSE of pairs"] == "0.1 over 100 pairs"
+    assert entries["gap"] == "0.25 (tolerance 0.5)"
+    assert entries["objective"] == "1 (before the polish 1.25)"
+    assert entries["method"] == "similarity2d, mode paper, bound tight"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"status": dcreg.Status.CONVERGED}, "converged: came to its own end, not certified"),
+        ({"status": dcreg.Status.NODE_LIMIT}, "a later stage did not end"),
+        (
+            {"status": dcreg.Status.NODE_LIMIT, "lower_bound": 0.0},
+            "node_limit: best pose so far, not certified",
+        ),
+    ],
+)
+def test_the_verdict_says_what_is_certified(changes, words):
+    assert words in str(result(**changes)).splitlines()[0]
+
+
+def test_stages_are_listed_where_several_have_bounds():
+    search = dcreg.Stage("search", 1.0, 5, 9, dcreg.Status.OPTIMAL, 0.5, 1.0)
+    turn = dcreg.Stage("rotation", 1.5, 7, 9, dcreg.Status.TIME_LIMIT, 2.0, 9.0)
+    polish = dcreg.Stage("polish", 0.1, objective_before=2.0, objective_after=1.0)
+    text = str(result(stages=[search, turn, polish]))
+    assert "search stage     optimal, bounds [0.5, 1], 5 nodes, 1.00 s" in text
+    assert "rotation stage   time_limit, bounds [2, 9], 7 nodes, 1.50 s" in text
+    assert "polish stage" not in text
+    assert "search stage" not in str(result(stages=[search, polish]))
+
+
+def test_representations_are_one_short_line():
+    assert repr(result()) == (
+        "<Result optimal: similarity2d, mode paper, 100 pairs, bounds [0.75, 1], RMSE 0.1>"
+    )
+    assert repr(sweep()) == "<SweepResult optimal: 3 cardinalities from 50 to 70>"
+
+
+@pytest.mark.parametrize(
+    ("rotvec", "degrees"), [((0, 0, 0.1), 5.7296), ((0, np.pi, 0), 180), ((0, 0, 0), 0)]
+)
+def test_rotation_angle_in_space(rotvec, degrees):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(rotvec).as_matrix()
+    assert result(T_target_source=T).rotation_deg == pytest.approx(degrees, abs=1e-4)
+
+
+def test_rotation_angle_in_the_plane_is_signed():
+    T = np.array([[0.0, 3.0, 0.0], [-3.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert result(T_target_source=T).rotation_deg == pytest.approx(-90)
+
+
+def test_json_has_every_key_and_null_for_what_is_unknown(tmp_path):
+    unknown = result(lower_bound=-math.inf, n_nodes=np.int64(7))
+    unknown.write_json(tmp_path / "a.json", source="a.txt")
+    content = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)
+    assert set(content) == {*unknown.to_dict(), "source", "dcreg_version"}
+    assert content["lower_bound"] is None
+    assert (content["n_nodes"], content["source"]) == (7, "a.txt")
+    assert content["T_target_source"] == unknown.T_target_source.tolist()
+
+
+def test_a_certificate_is_written_if_one_was_kept(tmp_path):
+    with pytest.raises(dcreg.InputError, match="certificate=True"):
+        result().write_certificate(tmp_path / "a.npz")
+    points = np.random.default_rng(0).random((8, 2))
+    found = dcreg.register(points, points, n_inliers=8, model="similarity2d", certificate=True)
+    found.write_certificate(tmp_path / "a.npz")
+    assert dcreg.verify(tmp_path / "a.npz", points, points).accepted
+
+
+def test_a_sweep_prints_its_table_and_the_suggestion():
+    assert str(sweep()) == sweep().summary()
+    heading, *rows, legend, hint = str(sweep()).splitlines()
+    assert heading.split()[:2] == ["pairs", "status"]
+    assert [row.split()[0] for row in rows] == ["50", "*", "70"]
+    assert "0.09487 to 0.1" in rows[0]
+    assert legend.startswith("bounds on: similarity pose; RMS: sqrt(bound / pairs)")
+    assert hint == "suggestion (*), not proven: 60 pairs, the elbow of the RMSE of the poses"
+    assert "no clear elbow" in str(sweep(2))
+    assert "RMSE of pose" not in heading
+    space = {"T_target_source": np.eye(4), "model": "rigid3d"}
+    assert "RMSE of pose" in str(sweep(**space))
+
+
+def test_a_sweep_is_written_as_json_and_csv(tmp_path):
+    sweep().write_json(tmp_path / "a.json", source="a.txt")
+    content = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)
+    assert set(content) == {*sweep().to_dict(), "source", "dcreg_version"}
+    sweep().write_csv(tmp_path / "a.csv")
+    with (tmp_path / "a.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["n_inliers"] for row in rows] == ["50", "60", "70"]
+    assert (rows[0]["proven_by"], rows[2]["next_pair"]) == ("", "")
+    assert [float(rows[1][f"T0{j}"]) for j in range(3)] == [0.0, -2.0, 5.0]
+
+
+# --- files and text ---------------------------------------------------------------------------------
+
+
+def test_a_failed_write_keeps_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    write_text(path, "old")
+    with pytest.raises(OSError, match="full"), whole_file(path) as part:  # noqa: PT012
+        part.write_text("half")
+        raise OSError("disk full")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_plain_values():
+    mixed = {"a": np.arange(2), 3: (np.float64("nan"), math.inf, 0.5), "b": [None, True, "x"]}
+    assert plain(mixed) == {"a": [0, 1], "3": [None, None, 0.5], "b": [None, True, "x"]}
+    assert json.loads(as_json(mixed)) == plain(mixed)
+
+
+def test_columns_of_text():
+    assert listing([("a", "1\n2"), ("long", "3")]) == "a     1\n      2\nlong  3"
+    assert table(["n", "word"], [["10", "a"], ["9", "bcdef"]], left=["word"]) == (
+        " n  word\n10  a\n 9  bcdef"
+    )
