@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from dcreg.bounds.names import bound_parts
-from dcreg.modes import full, multi, paper
+from dcreg.modes.full import run as run_full
+from dcreg.modes.multi import run as run_multi
+from dcreg.modes.paper import run as run_paper
 from dcreg.modes.task import Answer, Task
 from dcreg.names import AUTO, DEFAULT_BOUND, mode_names
 from dcreg.problem import InputError, Problem, suggestion
@@ -83,21 +85,21 @@ class Mode:
 
 MODES = (
     Mode(
-        "paper", "similarity2d", paper.run,
+        "paper", "similarity2d", run_paper,
         "the similarity, searched as in the paper; certifies the pose",
         certifies="similarity2d",
     ),
     Mode(
-        "full", "rigid3d", full.run,
+        "full", "rigid3d", run_full,
         "translation and rotation searched together; certifies the rigid pose",
         takes_bound=False, own_bound="rigid",
     ),
     Mode(
-        "multi", "rigid3d", multi.run,
+        "multi", "rigid3d", run_multi,
         "every near-optimal translation gets its rotation search; certifies the norm objective",
     ),
     Mode(
-        "paper", "rigid3d", paper.run,
+        "paper", "rigid3d", run_paper,
         "the paper's two stages: one translation in norm space, then its rotation",
         certifies="translation3d",
     ),
