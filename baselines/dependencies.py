@@ -164,9 +164,8 @@ def _read(path: Path, module: str, _modified: int, _size: int) -> Source:
             for key, value in zip(node.keys, node.values, strict=True):
                 if isinstance(key, ast.Constant) and isinstance(value, ast.Constant):
                     source.table[str(key.value)] = str(value.value)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if _NAME.fullmatch(node.value):
-                source.texts.add(node.value)
+        elif isinstance(node, ast.Constant) and _NAME.fullmatch(str(node.value)):
+            source.texts.add(str(node.value))
     return source
 
 

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from baselines._shared.poses import apply, homogeneous
+from dcreg.local import fit_pose
 
 _AT_ONCE = 16  # poses descended between two looks at the clock
 
@@ -44,7 +45,7 @@ class ClosestPoint:
                 break
             active, kept = active[going], kept[going]
             partners = self.target[np.take_along_axis(nearest[going], kept, axis=1)]
-            poses = fit_rigid(self.source[kept], partners)
+            poses = fit_pose(self.source[kept], partners, (1.0, 1.0))
         return best_poses, best
 
     def descend_until(
@@ -58,19 +59,6 @@ class ClosestPoint:
                 break
         descended, values = zip(*done, strict=True)
         return np.concatenate(descended), np.concatenate(values)
-
-
-def fit_rigid(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Least-squares rigid poses (b, 4, 4) of paired points (b, k, 3)."""
-    mean_source, mean_target = source.mean(axis=1), target.mean(axis=1)
-    spread = (target - mean_target[:, None]).transpose(0, 2, 1) @ (source - mean_source[:, None])
-    u, _, vt = np.linalg.svd(spread)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    poses = np.zeros((len(source), 4, 4))
-    poses[:, :3, :3] = rotations = u @ vt
-    poses[:, :3, 3] = mean_target - (rotations @ mean_source[:, :, None])[:, :, 0]
-    poses[:, 3, 3] = 1.0
-    return poses
 
 
 def spread_poses(count: int, seed: int, translation: np.ndarray) -> np.ndarray:

@@ -7,9 +7,10 @@ import time
 import numpy as np
 from scipy.spatial import cKDTree
 
-from baselines._shared.closest_point import ClosestPoint, fit_rigid, spread_poses
+from baselines._shared.closest_point import ClosestPoint, spread_poses
 from baselines._shared.poses import apply
 from baselines.contract import Instance
+from dcreg.local import fit_pose
 
 _SHRINK = 0.7  # of the radius between two fits of the ascent
 
@@ -39,7 +40,7 @@ class Consensus:
             near = distances <= radius
             if near.sum() < 3:
                 break
-            pose = fit_rigid(self.source[near][None], self.target[nearest[near]][None])[0]
+            pose = fit_pose(self.source[near], self.target[nearest[near]], (1.0, 1.0))
             count = self.count(pose)
             stalled = 0 if radius > self.radius or count > best else stalled + 1
             if count > best:

@@ -31,8 +31,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from baselines._shared import open3d_clouds
-from baselines._shared.poses import fit_pose, median_spacing
+from baselines._shared.poses import median_spacing
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
+from dcreg.local import fit_pose
 from dcreg.status import Status
 
 FRONT_ENDS = ("fpfh-mutual", "norm-signature", "all-pairs", "oracle")

@@ -1,4 +1,4 @@
-"""Poses as homogeneous matrices, and the fits and lengths that several adapters share."""
+"""Poses as homogeneous matrices, and the lengths that several adapters share."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ def apply(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def proper_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation (determinant +1) nearest to `matrix`; removes single-precision noise."""
+    """The rotation (determinant +1) nearest to `matrix`, and of largest inner product with it.
+
+    Removes single-precision noise, and solves Wahba's problem for ``sum target_i source_i^T``.
+    """
     u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=float))
     sign = np.ones(len(u))
     sign[-1] = np.sign(np.linalg.det(u @ vt))
@@ -39,26 +42,6 @@ def rigid_pose(pose: np.ndarray) -> np.ndarray | None:
         return None
     d = len(pose) - 1
     return homogeneous(1.0, proper_rotation(pose[:d, :d]), pose[:d, d])
-
-
-def fit_pose(
-    source: np.ndarray, target: np.ndarray, scale_range: tuple[float, float]
-) -> np.ndarray:
-    """Least-squares pose of paired points (Umeyama), with the scale clipped to `scale_range`.
-
-    The best rotation is the same for every positive scale and the cost is a convex parabola in
-    the scale, so clipping gives the constrained optimum.
-    """
-    mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
-    centred = source - mean_source
-    u, singular, vt = np.linalg.svd((target - mean_target).T @ centred)
-    sign = np.ones(len(singular))
-    sign[-1] = np.sign(np.linalg.det(u @ vt))
-    rotation = (u * sign) @ vt
-    spread = float((centred**2).sum())
-    free_scale = float(singular @ sign) / spread if spread > 0 else 1.0
-    scale = float(np.clip(free_scale, *scale_range))
-    return homogeneous(scale, rotation, mean_target - scale * rotation @ mean_source)
 
 
 def unit_of(instance: Instance) -> float:

@@ -7,7 +7,8 @@ import time
 import numpy as np
 from numba import njit
 
-from baselines._shared.robust import refit, weighted_pose
+from baselines._shared.robust import refit
+from dcreg.local import fit_pose
 
 BATCH = 500  # samples between two looks at the clock: a millisecond
 
@@ -41,7 +42,7 @@ def ransac(
             if count <= most:
                 continue
             rows = samples[k]
-            pose = weighted_pose(source[rows], target[rows], np.ones(d), scale_range)
+            pose = fit_pose(source[rows], target[rows], scale_range)
             pose = refit(pose, source, target, bound, scale_range)
             best, most = pose, max(most, _count(pose, source, target, bound))
         drawn += BATCH

@@ -7,41 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from baselines._shared.poses import apply, homogeneous
+from baselines._shared.poses import apply, proper_rotation
+from dcreg.local import fit_pose
 
 # Truncated least squares by graduated non-convexity (Yang, Antonante, Tzoumas and Carlone, 2020).
 GNC_FACTOR = 1.4
 GNC_ITERATIONS = 100
 GNC_COST_CHANGE = 1e-9  # in squared bounds
-
-
-def weighted_pose(
-    source: np.ndarray,
-    target: np.ndarray,
-    weights: np.ndarray,
-    scale_range: tuple[float, float] = (1.0, 1.0),
-) -> np.ndarray:
-    """Pose of least weighted squared residuals, its scale clipped to `scale_range`."""
-    total = weights.sum()
-    mean_source, mean_target = weights @ source / total, weights @ target / total
-    centred = source - mean_source
-    rotation, gain = _aligned((weights[:, None] * (target - mean_target)).T @ centred)
-    spread = float(weights @ (centred**2).sum(axis=1))
-    scale = float(np.clip(gain / spread if spread > 0 else 1.0, *scale_range))
-    return homogeneous(scale, rotation, mean_target - scale * rotation @ mean_source)
-
-
-def weighted_rotation(source: np.ndarray, target: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Rotation of least weighted squared residuals (Wahba's problem)."""
-    return _aligned((weights[:, None] * target).T @ source)[0]
-
-
-def _aligned(cross: np.ndarray) -> tuple[np.ndarray, float]:
-    """The rotation R that maximises ``trace(R.T @ cross)``, and that maximum."""
-    u, singular, vt = np.linalg.svd(cross)
-    sign = np.ones(len(singular))
-    sign[-1] = np.sign(np.linalg.det(u @ vt))
-    return (u * sign) @ vt, float(singular @ sign)
 
 
 def gnc(
@@ -95,7 +67,7 @@ def gnc_rotation(
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Rotation between vectors of which some are wrong; see `gnc`."""
     return gnc(
-        lambda weights: weighted_rotation(source, target, weights),
+        lambda weights: proper_rotation((weights[:, None] * target).T @ source),
         lambda rotation: ((source @ rotation.T - target) ** 2).sum(axis=1),
         len(source),
         bound,
@@ -112,7 +84,7 @@ def gnc_pose(
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Pose between points of which some are wrong; see `gnc`."""
     return gnc(
-        lambda weights: weighted_pose(source, target, weights, scale_range),
+        lambda weights: fit_pose(source, target, scale_range, weights),
         lambda pose: squared_residuals(pose, source, target),
         len(source),
         bound,
@@ -139,7 +111,7 @@ def refit(
         near = squared_residuals(pose, source, target) <= bound**2
         if near.sum() < source.shape[1]:
             return pose
-        better = weighted_pose(source, target, near.astype(float), scale_range)
+        better = fit_pose(source[near], target[near], scale_range)
         n_near = int((squared_residuals(better, source, target) <= bound**2).sum())
         if n_near <= count:
             return better if n_near == count else pose

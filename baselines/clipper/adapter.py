@@ -8,9 +8,9 @@ import numpy as np
 
 from baselines._shared.consistency import length_differences, sharing, vote_scale
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
-from baselines._shared.robust import weighted_pose
 from baselines.clipper.dense import dense_clique
 from baselines.contract import Instance, Limits
+from dcreg.local import fit_pose
 
 
 class Adapter(CorrespondenceMethod):
@@ -32,5 +32,5 @@ class Adapter(CorrespondenceMethod):
         if len(chosen) < instance.dim:
             return Estimate(None, finished, extra=extra)
         weights = np.ones(len(chosen))
-        pose = weighted_pose(source[chosen], target[chosen], weights, (scale, scale))
+        pose = fit_pose(source[chosen], target[chosen], (scale, scale), weights)
         return Estimate(pose, finished, extra=extra)

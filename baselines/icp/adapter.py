@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from baselines._shared.poses import apply, fit_pose
+from baselines._shared.poses import apply
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
+from dcreg.local import fit_pose
 
 
 class Adapter(Baseline):

@@ -9,9 +9,10 @@ import numpy as np
 from baselines._shared.cliques import pack
 from baselines._shared.consistency import length_differences, sharing, vote_scale
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
-from baselines._shared.robust import squared_residuals, weighted_pose
+from baselines._shared.robust import squared_residuals
 from baselines.contract import Instance, Limits
 from baselines.mac.enumerate import HeaviestCliques
+from dcreg.local import fit_pose
 
 SHARE_FOR_GRAPH, SHARE_FOR_CLIQUES = 0.5, 0.8  # of the time; the rest judges hypotheses
 ROWS = 64  # of the graph between two looks at the clock
@@ -33,8 +34,7 @@ class Adapter(CorrespondenceMethod):
         listed = search.run(start + SHARE_FOR_CLIQUES * limits.time_s)
         best, least, judged = None, np.inf, True
         for members in search.distinct():
-            ones = np.ones(len(members))
-            pose = weighted_pose(source[members], target[members], ones, (scale, scale))
+            pose = fit_pose(source[members], target[members], (scale, scale))
             r2 = squared_residuals(pose, source, target)
             error = float(np.minimum(np.sqrt(r2) / bound, 1.0).sum())
             if error < least:

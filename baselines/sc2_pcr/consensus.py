@@ -9,7 +9,8 @@ from numba import njit
 
 from baselines._shared.cliques import count_bits, has_bit
 from baselines._shared.ransac import count_within
-from baselines._shared.robust import squared_residuals, weighted_pose
+from baselines._shared.robust import squared_residuals
+from dcreg.local import fit_pose
 
 POWER_ITERATIONS = 10
 REFINEMENTS = 20
@@ -81,7 +82,7 @@ def best_pose(
     for seed in seeds:
         members, weights = _consensus(rows, seed, *sizes)
         if len(members) >= source.shape[1] and weights.sum() > 0:
-            pose = weighted_pose(source[members], target[members], weights)
+            pose = fit_pose(source[members], target[members], (1.0, 1.0), weights)
             count = int(count_within(source, target, pose, bound))
             if count > most:
                 best, most = pose, count
@@ -99,7 +100,7 @@ def refine(pose: np.ndarray, source: np.ndarray, target: np.ndarray, bound: floa
         if inliers.sum() == count or inliers.sum() < source.shape[1]:
             break
         count = int(inliers.sum())
-        pose = weighted_pose(source, target, inliers / (1 + r2 / bound**2))
+        pose = fit_pose(source, target, (1.0, 1.0), inliers / (1 + r2 / bound**2))
     return pose
 
 

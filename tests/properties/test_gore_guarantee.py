@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from baselines._shared.cubes import OutOfTimeError
-from baselines._shared.robust import refit, squared_residuals, weighted_pose
+from baselines._shared.robust import refit, squared_residuals
 from baselines._shared.rotation_search import Found, most_correspondences
 from baselines.gore import removal as gore
 from baselines.gore.removal import _arc, _Removing, _rotation_reach, remove_outliers
+from dcreg.local import fit_pose
 
 
 @st.composite
@@ -118,7 +119,7 @@ def test_no_set_as_large_as_the_best_known_loses_a_member(seed: int, bound: floa
     for _ in range(300):
         weights = np.zeros(30)
         weights[generator.choice(30, 3, replace=False)] = 1.0
-        pose = refit(weighted_pose(source, target, weights), source, target, bound)
+        pose = refit(fit_pose(source, target, (1.0, 1.0), weights), source, target, bound)
         members = np.flatnonzero(squared_residuals(pose, source, target) <= bound**2)
         if len(members) >= removal.consensus:
             assert set(members) <= set(removal.kept)

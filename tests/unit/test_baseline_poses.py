@@ -15,15 +15,15 @@ import dcreg
 from baselines import registry
 from baselines._shared.poses import (
     apply,
-    fit_pose,
     homogeneous,
     median_spacing,
     proper_rotation,
     rigid_pose,
-    rms_radius,
+    unit_of,
 )
 from baselines._shared.starts import STARTS, best_of_starts, start_poses
 from baselines.contract import Instance, Limits
+from dcreg.local import fit_pose
 from dcreg.status import Status
 
 
@@ -90,13 +90,24 @@ def test_rigid_pose_cleans_single_precision_and_refuses_nan() -> None:
 def test_lengths() -> None:
     square = np.array([[0, 0], [2, 0], [2, 2], [0, 2], [0, 2]], dtype=float)
     assert median_spacing(square) == 2.0
-    assert rms_radius(square[:4]) == pytest.approx(np.sqrt(2))
-    assert median_spacing(np.zeros((3, 2))) == rms_radius(np.zeros((3, 2))) == 1.0
+    assert median_spacing(np.zeros((3, 2))) == 1.0
+
+
+def test_the_unit_is_that_of_the_library() -> None:
+    """The target's RMS radius; where it has no extent the source's, and 1 where neither has one."""
+    square, point = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], dtype=float), np.ones((3, 2))
+
+    def unit(source: np.ndarray, target: np.ndarray) -> float:
+        return unit_of(Instance("unit", source, target, "similarity2d", 3, (0.5, 1.5), 0.1, 0))
+
+    assert unit(point, square) == pytest.approx(np.sqrt(2))
+    assert unit(square, point) == pytest.approx(np.sqrt(2))
+    assert unit(point, point) == 1.0
 
 
 def test_the_default_tolerance_is_the_library_s() -> None:
     instance = instance_of("similarity2d")
-    expected = dcreg.default_gap_tol(instance.target, instance.n_inliers)
+    expected = dcreg.default_gap_tol(instance.source, instance.target, instance.n_inliers)
     assert registry.load("dcreg").gap_tol(instance) == pytest.approx(expected)
 
 
@@ -199,3 +210,38 @@ class TestCpd:
         large = registry.load("cpd").solve(big, Limits(time_s=20.0)).T_target_source
         np.testing.assert_allclose(large[:2, :2], small[:2, :2], atol=1e-6)
         np.testing.assert_allclose(large[:2, 2] / 1e3, small[:2, 2], atol=1e-6)
+
+
+def test_weights_of_a_fit_count_pairs_more_than_once() -> None:
+    generator = np.random.default_rng(3)
+    source, target = generator.standard_normal((2, 9, 3))
+    times = np.array([3, 0, 1, 2, 0, 1, 1, 4, 1])
+    found = fit_pose(source, target, (0.5, 1.5), 0.7 * times)
+    expected = fit_pose(
+        np.repeat(source, times, axis=0), np.repeat(target, times, axis=0), (0.5, 1.5)
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_fits_side_by_side_are_those_one_by_one(weighted: bool) -> None:
+    generator = np.random.default_rng(4)
+    source, target = generator.standard_normal((2, 5, 7, 2))
+    target[0] = source[0] * [-1, 1]  # mirrored
+    source[1] = source[1, 0]  # without extent
+    weights = generator.random((5, 7)) if weighted else [None] * 5
+    together = fit_pose(source, target, (0.5, 1.5), weights if weighted else None)
+    for k in range(5):
+        alone = fit_pose(source[k], target[k], (0.5, 1.5), weights[k])
+        np.testing.assert_allclose(together[k], alone, atol=1e-12)
+        assert 0.5 - 1e-12 <= np.sqrt(np.linalg.det(alone[:2, :2])) <= 1.5 + 1e-12
+
+
+def test_the_pose_fit_is_the_library_s() -> None:
+    """Singular values serve the nearest rotation, a compiled fit, and ranks; no other pose fits."""
+    users = {
+        path.relative_to(registry.ROOT).as_posix()
+        for path in registry.ROOT.rglob("*.py")
+        if "linalg.svd" in path.read_text()
+    }
+    assert users == {"_shared/poses.py", "_shared/ransac.py", "_shared/concave.py"}

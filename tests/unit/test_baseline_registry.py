@@ -249,8 +249,9 @@ class TestWhatAMethodDependsOn:
     def test_what_python_loads_of_the_methods_is_counted(self) -> None:
         """The other way round: every module of `baselines` that a method's import brings in."""
         script = (
-            "import sys, baselines.{0}.adapter; "
-            "print(*(m.__file__ for n, m in sys.modules.items() if n.startswith('baselines') and m.__file__))"
+            "import sys, baselines.{0}.adapter\n"
+            "of_methods = [m for name, m in sys.modules.items() if name.startswith('baselines')]\n"
+            "print(*(m.__file__ for m in of_methods if m.__file__))"
         )
         for name in ("gore", "hbsp"):
             loaded = subprocess.run(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from baselines._shared import registry, rotation_search
+from baselines import registry
+from baselines._shared import rotation_search
 from baselines.contract import Instance, Limits
 
 
