@@ -15,9 +15,9 @@ BROWSER_PACKAGES := chromium chromium-driver
 demo: setup
 	@$(MAKE) --no-print-directory run CONFIG=demo
 
-## test: set up, then run all tests
+## test: set up, then check style and types and run all tests
 .PHONY: test
-test: setup browser
+test: dev browser
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -47,7 +47,7 @@ new-baseline: setup
 
 ## bench: measure the solver against its targets, tables in results/bench (QUICK=1: seconds only)
 .PHONY: bench
-bench: setup
+bench: dev
 	@mkdir -p results/bench
 	@$(BIN)/python -m pytest tests/bench/bench_solves.py -n 0 -q --timeout=0 --benchmark-columns=min \
 	  --benchmark-json=results/bench/raw.json $(if $(QUICK),--quick) $(if $(CASES),-k "$(CASES)")
@@ -55,19 +55,14 @@ bench: setup
 
 ## profile: where solves spend their time, as shares of CPU time
 .PHONY: profile
-profile: setup
+profile: dev
 	@$(BIN)/python -m tests.bench.profiling
 
-## ablation: all bounds on the same boxes and problems; prints the path of its page
-.PHONY: ablation
-ablation: setup
-	@$(BIN)/python -m workflows.ablation results/ablation
-	@$(BIN)/python -m reports.ablation results/ablation
-
-## bounds: bounds of all methods that have one against the DC bound, on the same boxes
+## bounds: the bounds of the library and of all methods on the same boxes; prints the path of its page
 .PHONY: bounds
 bounds: setup
-	@$(BIN)/python -m workflows.bound_comparison results/bounds
+	@$(BIN)/python -m workflows.studies.bounds results/bounds
+	@$(BIN)/python -m reports.bounds_study results/bounds
 
 ## golden: compare own TEASER and Go-ICP with recorded outputs of the official programs
 .PHONY: golden
@@ -76,7 +71,7 @@ golden: setup
 
 ## fuzz: solve COUNT small random problems and count wrong certificates (expected: none)
 .PHONY: fuzz
-fuzz: setup
+fuzz: dev
 	@$(BIN)/python -m tests.fuzz --count $(or $(COUNT),10000)
 
 ## record: store the small tables of demo and real2d under history/VERSION
@@ -89,12 +84,23 @@ record: setup
 compare: setup
 	@$(BIN)/python -m workflows compare $(BASE) $(HEAD)
 
-## lint: format and check style and types
+## lint: format and check style and types, of everything
 .PHONY: lint
-lint: setup
+lint: dev
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 	$(BIN)/mypy
+
+## docs: the manual as web pages in results/docs; links that lead nowhere are errors
+.PHONY: docs
+docs: dev
+	@$(BIN)/python -m sphinx -q -W -b html docs results/docs
+	@echo "results/docs/index.html"
+
+## floors: the tests of the library with the oldest packages that pyproject.toml admits (own environment)
+.PHONY: floors
+floors:
+	@workflows/floors.sh $(PYTHON)
 
 ## setup: virtual environment with the locked packages (done by every target that needs it)
 .PHONY: setup
@@ -103,18 +109,22 @@ setup: $(VENV)/.installed
 $(VENV)/.installed: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "Python 3.11 or newer is needed; this is $$($(PYTHON) --version). Set PYTHON=…"; exit 1; }
-	@echo "Setting up $(VENV) (once; a few minutes) …"
-	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
-	@workflows/system_packages.sh "open3d (its methods stay 'unavailable' without)" $(SYSTEM_PACKAGES)
-	@echo "Compiling the kernels (once) …"
-	@$(BIN)/python -c "import dcreg; dcreg.warm_up()"
+	@workflows/setup.sh $(VENV) $(PYTHON) $(SYSTEM_PACKAGES)
+	@touch $@
+
+# Tools of the tests, of `make lint` and of the manual: what `make demo` can do without.
+.PHONY: dev
+dev: setup $(VENV)/.dev
+
+$(VENV)/.dev: requirements-dev.lock $(VENV)/.installed
+	@echo "Installing the tools for tests, style and manual …"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-compile \
+	  --requirement requirements-dev.lock
 	@touch $@
 
 # Only the tests of the report need a browser; without one they skip and say so.
 .PHONY: browser
-browser: setup
+browser:
 	@command -v chromium >/dev/null || \
 	  workflows/system_packages.sh "the browser tests (they skip without)" $(BROWSER_PACKAGES)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -20,6 +21,8 @@ from workflows import CHECKOUT, UserError
 
 if TYPE_CHECKING:
     from workflows.stages.plan import Plan
+
+BEGAN = time.perf_counter()
 
 app = typer.Typer(
     help=__doc__, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
@@ -106,6 +109,7 @@ def run(
         )
         raise typer.Exit(code)
     if not dry_run:
+        _say("all stages")
         summary(directory / "results" / plan.experiment.name)
 
 
@@ -225,7 +229,7 @@ def fetch(
     from workflows.stages.fetch import fetch as fetch_dataset
 
     fetch_dataset(_plan(experiment, select), dataset, out)
-    print(f"fetch     {dataset}")
+    _say(f"fetch     {dataset}")
 
 
 @app.command(hidden=True)
@@ -242,7 +246,7 @@ def generate(
 
     specs = _plan(experiment, select).chunk(chunk)
     generate_chunk(specs, instances, truth)
-    print(f"generate  {chunk}: {len(specs.instances)} instances")
+    _say(f"generate  {chunk}: {len(specs.instances)} instances")
 
 
 @app.command(hidden=True)
@@ -279,7 +283,7 @@ def evaluate(folder: Folder, out: Out) -> None:
 
     metrics = judge(folder)
     records.write(metrics, out)
-    print(f"evaluate  {len(metrics)} runs")
+    _say(f"evaluate  {len(metrics)} runs")
 
 
 @app.command(hidden=True)
@@ -289,7 +293,7 @@ def aggregate(experiment: Experiment, folder: Folder, select: Select = None) -> 
     from workflows.stages.aggregate import aggregate as join
 
     join(_plan(experiment, select), folder)
-    print(f"aggregate {folder / 'tables'}")
+    _say(f"aggregate {folder / 'tables'}")
 
 
 @app.command(hidden=True)
@@ -299,7 +303,7 @@ def report(tables: Path, out: Path) -> None:
     from reports.build import build
 
     build(tables, out)
-    print(f"report    {out} ({out.stat().st_size / 1e6:.1f} MB)")
+    _say(f"report    {out} ({out.stat().st_size / 1e6:.1f} MB)")
 
 
 def _plan(experiment: str, select: list[str] | None = None) -> Plan:
@@ -307,6 +311,11 @@ def _plan(experiment: str, select: list[str] | None = None) -> Plan:
     from workflows.stages.plan import expand
 
     return expand(load(experiment), parse_selection(select or []))
+
+
+def _say(text: str) -> None:
+    """A line of progress with the seconds that this process took."""
+    print(f"{text}; {time.perf_counter() - BEGAN:.1f} s", flush=True)
 
 
 def _stop(message: str) -> NoReturn:

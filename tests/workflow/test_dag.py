@@ -38,8 +38,8 @@ WEAKER = """
 _evaluate = SpaceBound.evaluate
 
 
-def _weaker(self, lower, upper, cutoff):
-    found = _evaluate(self, lower, upper, cutoff)
+def _weaker(self, lower, upper, cutoff, *, thorough=False):
+    found = _evaluate(self, lower, upper, cutoff, thorough=thorough)
     found.lower_bounds -= 10 * ((upper - lower) ** 2).sum(axis=1)
     return found
 

@@ -33,7 +33,7 @@ from baselines._shared.single_boxes import box_space
 from baselines.contract import BoxBounding, Instance
 from data.registry import dataset
 from dcreg.bounds import BOUNDS, make_bound
-from dcreg.problem import Frame, Problem, default_gap_tol
+from dcreg.problem import Frame, InputError, Problem, default_gap_tol
 from dcreg.search import Box, Budget, Outcome, minimise
 from dcreg.spaces import FeatureSpace
 from workflows.disturb import make_instance
@@ -124,7 +124,6 @@ class Line(NamedTuple):
     """One line of the figures: a bound of the library, or the bound of a method."""
 
     name: str
-    models: tuple[str, ...]
     bound: BoundBox
 
 
@@ -140,23 +139,37 @@ def method_bound(method: BoxBounding, case: Case, box: Box) -> tuple[float, floa
     return float(method.box_bound(case.instance, box.lower, box.upper)), np.nan
 
 
-def lines() -> Iterator[Line]:
+def library_names(space: FeatureSpace) -> list[str]:
+    """The library's bounds over this space; not every one is written for both."""
+
+    def treats(name: str) -> bool:
+        try:
+            make_bound(name, space)
+        except InputError:
+            return False
+        return True
+
+    return list(filter(treats, BOUNDS))
+
+
+def lines(case: Case) -> Iterator[Line]:
     """All bounds. Methods with an option ``bound`` are left out: they run the library's."""
-    for name in BOUNDS:
-        yield Line(name, ("similarity2d", "rigid3d"), partial(library_bound, name))
+    for name in library_names(case.space):
+        yield Line(name, partial(library_bound, name))
     for name in registry.names():
         method = registry.load(name)
         if (
             isinstance(method, BoxBounding)
             and "bound" not in method.options
             and method.available() is None
+            and method.supports(case.instance) is None
         ):
-            yield Line(name, tuple(method.card.models), partial(method_bound, method))
+            yield Line(name, partial(method_bound, method))
 
 
 def boxes_table(name: str, case: Case) -> pd.DataFrame:
     """Every bound on every box of one case that holds an admissible pose."""
-    compared = [line for line in lines() if case.instance.model in line.models]
+    compared = list(lines(case))
     rows = []
     for width in map(float, WIDTHS):
         for place, boxes in placements(case.theta, width).items():
@@ -223,7 +236,7 @@ def search(name: str, space: FeatureSpace, gap_tol: float, budget: Budget) -> Ou
 def searches_table(name: str, case: Case, time_s: float) -> pd.DataFrame:
     """Bound history per bound of the library; a row per change, gaps in default tolerances."""
     rows = []
-    for bound in [*BOUNDS, *COMBINED]:
+    for bound in [*library_names(case.space), *COMBINED]:
         found = search(bound, case.space, 0.1 * case.gap_tol, Budget(time_s=time_s))
         rows += [
             {

@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# Fills the virtual environment VENV: locked packages, this library, compiled kernels, system packages.
+# What does not wait for something else runs beside it; every step says how long it took.
+# usage: setup.sh VENV PYTHON SYSTEM-PACKAGE…
+set -eu
+venv=$1
+python=$2
+shift 2
+began=$SECONDS
+log=$(mktemp -d)
+trap 'rm -rf "$log"; kill $(jobs -p) 2>/dev/null || true' EXIT
+
+# step WHAT COMMAND… : its output is shown only where it fails
+step() {
+  local what=$1 since=$SECONDS
+  shift
+  if ! "$@" >"$log/${what// /-}" 2>&1; then
+    cat "$log/${what// /-}" >&2
+    echo "setup     failed: $what (the command was: $*)" >&2
+    return 1
+  fi
+  printf 'setup     %-44s %4d s\n' "$what" $((SECONDS - since))
+}
+
+# Bytecode is left to the first import of a module: most modules are never imported.
+install() {
+  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile "$@"
+}
+
+echo "Setting up $venv (once; one to three minutes, most of it downloads and compilation) …"
+[ -x "$venv/bin/python" ] || step "virtual environment" "$python" -m venv "$venv"
+step "numpy, scipy, numba" install --constraint requirements.lock numpy scipy numba
+step "compiled kernels" "$venv/bin/python" -m dcreg.warm_up &
+kernels=$!
+workflows/system_packages.sh "open3d (its methods stay 'unavailable' without)" "$@" &
+system=$!
+step "packages of the benchmark" install --no-deps --requirement requirements.lock
+step "this library" install --no-deps --editable .
+wait "$system"
+wait "$kernels"
+printf 'setup     %-44s %4d s\n' "all of it" $((SECONDS - began))
