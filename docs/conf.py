@@ -14,7 +14,7 @@ copyright = "2026, the dcreg contributors"
 release = version = __version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "listings"]
-exclude_patterns = ["_extensions"]
+exclude_patterns = ["_extensions", "images"]
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 
@@ -23,11 +23,13 @@ myst_heading_anchors = 3
 nitpicky = True
 nitpick_ignore_regex = [(r"py:.*", r"(?!dcreg\.).*")]
 default_role = "py:obj"
+smartquotes = False  # option names begin with two hyphens
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings state types, shapes and units
 autodoc_class_signature = "separated"
 napoleon_google_docstring = False
+napoleon_use_ivar = True
 napoleon_use_rtype = False
 python_maximum_signature_line_length = 80
 
