@@ -1,4 +1,4 @@
-"""The pictures and the table of the README, from one real run: ``python docs/figures.py``.
+"""The pictures and the table of the README, from one real run: ``python -m docs.figures``.
 
 An embedded shape is disturbed as in the benchmark and registered with several bounds. Written to
 `docs/images`: the clouds before and after, the bounds against time (each for light and dark pages), and

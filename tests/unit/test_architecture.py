@@ -1,8 +1,6 @@
-"""Rules of the folders that no single file shows: who may import whom, and what README promises."""
+"""Rules of the folders that no single file shows: who may import whom."""
 
 import ast
-import re
-import subprocess
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -11,7 +9,6 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 HARNESS = {"baselines", "data", "workflows", "reports"}
-README = ROOT / "README.md"
 
 
 def module_name(path: Path) -> str:
@@ -123,60 +120,3 @@ def test_reading_a_result_needs_neither_command_line_nor_figures():
         waiting += dependencies(module) - seen
     outside = {name.split(".")[0] for module in seen for name in imports(module, True)}
     assert not outside & {"typer", "rich", "plotly", "pandas"}
-
-
-# --- README, Makefile, lock file ---------------------------------------------------------------
-
-
-def declared_targets() -> set[str]:
-    """Phony targets of the Makefile: what a person may call."""
-    text = (ROOT / "Makefile").read_text(encoding="utf-8")
-    return {name for line in re.findall(r"^\.PHONY:(.*)$", text, re.M) for name in line.split()}
-
-
-def helped_targets() -> set[str]:
-    shown = subprocess.run(
-        ["make", "--no-print-directory", "help"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return set(re.findall(r"^\s*make ([a-z0-9-]+)", shown.stdout, re.M))
-
-
-def named_targets() -> set[str]:
-    """Targets in the code of README: `make x` in a code span, or at a line's start in a block."""
-    text = README.read_text(encoding="utf-8")
-    code = re.findall(r"^(?: {4}|\s*[$] )?make ([a-z0-9-]+)", text, re.M)
-    return {*code, *re.findall(r"`(?:[A-Z_]+=\S+ )*make ([a-z0-9-]+)", text)}
-
-
-def test_readme_names_only_targets_that_exist():
-    assert named_targets() <= declared_targets()
-
-
-def test_readme_and_make_help_name_the_same_targets():
-    assert named_targets() == helped_targets()
-
-
-@pytest.mark.parametrize("command", ["make demo", "make test"])
-def test_readme_shows_the_two_commands(command):
-    """In a block near the top, where somebody new looks first."""
-    blocks = re.findall(r"^```.*?^```", README.read_text(encoding="utf-8"), re.M | re.S)
-    assert any(command in block for block in blocks[:1])
-
-
-def test_readme_names_only_paths_that_exist():
-    text = README.read_text(encoding="utf-8")
-    paths = re.findall(r"`((?:dcreg|baselines|data|workflows|reports|tests)/[\w./-]*)`", text)
-    assert len(paths) > 10
-    assert not [path for path in paths if not (ROOT / path).exists()]
-
-
-def test_lock_file_pins_versions_and_names_no_host():
-    lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
-    packages = [line for line in lines if line.strip() and not line.startswith("#")]
-    assert len(packages) > 20
-    assert not [line for line in lines if "://" in line or "index" in line or " @ " in line]
-    assert not [line for line in packages if not re.match(r"^[A-Za-z0-9._\[\]-]+==\S+", line)]
