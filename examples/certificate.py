@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 import dcreg
-from dcreg.certificate import write
 
 rng = np.random.default_rng(4)
 source = rng.random((12, 2))
@@ -16,7 +15,7 @@ result = dcreg.register(source, target, n_inliers=12, model="similarity2d", cert
 
 with tempfile.TemporaryDirectory() as folder:
     path = Path(folder) / "proof.npz"
-    write(path, result.certificate)
+    result.write_certificate(path)
     report = dcreg.verify(path, source, target)
     other = dcreg.verify(path, source, target + 1e-3)
 

@@ -29,7 +29,7 @@ def options(command: str) -> str:
     """Options of a command of `dcreg`."""
     from typer.main import get_command
 
-    from dcreg.cli import app
+    from dcreg.cli.app import app
 
     rows = []
     for option in get_command(app).commands[command].params:

