@@ -57,7 +57,7 @@ def register(
         An entry of `dcreg.modes.MODES`; default `dcreg.modes.choose_mode`'s. `Result.mode` tells which
         ran, `Result.certificate_scope` what its bounds speak of.
     bound : str, optional
-        Bounding function, see `dcreg.bounds.bound_names`; ``a+b`` takes the greater one. Default
+        Bounding function, see `dcreg.bound_names`; ``a+b`` takes the greater one. Default
         ``tight``. Mode ``full`` has bounds of its own and takes none.
     start_box : {"reduced", "safe"}
         Both hold every optimum. ``safe`` follows from the radii of the clouds alone; ``reduced``
@@ -84,7 +84,7 @@ def register(
         Refine the final pose locally on the full objective. Reported apart from the certificate.
     certificate : bool
         Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verify`.
-        Modes ``paper`` only; in 3D it certifies the translation.
+        Mode ``paper`` only; in 3D it certifies the translation.
     listener : callable, optional
         Called with every `dcreg.Event`; returning True stops (status ``stopped``).
 

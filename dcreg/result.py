@@ -159,20 +159,24 @@ class Result:
 
     @property
     def success(self) -> bool:
+        """Whether the bounds closed: status ``optimal``."""
         return self.status is Status.OPTIMAL
 
     @property
     def scale(self) -> float:
+        """Scale of the final pose; 1 in 3D."""
         d = self.T_target_source.shape[0] - 1
         return float(abs(np.linalg.det(self.T_target_source[:d, :d])) ** (1.0 / d))
 
     @property
     def rotation(self) -> np.ndarray:
+        """(d, d) rotation matrix of the final pose."""
         d = self.T_target_source.shape[0] - 1
         return self.T_target_source[:d, :d] / self.scale
 
     @property
     def translation(self) -> np.ndarray:
+        """(d,) translation of the final pose, in units of the target."""
         d = self.T_target_source.shape[0] - 1
         return self.T_target_source[:d, d]
 
@@ -193,7 +197,7 @@ class Result:
         return float(np.sqrt(self.objective / self.n_inliers))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; every key is documented in the README."""
+        """Plain values for JSON; every key is documented in the manual."""
         return {
             "status": self.status.value,
             "T_target_source": self.T_target_source.tolist(),

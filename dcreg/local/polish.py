@@ -26,7 +26,7 @@ def objective(
     """Least sum of squared residuals of `n_inliers` one-to-one pairs at a pose.
 
     Clouds too large for a dense matrix are matched over nearest neighbours, which is exact where it can
-    be proved and else an upper bound, see `dcreg.sparse.sparse_matching`.
+    be proved and else an upper bound, see ``dcreg.local.sparse.sparse_matching``.
 
     Parameters
     ----------

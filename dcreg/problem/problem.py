@@ -71,6 +71,7 @@ class Problem:
 
     @property
     def dim(self) -> int:
+        """Dimension of the points: 2 or 3."""
         return MODEL_DIM[self.model]
 
 

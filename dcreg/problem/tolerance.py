@@ -26,6 +26,19 @@ def default_gap_tol(
 ) -> float:
     """Absolute tolerance on the gap of the objective, a sum over `n_inliers` squared residuals.
 
-    ``n_inliers * (factor * unit length)^2``, in squared units of the target, see `unit_length`.
+    ``n_inliers * (factor * r)^2``, where r is the RMS radius of the target, or of the source where
+    the target has no extent.
+
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) arrays
+    n_inliers : int
+    factor : float
+        Tolerated RMS residual per pair, in units of r.
+
+    Returns
+    -------
+    float
+        In squared units of the target.
     """
     return float(n_inliers * (factor * unit_length(source, target)) ** 2)

@@ -41,6 +41,7 @@ class Event:
 
     @property
     def gap(self) -> float:
+        """Absolute gap ``upper_bound - lower_bound``, never negative."""
         return max(0.0, self.upper_bound - self.lower_bound)
 
     def scaled(self, factor: float) -> Event:
@@ -63,6 +64,7 @@ class Trace:
         return len(self.events)
 
     def rows(self) -> list[dict[str, object]]:
+        """One dictionary of plain values per event, for tables and figures."""
         return [asdict(event) for event in self.events]
 
     def write_jsonl(self, path: str | Path) -> None:

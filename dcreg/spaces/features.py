@@ -14,7 +14,7 @@ class FeatureSpace(Space):
     Attributes
     ----------
     kind : int
-        Selects the compiled kernels (`dcreg.kernels.features`).
+        Selects the compiled kernels (``dcreg.kernels.features``).
     source : (n, d) array
         Normalised source points.
     target_features : (q, m) or (q + n, m) array

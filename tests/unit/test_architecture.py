@@ -1,8 +1,7 @@
-"""Rules that no single file shows: who may import whom, how large things may be, what README promises."""
+"""Rules that no single file shows: who may import whom, and how large things may be."""
 
 import ast
 import re
-import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from fnmatch import fnmatchcase
@@ -256,60 +255,3 @@ def test_sizes_are_measured():
     f, g = tree.body[0].body[0], tree.body[1]
     assert size(f) == (2, 5)
     assert size(g) == (2, 0)
-
-
-# --- README, Makefile, lock file ---------------------------------------------------------------
-
-
-def declared_targets() -> set[str]:
-    """Phony targets of the Makefile: what a person may call."""
-    text = (ROOT / "Makefile").read_text(encoding="utf-8")
-    return {name for line in re.findall(r"^\.PHONY:(.*)$", text, re.M) for name in line.split()}
-
-
-def helped_targets() -> set[str]:
-    shown = subprocess.run(
-        ["make", "--no-print-directory", "help"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return set(re.findall(r"^\s*make ([a-z0-9-]+)", shown.stdout, re.M))
-
-
-def named_targets() -> set[str]:
-    """Targets in the code of README: `make x` in a code span, or at a line's start in a block."""
-    text = README.read_text(encoding="utf-8")
-    code = re.findall(r"^(?: {4}|\s*[$] )?make ([a-z0-9-]+)", text, re.M)
-    return {*code, *re.findall(r"`(?:[A-Z_]+=\S+ )*make ([a-z0-9-]+)", text)}
-
-
-def test_readme_names_only_targets_that_exist():
-    assert named_targets() <= declared_targets()
-
-
-def test_readme_and_make_help_name_the_same_targets():
-    assert named_targets() == helped_targets()
-
-
-@pytest.mark.parametrize("command", ["make demo", "make test"])
-def test_readme_shows_the_two_commands(command):
-    """In a block near the top, where somebody new looks first."""
-    blocks = re.findall(r"^```.*?^```", README.read_text(encoding="utf-8"), re.M | re.S)
-    assert any(command in block for block in blocks[:1])
-
-
-def test_readme_names_only_paths_that_exist():
-    text = README.read_text(encoding="utf-8")
-    paths = re.findall(r"`((?:dcreg|baselines|data|workflows|reports|tests)/[\w./-]*)`", text)
-    assert len(paths) > 10
-    assert not [path for path in paths if not (ROOT / path).exists()]
-
-
-def test_lock_file_pins_versions_and_names_no_host():
-    lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
-    packages = [line for line in lines if line.strip() and not line.startswith("#")]
-    assert len(packages) > 20
-    assert not [line for line in lines if "://" in line or "index" in line or " @ " in line]
-    assert not [line for line in packages if not re.match(r"^[A-Za-z0-9._\[\]-]+==\S+", line)]

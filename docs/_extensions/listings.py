@@ -1,0 +1,113 @@
+"""The directive ``listing``: tables of the manual that are read from the code they speak of."""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import yaml
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.util.docutils import SphinxDirective
+
+ROOT = Path(__file__).parents[2]
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    lines = [list(head), *(list(row) for row in rows)]
+    cells = [[str(cell).replace("|", "\\|").replace("\n", " ") for cell in line] for line in lines]
+    cells.insert(1, ["---"] * len(cells[0]))
+    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
+
+
+def targets() -> str:
+    """What the Makefile offers, from the lines that `make help` prints."""
+    found = re.findall(r"^## ([a-z-]+): (.*)$", (ROOT / "Makefile").read_text("utf-8"), re.M)
+    return table(("target", "does"), ((f"`make {name}`", text) for name, text in found))
+
+
+def options(command: str) -> str:
+    """Options of a command of `dcreg`."""
+    from typer.main import get_command
+
+    from dcreg.cli.app import app
+
+    rows = []
+    for option in get_command(app).commands[command].params:
+        names = " ".join([*option.opts, *option.secondary_opts])
+        if option.param_type_name == "option":
+            names = f"`{names}{f' {option.metavar}' if option.metavar else ''}`"
+            need = "required. " if option.required else ""
+            rows.append((names, need + option.help.replace("*", "\\*")))
+    return table(("option", "meaning"), rows)
+
+
+def modes() -> str:
+    from dcreg.modes import MODES
+
+    def row(mode):
+        bound = f"any (`{mode.own_bound}`)" if mode.takes_bound else "its own"
+        return f"`{mode.model}`", f"`{mode.name}`", mode.summary, bound, mode.certifies and "yes"
+
+    head = ("model", "mode", "what it does", "`bound`", "certificate file")
+    return table(head, map(row, MODES))
+
+
+def cards(folder: str) -> list[dict]:
+    paths = sorted((ROOT / folder).glob("[a-z]*/card.yaml"))
+    return [{"folder": p.parent.name, **yaml.safe_load(p.read_text("utf-8"))} for p in paths]
+
+
+def methods() -> str:
+    def row(card):
+        models = ", ".join({"similarity2d": "2D", "rigid3d": "3D"}[m] for m in card["models"])
+        what = card.get("certifies", "nothing") if card.get("provides_bounds") else ""
+        given = card.get("input", "raw point sets")
+        return f"`{card['folder']}`", card["display_name"], models, card["provenance"], given, what
+
+    head = ("folder", "method", "models", "provenance", "input", "its bounds speak of")
+    return table(head, map(row, cards("baselines")))
+
+
+def datasets() -> str:
+    def row(card):
+        return f"`{card['name']}`", card["title"], card["licence"], card.get("notes", "")
+
+    return table(("dataset", "title", "licence", "notes"), map(row, cards("data")))
+
+
+def metrics() -> str:
+    from workflows.metrics import METRICS
+
+    better = {"none": ""}
+    rows = (
+        (f"`{name}`", metric.meaning, metric.unit, better.get(metric.better, metric.better))
+        for name, metric in METRICS.items()
+    )
+    return table(("metric", "meaning", "unit", "better"), rows)
+
+
+LISTINGS = {
+    "targets": targets,
+    "register-options": lambda: options("register"),
+    "sweep-options": lambda: options("sweep"),
+    "verify-options": lambda: options("verify"),
+    "modes": modes,
+    "methods": methods,
+    "datasets": datasets,
+    "metrics": metrics,
+}
+
+
+class Listing(SphinxDirective):
+    required_arguments = 1
+
+    def run(self):
+        text = LISTINGS[self.arguments[0]]()
+        node = nodes.container()
+        self.state.nested_parse(StringList(text.splitlines()), 0, node)
+        return node.children
+
+
+def setup(app):
+    app.add_directive("listing", Listing)
+    return {"parallel_read_safe": True}

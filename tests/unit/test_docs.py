@@ -1,0 +1,228 @@
+"""What README, manual, Makefile and lock file promise."""
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import dcreg
+
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+DOCS = ROOT / "docs"
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(path for path in DOCS.rglob("*.md") if "images" not in path.parts)]
+)
+MOST_WORDS = 1200
+
+
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+# --- the manual --------------------------------------------------------------------------------
+
+
+def test_manual_builds_without_a_warning(tmp_path):
+    """Offline; unknown references and broken links between pages are warnings."""
+    built = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html",
+         str(DOCS), str(tmp_path)],
+        cwd=ROOT, capture_output=True, text=True,
+    )  # fmt: skip
+    assert built.returncode == 0, built.stderr
+    bounds = text_of(tmp_path / "bounds.html")
+    assert "<math" in bounds
+    assert "\\frac" not in bounds
+    for page in tmp_path.glob("*.html"):
+        loaded = re.findall(
+            r'<(?:script|img|link)[^>]*(?:src|href)="(https?:[^"]+)"', text_of(page)
+        )
+        assert not loaded, f"{page.name} needs a network"
+
+
+def anchors(path: Path) -> set[str]:
+    """Anchors of a page: its headings as GitHub names them, and labels of its own."""
+    text = re.sub(r"^```.*?^```", "", text_of(path), flags=re.M | re.S)
+    headings = re.findall(r"^#+ (.*)$", text, re.M)
+    slugs = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return slugs | set(re.findall(r"^\((.*)\)=$", text, re.M))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_relative_links_lead_somewhere(page):
+    text = text_of(page)
+    links = re.findall(r"\]\(([^)\s]+)\)", text)
+    links += re.findall(r'(?:src|srcset)="([^"]+)"', text)
+    for link in links:
+        if re.match(r"[a-z]+:", link):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name) if name else page
+        assert target.exists(), f"{page.name}: {link}"
+        if anchor:
+            assert anchor in anchors(target), f"{page.name}: {link}"
+
+
+def test_paths_named_in_code_spans_exist():
+    folders = "dcreg|baselines|data|workflows|reports|tests|examples|docs"
+    named = {
+        (page.name, path)
+        for page in PAGES
+        if page.name != "CHANGELOG.md"
+        for path in re.findall(rf"`((?:{folders})/[\w./-]*)`", text_of(page))
+    }
+    assert len(named) > 30
+    assert not [entry for entry in named if not (ROOT / entry[1]).exists()]
+
+
+def test_every_public_name_is_in_the_reference():
+    reference = text_of(DOCS / "api.md")
+    assert not [name for name in dcreg.__all__ if f"dcreg.{name}\n" not in reference]
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in dcreg.__all__ if name not in ("Candidates", "Listener")]
+)
+def test_every_public_name_has_a_docstring_of_its_own(name):
+    documented = (getattr(dcreg, name).__doc__ or "").strip()
+    assert len(documented) > 20
+    assert not documented.startswith(f"{name}(")  # what a dataclass gets by itself
+
+
+def test_every_json_key_is_in_the_manual():
+    points = [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]]
+    result = dcreg.register(points, points, n_inliers=3, model="similarity2d")
+    table = text_of(DOCS / "results.md").partition("## JSON keys")[2].partition("\n## ")[0]
+    rows = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
+    assert set(re.findall(r"`(\w+)`", " ".join(rows))) == result.to_dict().keys()
+
+
+def test_every_bound_and_status_is_in_the_manual():
+    from dcreg.bounds import bound_names
+
+    bounds, results = text_of(DOCS / "bounds.md"), text_of(DOCS / "results.md")
+    assert not [name for name in bound_names() if f"`{name}`" not in bounds]
+    ended = [status for status in dcreg.Status if status is not dcreg.Status.NOT_RUN]
+    assert not [status for status in ended if f"`{status}`" not in results]
+
+
+# --- README ------------------------------------------------------------------------------------
+
+
+def test_readme_is_short():
+    assert len(text_of(README).split()) <= MOST_WORDS
+
+
+def test_python_of_the_readme_runs(capsys):
+    (block,) = re.findall(r"^```python\n(.*?)^```", text_of(README), re.M | re.S)
+    statements = [line for line in block.splitlines() if line.strip()]
+    assert len(statements) <= 10
+    names: dict = {}
+    exec(compile(block, "README.md", "exec"), names)
+    assert names["result"].status == "optimal"
+    assert "similarity pose" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["make demo", "make test"])
+def test_readme_shows_the_two_commands(command):
+    """In a block near the top, where somebody new looks first."""
+    first = re.search(r"^```.*?^```", text_of(README), re.M | re.S)
+    assert command in first.group()
+
+
+def test_readme_shows_the_table_of_the_recorded_run():
+    assert text_of(DOCS / "images" / "runs.md").strip() in text_of(README)
+
+
+def test_pictures_are_small_and_for_both_themes():
+    pictures = sorted((DOCS / "images").glob("*.svg"))
+    assert {path.stem.rpartition("-")[2] for path in pictures} == {"light", "dark"}
+    assert not [path for path in pictures if path.stat().st_size > 200_000]
+
+
+def test_script_of_the_pictures_runs(tmp_path):
+    subprocess.run(
+        [sys.executable, "-m", "docs.figures", "--folder", str(tmp_path), "--points", "20",
+         "--time-limit", "1"],
+        cwd=ROOT, check=True, capture_output=True,
+    )  # fmt: skip
+    names = {path.name for path in (DOCS / "images").iterdir()}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert "`optimal`" in text_of(tmp_path / "runs.md")
+
+
+# --- Makefile, lock file, project files ---------------------------------------------------------
+
+
+def declared_targets() -> set[str]:
+    """Phony targets of the Makefile: what a person may call."""
+    text = text_of(ROOT / "Makefile")
+    return {name for line in re.findall(r"^\.PHONY:(.*)$", text, re.M) for name in line.split()}
+
+
+def helped_targets() -> set[str]:
+    shown = subprocess.run(
+        ["make", "--no-print-directory", "help"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return set(re.findall(r"^\s*make ([a-z0-9-]+)", shown.stdout, re.M))
+
+
+def named_targets(page: Path) -> set[str]:
+    """Targets in the code of a page: `make x` in a code span, or at a line's start in a block."""
+    text = text_of(page)
+    code = re.findall(r"^(?: {4}|\s*[$] )?make ([a-z0-9-]+)", text, re.M)
+    return {*code, *re.findall(r"`(?:[A-Z_]+=\S+ )*make ([a-z0-9-]+)", text)}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_pages_name_only_targets_that_exist(page):
+    known = declared_targets() | ({"ablation"} if page.name == "CHANGELOG.md" else set())
+    assert named_targets(page) <= known
+
+
+def test_make_help_lists_the_targets_that_the_manual_lists():
+    """The manual's table is made from the Makefile; helpers that `help` hides are no public targets."""
+    sys.path.insert(0, str(DOCS / "_extensions"))
+    try:
+        from listings import targets
+    finally:
+        sys.path.pop(0)
+    listed = set(re.findall(r"`make ([a-z0-9-]+)`", targets()))
+    assert listed == helped_targets()
+    assert named_targets(README) <= listed
+    assert listed <= declared_targets()
+
+
+def test_lock_file_pins_versions_and_names_no_host():
+    lines = text_of(ROOT / "requirements.lock").splitlines()
+    packages = [line for line in lines if line.strip() and not line.startswith("#")]
+    assert len(packages) > 20
+    assert not [line for line in lines if "://" in line or "index" in line or " @ " in line]
+    assert not [line for line in packages if not re.match(r"^[A-Za-z0-9._\[\]-]+==\S+", line)]
+
+
+def test_notices_name_every_direct_dependency():
+    project = tomllib.loads(text_of(ROOT / "pyproject.toml"))["project"]
+    wanted = sum(project["optional-dependencies"].values(), project["dependencies"])
+    names = {re.match(r"[\w.-]+", entry).group().lower() for entry in wanted} - {"dcreg"}
+    rows = re.findall(r"^\| ([\w.-]+) \|", text_of(ROOT / "THIRD_PARTY_NOTICES.md"), re.M)
+    assert len(names) > 20
+    assert not names - {row.lower() for row in rows}
+
+
+def test_citation_states_the_version():
+    import yaml
+
+    citation = yaml.safe_load(text_of(ROOT / "CITATION.cff"))
+    assert citation["version"] == dcreg.__version__
+    assert citation["license"] == "MIT"
+    assert "arXiv:2603.25442" in json.dumps(citation["references"])
