@@ -35,7 +35,8 @@ class Mode:
     takes_bound : bool
         Whether the bounding function can be chosen; otherwise the mode has its own, `own_bound`.
     certifies : str
-        Family of the certificate its search can record (``dcreg.certificate.format.MODELS``); empty: none.
+        Family of the certificate its search can record (``dcreg.certificate.format.MODELS``), or
+        empty.
     summary : str
         One line for help texts and manuals.
     """
