@@ -32,7 +32,7 @@ def imported_names(tree: ast.AST, package: str) -> set[str]:
     package : str
         What relative imports refer to. ``from a import b`` gives ``a.b``.
     """
-    names = set()
+    names: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)

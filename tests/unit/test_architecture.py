@@ -7,15 +7,12 @@ import xml.etree.ElementTree as ET
 from fnmatch import fnmatchcase
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
-from pathlib import Path
 
 import pytest
 
 from docs import architecture
 from docs.architecture import PARTS, PICTURE, part_of, read_imports
 
-ROOT = Path(__file__).parents[2]
-README = ROOT / "README.md"
 FILES = architecture.files_of()
 # Module of the library -> modules of it that its imports load, also those within functions and those
 # for type checkers only.
