@@ -41,6 +41,7 @@ class FuzzProblem:
             self.target,
             n_inliers=self.n_inliers,
             time_limit=TIME_LIMIT,
+            certificate=self.settings["mode"] == "paper",
             candidates=None if self.allowed.all() else self.allowed,
             **self.settings,
         )

@@ -54,6 +54,10 @@ def test_planted_faults_are_found(family):
             change["status"] = type(result.status)(change["status"])
         faults = check(drawn, dataclasses.replace(result, **change)).faults
         assert any(words in fault for fault in faults), (change, faults)
+    if result.certificate is not None:
+        forged = dataclasses.replace(result.certificate, upper_bound=0.0)
+        faults = check(drawn, dataclasses.replace(result, certificate=forged)).faults
+        assert any("certificate refused" in fault for fault in faults), faults
 
 
 def brute_force(source, target, allowed, k, scale_range):
