@@ -13,7 +13,7 @@ from dcreg.bounds import BOUNDS
 from dcreg.result import Result
 
 KINDS = ("general", "copy", "duplicates", "collinear", "grid", "symmetric", "clutter")
-# What is solved how often: family, and in it bound; `tight`, the default, most of all.
+# Shares of the families, and weights of the bounds within one: the default bound is drawn most often.
 FAMILIES = {"similarity2d": 0.58, "norm3d": 0.3, "rigid3d": 0.11, "multi3d": 0.01}
 MODES = {"similarity2d": "paper", "norm3d": "paper", "rigid3d": "full", "multi3d": "multi"}
 EMPHASIS = {"tight": 8.0, "tight-exact": 4.0, "shared": 2.0, "paper": 2.0, "termwise-r3": 0.15}

@@ -398,7 +398,6 @@ def test_removed_leaf_is_a_gap(tmp_path, case, rng):
             name: np.delete(getattr(certificate, name), leaf, axis=0)
             for name in ("leaf_lower", "leaf_upper", "leaf_bounds", "leaf_reasons")
         }
-        # the worst leaf may be what the stated bound rests on; keep the statement consistent
         refused(tmp_path, case, "a gap", **rest)
 
 
