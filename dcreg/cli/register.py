@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import dcreg
-from dcreg.cli import options as o
+from dcreg.cli import options
 from dcreg.cli.inputs import parse_count, read_cloud, read_pairs
 from dcreg.cli.output import (
     STDOUT,
@@ -29,9 +29,9 @@ _MODE_HELP = (
 
 
 def register(
-    source: o.SourceArgument,
-    target: o.TargetArgument,
-    model: o.ModelOption,
+    source: options.SourceArgument,
+    target: options.TargetArgument,
+    model: options.ModelOption,
     n_inliers: Annotated[
         str,
         typer.Option(
@@ -40,17 +40,17 @@ def register(
             "A decimal point makes it a fraction: '1' is one pair, '1.0' is all of them.",
         ),
     ],
-    scale_range: o.ScaleRangeOption = None,
+    scale_range: options.ScaleRangeOption = None,
     mode: Annotated[str | None, typer.Option(metavar="NAME", help=_MODE_HELP)] = None,
-    bound: o.BoundOption = None,
-    gap_tol: o.GapTolOption = None,
-    time_limit: o.TimeLimitOption = None,
-    node_limit: o.NodeLimitOption = None,
-    threads: o.ThreadsOption = 1,
-    polish: o.PolishOption = True,
-    candidates_path: o.CandidatesOption = None,
-    source_key: o.SourceKeyOption = None,
-    target_key: o.TargetKeyOption = None,
+    bound: options.BoundOption = None,
+    gap_tol: options.GapTolOption = None,
+    time_limit: options.TimeLimitOption = None,
+    node_limit: options.NodeLimitOption = None,
+    threads: options.ThreadsOption = 1,
+    polish: options.PolishOption = True,
+    candidates_path: options.CandidatesOption = None,
+    source_key: options.SourceKeyOption = None,
+    target_key: options.TargetKeyOption = None,
     json_path: Annotated[
         Path | None,
         typer.Option("--json", metavar="OUT", help="Write the result; '-' is standard output."),
@@ -66,7 +66,7 @@ def register(
         Path | None,
         typer.Option("--certificate", metavar="OUT.npz", help="Write what `dcreg verify` checks."),
     ] = None,
-    quiet: o.QuietOption = False,
+    quiet: options.QuietOption = False,
 ) -> None:
     """Register SOURCE to TARGET and certify the result.
 

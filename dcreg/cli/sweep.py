@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import dcreg
-from dcreg.cli import options as o
+from dcreg.cli import options
 from dcreg.cli.inputs import parse_counts, read_cloud, read_pairs
 from dcreg.cli.output import (
     Writer,
@@ -24,9 +24,9 @@ from dcreg.names import FIGURE_PACKAGES
 
 
 def sweep(
-    source: o.SourceArgument,
-    target: o.TargetArgument,
-    model: o.ModelOption,
+    source: options.SourceArgument,
+    target: options.TargetArgument,
+    model: options.ModelOption,
     n_inliers: Annotated[
         str,
         typer.Option(
@@ -35,19 +35,21 @@ def sweep(
             "FROM:TO:STEP with both ends, such as 0.3:1.0:0.1 or 20:60:5.",
         ),
     ],
-    scale_range: o.ScaleRangeOption = None,
-    bound: o.BoundOption = None,
-    gap_tol: o.GapTolOption = None,
+    scale_range: options.ScaleRangeOption = None,
+    bound: options.BoundOption = None,
+    gap_tol: options.GapTolOption = None,
     time_limit: Annotated[
         float | None,
-        typer.Option(metavar="S", parser=o.number, help="Seconds for all cardinalities together."),
+        typer.Option(
+            metavar="S", parser=options.number, help="Seconds for all cardinalities together."
+        ),
     ] = None,
-    node_limit: o.NodeLimitOption = None,
-    threads: o.ThreadsOption = 1,
-    polish: o.PolishOption = True,
-    candidates_path: o.CandidatesOption = None,
-    source_key: o.SourceKeyOption = None,
-    target_key: o.TargetKeyOption = None,
+    node_limit: options.NodeLimitOption = None,
+    threads: options.ThreadsOption = 1,
+    polish: options.PolishOption = True,
+    candidates_path: options.CandidatesOption = None,
+    source_key: options.SourceKeyOption = None,
+    target_key: options.TargetKeyOption = None,
     out_path: Annotated[
         Path | None,
         typer.Option(
@@ -58,7 +60,7 @@ def sweep(
         Path | None,
         typer.Option("--plot", metavar="OUT", help="Write the curves: .html, .png or .svg."),
     ] = None,
-    quiet: o.QuietOption = False,
+    quiet: options.QuietOption = False,
 ) -> None:
     """Register SOURCE to TARGET for several numbers of inliers, to choose one.
 
