@@ -114,17 +114,6 @@ def test_no_import_cycles():
         pytest.fail(" <- ".join(error.args[1]))
 
 
-def test_reading_a_result_needs_neither_command_line_nor_figures():
-    """``import dcreg`` must stay light: typer, rich and plotly belong to the CLI."""
-    seen, waiting = set(), ["dcreg"]
-    while waiting:
-        module = waiting.pop()
-        seen.add(module)
-        waiting += dependencies(module) - seen
-    outside = {name.split(".")[0] for module in seen for name in imports(module, True)}
-    assert not outside & {"typer", "rich", "plotly", "pandas"}
-
-
 # --- README, Makefile, lock file ---------------------------------------------------------------
 
 
