@@ -4,7 +4,8 @@ Followed are imports anywhere in a file, also those within functions, but not th
 only. A name that a package hands on (``from dcreg.local import fit_pose``) leads to the package's
 ``__init__`` and to the module that defines it, not to the package's other modules: the library's
 ``__init__`` hands on everything, and every method would depend on all of it. Where a package defines the
-name itself, or is used as a whole, all its imports count. Texts that name a module of the checkout, or a
+name itself, or is used as a whole, all its imports count. Names that a package loads late stand in the
+stub beside its ``__init__``, which is read with it. Texts that name a module of the checkout, or a
 file beside the code that reads it (a child process, a data file), count like imports.
 """
 
@@ -44,13 +45,10 @@ class Source:
     imports : list of Import
     texts : set of str
         String constants that may name a file or a module.
-    table : dict
-        Entries ``"name": "module"`` of literal dictionaries, by which packages load names late.
     """
 
     imports: list[Import] = field(default_factory=list)
     texts: set[str] = field(default_factory=set)
-    table: dict[str, str] = field(default_factory=dict)
 
 
 def files_behind(roots: Iterable[Path], checkout: Path) -> set[Path]:
@@ -85,14 +83,14 @@ class _Walk:
         self._taken.add((path, name))
         if path.suffix != ".py":
             return
-        module, state = _module_of(path, self.checkout), path.stat()
-        source = _read(path, module, state.st_mtime_ns, state.st_size)
+        read = [file for file in (path, path.with_suffix(".pyi")) if file.is_file()]
+        self.files.update(read)
+        states = tuple((file, file.stat().st_mtime_ns, file.stat().st_size) for file in read)
+        source = _read(_module_of(path, self.checkout), states)
         handed_on = [wanted for wanted in source.imports if wanted.bound == name]
         if path.name == "__init__.py" and handed_on:
             for wanted in handed_on:
                 self._import(wanted)
-        elif path.name == "__init__.py" and name in source.table:
-            self._module(_absolute(source.table[name], module), {name})
         elif name != _WHOLE:  # defined here, perhaps by means of all that is imported
             self.take(path, _WHOLE)
         else:
@@ -142,11 +140,18 @@ class _Walk:
 
 
 @functools.cache
-def _read(path: Path, module: str, _modified: int, _size: int) -> Source:
-    """What a file says; read once per process as long as it stays the same."""
-    tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-    source, nodes = Source(), list(_nodes(tree))
+def _read(module: str, states: tuple[tuple[Path, int, int], ...]) -> Source:
+    """What a file and its stub say; read once per process as long as they stay the same.
+
+    `states` are the paths with time and size of what they hold.
+    """
+    package = module if states[0][0].name == "__init__.py" else module.rpartition(".")[0]
+    source = Source()
+    nodes = [
+        node
+        for path, *_ in states
+        for node in _nodes(ast.parse(path.read_text(encoding="utf-8"), str(path)))
+    ]
     uses = _attributes(nodes)
     for node in nodes:
         if isinstance(node, ast.Import):
@@ -160,10 +165,6 @@ def _read(path: Path, module: str, _modified: int, _size: int) -> Source:
                 bound = alias.asname or alias.name
                 taken = uses.get(bound, set())
                 source.imports.append(Import(origin, alias.name, bound, frozenset(taken)))
-        elif isinstance(node, ast.Dict):
-            for key, value in zip(node.keys, node.values, strict=True):
-                if isinstance(key, ast.Constant) and isinstance(value, ast.Constant):
-                    source.table[str(key.value)] = str(value.value)
         elif isinstance(node, ast.Constant) and _NAME.fullmatch(str(node.value)):
             source.texts.add(str(node.value))
     return source
