@@ -165,10 +165,6 @@ def _read(module: str, states: tuple[tuple[Path, int, int], ...]) -> Source:
                 bound = alias.asname or alias.name
                 taken = uses.get(bound, set())
                 source.imports.append(Import(origin, alias.name, bound, frozenset(taken)))
-        elif isinstance(node, ast.Dict):
-            for key, value in zip(node.keys, node.values, strict=True):
-                if isinstance(key, ast.Constant) and isinstance(value, ast.Constant):
-                    source.table[str(key.value)] = str(value.value)
         elif (
             isinstance(node, ast.Constant)
             and isinstance(node.value, str)

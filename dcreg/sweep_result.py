@@ -17,7 +17,8 @@ from dcreg.status import Status
 
 # An elbow must lie below the chord of the curve by at least this share of the curve's height.
 _CLEAR_BEND = 0.1
-_ROUNDING = 1e-3  # curves this flat, beside the tolerated residual, rise by rounding
+# A curve that rises by less than this share of the tolerated residual rises by rounding alone.
+_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True, repr=False)
@@ -172,7 +173,8 @@ def _row(result: Result, after: Result | None, proven_by: int | None) -> dict[st
     if after is not None:
         more = after.n_inliers - k
         row["next_pair"] = (after.upper_bound - result.upper_bound) / more
-        # the next pair costs at least what the average one does, or the k best of k' would be better
+        # the k cheapest of k' pairs would be better than the optimum for k if the others cost less than
+        # its average pair
         floor = result.lower_bound / k
         row["next_pair_low"] = max((after.lower_bound - result.upper_bound) / more, floor)
         row["next_pair_high"] = (after.upper_bound - result.lower_bound) / more
