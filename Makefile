@@ -112,7 +112,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@workflows/setup.sh $(VENV) $(PYTHON) $(SYSTEM_PACKAGES)
 	@touch $@
 
-# Tools of the tests, of `make lint` and of the manual: what `make demo` can do without.
+# Tools for tests, style and manual, which `make demo` can do without.
 .PHONY: dev
 dev: setup $(VENV)/.dev
 

@@ -88,7 +88,7 @@ def _from_cache(file: File, tried: list[str]) -> Path | None:
     found = _digest(path, file.git_sha1 is not None, stat.st_mtime_ns, stat.st_size)
     if found == _expected(file):
         return path
-    # A cut-off copy is no reason to give up: a good one replaces it, or the final error tells.
+    # A damaged copy is replaced by a good one; if there is none, the final error names it.
     tried.append(f"{path}: its checksum is {found}, expected {_expected(file)}")
     return None
 

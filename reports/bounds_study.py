@@ -162,7 +162,7 @@ def _save(figure: MplFigure, out: Path | io.StringIO, kind: str) -> None:
     """Without a creation date: the same tables give the same file."""
     date = "CreationDate" if kind == "pdf" else "Date"
     figure.savefig(out, format=kind, metadata={date: None})
-    figure.set_layout_engine("none")  # the places are found; the next file keeps them
+    figure.set_layout_engine("none")  # the layout is done; the next file shares it
 
 
 def _drawings(draw: Callable, tables: dict[str, pd.DataFrame], stem: Path) -> dict[str, str]:

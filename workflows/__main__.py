@@ -180,7 +180,7 @@ def forget(
     from workflows.stages.solve import forget as drop
 
     dropped = drop(folder / "runs", set(status.split(",")))
-    if dropped:  # Snakemake makes nothing anew whose descendants are all there
+    if dropped:  # Snakemake repeats no job while everything made from its output is there
         for made_from_runs in ("metrics", "tables", "report"):
             shutil.rmtree(folder / made_from_runs, ignore_errors=True)
     print(f"forgot {dropped} runs")

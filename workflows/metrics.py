@@ -68,7 +68,7 @@ class Metric(NamedTuple):
     better: Literal["lower", "higher", "none"]
     worst: float
     meaning: str
-    compute: Callable[[Case], float] | None  # None: see `relate`
+    compute: Callable[[Case], float] | None  # None: filled in by `evaluate.relate`
 
 
 def rmse(case: Case) -> float:
@@ -98,7 +98,7 @@ def rotation_error_deg(case: Case) -> float:
     """Angle of the rotation from the true to the found orientation, 0 to 180."""
     d = case.dim
     found, true = (_rotation_of(T[:d, :d]) for T in (case.T, case.T_true))
-    # From sine and cosine: the arc cosine alone loses half the digits near zero.
+    # The arc tangent of sine and cosine: the arc cosine alone loses half the digits near zero.
     relative = found @ true.T
     if d == 2:
         sine, cosine = relative[1, 0], relative[0, 0]

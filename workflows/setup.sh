@@ -29,13 +29,12 @@ install() {
 
 echo "Setting up $venv (once; one to three minutes, most of it downloads and compilation) …"
 [ -x "$venv/bin/python" ] || step "virtual environment" "$python" -m venv "$venv"
-step "numpy, scipy, numba" install --constraint requirements.lock numpy scipy numba
+step "this library and what it needs" install --constraint requirements.lock --editable .
 step "compiled kernels" "$venv/bin/python" -m dcreg.warm_up &
 kernels=$!
 workflows/system_packages.sh "open3d (its methods stay 'unavailable' without)" "$@" &
 system=$!
 step "packages of the benchmark" install --no-deps --requirement requirements.lock
-step "this library" install --no-deps --editable .
 wait "$system"
 wait "$kernels"
 printf 'setup     %-44s %4d s\n' "all of it" $((SECONDS - began))

@@ -25,7 +25,7 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
         rmse=tried["rmse"].fillna(METRICS["rmse"].worst),
         bounding=tried["gap"].notna(),
         certified=tried["status"].eq("optimal"),
-        # Of the target's size: gaps of different instances are sums of different length and unit.
+        # Per pair and as a length, so that instances with different numbers of pairs compare.
         gap_rms=np.sqrt(tried["gap"] / tried["n_inliers"]),
     )
     keys = ["model", "test", "method"]

@@ -190,7 +190,7 @@ def save_static(
             # no creation date: the same tables give the same file
             date = "Date" if path.suffix == ".svg" else "CreationDate"
             figure.savefig(path, metadata={date: None})
-            figure.set_layout_engine("none")  # the places are found; the second file keeps them
+            figure.set_layout_engine("none")  # the layout is done; the second file shares it
     return paths
 
 
@@ -207,7 +207,7 @@ def draw_static(tables: Tables, styles: dict[str, Style], model: str, statistic:
             axes[r][c].set_ylabel((f"{row}\nRMSE" if row else "time (s)") if c == 0 else "")
             axes[r][c].set_xlabel("level" if r == len(rows) else "")
             axes[r][c].set_title(words(test) if r == 0 else "")
-        if row:  # once the whole row is drawn: it ends the automatic limits
+        if row:  # after the whole row is drawn, as it fixes the limits
             axes[r][0].set_ylim(bottom=0)
     handles = {
         text: handle

@@ -30,6 +30,6 @@ def test_solve(name, benchmark, request):
         lambda: [measure(case, subject) for subject in case.subjects], rounds=1, iterations=1
     )
     benchmark.extra_info["solves"] = rows
-    for row in rows:  # whatever the clock says, a certificate has to be one
+    for row in rows:  # certificates must be valid whatever the time
         assert row["lower_bound"] <= row["upper_bound"] * (1 + 1e-12)
         assert row["status"] != "optimal" or row["gap"] <= row["gap_tol"] * (1 + 1e-9)

@@ -174,21 +174,21 @@ SEPARATE = [
 HALF = [
     Subject("lian_apm", shape, "noise", 0.015, n_inliers_ratio=0.5) for shape in ("fish", "fu")
 ] + [Subject("chui_rangarajan", "fish", "noise", 3, n_inliers_ratio=0.5)]
-# In norm space noise below 0.1 leaves an optimum under the default tolerance: every bound then ends at
-# the first box. A smaller one makes it a search.
+# In norm space the optimum is below the default tolerance where the noise is below 0.1, so that every
+# search would end at the first box; the smaller tolerance makes the search necessary.
 SOLIDS = [
     Subject("horse", "horse", "noise", 0.02, n_points=100, tau=0.01),
     Subject("dino", "dino", "noise", 0.02, n_points=100, tau=0.01),
 ]
 EMBEDDED_SOLIDS = [Subject("embedded", "pony", "noise", 0.02, n_points=100, tau=0.01)]
 MIXED_3D = [
-    # 50 % of the inliers, and 50 % of each set, are outliers: the two ways to read the target;
+    # outliers: half as many as inliers, or as many (half of each set);
     # the jitter is 0.01 of the longest side
     Subject(name, name, "mixed_outliers", ratio, n_points=100, jitter=0.03,
             options=(("base_deformation", 0.0),))
     for name in ("horse", "dino") for ratio in (0.5, 1.0)
 ] + [
-    # the default tolerance ends these at the first box
+    # with the default tolerance these are solved at the first box
     Subject(name, name, "mixed_outliers", 0.5, n_points=100, jitter=0.03, tau=0.003,
             options=(("base_deformation", 0.0),))
     for name in ("horse", "dino")

@@ -22,7 +22,9 @@ def measure(case: Case, subject: Subject) -> dict[str, Any]:
         time_s = time.perf_counter() - began
         if not best or time_s < best["time_s"]:
             # the search stage apart: in 3D it is the translation, without rotation
-            search = next((s for s in result.stages if s["stage"] == "search"), result.stages[0])
+            search = next(
+                (stage for stage in result.stages if stage.name == "search"), result.stages[0]
+            )
             best = {
                 "case": case.name,
                 "subject": str(subject),
@@ -35,10 +37,10 @@ def measure(case: Case, subject: Subject) -> dict[str, Any]:
                 "time_s": time_s,
                 "n_nodes": result.n_nodes,
                 "n_assignments": result.n_assignments,
-                "search_status": search["status"],
-                "search_time_s": search["time_s"],
-                "search_nodes": search["n_nodes"],
-                "search_assignments": search["n_assignments"],
+                "search_status": search.status.value if search.status else "",
+                "search_time_s": search.time_s,
+                "search_nodes": search.n_nodes,
+                "search_assignments": search.n_assignments,
                 "lower_bound": result.lower_bound,
                 "upper_bound": result.upper_bound,
                 "gap": result.gap,

@@ -18,7 +18,7 @@ import typer
 from tests.bench.cases import GOICP, MEDIAN
 
 NOT_MEASURED = "not measured"
-# Facts of the reference notes: official Go-ICP, 100 against 100 points, MSE threshold 0.0005.
+# Recorded times of official Go-ICP, 100 against 100 points, MSE threshold 0.0005.
 GOICP_TRANSFORM_S, GOICP_SEARCH_S = (7.0, 9.0), (0.6, 14.0)
 
 
@@ -206,7 +206,7 @@ def _growth(cases: Cases) -> list[Row]:
             rows.append(_missing(measure, "reported"))
             continue
         part = cases[name].sort_values("n_points")
-        searched = part[part["search_nodes"] > 1]  # the others ended at the first box
+        searched = part[part["search_nodes"] > 1]  # the others were solved at the first box
         logs = np.log(searched[["n_points", "search_nodes"]].astype(float))
         slope = np.polyfit(*logs.to_numpy().T, 1)[0] if len(logs) > 1 else np.nan
         shown = ", ".join(

@@ -223,7 +223,7 @@ def test_unknown_names_are_refused_with_a_suggestion():
         dataset("chui_rangarajan").instance("fish", "noise", 7, 0)
     with pytest.raises(UnknownNameError, match=r"trial of test def 100; known: 0\.\.99"):
         dataset("chui_rangarajan").instance("fish", "def", 1, 100)
-    with pytest.raises(UnknownNameError, match="there are"):
+    with pytest.raises(UnknownNameError, match="did you mean 'embedded'"):
         dataset("embeded")
 
 

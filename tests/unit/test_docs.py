@@ -202,8 +202,9 @@ def test_make_help_lists_the_targets_that_the_manual_lists():
     assert listed <= declared_targets()
 
 
-def test_lock_file_pins_versions_and_names_no_host():
-    lines = text_of(ROOT / "requirements.lock").splitlines()
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
+def test_lock_files_pin_versions_and_name_no_host(name):
+    lines = text_of(ROOT / name).splitlines()
     packages = [line for line in lines if line.strip() and not line.startswith("#")]
     assert len(packages) > 20
     assert not [line for line in lines if "://" in line or "index" in line or " @ " in line]

@@ -55,7 +55,7 @@ def judge(run: Mapping[Any, Any], problem: Problem, truth: Truth, dataset: str) 
         lower_bound=run["lower_bound"],
     )
     for name, metric in METRICS.items():
-        # What speaks of the truth alone is known also where no pose was found.
+        # Metrics of the truth alone have a value also where the method found no pose.
         known = found is not None or metric.better == "none"
         row[name] = metric.compute(case) if metric.compute and known else np.nan
     row["success"] = found is not None and bool(row["success"])

@@ -25,8 +25,8 @@ from dcreg.status import Status
 from workflows import CHECKOUT
 from workflows.config import LimitSettings, MethodSettings
 
-WATCH_S = 0.05  # between two looks at a busy worker's memory
-FAMILY_S = 1.0  # between two searches for its children
+WATCH_S = 0.05  # a busy worker's memory is measured this often
+FAMILY_S = 1.0  # its child processes are listed this often
 MB = 2**20
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -102,8 +102,8 @@ class Worker:
                     )
             return self.connection.recv()
         except (EOFError, OSError) as error:
-            self.kill(patience_s=2.0)  # its own exit code tells more than our signal
-            raise WorkerLostError(Status.FAILED, f"worker {self._obituary()}") from error
+            self.kill(patience_s=2.0)  # let it exit by itself: its exit code is the diagnosis
+            raise WorkerLostError(Status.FAILED, f"worker {self._end()}") from error
 
     def kill(self, patience_s: float = 0.0) -> None:
         """End the worker and all its children; with patience, one that is ending ends by itself."""
@@ -125,7 +125,7 @@ class Worker:
     def _memory_mb(self) -> float:
         """Resident memory of the worker and its children."""
         total = 0
-        if time.monotonic() > self._family_until:  # finding children reads all of /proc
+        if time.monotonic() > self._family_until:  # listing children reads all of /proc
             self._family_until = time.monotonic() + FAMILY_S
             with suppress(psutil.Error):
                 worker = psutil.Process(self.process.pid)
@@ -135,7 +135,7 @@ class Worker:
                 total += process.memory_info().rss
         return total / MB
 
-    def _obituary(self) -> str:
+    def _end(self) -> str:
         code = self.process.returncode
         if code is not None and code < 0:
             return f"died of {signal.Signals(-code).name}"
@@ -149,10 +149,12 @@ class Sandbox:
         self.method = method
         self.limits = limits
         self.log = log
-        self.time_warmup_s = float("nan")  # of the present worker
-        self.time_started_s = 0.0  # of all workers so far
+        self.time_warmup_s = float("nan")  # time the present worker took to start
+        self.time_started_s = 0.0  # the same, summed over all workers
         self._worker: Worker | None = None
-        self._verdict: tuple[Status, str] | None = None  # on all runs: it cannot run here
+        self._verdict: tuple[Status, str] | None = (
+            None  # where the method cannot run here: the answer for all runs
+        )
         self._warm_up = True
 
     def __enter__(self) -> Sandbox:
@@ -166,7 +168,7 @@ class Sandbox:
     ) -> None:
         if self._worker and kind is None:
             self._worker.close()
-        elif self._worker:  # interrupted: it may be busy for long
+        elif self._worker:  # interrupted in mid-run: do not wait for its answer
             self._worker.kill()
 
     def prepare(self, instance: Instance) -> None:
@@ -175,7 +177,7 @@ class Sandbox:
         Raises
         ------
         WorkerLostError
-            When the worker did not live through it.
+            When the worker was lost meanwhile.
         """
         if self._worker or self._verdict:
             return
@@ -197,8 +199,8 @@ class Sandbox:
             elif answer["reason"]:
                 self._verdict = Status.UNAVAILABLE, answer["reason"]
             elif self._warm_up:
-                # A warm-up that raises is no reason not to try. One that takes the worker with it
-                # is not tried again, so that it cannot cost more than one run.
+                # An exception in the warm-up is ignored: the run may succeed all the same. If the
+                # warm-up kills the worker it is left out from then on, so that it costs one run only.
                 self._warm_up = False
                 worker.ask("warm_up", instance, self.limits.memory_mb, **patience)
                 self._warm_up = True
@@ -211,7 +213,7 @@ class Sandbox:
         return worker
 
     def solve(self, instance: Instance) -> dict[str, Any]:
-        """The worker's answer, or the status that took its place; never raises for a run's sake."""
+        """The worker's answer or, where it was lost, the status of the run; a run never raises."""
         waiting_since = time.perf_counter()
         try:
             self.prepare(instance)

@@ -121,10 +121,10 @@ def _rows(
             started = sandbox.time_started_s
             row = {**identity, **_plain(sandbox.solve(instance))}
             waited = time.perf_counter() - since - (sandbox.time_started_s - started)
-            if "peak_memory_mb" in row:  # an answer, not an obituary
+            if "peak_memory_mb" in row:  # the worker answered; it was not lost
                 row["time_overhead_s"] = waited - row["time_solve_s"]
             if row["status"] != Status.UNAVAILABLE:
-                # Flushed, not synced: safe when the job is killed, which is what happens.
+                # Flushed, not synced: safe against a killed job, not against a power cut.
                 journal.write(json.dumps(row) + "\n")
                 journal.flush()
             yield row
