@@ -23,7 +23,6 @@ myst_heading_anchors = 3
 nitpicky = True
 nitpick_ignore_regex = [(r"py:.*", r"(?!dcreg\.).*")]
 default_role = "py:obj"
-smartquotes = False  # option names begin with two hyphens
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings state types, shapes and units

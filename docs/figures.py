@@ -2,12 +2,13 @@
 
 An embedded shape is disturbed as in the benchmark and registered with several bounds. Written to
 `docs/images`: the clouds before and after, the bounds against time (each for light and dark pages), and
-the table of the runs.
+the table of the runs, which the README repeats.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +24,8 @@ from data.registry import dataset
 from data.sampling import transform
 from workflows.disturb import make_instance
 
-IMAGES = Path(__file__).parent / "images"
+HERE = Path(__file__).parent
+IMAGES = HERE / "images"
 BOUNDS = ("tight", "paper", "termwise")
 NAMES = {
     "tight": "`tight` (default)",
@@ -77,7 +79,7 @@ def table(results: dict[str, dcreg.Result]) -> str:
         lines.append(
             f"| {NAMES[bound]} | `{result.status}` | {result.lower_bound:.3f} | "
             f"{result.upper_bound:.3f} | {result.n_nodes:,} | {result.n_assignments:,} | "
-            f"{result.time_solve_s:.1f} s |"
+            f"{result.time_solve_s:.1f}\N{NO-BREAK SPACE}s |"
         )
     return "\n".join(lines) + "\n"
 
@@ -144,6 +146,14 @@ def write(folder: Path, n_points: int, level: float, time_limit: float) -> None:
     (folder / "runs.md").write_text(table(results), encoding="utf-8")
 
 
+def show_in_readme(runs: Path, readme: Path) -> None:
+    """Replace the table of an earlier run."""
+    new, text = runs.read_text(encoding="utf-8"), readme.read_text(encoding="utf-8")
+    readme.write_text(
+        re.sub(r"^\| bound \|(?:.*\n)+?(?=\n)", lambda _: new, text, flags=re.M), "utf-8"
+    )
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--folder", type=Path, default=IMAGES)
@@ -152,3 +162,5 @@ if __name__ == "__main__":
     parser.add_argument("--time-limit", type=float, default=60.0, help="seconds per bound")
     asked = parser.parse_args()
     write(asked.folder, asked.points, asked.level, asked.time_limit)
+    if asked.folder == IMAGES:
+        show_in_readme(IMAGES / "runs.md", HERE.parent / "README.md")

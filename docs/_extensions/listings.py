@@ -25,6 +25,11 @@ def targets() -> str:
     return table(("target", "does"), ((f"`make {name}`", text) for name, text in found))
 
 
+def spelled(text: str) -> str:
+    """Help text as Markdown: no emphasis by chance, options as code."""
+    return re.sub(r"(?<![\w`-])(--[a-z-]+)", r"`\1`", text.replace("*", "\\*"))
+
+
 def options(command: str) -> str:
     """Options of a command of `dcreg`."""
     from typer.main import get_command
@@ -37,7 +42,7 @@ def options(command: str) -> str:
         if option.param_type_name == "option":
             names = f"`{names}{f' {option.metavar}' if option.metavar else ''}`"
             need = "required. " if option.required else ""
-            rows.append((names, need + option.help.replace("*", "\\*")))
+            rows.append((names, need + spelled(option.help)))
     return table(("option", "meaning"), rows)
 
 
@@ -59,7 +64,9 @@ def cards(folder: str) -> list[dict]:
 
 def methods() -> str:
     def row(card):
-        models = ", ".join({"similarity2d": "2D", "rigid3d": "3D"}[m] for m in card["models"])
+        models = ", ".join(
+            sorted({"similarity2d": "2D", "rigid3d": "3D"}[m] for m in card["models"])
+        )
         what = card.get("certifies", "nothing") if card.get("provides_bounds") else ""
         given = card.get("input", "raw point sets")
         return f"`{card['folder']}`", card["display_name"], models, card["provenance"], given, what

@@ -211,10 +211,20 @@ def test_lock_files_pin_versions_and_name_no_host(name):
     assert not [line for line in packages if not re.match(r"^[A-Za-z0-9._\[\]-]+==\S+", line)]
 
 
-def test_notices_name_every_direct_dependency():
+def direct_dependencies() -> set[str]:
     project = tomllib.loads(text_of(ROOT / "pyproject.toml"))["project"]
     wanted = sum(project["optional-dependencies"].values(), project["dependencies"])
-    names = {re.match(r"[\w.-]+", entry).group().lower() for entry in wanted} - {"dcreg"}
+    return {re.match(r"[\w.-]+", entry).group().lower() for entry in wanted} - {"dcreg"}
+
+
+def test_lock_files_pin_every_direct_dependency():
+    lines = "\n".join(text_of(path) for path in ROOT.glob("requirements*.lock"))
+    pinned = {name.lower().replace("_", "-") for name in re.findall(r"^([\w.-]+)==", lines, re.M)}
+    assert not {name.replace("_", "-") for name in direct_dependencies()} - pinned
+
+
+def test_notices_name_every_direct_dependency():
+    names = direct_dependencies()
     rows = re.findall(r"^\| ([\w.-]+) \|", text_of(ROOT / "THIRD_PARTY_NOTICES.md"), re.M)
     assert len(names) > 20
     assert not names - {row.lower() for row in rows}
