@@ -54,7 +54,7 @@ MAY_IMPORT = {
     "dcreg.io": ("dcreg.problem",),
     # no geometry: of the kernels only the heap
     "dcreg.search": ("dcreg.kernels", "dcreg.kernels.heap", "dcreg.status", "dcreg.files"),
-    "dcreg.spaces": ("dcreg.search*", "dcreg.kernels*", "dcreg.problem.pairs"),
+    "dcreg.spaces": ("dcreg.search*", "dcreg.kernels*", "dcreg.problem*"),
     # whatever the command line does is done by public names
     "dcreg.cli": ("dcreg", "dcreg.names"),
 }
