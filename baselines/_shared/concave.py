@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines.contract import Instance
-from dcreg.kernels.assignment import k_assignment
+from dcreg.kernels.assignment.dense import k_assignment
 from dcreg.kernels.compiling import jit
 from dcreg.local import fit_pose, polish
 from dcreg.local.assignment import pairs_of

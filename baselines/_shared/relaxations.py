@@ -26,9 +26,9 @@ from baselines._shared.library_search import ModeOfItsOwn
 from baselines._shared.single_boxes import bound_of_box
 from baselines.contract import Instance
 from dcreg.bounds.base import SpaceBound
-from dcreg.kernels import termwise, vertices
-from dcreg.kernels.assignment import k_assignment
+from dcreg.kernels.assignment.dense import k_assignment
 from dcreg.kernels.compiling import jit
+from dcreg.kernels.termwise import envelopes, plane
 from dcreg.modes import Answer, Task
 from dcreg.modes.paper import place, space_of
 from dcreg.search import Box, Evaluation, minimise
@@ -42,7 +42,7 @@ LeastOverBox = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[
 def linearise(features, low, high, k, lower, upper, constants, beta, gamma):
     """Constant with the least assignment, slopes in theta and in phi, of every box."""
     n, m = features.shape[1], features.shape[2]
-    cost, alpha = np.empty((n, m)), np.empty(termwise.N_FEATURES)
+    cost, alpha = np.empty((n, m)), np.empty(plane.N_FEATURES)
     for box in range(lower.shape[0]):
         lo, up = lower[box], upper[box]
         alpha[:] = 0.0
@@ -50,21 +50,21 @@ def linearise(features, low, high, k, lower, upper, constants, beta, gamma):
         constant = 0.0
         for f in range(3):
             least, most = _phi_range(f, lo, up)
-            cg, gamma[box, f], c0 = termwise.relax_product(
+            cg, gamma[box, f], c0 = envelopes.relax_product(
                 1.0 if f == 0 else 2.0, low[f], high[f], least, most
             )
             alpha[f] += cg
             constant += c0
-        for row in range(termwise.BILINEAR.shape[0]):
-            f, a = termwise.BILINEAR[row, 0], termwise.BILINEAR[row, 1]
-            cg, ct, c0 = termwise.relax_product(-2.0, low[f], high[f], lo[a], up[a])
+        for row in range(plane.BILINEAR.shape[0]):
+            f, a = plane.BILINEAR[row, 0], plane.BILINEAR[row, 1]
+            cg, ct, c0 = envelopes.relax_product(-2.0, low[f], high[f], lo[a], up[a])
             alpha[f] += cg
             beta[box, a] += ct
             constant += c0
         for i in range(n):
             for j in range(m):
                 total = features[7, i, j]
-                for f in range(termwise.N_FEATURES):
+                for f in range(plane.N_FEATURES):
                     total += alpha[f] * features[f, i, j]
                 cost[i, j] = total
         value, _ = k_assignment(cost, k)
@@ -75,14 +75,14 @@ def linearise(features, low, high, k, lower, upper, constants, beta, gamma):
 @jit
 def _phi_range(f, lower, upper):
     if f == 0:
-        pl, ph = termwise.product_range(0, 0, lower, upper)
-        ql, qh = termwise.product_range(1, 1, lower, upper)
+        pl, ph = envelopes.product_range(0, 0, lower, upper)
+        ql, qh = envelopes.product_range(1, 1, lower, upper)
     elif f == 1:
-        pl, ph = termwise.product_range(0, 2, lower, upper)
-        ql, qh = termwise.product_range(1, 3, lower, upper)
+        pl, ph = envelopes.product_range(0, 2, lower, upper)
+        ql, qh = envelopes.product_range(1, 3, lower, upper)
     else:
-        pl, ph = termwise.product_range(0, 3, lower, upper)
-        qh, ql = termwise.product_range(1, 2, lower, upper)
+        pl, ph = envelopes.product_range(0, 3, lower, upper)
+        qh, ql = envelopes.product_range(1, 2, lower, upper)
         ql, qh = -ql, -qh
     return pl + ql, ph + qh
 
@@ -99,11 +99,11 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
         self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
     ) -> None:
         super().__init__(space, roots, threads)
-        self.features = np.empty((termwise.N_FEATURES + 1, space.n_source, space.n_target))
-        termwise.pair_features(space.source, space.target_features, self.features)
-        self.low, self.high = np.empty(termwise.N_FEATURES), np.empty(termwise.N_FEATURES)
-        termwise.feature_ranges(self.features, space.n_inliers, self.low, self.high)
-        self.n_assignments += 2 * termwise.N_FEATURES
+        self.features = np.empty((plane.N_FEATURES + 1, space.n_source, space.n_target))
+        plane.pair_features(space.points, self.features)
+        self.low, self.high = np.empty(plane.N_FEATURES), np.empty(plane.N_FEATURES)
+        plane.feature_ranges(self.features, space.n_inliers, self.low, self.high)
+        self.n_assignments += 2 * plane.N_FEATURES
 
     @abc.abstractmethod
     def least_over_box(self) -> LeastOverBox:
@@ -126,10 +126,7 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
                 value, theta = least(beta[box], gamma[box], lo[box], up[box])
                 bounds[box] += value
                 found.thetas[part][box] = np.clip(theta, lo[box], up[box])
-            return spent + vertices.objectives(
-                space.kind, space.source, space.target_features, space.n_inliers,
-                found.thetas[part], found.values[part],
-            )  # fmt: skip
+            return spent + space.objectives(found.thetas[part], found.values[part])
 
         self._run(work, count)
         return found

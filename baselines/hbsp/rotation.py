@@ -16,8 +16,9 @@ import numpy as np
 
 from baselines.hbsp.lifted import LiftedBox
 from dcreg.bounds.base import SpaceBound
-from dcreg.kernels import rotation as kernels
-from dcreg.kernels.assignment import k_assignment
+from dcreg.kernels.assignment.dense import cheapest_pairs
+from dcreg.kernels.space.geometry import chord_matrix
+from dcreg.kernels.space.rotation import box_corners
 from dcreg.search import Box, Evaluation
 from dcreg.spaces import Rotation3D
 
@@ -32,7 +33,7 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
 
     def __init__(self, space: Rotation3D, roots: Sequence[Box] | None = None) -> None:
         super().__init__(space, roots)
-        a, y = space.source, space.target
+        a, y = space.clouds.source, space.clouds.target
         self.squares = (a**2).sum(axis=0)[:, None] + (y**2).sum(axis=0)
         self.outer = a[:, None, :, None] * y[None, :, None, :]  # (3, 3, n, m)
         self.low = np.array([[self._assign(plane) for plane in row] for row in self.outer])
@@ -41,7 +42,7 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
 
     def _assign(self, cost: np.ndarray) -> float:
         self.n_assignments += 1
-        return float(k_assignment(np.ascontiguousarray(cost), self.space.n_inliers)[0])
+        return float(cheapest_pairs(np.ascontiguousarray(cost), self.space.n_inliers)[0])
 
     def _evaluate(
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
@@ -74,10 +75,11 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
 
 def rotation_range(box: Box) -> tuple[np.ndarray, np.ndarray]:
     """Entries of R over the box lie between these: least and greatest at the chords of its corners."""
-    corners = kernels.box_corners(box.lower, box.upper)
+    corners = np.empty((16, 4))
+    corners = corners[: box_corners(box.lower, box.upper, corners)]
     if (corners @ corners.T <= 0.0).any():  # the box is too wide for the hull of chords
         return np.full((3, 3), -1.0), np.ones((3, 3))
-    chords = np.array([kernels.chord_matrix(q, r) for q in corners for r in corners])
+    chords = np.array([chord_matrix(q, r) for q in corners for r in corners])
     return np.maximum(chords.min(axis=0), -1.0), np.minimum(chords.max(axis=0), 1.0)
 
 

@@ -59,6 +59,8 @@ class SpaceBound(abc.ABC, Generic[S]):
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
     ) -> Evaluation:
         """Bound B boxes; see `dcreg.search.Bound`."""
+        if thorough:  # bounds stop early for the cutoff's sake alone
+            cutoff = np.inf
         touched = np.flatnonzero(self.space.touches(lower, upper))
         found = self._evaluate(lower[touched], upper[touched], cutoff, thorough)
         bounds = np.full(len(lower), np.inf)

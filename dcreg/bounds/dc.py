@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.bounds.base import SpaceBound
-from dcreg.kernels import vertices
+from dcreg.kernels.features.bounds import paper_bound
 from dcreg.search import Evaluation
 from dcreg.spaces import FeatureSpace
 
@@ -24,15 +24,11 @@ class PaperBound(SpaceBound[FeatureSpace]):
     def _evaluate(
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
     ) -> Evaluation:
-        space = self.space
         found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
 
         def work(part: slice) -> int:
-            return vertices.paper_bound(
-                space.kind,
-                space.source,
-                space.target_features,
-                space.n_inliers,
+            return paper_bound(
+                self.space.points,
                 lower[part],
                 upper[part],
                 found.lower_bounds[part],

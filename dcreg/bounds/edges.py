@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.bounds.base import SpaceBound
-from dcreg.kernels import vertices
+from dcreg.kernels.features.bounds import edge_bound
 from dcreg.search import Evaluation
 from dcreg.spaces import FeatureSpace
 
@@ -22,29 +22,12 @@ class EdgeBound(SpaceBound[FeatureSpace]):
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
     ) -> Evaluation:
         space = self.space
-        bounds = np.empty(len(lower))
+        bounds, values = np.empty(len(lower)), np.empty(len(lower))
         centres = 0.5 * (lower + upper)
-        values = np.empty(len(lower))
 
         def work(part: slice) -> int:
-            spent = vertices.edge_bound(
-                space.kind,
-                space.source,
-                space.target_features,
-                space.n_inliers,
-                lower[part],
-                upper[part],
-                bounds[part],
-            )
-            spent += vertices.objectives(
-                space.kind,
-                space.source,
-                space.target_features,
-                space.n_inliers,
-                centres[part],
-                values[part],
-            )
-            return spent
+            spent = edge_bound(space.points, lower[part], upper[part], bounds[part])
+            return spent + space.objectives(centres[part], values[part])
 
         self._run(work, len(lower))
         return Evaluation(bounds, centres, values)

@@ -43,7 +43,7 @@ is least at one of 8 x 8 vertices; divided by 1 + max |r_a|^2 and cut at 0 it bo
 of delta0 are valid. Best is the least-squares fit of a good matching within the box: while that
 matching stays the best one at the vertices, the bound is the exact minimum over the box of its sum,
 and the curvature of E costs nothing. This is DC-Reg's linearisation, with the point chosen as in
-its planar case. As in `dcreg.rotation`, a vertex is bounded by duals and solved only if binding.
+its planar case. As in `dcreg.bounds.rotation3d`, a vertex is bounded by duals and solved only if binding.
 
 A box is bounded by the greatest of these, cheapest first and only as far as it decides. At a
 single pose the first is E.
@@ -53,7 +53,7 @@ Feasible pairs
 Pairs that may not be matched cost a constant more, in E and in every cost above. Feasible matchings
 cost what they did, so the least over all matchings is still no more than the least over those: the
 bounds hold whatever the constant. For E itself no other pair may be matched, so the constant exceeds
-k squared residuals at any pose of the start box (`dcreg.models.base.with_prices`).
+k squared residuals at any pose of the start box (`dcreg.problem.pairs.FeasiblePairs`).
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.bounds.base import SpaceBound
-from dcreg.kernels import rigid as kernels
+from dcreg.kernels.space.rigid import bound_boxes
 from dcreg.search import Evaluation
 from dcreg.spaces import Rigid3D
 
@@ -74,14 +74,12 @@ class RigidBound(SpaceBound[Rigid3D]):
     def _evaluate(
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
     ) -> Evaluation:
-        space = self.space
         bounds, values = np.empty(len(lower)), np.empty(len(lower))
 
         def work(part: slice) -> int:
-            return kernels.bound_boxes(
-                lower[part], upper[part], cutoff, space.source, space.target, space.n_inliers,
-                bounds[part], values[part],
-            )  # fmt: skip
+            return bound_boxes(
+                lower[part], upper[part], cutoff, self.space.clouds, bounds[part], values[part]
+            )
 
         self._run(work, len(lower))
         return Evaluation(bounds, 0.5 * (lower + upper), values)

@@ -18,7 +18,7 @@ q_c.q >= 0, as above).
 
 B2, the lifted vertex bound (`vertex_bound`)
 --------------------------------------------
-R is linear in q q^T for unit q (`lift_matrix`), and E_P(R) = sum p_ij (|a_i|^2 + |y_j|^2 - 2
+R is linear in q q^T for unit q (`chord_matrix`), and E_P(R) = sum p_ij (|a_i|^2 + |y_j|^2 - 2
 y_j.R a_i) is affine in R; call z(M) = min_P of that affine form at any 3x3 matrix M. It is
 concave, as a minimum of affine functions. Let v_a be the corners of the box, with v_a.v_b > 0 for
 all a, b, and B_ab = (v_a v_b^T + v_b v_a^T) / (2 v_a.v_b). A quaternion of the box is q = sum_a
@@ -42,7 +42,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.bounds.base import SpaceBound
-from dcreg.kernels import rotation as kernels
+from dcreg.kernels.space.rotation import bound_boxes
 from dcreg.search import Evaluation
 from dcreg.spaces import Rotation3D
 
@@ -55,14 +55,12 @@ class RotationBound(SpaceBound[Rotation3D]):
     def _evaluate(
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
     ) -> Evaluation:
-        space = self.space
         bounds, values = np.empty(len(lower)), np.empty(len(lower))
 
         def work(part: slice) -> int:
-            return kernels.bound_boxes(
-                lower[part], upper[part], cutoff, space.source, space.target, space.n_inliers,
-                bounds[part], values[part],
-            )  # fmt: skip
+            return bound_boxes(
+                lower[part], upper[part], cutoff, self.space.clouds, bounds[part], values[part]
+            )
 
         self._run(work, len(lower))
         return Evaluation(bounds, 0.5 * (lower + upper), values)

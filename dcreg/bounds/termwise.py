@@ -12,42 +12,35 @@ from collections.abc import Sequence
 import numpy as np
 
 from dcreg.bounds.base import SpaceBound
-from dcreg.kernels import features, termwise, vertices
+from dcreg.kernels.termwise import norm, plane
 from dcreg.problem import InputError
 from dcreg.search import Box, Evaluation
-from dcreg.spaces import FeatureSpace
+from dcreg.spaces import FeatureSpace, Similarity2D, Translation3D
 
 
 class TermwiseBound(SpaceBound[FeatureSpace]):
     """Common part: the pair features of a 2D problem; the candidate is evaluated exactly."""
 
-    kinds: tuple[int, ...] = (features.SIMILARITY2D,)
+    spaces: tuple[type[FeatureSpace], ...] = (Similarity2D,)
 
     def __init__(
         self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
     ) -> None:
         super().__init__(space, roots, threads)
-        if space.kind not in self.kinds:
+        if not isinstance(space, self.spaces):
             raise InputError(
                 "bound: termwise-r3 treats 2D similarity only; in 3D use termwise, termwise-r1 or "
                 "termwise-r2"
             )
-        if space.kind == features.SIMILARITY2D:
-            n, m = len(space.source), space.target_features.shape[1]
-            self.features = np.empty((8, n, m))
-            termwise.pair_features(space.source, space.target_features, self.features)
-
-    def _values(self, thetas: np.ndarray, values: np.ndarray) -> int:
-        space = self.space
-        return vertices.objectives(
-            space.kind, space.source, space.target_features, space.n_inliers, thetas, values
-        )
+        if isinstance(space, Similarity2D):
+            self.features = np.empty((8, space.n_source, space.n_target))
+            plane.pair_features(space.points, self.features)
 
 
 class SeparableBound(TermwiseBound):
     """R1 and R2: matching and pose separate, which costs one assignment a box in either space."""
 
-    kinds = (features.SIMILARITY2D, features.NORM3D)
+    spaces = (Similarity2D, Translation3D)
     averaged: bool  # R1
 
     def __init__(
@@ -61,12 +54,12 @@ class SeparableBound(TermwiseBound):
     def _aggregates(self) -> tuple[np.ndarray, np.ndarray]:
         """Ranges of the aggregated features over all matchings, feasible or not."""
         space = self.space
-        if space.kind == features.NORM3D:
+        if isinstance(space, Translation3D):
             ordered = np.sort(space.source, axis=0)
             return ordered[: space.n_inliers].sum(axis=0), ordered[-space.n_inliers :].sum(axis=0)
-        low, high = np.empty(termwise.N_FEATURES), np.empty(termwise.N_FEATURES)
-        termwise.feature_ranges(self.features, space.n_inliers, low, high)
-        self.n_assignments += 2 * termwise.N_FEATURES
+        low, high = np.empty(plane.N_FEATURES), np.empty(plane.N_FEATURES)
+        plane.feature_ranges(self.features, space.n_inliers, low, high)
+        self.n_assignments += 2 * plane.N_FEATURES
         return low, high
 
     def _evaluate(
@@ -77,7 +70,7 @@ class SeparableBound(TermwiseBound):
         def work(part: slice) -> int:
             bounds, thetas = found.lower_bounds[part], found.thetas[part]
             spent = self._bound(lower[part], upper[part], bounds, thetas)
-            return spent + self._values(thetas, found.values[part])
+            return spent + self.space.objectives(thetas, found.values[part])
 
         self._run(work, len(lower))
         return found
@@ -86,16 +79,15 @@ class SeparableBound(TermwiseBound):
         self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray, thetas: np.ndarray
     ) -> int:
         space, k = self.space, self.space.n_inliers
-        if space.kind == features.NORM3D:
-            return termwise.norm_bounds(
-                space.source, space.target_features, k, self.low, self.high, self.averaged,
-                lower, upper, bounds, thetas,
-            )  # fmt: skip
+        if isinstance(space, Translation3D):
+            return norm.norm_bounds(
+                space.points, self.low, self.high, self.averaged, lower, upper, bounds, thetas
+            )
         if self.averaged:
-            return termwise.aggregated_bound(
+            return plane.aggregated_bound(
                 self.features, self.low, self.high, k, lower, upper, bounds, thetas
             )
-        return termwise.entry_bound(self.features, k, lower, upper, bounds)
+        return plane.entry_bound(self.features, k, lower, upper, bounds)
 
 
 class TermwiseR1(SeparableBound):

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.optimize import OptimizeResult, linprog
 
 from dcreg.bounds.termwise import TermwiseBound
-from dcreg.kernels import termwise
-from dcreg.kernels.assignment import k_assignment
+from dcreg.kernels.assignment.dense import cheapest_pairs
+from dcreg.kernels.termwise import plane
 from dcreg.search import Box, Evaluation
 from dcreg.spaces import FeatureSpace, Similarity2D
 
@@ -33,10 +33,10 @@ VIOLATION = 1e-6  # of a tangent; above what the LP solver tolerates
 
 # Columns of the master problem: pose, products t_a t_b, squares t_3^2 and t_4^2, products of an
 # aggregate with those and with the pose, aggregates; behind them the known matchings.
-_PAIRS = [(int(a), int(b)) for _, a, b, _ in termwise.TRILINEAR]
+_PAIRS = [(int(a), int(b)) for _, a, b, _ in plane.TRILINEAR]
 _POSE, _PAIR, _SQUARE, _CUBIC, _BILINEAR, _AGGREGATE = np.split(
-    np.arange(4 + len(_PAIRS) + 2 + len(_PAIRS) + len(termwise.BILINEAR) + termwise.N_FEATURES),
-    np.cumsum([4, len(_PAIRS), 2, len(_PAIRS), len(termwise.BILINEAR)]),
+    np.arange(4 + len(_PAIRS) + 2 + len(_PAIRS) + len(plane.BILINEAR) + plane.N_FEATURES),
+    np.cumsum([4, len(_PAIRS), 2, len(_PAIRS), len(plane.BILINEAR)]),
 )
 _N_COLUMNS = int(_AGGREGATE[-1]) + 1
 
@@ -59,7 +59,7 @@ class TermwiseR3(TermwiseBound):
     def _price(self, cost: np.ndarray) -> tuple[float, np.ndarray]:
         """Least total of `cost` over all matchings, and the aggregates of a matching attaining it."""
         shape = self.features.shape[1:]
-        value, col_of = k_assignment(
+        value, col_of, _ = cheapest_pairs(
             np.ascontiguousarray(cost.reshape(shape)), self.space.n_inliers
         )
         self.n_assignments += 1
@@ -73,7 +73,7 @@ class TermwiseR3(TermwiseBound):
         for box in range(len(lower)):
             found.lower_bounds[box], theta = self._solve(lower[box], upper[box], cutoff)
             found.thetas[box] = self._project(theta)
-        self.n_assignments += self._values(found.thetas, found.values)
+        self.n_assignments += self.space.objectives(found.thetas, found.values)
         return found
 
     def _solve(
@@ -131,10 +131,10 @@ class _Master:
                 self._product(w, a, b)
         for w, a in self._squares:
             self._square(w, a)
-        for z, w, (f, _, _, c) in zip(_CUBIC, _PAIR, termwise.TRILINEAR, strict=True):
+        for z, w, (f, _, _, c) in zip(_CUBIC, _PAIR, plane.TRILINEAR, strict=True):
             self._product(z, _AGGREGATE[f], w)
             self.cost[z] = c
-        for z, (f, a) in zip(_BILINEAR, termwise.BILINEAR, strict=True):
+        for z, (f, a) in zip(_BILINEAR, plane.BILINEAR, strict=True):
             self._product(z, _AGGREGATE[f], a)
             self.cost[z] = -2.0
         self.cost[_SQUARE] = k
@@ -176,8 +176,8 @@ class _Master:
     def solve(self, matchings: np.ndarray) -> OptimizeResult:
         """Optimum over the hull of `matchings`, whose last column is the constant term yy."""
         count = len(matchings)
-        features = np.hstack([np.zeros((termwise.N_FEATURES, _N_COLUMNS)), matchings[:, :-1].T])
-        features[np.arange(termwise.N_FEATURES), _AGGREGATE] = -1.0
+        features = np.hstack([np.zeros((plane.N_FEATURES, _N_COLUMNS)), matchings[:, :-1].T])
+        features[np.arange(plane.N_FEATURES), _AGGREGATE] = -1.0
         convex = np.concatenate([np.zeros(_N_COLUMNS), np.ones(count)])
         bounds = np.vstack(
             [np.stack([self.low, self.high], axis=1), np.tile([0.0, 1.0], (count, 1))]
@@ -187,7 +187,7 @@ class _Master:
             A_ub=np.hstack([np.array(self._rows), np.zeros((len(self._rows), count))]),
             b_ub=np.array(self._right),
             A_eq=np.vstack([features, convex]),
-            b_eq=np.concatenate([np.zeros(termwise.N_FEATURES), [1.0]]),
+            b_eq=np.concatenate([np.zeros(plane.N_FEATURES), [1.0]]),
             bounds=bounds,
             method="highs",
         )

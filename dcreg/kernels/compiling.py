@@ -1,38 +1,125 @@
-"""The one way kernels are compiled: cached on disk, and free of Python's lock so threads can run."""
+"""The one way kernels are compiled: cached on disk, and free of Python's lock so threads can run.
+
+Numba recompiles a function when its own file changes, not when a kernel it calls in another file does.
+So compiled kernels lie in a folder named after the digest of all kernel sources: an edit of any of
+them starts an empty folder, and old and new machine code never meet, not even where processes with
+different sources run side by side.
+"""
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import hashlib
+import os
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numba as nb
+from numba.core import caching, config
+from numba.misc.appdirs import AppDirs
 
 HERE = Path(__file__).parent
+_PREFIX = "kernels-"
 
 
-def _drop_stale_cache() -> None:
-    """Remove compiled kernels of other sources.
+@functools.cache
+def digest_of(package: Path) -> str:
+    """Digest of the library's kernels and of the files in `package` that compile functions of their own."""
+    sources = set(HERE.rglob("*.py"))
+    if package not in HERE.parents:
+        sources |= {path for path in package.rglob("*.py") if __name__ in path.read_text("utf-8")}
+    digest = hashlib.sha256()
+    for path in sorted(sources):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
-    Numba recompiles a function when its own file changes, not when a kernel it calls in another file
-    does: after an update old and new kernels would mix.
+
+def _package_of(file: Path) -> Path:
+    """The outermost package that holds a file, or its folder."""
+    folder = file.parent
+    while (folder.parent / "__init__.py").is_file():
+        folder = folder.parent
+    return folder
+
+
+@functools.cache
+def cache_folder(file: Path) -> Path | None:
+    """Where the compiled functions of a source file are kept: beside it, or else in the user's cache.
+
+    None where neither can be written: then every process compiles anew.
     """
-    sources = b"".join(path.read_bytes() for path in sorted(HERE.glob("*.py")))
-    digest = hashlib.sha256(sources).hexdigest()
-    stamp = HERE / "__pycache__" / "kernels.digest"
-    with contextlib.suppress(
-        OSError
-    ):  # a read-only installation has no cache of its own to go stale
-        if stamp.is_file() and stamp.read_text() == digest:
-            return
-        for index in stamp.parent.glob("*.nb[ic]"):
-            index.unlink(missing_ok=True)
-        stamp.parent.mkdir(exist_ok=True)
-        stamp.write_text(digest)
+    name = _PREFIX + digest_of(_package_of(file))
+    beside = file.parent / "__pycache__"
+    if config.CACHE_DIR:
+        return Path(config.CACHE_DIR) / name / file.parent.name
+    if _is_writable(beside) or (beside / name).is_dir():
+        return beside / name
+    users = Path(AppDirs(appname="dcreg", appauthor=False).user_cache_dir)
+    return users / name / file.parent.name if _is_writable(users) else None
 
 
-_drop_stale_cache()
-jit: Any = nb.njit(cache=True, nogil=True)
+def _is_writable(folder: Path) -> bool:
+    """Whether files can be written to a folder, or to the one where it would be made."""
+    while not folder.exists():
+        folder = folder.parent
+    return os.access(folder, os.W_OK)
+
+
+def is_compiled(function: Any) -> bool:
+    """Whether the cache on disk holds machine code of a kernel."""
+    folder = cache_folder(Path(function.py_func.__code__.co_filename))
+    return folder is not None and any(folder.glob(f"*.{function.py_func.__qualname__}-*.nbi"))
+
+
+def forget_old_kernels() -> None:
+    """Remove compiled kernels of other sources from the library's folders."""
+    for folder in HERE.rglob(f"__pycache__/{_PREFIX}*"):
+        if folder.name != _PREFIX + digest_of(HERE.parent):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+class _Locator(caching._CacheLocator):
+    """Tells Numba the folder of `cache_folder`; its name stands for the sources."""
+
+    def __init__(self, py_func: Any, py_file: str) -> None:
+        self._folder = str(cache_folder(Path(py_file)))
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> _Locator:
+        return cls(py_func, py_file)
+
+    def get_cache_path(self) -> str:
+        return self._folder
+
+    def get_source_stamp(self) -> str:
+        return Path(self._folder).name
+
+    def get_disambiguator(self) -> None:
+        return None
+
+
+class _CacheImpl(caching.CompileResultCacheImpl):
+    _locator_classes = [_Locator]
+
+
+class _Cache(caching.FunctionCache):
+    _impl_class = _CacheImpl
+
+
+def _compiled(**options: Any) -> Any:
+    def decorate(function: Any) -> Any:
+        # kernels are called from Python and from each other, never by address: no C entry is needed
+        kernel = nb.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+        if cache_folder(Path(function.__code__.co_filename)) is not None:
+            kernel._cache = _Cache(function)
+        return kernel
+
+    return decorate
+
+
+jit: Any = _compiled()
+# For a part of one kernel: compiled as if it stood there, which takes less time than a function of its own.
+jit_part: Any = _compiled(inline="always")
 # For reductions over finite numbers whose order is free: lets the compiler vectorise a minimum.
-jit_reduction: Any = nb.njit(cache=True, nogil=True, fastmath={"nnan", "nsz", "reassoc"})
+jit_reduction: Any = _compiled(fastmath={"nnan", "nsz", "reassoc"})

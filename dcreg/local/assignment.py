@@ -1,10 +1,10 @@
-"""Exact k-cardinality assignment, checked: the public face of `dcreg.kernels.assignment`."""
+"""Exact k-cardinality assignment, checked: the public face of `dcreg.kernels.assignment.dense`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels import assignment as kernels
+from dcreg.kernels.assignment.dense import cheapest_pairs
 
 
 def k_assignment(cost: np.ndarray, k: int) -> tuple[float, np.ndarray]:
@@ -34,7 +34,7 @@ def k_assignment(cost: np.ndarray, k: int) -> tuple[float, np.ndarray]:
         raise ValueError("cost must be a matrix of finite numbers")
     if not 1 <= k <= min(cost.shape):
         raise ValueError(f"k={k} pairs asked of a {cost.shape[0]} x {cost.shape[1]} cost matrix")
-    value, col_of = kernels.k_assignment(cost, int(k))
+    value, col_of, _ = cheapest_pairs(cost, int(k))
     return float(value), col_of
 
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dcreg.kernels import rotation as kernels
-from dcreg.kernels.vertices import match_on_line
+from dcreg.kernels.norm.line import match_on_line
+from dcreg.kernels.space.geometry import best_rotation, rotation_matrix
 from dcreg.local.sparse import nearest_pairs, sparse_matching
 from dcreg.search import Budget, Outcome
 from dcreg.spaces import Rotation3D
@@ -61,7 +61,7 @@ def search_sampled_rotation(
     grid = Rotation3D.grid(_CELLS_PER_AXIS)
     scores = [
         nearest_pairs(
-            source_shifted[few] @ kernels.rotation_matrix(q).T, sparse_tree, _part(share, few.size)
+            source_shifted[few] @ rotation_matrix(q).T, sparse_tree, _part(share, few.size)
         )[1]
         for q in grid
     ]
@@ -76,7 +76,7 @@ def search_sampled_rotation(
     theta = descents[0][1]
     if not budget.is_over:
         theta = _descend(source_shifted, target, tree, n_inliers, theta)
-    turned = source_shifted @ kernels.rotation_matrix(theta).T
+    turned = source_shifted @ rotation_matrix(theta).T
     matching = sparse_matching(turned, target, n_inliers, prove=False)
     lower, _ = match_on_line(
         np.linalg.norm(source_shifted, axis=1), np.linalg.norm(target, axis=1), n_inliers
@@ -114,15 +114,11 @@ def _descend(
     """Alternate the k nearest neighbours and the best rotation while their distance falls."""
     best, least = theta, np.inf
     for _ in range(_MAX_ROUNDS):
-        pairs, value = nearest_pairs(points @ kernels.rotation_matrix(theta).T, tree, k)
+        pairs, value = nearest_pairs(points @ rotation_matrix(theta).T, tree, k)
         if value >= least * (1.0 - 1e-4):
             break
         best, least = theta, value
-        theta = kernels.best_rotation(
-            np.arange(k),
-            np.ascontiguousarray(points[pairs[:, 0]].T),
-            np.ascontiguousarray(target[pairs[:, 1]].T),
-        )
+        theta = best_rotation(points[pairs[:, 0]].T, target[pairs[:, 1]].T)
     return best
 
 
@@ -138,7 +134,7 @@ def _two_sided(
 
     A source that collapses onto one part of the target is near to it, but the target not to the source.
     """
-    rotation = kernels.rotation_matrix(theta)
+    rotation = rotation_matrix(theta)
     back = target[spread_rows(target, _DESCENT_SAMPLE)]
     k_back = _part(share * len(source) / len(target), len(back))
     k = _part(share, len(sample))

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
 
-from dcreg.kernels.sparse import assignment_prices
+from dcreg.kernels.assignment.prices import assignment_prices
 
 # Up to here the pairs are held in a dense matrix; beyond, this many neighbour pairs are the most.
 DENSE_PAIRS = 4_000_000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -12,6 +13,34 @@ from dcreg.problem.errors import InputError
 
 # (n, m) mask, or one sequence of target indices per source point
 Candidates = np.ndarray | Sequence[Sequence[int]]
+
+
+@dataclass(frozen=True)
+class FeasiblePairs:
+    """The pairs that may be matched, as a search sees them.
+
+    Attributes
+    ----------
+    mask : (n, m) bool array or None
+        None: every pair.
+    """
+
+    mask: np.ndarray | None = None
+
+    def swapped(self) -> FeasiblePairs:
+        """The same pairs with source and target exchanged."""
+        return self if self.mask is None else FeasiblePairs(self.mask.T)
+
+    def prices(self, n_inliers: int, reach: float) -> np.ndarray:
+        """What each pair costs beyond its residual: 0, or more than any feasible matching.
+
+        Empty where every pair is feasible. `reach` is the sum of the greatest distances of the source,
+        at its largest scale, and of the target from the origin: no residual of an admissible pose exceeds
+        ``2 sqrt(2) reach``, so one such pair costs more than any matching without.
+        """
+        if self.mask is None:
+            return np.empty((0, 0))
+        return np.where(self.mask, 0.0, 16.0 * n_inliers * reach**2)
 
 
 def check_candidates(candidates: Candidates, n: int, m: int, n_inliers: int) -> np.ndarray | None:

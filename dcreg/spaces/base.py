@@ -88,20 +88,6 @@ class Space(abc.ABC):
         return *best, spent
 
 
-def with_prices(
-    features: np.ndarray, candidates: np.ndarray | None, n_inliers: int, reach: float
-) -> np.ndarray:
-    """`features` of the target, followed by prohibitive prices of the pairs that are not feasible.
-
-    No residual of an admissible pose exceeds ``2 sqrt(2) reach``, so one such pair costs more than any
-    matching without.
-    """
-    if candidates is None:
-        return np.ascontiguousarray(features)
-    price = 16.0 * n_inliers * reach**2
-    return np.ascontiguousarray(np.vstack([features, np.where(candidates, 0.0, price)]))
-
-
 def mean_of_largest(values: np.ndarray, count: int) -> float:
     """Mean of the `count` largest numbers: the most a mean over `count` of them can be."""
     return float(np.sort(values)[-count:].mean())

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import abc
+
 import numpy as np
 
-from dcreg.kernels import vertices
+from dcreg.kernels.assignment.dense import cheapest_pairs
+from dcreg.kernels.features.motion import pair_costs
+from dcreg.kernels.points import Points
 from dcreg.spaces.base import Space
 
 
@@ -13,41 +17,39 @@ class FeatureSpace(Space):
 
     Attributes
     ----------
-    kind : int
-        Selects the compiled kernels (``dcreg.kernels.features``).
-    source : (n, d) array
-        Normalised source points.
-    target_features : (q, m) or (q + n, m) array
-        What the moved source is compared with: target points in 2D, their norms in norm space. Where
-        not every pair is feasible, the prices of the pairs follow (`with_prices`).
+    points : Points
+        The normalised problem as the kernels take it.
     identity : (dim,) array
         The parameter that moves nothing.
     """
 
-    kind: int
-    source: np.ndarray
-    target_features: np.ndarray
+    points: Points
     identity: np.ndarray
     n_descents = 6
 
     @property
+    def source(self) -> np.ndarray:
+        """(n, d) normalised source points."""
+        return self.points.source
+
+    @property
     def n_source(self) -> int:
-        return len(self.source)
+        return len(self.points.source)
 
     @property
     def n_target(self) -> int:
-        return int(self.target_features.shape[1])
-
-    def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
-        """The objective itself."""
-        values = np.empty(len(seeds))
-        spent = vertices.objectives(
-            self.kind, self.source, self.target_features, self.n_inliers, seeds, values
-        )
-        return values, spent
+        return int(self.points.target.shape[-1])
 
     def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
-        value, col_of = vertices.objective(
-            self.kind, self.source, self.target_features, self.n_inliers, theta
-        )
+        value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers)
         return float(value), col_of
+
+    def _costs(self, theta: np.ndarray) -> np.ndarray:
+        """(n, m) squared residuals, and the prices of the pairs."""
+        cost = np.empty((self.n_source, self.n_target))
+        pair_costs(self.points, theta, cost)
+        return cost
+
+    @abc.abstractmethod
+    def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
+        """The objective at every row of `thetas` into `values`; the assignments that took."""

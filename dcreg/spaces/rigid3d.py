@@ -20,13 +20,18 @@ import itertools
 
 import numpy as np
 
-from dcreg.kernels import rigid as kernels
+from dcreg.kernels.assignment.dense import cheapest_pairs
+from dcreg.kernels.points import Clouds
+from dcreg.kernels.space.geometry import best_rotation
+from dcreg.kernels.space.poses import nearest_scores, pose_costs
+from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
-from dcreg.spaces.base import Space, mean_of_largest, radius, with_prices
+from dcreg.spaces.base import Space, mean_of_largest, radius
 from dcreg.spaces.rotation3d import Rotation3D
 
 _SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored
 _ROUNDING = 1e-12
+_MAX_ROUNDS = 100
 
 
 def largest_subset_mean(points: np.ndarray, count: int, cells: int = 8) -> float:
@@ -73,10 +78,14 @@ class Rigid3D(Space):
         reduced_box: bool = True,
         candidates: np.ndarray | None = None,
     ) -> None:
-        self.source = np.ascontiguousarray(np.asarray(source, dtype=np.float64).T)
-        target = np.asarray(target, dtype=np.float64)
+        source, target = (np.asarray(points, dtype=np.float64) for points in (source, target))
         reach = radius(source) + radius(target)
-        self.target = with_prices(target.T, candidates, n_inliers, reach)
+        self.clouds = Clouds(
+            np.ascontiguousarray(source.T),
+            np.ascontiguousarray(target.T),
+            FeasiblePairs(candidates).prices(n_inliers, reach),
+            n_inliers,
+        )
         self.n_inliers = n_inliers
         self.reduced_box = reduced_box
         self._centres = np.zeros(3), np.zeros(3)  # of the clouds as they were given, see `centred`
@@ -101,27 +110,27 @@ class Rigid3D(Space):
 
     @property
     def n_source(self) -> int:
-        return int(self.source.shape[1])
+        return int(self.clouds.source.shape[1])
 
     @property
     def n_target(self) -> int:
-        return int(self.target.shape[1])
+        return int(self.clouds.target.shape[1])
 
     def translations(self) -> Box:
         """A box that holds the translation of every optimum."""
-        k = self.n_inliers
+        k, source, target = self.n_inliers, self.clouds.source, self.clouds.target
         if self.reduced_box:
-            if k == self.source.shape[1]:
-                reach = float(np.linalg.norm(self.source.mean(axis=1)))
+            if k == source.shape[1]:
+                reach = float(np.linalg.norm(source.mean(axis=1)))
             else:
-                reach = largest_subset_mean(self.source.T, k)
-            lower = np.array([-mean_of_largest(-y, k) for y in self.target[:3]])
-            upper = np.array([mean_of_largest(y, k) for y in self.target[:3]])
+                reach = largest_subset_mean(source.T, k)
+            lower = np.array([-mean_of_largest(-y, k) for y in target])
+            upper = np.array([mean_of_largest(y, k) for y in target])
             # rounding must not cut off the optimum, yet a centred set keeps zero width
             reach = 0.0 if reach < _ROUNDING else reach
             lower, upper = (np.where(np.abs(v) < _ROUNDING, 0.0, v) for v in (lower, upper))
             return Box(lower - reach, upper + reach)
-        reach = float(sum(kernels.column_norms(p).max() for p in (self.source, self.target)))
+        reach = radius(source.T) + radius(target.T)
         return Box(np.full(3, -reach), np.full(3, reach))
 
     def roots(self) -> list[Box]:
@@ -134,13 +143,24 @@ class Rigid3D(Space):
 
     def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
         """E at a pose and the column matched to every source row (-1: none)."""
-        return kernels.objective(theta, self.source, self.target, self.n_inliers)
+        cost = np.empty((self.n_source, self.n_target))
+        pose_costs(theta, self.clouds, cost)
+        value, col_of, _ = cheapest_pairs(cost, self.n_inliers)
+        return float(value), col_of
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Alternate matching and best pose from `theta`: theta, objective, assignments."""
-        theta, value, spent = kernels.refine(theta, self.source, self.target, self.n_inliers)
-        theta[:4] /= theta[:4][np.argmax(np.abs(theta[:4]))]
-        return theta, value, spent
+        best, (value, col_of), spent = theta.copy(), self.objective(theta), 1
+        for _ in range(_MAX_ROUNDS):
+            rows = np.flatnonzero(col_of >= 0)
+            trial = _fit(self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]])
+            trial_value, trial_col = self.objective(trial)
+            spent += 1
+            if trial_value >= value * (1.0 - 1e-12):
+                break
+            best, value, col_of = trial, trial_value, trial_col
+        best[:4] /= best[:4][np.argmax(np.abs(best[:4]))]
+        return best, value, spent
 
     def seeds(self) -> np.ndarray:
         """Regular poses, as many as may be scored in a moment; always with t at the box centre."""
@@ -157,7 +177,9 @@ class Rigid3D(Space):
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
         """By nearest neighbours, which takes no assignment."""
-        return kernels.nearest_scores(seeds, self.source, self.target, self.n_inliers), 0
+        scores = np.empty(len(seeds))
+        nearest_scores(seeds, self.clouds, scores)
+        return scores, 0
 
     def pose(self, theta: np.ndarray) -> np.ndarray:
         """The (4, 4) matrix that maps the source as it was given onto the target."""
@@ -173,8 +195,11 @@ class Rigid3D(Space):
         T[:3, 3] -= self._centres[1] - T[:3, :3] @ self._centres[0]
         corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
         moved = corners @ T[:3, :3].T + T[:3, 3]
-        theta = np.empty(7)
-        kernels.fit_rigid(
-            np.ascontiguousarray(corners.T), np.ascontiguousarray(moved.T), np.arange(4), theta
-        )
-        return theta
+        return _fit(corners.T, moved.T)
+
+
+def _fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Best rigid pose of paired (3, k) points (Horn 1987, centred): quaternion and translation."""
+    x, y = source.mean(axis=1), target.mean(axis=1)
+    turn = best_rotation(source - x[:, None], target - y[:, None])
+    return np.append(turn, y - Rotation3D.matrix(turn) @ x)

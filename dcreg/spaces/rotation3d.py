@@ -20,11 +20,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels import rotation as kernels
+from dcreg.kernels.assignment.dense import cheapest_pairs
+from dcreg.kernels.points import Clouds
+from dcreg.kernels.space import rotation as kernels
+from dcreg.kernels.space.geometry import best_rotation, rotation_matrix
+from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
-from dcreg.spaces.base import Space, radius, with_prices
+from dcreg.spaces.base import Space, radius
 
 _START_CELLS_PER_AXIS = 4  # of the regular grid of seeds
+_MAX_ROUNDS = 100
 
 
 class Rotation3D(Space):
@@ -49,19 +54,23 @@ class Rotation3D(Space):
         n_inliers: int,
         candidates: np.ndarray | None = None,
     ) -> None:
-        self.source = np.ascontiguousarray(np.asarray(source, dtype=np.float64).T)
-        target = np.asarray(target, dtype=np.float64)
+        source, target = (np.asarray(points, dtype=np.float64) for points in (source, target))
         reach = radius(source) + radius(target)
-        self.target = with_prices(target.T, candidates, n_inliers, reach)
+        self.clouds = Clouds(
+            np.ascontiguousarray(source.T),
+            np.ascontiguousarray(target.T),
+            FeasiblePairs(candidates).prices(n_inliers, reach),
+            n_inliers,
+        )
         self.n_inliers = n_inliers
 
     @property
     def n_source(self) -> int:
-        return int(self.source.shape[1])
+        return int(self.clouds.source.shape[1])
 
     @property
     def n_target(self) -> int:
-        return int(self.target.shape[1])
+        return int(self.clouds.target.shape[1])
 
     @staticmethod
     def roots() -> list[Box]:
@@ -85,21 +94,41 @@ class Rotation3D(Space):
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
         """By nearest neighbours, which takes no assignment."""
-        return kernels.nearest_scores(seeds, self.source, self.target, self.n_inliers), 0
+        scores = np.empty(len(seeds))
+        kernels.nearest_scores(seeds, self.clouds, scores)
+        return scores, 0
 
     @staticmethod
     def matrix(theta: np.ndarray) -> np.ndarray:
         """The rotation of a quaternion: proper, and the same for theta, -theta and 2 theta."""
-        return kernels.rotation_matrix(np.asarray(theta, dtype=np.float64))
+        return rotation_matrix(np.asarray(theta, dtype=np.float64))
 
     def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
         """E at a rotation and the column matched to every source row (-1: none)."""
-        return kernels.objective(theta, self.source, self.target, self.n_inliers)
+        cost = np.empty((self.n_source, self.n_target))
+        R = self.matrix(theta)
+        kernels.pair_costs(R, self.clouds, cost)
+        _, col_of, _ = cheapest_pairs(cost, self.n_inliers)
+        # summed anew: the expanded squares of `pair_costs` cancel and may leave a tiny negative sum
+        x, y = self._matched(col_of)
+        return float(((R @ x - y) ** 2).sum()), col_of
+
+    def _matched(self, col_of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The matched points of both clouds, (3, k) each."""
+        rows = np.flatnonzero(col_of >= 0)
+        return self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]]
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Alternate matching and best rotation from `theta`: theta, objective, assignments."""
-        theta, value, spent = kernels.refine(theta, self.source, self.target, self.n_inliers)
-        return theta / theta[np.argmax(np.abs(theta))], value, spent
+        best, (value, col_of), spent = theta, self.objective(theta), 1
+        for _ in range(_MAX_ROUNDS):
+            trial = best_rotation(*self._matched(col_of))
+            trial_value, trial_col = self.objective(trial)
+            spent += 1
+            if trial_value >= value * (1.0 - 1e-12):
+                break
+            best, value, col_of = trial, trial_value, trial_col
+        return best / best[np.argmax(np.abs(best))], value, spent
 
     def pose(self, theta: np.ndarray) -> np.ndarray:
         """The (4, 4) matrix of the rotation."""

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from dcreg.kernels import features
-from dcreg.kernels.refine import refine_similarity2d
+from dcreg.kernels.assignment.dense import cheapest_pairs, improve_assignment
+from dcreg.kernels.features.bounds import objectives
+from dcreg.kernels.points import Points
+from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
-from dcreg.spaces.base import largest_subset_mean, mean_of_largest, radius, with_prices
+from dcreg.spaces.base import largest_subset_mean, mean_of_largest, radius
 from dcreg.spaces.features import FeatureSpace
+
+_MAX_ROUNDS = 100
 
 
 class Similarity2D(FeatureSpace):
@@ -29,7 +35,6 @@ class Similarity2D(FeatureSpace):
         The feasible pairs.
     """
 
-    kind = features.SIMILARITY2D
     scope = "similarity pose"
     identity = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -42,10 +47,14 @@ class Similarity2D(FeatureSpace):
         reduced_box: bool = True,
         candidates: np.ndarray | None = None,
     ) -> None:
-        self.source = np.ascontiguousarray(source)
-        self.target = np.ascontiguousarray(target)
         reach = scale_range[1] * radius(source) + radius(target)
-        self.target_features = with_prices(self.target.T, candidates, n_inliers, reach)
+        self.points = Points(
+            np.ascontiguousarray(source),
+            np.ascontiguousarray(source.T),
+            np.ascontiguousarray(target.T),
+            FeasiblePairs(candidates).prices(n_inliers, reach),
+            n_inliers,
+        )
         self.n_inliers = n_inliers
         self.scale_range = scale_range
         self.reduced_box = reduced_box
@@ -56,14 +65,14 @@ class Similarity2D(FeatureSpace):
         high = self.scale_range[1]
         if self.reduced_box:
             reach = high * largest_subset_mean(self.source, self.n_inliers)
-            low_y = np.array([-mean_of_largest(-y, self.n_inliers) for y in self.target.T])
-            high_y = np.array([mean_of_largest(y, self.n_inliers) for y in self.target.T])
+            low_y = np.array([-mean_of_largest(-y, self.n_inliers) for y in self.points.target])
+            high_y = np.array([mean_of_largest(y, self.n_inliers) for y in self.points.target])
             # rounding must not cut off the optimum, yet an exactly centred set keeps zero width
             reach = 0.0 if reach < 1e-12 else reach
             low_y, high_y = (np.where(np.abs(y) < 1e-12, 0.0, y) for y in (low_y, high_y))
             lower, upper = low_y - reach, high_y + reach
         else:
-            reach = high * radius(self.source) + radius(self.target)
+            reach = high * radius(self.source) + radius(self.points.target.T)
             lower, upper = np.full(2, -reach), np.full(2, reach)
         return [Box(np.array([-high, -high, *lower]), np.array([high, high, *upper]))]
 
@@ -79,16 +88,50 @@ class Similarity2D(FeatureSpace):
         far = np.maximum(-lower[:, :2], upper[:, :2])
         return (np.hypot(*near.T) <= high) & (np.hypot(*far.T) >= low)
 
+    def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
+        return objectives(self.points, thetas, values)
+
+    def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
+        """The objective itself."""
+        return np.array([self.objective(seed)[0] for seed in seeds]), len(seeds)
+
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """Every assignment starts from the prices of the one before."""
+        best = theta.copy()
+        _, col_of, prices = cheapest_pairs(self._costs(theta), self.n_inliers)
+        value, spent = np.inf, 1
+        for _ in range(_MAX_ROUNDS):
+            trial = self._fit(col_of)
+            trial_value, trial_col = improve_assignment(
+                self._costs(trial), self.n_inliers, prices
+            )
+            spent += 1
+            if trial_value >= value * (1.0 - 1e-9):
+                break
+            best, value, col_of = trial, trial_value, trial_col
+        return best, value, spent
+
+    def _fit(self, col_of: np.ndarray) -> np.ndarray:
+        """Least-squares similarity of the matched pairs, its scale clipped to the range.
+
+        The best rotation does not depend on the scale and the objective is a parabola in the scale, so
+        clipping is exact.
+        """
+        rows = np.flatnonzero(col_of >= 0)
+        (x, y), (u, v) = self.points.axes[:, rows], self.points.target[:, col_of[rows]]
+        mx, my, mu, mv = x.mean(), y.mean(), u.mean(), v.mean()
+        x, y, u, v = x - mx, y - my, u - mu, v - mv
+        dot, cross, spread = x @ u + y @ v, x @ v - y @ u, x @ x + y @ y
         low, high = self.scale_range
-        return refine_similarity2d(
-            self.source, self.target_features, self.n_inliers, low, high, theta
-        )
+        length = math.hypot(dot, cross)
+        scale = min(max(length / spread if spread > 0.0 else low, low), high)
+        a, b = (scale * dot / length, scale * cross / length) if length > 0.0 else (scale, 0.0)
+        return np.array([a, b, mu - (a * mx - b * my), mv - (b * mx + a * my)])
 
     def seeds(self) -> np.ndarray:
         """Every 15 degrees, at the scale that gives both clouds the same spread."""
         spread = self.axis_weights[0]
-        scale = np.clip(np.sqrt((self.target**2).sum(axis=1).mean()) / spread, *self.scale_range)
+        scale = np.clip(np.sqrt((self.points.target**2).sum(axis=0).mean()) / spread, *self.scale_range)
         angles = np.arange(24) * (np.pi / 12)
         centre = np.zeros((24, 2))
         return np.hstack([scale * np.stack([np.cos(angles), np.sin(angles)], axis=1), centre])

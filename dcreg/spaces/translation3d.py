@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels import features
-from dcreg.kernels.refine import refine_norm3d
+from dcreg.kernels.features.bounds import objectives
+from dcreg.kernels.norm.fit import fit_norm3d
+from dcreg.kernels.norm.line import match_on_line, objectives_on_line
+from dcreg.kernels.points import Points
+from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
-from dcreg.spaces.base import mean_of_largest, radius, with_prices
+from dcreg.spaces.base import mean_of_largest, radius
 from dcreg.spaces.features import FeatureSpace
+
+_MAX_ROUNDS = 100
+_STEPS = 20  # of the fit to one matching
 
 
 class Translation3D(FeatureSpace):
@@ -28,7 +34,6 @@ class Translation3D(FeatureSpace):
         The feasible pairs. With them the assignment is no longer one-dimensional, hence dearer.
     """
 
-    kind = features.NORM3D
     scope = "translation in norm space"
     identity = np.zeros(3)
 
@@ -40,11 +45,18 @@ class Translation3D(FeatureSpace):
         reduced_box: bool = True,
         candidates: np.ndarray | None = None,
     ) -> None:
-        self.source = np.ascontiguousarray(source)
-        self.target = np.ascontiguousarray(target)
-        self.norms = np.sqrt((self.target**2).sum(axis=1))
-        reach = radius(self.source) + radius(self.target)
-        self.target_features = with_prices(self.norms[None, :], candidates, n_inliers, reach)
+        self.norms = np.sqrt((target**2).sum(axis=1))
+        self._ordered = np.sort(self.norms)
+        pairs = FeasiblePairs(candidates)
+        # where every pair is feasible, scalars are matched, which needs no matrix of costs
+        self._on_line = pairs.mask is None
+        self.points = Points(
+            np.ascontiguousarray(source),
+            np.ascontiguousarray(source.T),
+            self.norms,
+            pairs.prices(n_inliers, radius(source) + radius(target)),
+            n_inliers,
+        )
         self.n_inliers = n_inliers
         self.reduced_box = reduced_box
         self.axis_weights = np.ones(3)
@@ -64,5 +76,34 @@ class Translation3D(FeatureSpace):
         steps = 0.5 * np.array([0.0, -1.0, 1.0])
         return np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
 
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        if not self._on_line:
+            return super().objective(theta)
+        x, y, z = (axis + shift for axis, shift in zip(self.points.axes, theta, strict=True))
+        return match_on_line(np.sqrt(x * x + y * y + z * z), self.norms, self.n_inliers)
+
+    def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
+        if not self._on_line:
+            return objectives(self.points, thetas, values)
+        return objectives_on_line(self.source, self._ordered, self.n_inliers, thetas, values)
+
+    def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
+        """The objective itself."""
+        values = np.empty(len(seeds))
+        return values, self.objectives(seeds, values)
+
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        return refine_norm3d(self.source, self.target_features, self.n_inliers, theta)
+        best = theta.copy()
+        value, col_of = self.objective(best)
+        spent = 1
+        for _ in range(_MAX_ROUNDS):
+            rows = np.flatnonzero(col_of >= 0)
+            trial = best.copy()
+            axes = np.ascontiguousarray(self.points.axes[:, rows])
+            fit_norm3d(axes, self.norms[col_of[rows]], _STEPS, trial)
+            trial_value, trial_col = self.objective(trial)
+            spent += 1
+            if trial_value >= value * (1.0 - 1e-9):
+                break
+            best, value, col_of = trial, trial_value, trial_col
+        return best, value, spent

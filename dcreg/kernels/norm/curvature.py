@@ -1,10 +1,10 @@
-"""The DC bound of one box in norm space, with the curvature that E has there instead of its most.
+"""The DC bound of one box in norm space, from the curvature of E inside the box.
 
 For a fixed matching the Hessian of E(t) = sum (|x_i + t| - r_i)^2 is
 
     2 sum [I - r_i / z_i (I - u_i u_i^T)],    z_i = |x_i + t|, u_i the direction of x_i + t.
 
-The paper's decomposition allows for 2 k I. Where the radii fit (r_i = z_i) the Hessian is
+The paper's decomposition takes 2 k I, the most that it can be anywhere. Where the radii fit (r_i = z_i) the Hessian is
 ``2 sum u_i u_i^T``, a third of that on average.
 
 Let M be diagonal and twice M above the Hessian throughout the box, for the matching P* that is optimal at
@@ -12,9 +12,9 @@ the box's minimiser t*. Then E_P* - |.|_M^2 is concave on the box, and
 
     E(t*) = E_P*(t*) >= min_v [E_P*(v) - |v - theta0|_M^2] >= min_v [E(v) - |v - theta0|_M^2].
 
-How far the radii are from fitting is known wherever it matters: a box whose minimum is not below the
-cutoff may be discarded anyway, and otherwise sum (z_i(t*) - r_i)^2 < cutoff. So the lesser of this bound
-and the cutoff always is a bound. Derived in this project, not in the paper.
+How far the radii are from fitting is known wherever it matters. Take any number c. Where the minimum of
+the box is not below c, c is a bound; otherwise sum (z_i(t*) - r_i)^2 < c. So the lesser of this bound and
+c always is a bound. A search takes the cutoff, above which boxes are discarded anyway. Derived in this project, not in the paper.
 """
 
 from __future__ import annotations
@@ -25,13 +25,17 @@ import numpy as np
 
 from dcreg.kernels.compiling import jit, jit_reduction
 
-# Nearer points, in radii of the box, turn too far within it to be counted on.
+# Points nearer than this, in radii of the box, turn too far within it: their directions are not used.
 _NEAREST = 5.0
 
 
 @jit_reduction
 def _directions(axes, centre, radius, sums):
-    """Sums over the points that are far enough: what the Hessian lacks of 2 k I, what is uncertain."""
+    """Sums over the points that are far enough.
+
+    Of I - u u^T the diagonal and the absolute values beside it, then how much its entries may change
+    within the ball: one part that only depends on the points, one in proportion to the misfit.
+    """
     x, y, z = axes[0], axes[1], axes[2]
     x0, y0, z0 = centre[0], centre[1], centre[2]
     xx = yy = zz = xy = xz = yz = bent = moved = inverse = 0.0
@@ -58,7 +62,7 @@ def _directions(axes, centre, radius, sums):
 
 @jit
 def norm_curvature(axes, k, centre, radius, misfit, weights):
-    """Fill `weights` with a diagonal M: E_P - |t|_M^2 is concave in the ball for every P that matters.
+    """Fill `weights` with a diagonal M: E_P - |t|_M^2 is concave in the ball for every P within `misfit`.
 
     Parameters
     ----------

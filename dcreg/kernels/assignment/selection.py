@@ -1,4 +1,4 @@
-"""The least of some numbers, and the sum of the k smallest."""
+"""The least of some numbers, the k-th smallest, and the sum of the k smallest."""
 
 from __future__ import annotations
 
@@ -41,12 +41,55 @@ def least(values):
 
 
 @jit
-def greatest(values):
-    """Maximum of a contiguous array without NaN, as `least`."""
-    high, bits = -_MAGNITUDE, values.view(np.int64)
-    for i in range(bits.size):
-        high = max(high, _ordered(bits[i]))
-    return _as_float(_ordered(high))
+def place_of_least(values):
+    """Where the first of the smallest numbers is."""
+    at = 0
+    for i in range(1, values.size):
+        if values[i] < values[at]:
+            at = i
+    return at
+
+
+@jit
+def kth_smallest(values, k):
+    """The number with k others before it in ascending order (Hoare's selection, on a copy)."""
+    work = np.empty(values.size)
+    for i in range(values.size):
+        work[i] = values[i]
+    low, high = 0, work.size - 1
+    while low < high:
+        pivot = work[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while work[i] < pivot:
+                i += 1
+            while pivot < work[j]:
+                j -= 1
+            if i <= j:
+                work[i], work[j] = work[j], work[i]
+                i += 1
+                j -= 1
+        if j < k:
+            low = i
+        if k < i:
+            high = j
+    return work[k]
+
+
+@jit
+def sum_of_smallest(values, k):
+    """Sum of the k smallest numbers, by selection."""
+    if k == values.size:
+        found = 0.0
+        for i in range(values.size):
+            found += values[i]
+        return found
+    level, count, found = kth_smallest(values, k - 1), 0, 0.0
+    for i in range(values.size):
+        if values[i] < level:
+            found += values[i]
+            count += 1
+    return found + (k - count) * level
 
 
 @jit_reduction

@@ -15,30 +15,53 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels.compiling import jit, jit_reduction
-from dcreg.kernels.selection import least
+from dcreg.kernels.assignment.selection import kth_smallest, least, sum_of_smallest
+from dcreg.kernels.compiling import jit, jit_part, jit_reduction
 
 
-@jit
+def cheapest_pairs(cost, k):
+    """Value, column of every row (-1: unmatched) and optimal prices of the cheapest k pairs.
+
+    For calls from Python; kernels call `k_assignment_duals`. Both run the same compiled functions.
+    """
+    prices = first_prices(cost, k)
+    value, col_of = improve_assignment(cost, k, prices)
+    return value, col_of, prices
+
+
+@jit_part
 def k_assignment(cost, k):
     """Value and column of every row (-1: unmatched) of the cheapest k pairs."""
-    value, col_of, _ = k_assignment_duals(cost, k)
-    return value, col_of
+    return improve_assignment(cost, k, first_prices(cost, k))
+
+
+@jit_part
+def k_assignment_duals(cost, k):
+    """Value, column of every row (-1: unmatched) and optimal prices of the cheapest k pairs."""
+    prices = first_prices(cost, k)
+    value, col_of = improve_assignment(cost, k, prices)
+    return value, col_of, prices
 
 
 @jit
-def k_assignment_duals(cost, k):
-    """Value, column of every row (-1: unmatched) and duals ``b`` of the cheapest k pairs."""
+def first_prices(cost, k):
+    """Prices to start from: none, or the columns' own minima where all columns are matched."""
     n, m = cost.shape
     b = np.zeros(m)
-    if k == m:  # all columns are matched: their own minima are better prices than none
+    if k == m:
         for j in range(m):
             b[j] = -cost[0, j]
             for i in range(1, n):
                 b[j] = max(b[j], -cost[i, j])
-        b -= b.min()
-    value, col_of = improve_assignment(cost, k, b)
-    return value, col_of, b
+        _take_least_off(b)
+    return b
+
+
+@jit
+def _take_least_off(b):
+    low = least(b)
+    for j in range(b.size):
+        b[j] -= low
 
 
 @jit
@@ -54,14 +77,18 @@ def improve_assignment(cost, k, b):
         Any non-negative prices; on return the optimal duals of `dual_bound`.
     """
     n, m = cost.shape
-    a, row_of, col_of = np.empty(n + 1), np.full(m, -1, np.int64), np.full(n, -1, np.int64)
-    free = np.empty(n, np.int64)
+    a = np.empty(n + 1)
+    row_of, col_of, free = np.empty(m, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    for j in range(m):
+        row_of[j] = -1
+    for i in range(n):
+        col_of[i] = -1
     spare_price = _leave_rows(cost, k, b, a, col_of)
     n_free = _take_cheapest(cost, a, b, col_of, row_of, free)
     _lower_prices(cost, spare_price, a, b, col_of, row_of)
     left = _leave_columns(m - k, a, b, row_of)
     _augment(cost, spare_price, a, b, col_of, row_of, free[:n_free], left)
-    b -= b.min()
+    _take_least_off(b)
     value = 0.0
     for i in range(n):
         if col_of[i] == m:
@@ -76,9 +103,10 @@ def dual_bound(cost, k, b):
     """Lower bound on the k-assignment from any ``b >= 0``: k smallest min_j(c_ij+b_j), minus sum b."""
     r = np.empty(cost.shape[0])
     row_minima(cost, b, r)
-    if k < r.size:
-        r = np.partition(r, k - 1)[:k]
-    return r.sum() - b.sum()
+    bound = sum_of_smallest(r, k)
+    for j in range(b.size):
+        bound -= b[j]
+    return bound
 
 
 @jit
@@ -91,14 +119,14 @@ def row_minima(cost, b, out):
         out[i] = least(total)
 
 
-@jit
+@jit_part
 def _leave_rows(cost, k, b, a, col_of):
     """The n - k rows with the greatest minima start at the spare column. Returns its price."""
     n, m = cost.shape
-    row_minima(cost, b, a[:n])
+    row_minima(cost, b, a)
     if k == n:
         return np.inf
-    price = np.partition(a[:n], k)[k]
+    price = kth_smallest(a[:n], k)
     left = n - k
     for i in range(n):
         if a[i] > price:
@@ -111,7 +139,7 @@ def _leave_rows(cost, k, b, a, col_of):
     return price
 
 
-@jit
+@jit_part
 def _take_cheapest(cost, a, b, col_of, row_of, free):
     """Rows take a cheapest column that no other row has; those without one are listed in `free`."""
     n, m = cost.shape
@@ -136,11 +164,13 @@ def _raise_to(lowest, costs, level):
         lowest[j] = max(lowest[j], level - costs[j])
 
 
-@jit
+@jit_part
 def _lower_prices(cost, spare_price, a, b, col_of, row_of):
     """Prices of free columns fall as far as the rows' duals allow: most of them to zero."""
     n, m = cost.shape
-    lowest = np.full(m, b.min())
+    lowest, low = np.empty(m), least(b)
+    for j in range(m):
+        lowest[j] = low
     for i in range(n):
         _raise_to(lowest, cost[i], spare_price if col_of[i] == m else a[i])
     for j in range(m):
@@ -148,11 +178,11 @@ def _lower_prices(cost, spare_price, a, b, col_of, row_of):
             b[j] = min(b[j], lowest[j])
 
 
-@jit
+@jit_part
 def _leave_columns(left, a, b, row_of):
     """Free columns of the lowest price go to the dummy row; returns how many it still needs."""
     dummy = a.size - 1
-    a[dummy] = b.min()
+    a[dummy] = least(b)
     for j in range(b.size):
         if left > 0 and row_of[j] < 0 and b[j] == a[dummy]:
             row_of[j] = dummy
@@ -170,7 +200,7 @@ def _relax(costs, b, shift, row, dist, pred):
         pred[j] = row if closer else pred[j]
 
 
-@jit
+@jit_part
 def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
     """The same by way of all rows at the spare column at once."""
     for j in range(b.size):
@@ -188,12 +218,12 @@ def _augment(cost, spare_price, a, b, col_of, row_of, free, left):
     dist, open_b, no_cost = np.empty(m), np.empty(m), np.zeros(m)
     pred = np.empty(m + 1, np.int64)
     scanned, reached = np.empty(m + 1, np.int64), np.empty(m + 1)
-    spare_cost, spare_row = np.empty(m), np.full(m, -1, np.int64)
+    spare_cost, spare_row = np.empty(m), np.empty(m, np.int64)
     spare_known = False  # cheapest row at the spare column, per column
     for path in range(free.size + left):
         source = free[path] if path < free.size else dummy
-        dist[:] = np.inf
-        open_b[:] = b
+        for j in range(m):
+            dist[j], open_b[j] = np.inf, b[j]
         spare_dist, spare_open = np.inf, True
         dummy_entry, dummy_dist = -1, 0.0 if source == dummy else np.inf
         n_scanned, reach, row = 0, 0.0, source
@@ -250,7 +280,7 @@ def _augment(cost, spare_price, a, b, col_of, row_of, free, left):
             _update_spare_rows(cost, joined, gone, col_of, spare_cost, spare_row)
 
 
-@jit
+@jit_part
 def _first(dist, low):
     at = dist.size
     for j in range(dist.size):
@@ -258,7 +288,7 @@ def _first(dist, low):
     return at
 
 
-@jit
+@jit_part
 def _flip(column, source, dummy_entry, pred, col_of, row_of):
     """Match along the path that ends in `column`. Returns the rows that joined and left the spare."""
     spare, dummy = row_of.size, col_of.size
@@ -282,9 +312,10 @@ def _flip(column, source, dummy_entry, pred, col_of, row_of):
             return joined, gone
 
 
-@jit
+@jit_part
 def _cheapest_spare_rows(cost, col_of, spare_cost, spare_row):
-    spare_cost[:] = np.inf
+    for j in range(cost.shape[1]):
+        spare_cost[j], spare_row[j] = np.inf, -1
     for i in range(cost.shape[0]):
         if col_of[i] == cost.shape[1]:
             for j in range(cost.shape[1]):
@@ -293,7 +324,7 @@ def _cheapest_spare_rows(cost, col_of, spare_cost, spare_row):
                     spare_row[j] = i
 
 
-@jit
+@jit_part
 def _update_spare_rows(cost, joined, gone, col_of, spare_cost, spare_row):
     n, m = cost.shape
     for j in range(m):

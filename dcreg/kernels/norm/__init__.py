@@ -1,0 +1,1 @@
+"""Kernels over translations in norm space."""

@@ -1,0 +1,1 @@
+"""Kernels of the DC bound over similarities in the plane."""

@@ -1,0 +1,1 @@
+"""Kernels over rotations and rigid poses in space."""
