@@ -46,9 +46,7 @@ class VertexCache:
     @property
     def vertices(self) -> Vertices:
         """What the kernels take; to be asked for anew after each `find`, which may move the arrays."""
-        return Vertices(
-            self.thetas, self.lows, self.values, self.levels, self.profiles, self.duals
-        )
+        return Vertices(self.thetas, self.lows, self.values, self.levels, self.profiles, self.duals)
 
     def _reserve(self, count: int) -> None:
         if self.used + count > self.max_vertices:

@@ -110,7 +110,9 @@ class _Cache(caching.FunctionCache):
 def _compiled(**options: Any) -> Any:
     def decorate(function: Any) -> Any:
         # kernels are called from Python and from each other, never by address: no C entry is needed
-        kernel = nb.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+        kernel = nb.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(
+            function
+        )
         if cache_folder(Path(function.__code__.co_filename)) is not None:
             kernel._cache = _Cache(function)
         return kernel

@@ -102,9 +102,7 @@ class Similarity2D(FeatureSpace):
         value, spent = np.inf, 1
         for _ in range(_MAX_ROUNDS):
             trial = self._fit(col_of)
-            trial_value, trial_col = improve_assignment(
-                self._costs(trial), self.n_inliers, prices
-            )
+            trial_value, trial_col = improve_assignment(self._costs(trial), self.n_inliers, prices)
             spent += 1
             if trial_value >= value * (1.0 - 1e-9):
                 break
@@ -131,7 +129,9 @@ class Similarity2D(FeatureSpace):
     def seeds(self) -> np.ndarray:
         """Every 15 degrees, at the scale that gives both clouds the same spread."""
         spread = self.axis_weights[0]
-        scale = np.clip(np.sqrt((self.points.target**2).sum(axis=0).mean()) / spread, *self.scale_range)
+        scale = np.clip(
+            np.sqrt((self.points.target**2).sum(axis=0).mean()) / spread, *self.scale_range
+        )
         angles = np.arange(24) * (np.pi / 12)
         centre = np.zeros((24, 2))
         return np.hstack([scale * np.stack([np.cos(angles), np.sin(angles)], axis=1), centre])

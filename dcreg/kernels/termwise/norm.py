@@ -49,7 +49,9 @@ def norm_bounds(points, low, high, averaged, lower, upper, bounds, thetas):
             charge, slope = 0.0, -2.0 * length_high[i]
             for a in range(3):
                 x = source[i, a]
-                charge += x * x + (alpha[a] * x if averaged else least_product(2.0 * x, lo[a], up[a]))
+                charge += x * x + (
+                    alpha[a] * x if averaged else least_product(2.0 * x, lo[a], up[a])
+                )
             if all_rows and length_high[i] > 0.0:
                 slope, weight, c0 = relax_product(-2.0, least, most, length_low[i], length_high[i])
                 constant += c0 + _add_length(source[i], lo, up, length_high[i], weight, beta)
