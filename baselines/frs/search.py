@@ -51,7 +51,9 @@ class TranslationCubes:
         return -float(found.upper_bound), None
 
 
-def matching_translations(source: np.ndarray, target: np.ndarray, radius: float):
+def matching_translations(
+    source: np.ndarray, target: np.ndarray, radius: float
+) -> tuple[np.ndarray, float]:
     """Centre and half-width of a cube with every t for which some R x + t is near some y.
 
     t = y - R x up to `radius`: the target's bounding box, grown by the longest x.

@@ -11,7 +11,8 @@ import time
 import numpy as np
 
 from baselines._shared.cubes import Incumbent, OutOfTimeError
-from baselines.gots.features import FeatureTree, matched_pairs
+from baselines.gots.features import FeatureTree
+from baselines.gots.kernels import matched_pairs
 
 
 class TranslationCubes:
