@@ -1,20 +1,22 @@
-"""Best-first branch and bound over cubes divided in eight, with a bound history and true limits."""
+"""The library's branch and bound over cubes divided in eight, for Go-ICP, FRS and GoTS.
+
+Their bounds work through one cube at a time, may improve the incumbent on the way by poses that are no
+centre of a cube, may run out of time within a cube, and may hand what they learnt of a cube on to its
+parts.
+"""
 
 from __future__ import annotations
 
-import heapq
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from baselines.contract import Limits
-from dcreg.status import Status
+from dcreg.search import Box, Budget, Evaluation, Outcome, branch_and_bound
 
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-_NODE_BYTES = 400  # of a queue entry with its centre, without the payload
+_SHARE_OF_BOXES = 0.5  # of the memory; the rest is for what cubes hand on
 
 
 class OutOfTimeError(Exception):
@@ -36,127 +38,131 @@ class Incumbent:
         return False
 
 
-# (centre, half-width, parent's lower bound, parent's payload) -> (lower bound, payload). Improves
-# the incumbent on the way; +inf for a cube without admissible points; may raise OutOfTimeError.
-CubeBound = Callable[[np.ndarray, float, float, Any], tuple[float, Any]]
+# (centre, half-width, legacy of the parent) -> (lower bound, own legacy). Improves the incumbent on the
+# way; +inf for a cube without admissible points; may raise OutOfTimeError.
+CubeBound = Callable[[np.ndarray, float, Any], tuple[float, Any]]
 
 
-@dataclass
-class OctreeSearch:
-    """Minimise over cubes to within `gap_tol` of the incumbent's value.
+def search_cubes(
+    bound: CubeBound,
+    root: tuple[np.ndarray, float],
+    incumbent: Incumbent,
+    budget: Budget,
+    *,
+    gap_tol: float,
+    floor: float = 0.0,
+    legacy: np.ndarray | None = None,
+) -> Outcome:
+    """Minimise over a cube to within `gap_tol` of the incumbent's value.
 
-    Attributes
+    Parameters
     ----------
     bound : CubeBound
+    root : (centre, half-width)
     incumbent : Incumbent
+        Improved in place; what is found is there.
+    budget : Budget
     gap_tol : float
-    limits : Limits
-    began, deadline : float
-        Moments of `time.perf_counter()`: the trace counts from the first, the search ends by the
-        second.
-    unit : float
-        The trace's bounds are ``offset + unit * value``, in the caller's units.
-    stage : str
     floor : float
         A value that the objective is never below.
+    legacy : array, optional
+        What the root cube gets in place of its parent's. A legacy for which the memory does not suffice
+        is replaced by this one.
+
+    Returns
+    -------
+    Outcome
+        Its theta means nothing.
     """
+    memory = budget.part(1.0)
+    if budget.memory_mb is not None:
+        memory.memory_mb = _SHARE_OF_BOXES * budget.memory_mb
+    found = branch_and_bound(
+        _Cubes(bound, root, incumbent, floor, legacy, memory.memory_mb),
+        memory,
+        branching=divide_in_eight,
+        gap_tol=gap_tol,
+        start=(root[0], incumbent.value - floor),
+    )
+    return with_bounds(found, lambda value: value + floor)
 
-    bound: CubeBound
-    incumbent: Incumbent
-    gap_tol: float
-    limits: Limits
-    began: float
-    deadline: float
-    unit: float = 1.0
-    offset: float = 0.0
-    stage: str = "search"
-    floor: float = 0.0
-    n_nodes: int = 0
-    trace: list[dict[str, Any]] = field(default_factory=list)
-    payload_bytes: int = 0
 
-    def run(self, roots: list[tuple[np.ndarray, float]], payload: Any = None) -> Status:
-        """Search the cubes (centre, half-width); ``self.lower_bound`` is valid for any status."""
-        self.lower_bound = self.floor
-        self._serial = 0
-        self._pruned = np.inf  # least bound among cubes given up: part of the certificate
-        self._queue: list[tuple[float, float, int, np.ndarray, Any]] = []
-        self._record("start")
-        status = self._expand(roots, self.floor, payload)
-        while status is None:
-            self._settle()
-            if self.incumbent.value - self.lower_bound <= self.gap_tol:
-                status = Status.OPTIMAL
-            else:
-                status = self._limit() or self._divide()
-        self._settle()
-        self._record("end")
-        return status
+def with_bounds(found: Outcome, of_value: Callable[[float], float]) -> Outcome:
+    """The outcome with its bounds, and those of its history, in other terms."""
+    return replace(
+        found,
+        lower_bound=of_value(found.lower_bound),
+        upper_bound=of_value(found.upper_bound),
+        events=[
+            replace(
+                event,
+                lower_bound=of_value(event.lower_bound),
+                upper_bound=of_value(event.upper_bound),
+            )
+            for event in found.events
+        ],
+    )
 
-    def _divide(self) -> Status | None:
-        bound, minus_half, _, centre, payload = heapq.heappop(self._queue)
-        self.payload_bytes -= _size(payload)
-        half = -minus_half / 2
-        return self._expand([(centre + half * step, half) for step in OCTANTS], bound, payload)
 
-    def _expand(
-        self, cubes: list[tuple[np.ndarray, float]], inherited: float, payload: Any
-    ) -> Status | None:
-        for number, (centre, half) in enumerate(cubes):
+def divide_in_eight(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(8 B, 3) octants of B boxes, those of a box next to each other."""
+    middle = np.repeat(0.5 * (lower + upper), 8, axis=0)
+    high = np.tile(OCTANTS > 0, (len(lower), 1))
+    return (
+        np.where(high, middle, np.repeat(lower, 8, axis=0)),
+        np.where(high, np.repeat(upper, 8, axis=0), middle),
+    )
+
+
+class _Cubes:
+    """A bound for single cubes, as the search asks for it: the parts of one cube in a round."""
+
+    round_size = 1
+    n_assignments = 0
+
+    def __init__(
+        self,
+        bound: CubeBound,
+        root: tuple[np.ndarray, float],
+        incumbent: Incumbent,
+        floor: float,
+        legacy: np.ndarray | None,
+        memory_mb: float | None,
+    ) -> None:
+        centre, half = root
+        self.roots = [Box(centre - half, centre + half)]
+        self.bound, self.incumbent, self.floor = bound, incumbent, floor
+        self._first = legacy
+        self._legacies: dict[bytes, Any] = {}
+        self._bytes_left = np.inf if memory_mb is None else memory_mb * 2**20
+
+    def evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
+    ) -> Evaluation:
+        """Bound the parts of one cube; those that time does not suffice for keep its bound."""
+        bounds = np.zeros(len(lower))
+        centres, halves = 0.5 * (lower + upper), 0.5 * (upper - lower).max(axis=1)
+        legacy = self._taken(lower.min(axis=0), upper.max(axis=0))
+        for cube in range(len(lower)):
             try:
-                bound, own = self.bound(centre, half, inherited, payload)
+                value, own = self.bound(centres[cube], float(halves[cube]), legacy)
             except OutOfTimeError:
-                for rest, width in cubes[number:]:
-                    self._push(inherited, width, rest, payload)
-                return Status.TIME_LIMIT
-            self.n_nodes += 1
-            bound = max(bound, inherited)
-            if bound < self.incumbent.value - self.gap_tol:
-                self._push(bound, half, centre, own)
-            else:
-                self._pruned = min(self._pruned, bound)
-        return None
+                break
+            bounds[cube] = value - self.floor
+            if bounds[cube] < cutoff:
+                self._keep(lower[cube], upper[cube], own)
+        values = np.full(len(lower), self.incumbent.value - self.floor)
+        return Evaluation(bounds, centres, values)
 
-    def _push(self, bound: float, half: float, centre: np.ndarray, payload: Any) -> None:
-        self._serial += 1
-        self.payload_bytes += _size(payload)
-        heapq.heappush(self._queue, (bound, -half, self._serial, centre, payload))
+    def _keep(self, lower: np.ndarray, upper: np.ndarray, legacy: Any) -> None:
+        if legacy is not None and legacy.nbytes <= self._bytes_left:
+            self._bytes_left -= legacy.nbytes
+            self._legacies[lower.tobytes() + upper.tobytes()] = legacy
 
-    def _settle(self) -> None:
-        """The global lower bound, and a row of history when a bound moved."""
-        least = self._queue[0][0] if self._queue else np.inf
-        # Never below an earlier one: each was valid.
-        self.lower_bound = max(self.lower_bound, min(least, self._pruned, self.incumbent.value))
-        last = self.trace[-1]
-        now = self._row("bound")
-        if (now["lower_bound"], now["upper_bound"]) != (last["lower_bound"], last["upper_bound"]):
-            self.trace.append(now)
-
-    def _limit(self) -> Status | None:
-        if time.perf_counter() > self.deadline:
-            return Status.TIME_LIMIT
-        if self.limits.nodes is not None and self.n_nodes >= self.limits.nodes:
-            return Status.NODE_LIMIT
-        held = self.payload_bytes + _NODE_BYTES * len(self._queue)
-        if self.limits.memory_mb is not None and held > self.limits.memory_mb * 2**20:
-            return Status.MEMORY_LIMIT
-        return None
-
-    def _record(self, kind: str) -> None:
-        self.trace.append(self._row(kind))
-
-    def _row(self, kind: str) -> dict[str, Any]:
-        return {
-            "kind": kind,
-            "stage": self.stage,
-            "time_s": time.perf_counter() - self.began,
-            "n_nodes": self.n_nodes,
-            "n_assignments": 0,
-            "n_open": len(self._queue),
-            "lower_bound": self.offset + self.unit * self.lower_bound,
-            "upper_bound": self.offset + self.unit * self.incumbent.value,
-        }
-
-
-def _size(payload: Any) -> int:
-    return payload.nbytes if isinstance(payload, np.ndarray) else 0
+    def _taken(self, lower: np.ndarray, upper: np.ndarray) -> Any:
+        """The legacy of the cube with these corners."""
+        legacy = self._legacies.pop(lower.tobytes() + upper.tobytes(), None)
+        if legacy is None:
+            return self._first
+        self._bytes_left += legacy.nbytes
+        return legacy

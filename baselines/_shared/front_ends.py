@@ -170,9 +170,9 @@ def _fpfh(points: np.ndarray, normal_radius: float, feature_radius: float) -> np
     search = open3d.geometry.KDTreeSearchParamHybrid
     cloud = open3d_clouds.cloud(points)
     cloud.estimate_normals(search(radius=normal_radius, max_nn=30))
-    features = open3d.pipelines.registration.compute_fpfh_feature(
-        cloud, search(radius=feature_radius, max_nn=100)
-    )
+    # its stub declares the optional `indices` as required
+    describe: Any = open3d.pipelines.registration.compute_fpfh_feature
+    features = describe(cloud, search(radius=feature_radius, max_nn=100))
     return np.asarray(features.data).T
 
 

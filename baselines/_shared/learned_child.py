@@ -1,10 +1,12 @@
 """The child process of a learned method: its own interpreter, its own libraries.
 
-Run as ``python _learned_child.py RUNNER SETTINGS``, RUNNER a file that defines
+Run as ``python learned_child.py RUNNER SETTINGS``, RUNNER a file that defines
 ``load(checkout, weights, settings)``, which returns a function from a problem (dict of arrays) to a
 (4, 4) pose; SETTINGS a JSON object with ``checkout``, ``weights`` and the method's options. Needs the
 standard library and NumPy only, Python 3.7 or later. See `baselines._shared.learned` for the protocol.
 """
+
+from __future__ import annotations
 
 import contextlib
 import ctypes
@@ -15,11 +17,12 @@ import random
 import signal
 import sys
 import traceback
+from typing import Any, TextIO
 
 import numpy as np
 
 
-def main():
+def main() -> None:
     _die_with_parent()
     answers = _take_stdout()
     runner, settings = sys.argv[1], json.loads(sys.argv[2])
@@ -28,6 +31,8 @@ def main():
     os.chdir(settings["checkout"])
     try:
         spec = importlib.util.spec_from_file_location("runner", runner)
+        if spec is None or spec.loader is None:
+            raise ImportError("%s is no file of Python" % runner)  # noqa: UP031
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
         register = module.load(settings["checkout"], settings["weights"], settings)
@@ -48,35 +53,35 @@ def main():
             _answer(answers, ok=True)
 
 
-def _die_with_parent():
+def _die_with_parent() -> None:
     """Also in the middle of a computation, where the end of the input goes unseen (Linux)."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
-def _take_stdout():
+def _take_stdout() -> TextIO:
     """The stream of answers; whatever the checkout prints goes to stderr instead."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     return answers
 
 
-def _answer(answers, **content):
+def _answer(answers: TextIO, **content: Any) -> None:
     answers.write(json.dumps(content) + "\n")
     answers.flush()
 
 
-def _described(error):
+def _described(error: BaseException) -> str:
     traceback.print_exc()
     return "%s: %s" % (type(error).__name__, error)  # noqa: UP031
 
 
-def _seed(seed):
+def _seed(seed: int) -> None:
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002
-    torch = sys.modules.get("torch")
-    if hasattr(torch, "manual_seed"):
-        torch.manual_seed(seed)
+    seed_torch = getattr(sys.modules.get("torch"), "manual_seed", None)
+    if seed_torch is not None:
+        seed_torch(seed)
 
 
 if __name__ == "__main__":

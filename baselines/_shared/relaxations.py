@@ -22,13 +22,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from baselines._shared.kernels.products import linearise
 from baselines._shared.library_search import ModeOfItsOwn
 from baselines._shared.single_boxes import bound_of_box
 from baselines.contract import Instance
 from dcreg.bounds.base import SpaceBound
-from dcreg.kernels.assignment.dense import k_assignment
-from dcreg.kernels.compiling import jit
-from dcreg.kernels.termwise import envelopes, plane
+from dcreg.kernels.termwise import plane
 from dcreg.modes import Answer, Task
 from dcreg.modes.paper import place, space_of
 from dcreg.search import Box, Evaluation, minimise
@@ -36,55 +35,6 @@ from dcreg.spaces import FeatureSpace
 
 # theta -> least beta.theta + gamma.phi + k (t3^2 + t4^2) over a box, relaxed, and where it is attained
 LeastOverBox = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[float, np.ndarray]]
-
-
-@jit
-def linearise(features, low, high, k, lower, upper, constants, beta, gamma):
-    """Constant with the least assignment, slopes in theta and in phi, of every box."""
-    n, m = features.shape[1], features.shape[2]
-    cost, alpha = np.empty((n, m)), np.empty(plane.N_FEATURES)
-    for box in range(lower.shape[0]):
-        lo, up = lower[box], upper[box]
-        alpha[:] = 0.0
-        beta[box] = 0.0
-        constant = 0.0
-        for f in range(3):
-            least, most = _phi_range(f, lo, up)
-            cg, gamma[box, f], c0 = envelopes.relax_product(
-                1.0 if f == 0 else 2.0, low[f], high[f], least, most
-            )
-            alpha[f] += cg
-            constant += c0
-        for row in range(plane.BILINEAR.shape[0]):
-            f, a = plane.BILINEAR[row, 0], plane.BILINEAR[row, 1]
-            cg, ct, c0 = envelopes.relax_product(-2.0, low[f], high[f], lo[a], up[a])
-            alpha[f] += cg
-            beta[box, a] += ct
-            constant += c0
-        for i in range(n):
-            for j in range(m):
-                total = features[7, i, j]
-                for f in range(plane.N_FEATURES):
-                    total += alpha[f] * features[f, i, j]
-                cost[i, j] = total
-        value, _ = k_assignment(cost, k)
-        constants[box] = value + constant
-    return lower.shape[0]
-
-
-@jit
-def _phi_range(f, lower, upper):
-    if f == 0:
-        pl, ph = envelopes.product_range(0, 0, lower, upper)
-        ql, qh = envelopes.product_range(1, 1, lower, upper)
-    elif f == 1:
-        pl, ph = envelopes.product_range(0, 2, lower, upper)
-        ql, qh = envelopes.product_range(1, 3, lower, upper)
-    else:
-        pl, ph = envelopes.product_range(0, 3, lower, upper)
-        qh, ql = envelopes.product_range(1, 2, lower, upper)
-        ql, qh = -ql, -qh
-    return pl + ql, ph + qh
 
 
 class SubstitutedBound(SpaceBound[FeatureSpace]):

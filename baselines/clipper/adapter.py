@@ -28,9 +28,8 @@ class Adapter(CorrespondenceMethod):
         affinity = np.where(consistent, np.exp(-0.5 * (differences / sigma) ** 2), 0.0)
         np.fill_diagonal(affinity, 1.0)
         chosen, finished = dense_clique(affinity, consistent, deadline)
-        extra = {"clique_size": len(chosen)}
+        extra = {"clique_size": float(len(chosen))}
         if len(chosen) < instance.dim:
             return Estimate(None, finished, extra=extra)
-        weights = np.ones(len(chosen))
-        pose = fit_pose(source[chosen], target[chosen], (scale, scale), weights)
+        pose = fit_pose(source[chosen], target[chosen], (scale, scale))
         return Estimate(pose, finished, extra=extra)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -60,7 +61,13 @@ def _leading_direction(affinity: np.ndarray) -> np.ndarray:
     return u
 
 
-def _ascend(affinity, forbidden, u: np.ndarray, penalty: float, deadline: float) -> np.ndarray:
+def _ascend(
+    affinity: np.ndarray,
+    forbidden: Callable[[np.ndarray], np.ndarray],
+    u: np.ndarray,
+    penalty: float,
+    deadline: float,
+) -> np.ndarray:
     """A local maximum for this penalty: gradient steps with backtracking, then projection."""
     step = 1.0
     image = affinity @ u - penalty * forbidden(u)

@@ -69,6 +69,10 @@ def _bounded_rigid() -> type:
     class BoundedRigid(RigidRegistration):
         """pycpd always fits the scale freely; this keeps it in a range (one value: fixed)."""
 
+        s: float
+        q: float
+        sigma2: float
+
         def __init__(self, scale_range: np.ndarray, **settings: Any) -> None:
             super().__init__(**settings)
             self.scale_range = scale_range

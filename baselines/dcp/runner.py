@@ -1,11 +1,15 @@
 """Runs in the child process: DCP from the authors' checkout (``model.py``)."""
 
+from __future__ import annotations
+
 import argparse
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 
-def load(checkout, weights, settings):
+def load(checkout: str, weights: str, settings: dict[str, Any]) -> Callable[[dict[str, Any]], Any]:
     """The network with the layout of its published training, and its registration function."""
     import model
     import torch
@@ -25,7 +29,7 @@ def load(checkout, weights, settings):
         )
     network = network.to(device).eval()
 
-    def register(problem):
+    def register(problem: dict[str, np.ndarray]) -> np.ndarray:
         # The network knows shapes of unit radius about the origin.
         source, target = problem["source"], problem["target"]
         centre_x, centre_y = source.mean(axis=0), target.mean(axis=0)
@@ -47,12 +51,12 @@ def load(checkout, weights, settings):
 class OneDevice:
     """``torch`` for a module that always asks for the device ``cuda``."""
 
-    def __init__(self, torch, device):
+    def __init__(self, torch: Any, device: Any) -> None:
         self._torch = torch
         self._device = device
 
-    def device(self, name):
+    def device(self, name: str) -> Any:
         return self._device
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._torch, name)

@@ -1,9 +1,13 @@
 """Runs in the child process: deep global registration from the authors' checkout."""
 
+from __future__ import annotations
+
 import argparse
+from collections.abc import Callable
+from typing import Any
 
 
-def load(checkout, weights, settings):
+def load(checkout: str, weights: str, settings: dict[str, Any]) -> Callable[[dict[str, Any]], Any]:
     """The authors' pipeline as their demo runs it."""
     import torch
     from core.deep_global_registration import DeepGlobalRegistration

@@ -6,9 +6,10 @@ import time
 
 from baselines._shared import rotation_search
 from baselines._shared.consensus import Consensus
-from baselines._shared.cubes import Incumbent, OctreeSearch
+from baselines._shared.cubes import Incumbent, search_cubes, with_bounds
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.frs.search import TranslationCubes, matching_translations
+from dcreg.search import Budget, Trace
 
 SCOPE = (
     "rigid pose, many-to-one consensus: most source points within xi of the target, all rotations and "
@@ -24,29 +25,29 @@ class Adapter(Baseline):
         rotation_search.warm_up()
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        began = time.perf_counter()
+        budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
+        deadline = time.perf_counter() + limits.time_s
         radius = self.options["noise_factor"] * instance.noise_bound
         problem = Consensus(instance, radius)
         incumbent = Incumbent()
-        deadline = began + limits.time_s
         for pose, count in problem.starts(self.options["start_rotations"], deadline):
             incumbent.offer(-count, pose)
         slack = int(self.options["rotation_slack"] * len(problem.source))
         cubes = TranslationCubes(problem, incumbent, slack, deadline)
-        search = OctreeSearch(
-            cubes.bound, incumbent, 0.0, limits, began, deadline,
-            unit=radius**2, offset=radius**2 * instance.n_inliers, floor=-float(len(problem.source)),
+        found = search_cubes(
+            cubes.bound, matching_translations(problem.source, problem.target, radius), incumbent,
+            budget, gap_tol=0.0, floor=-float(len(problem.source)),
         )  # fmt: skip
-        status = search.run([matching_translations(problem.source, problem.target, radius)])
+        found = with_bounds(found, lambda value: radius**2 * (instance.n_inliers + value))
         polished = problem.polish(incumbent.pose) if self.options["polish"] else incumbent.pose
         return Solution(
-            status,
+            found.status,
             problem.restore(polished),
-            lower_bound=search.trace[-1]["lower_bound"],
-            upper_bound=search.trace[-1]["upper_bound"],
+            lower_bound=found.lower_bound,
+            upper_bound=found.upper_bound,
             gap_tol=0.0,
             certificate_scope=SCOPE,
-            counters={"n_nodes": search.n_nodes, "n_rotation_cubes": cubes.n_rotation_cubes},
-            trace=search.trace,
+            counters={"n_nodes": found.n_nodes, "n_rotation_cubes": cubes.n_rotation_cubes},
+            trace=Trace(found.events).rows(),
             extra={"matched": -incumbent.value, "matched_polished": problem.count(polished)},
         )

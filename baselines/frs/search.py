@@ -3,12 +3,10 @@
 Maximised is the number of source points that R x + t brings within ``radius`` of a target point. In
 a cube of translations with half-diagonal rho, R x + t comes within the radius for some t of the cube
 only if R x comes within radius + rho of y - t0; the rotation search then bounds the count for all
-rotations. Objective values here are minus the counts, as the octree minimises.
+rotations. Objective values here are minus the counts, as the search minimises.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -26,9 +24,7 @@ class TranslationCubes:
         self.slack, self.deadline = slack, deadline
         self.n_rotation_cubes = 0
 
-    def bound(
-        self, centre: np.ndarray, half: float, inherited: float, payload: Any
-    ) -> tuple[float, None]:
+    def bound(self, centre: np.ndarray, half: float, legacy: None = None) -> tuple[float, None]:
         """Minus the most source points matched by any rotation and a translation of the cube."""
         problem = self.consensus
         rho = np.sqrt(3.0) * half
@@ -51,7 +47,9 @@ class TranslationCubes:
         return -float(found.upper_bound), None
 
 
-def matching_translations(source: np.ndarray, target: np.ndarray, radius: float):
+def matching_translations(
+    source: np.ndarray, target: np.ndarray, radius: float
+) -> tuple[np.ndarray, float]:
     """Centre and half-width of a cube with every t for which some R x + t is near some y.
 
     t = y - R x up to `radius`: the target's bounding box, grown by the longest x.

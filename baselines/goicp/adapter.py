@@ -6,9 +6,11 @@ import time
 
 import numpy as np
 
+from baselines._shared.cubes import with_bounds
 from baselines._shared.poses import homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.goicp.search import GoICP, Settings
+from dcreg.search import Budget, Trace
 
 SCOPE = (
     "rigid pose, many-to-one objective: sum of the n_inliers smallest squared distances from moved "
@@ -20,26 +22,27 @@ class Adapter(Baseline):
     """Globally optimal trimmed nearest-neighbour registration."""
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        began = time.perf_counter()
+        budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
+        deadline = time.perf_counter() + limits.time_s
         frame = Frame(instance, self.options["normalise"])
         settings = self._settings(frame, instance)
-        problem = GoICP(frame.source, frame.target, settings, began + limits.time_s)
-        found = problem.run(limits, began)
+        problem = GoICP(frame.source, frame.target, settings, deadline)
         area = frame.unit**2
-        for row in found.trace:
-            row["lower_bound"] *= area
-            row["upper_bound"] *= area
+        found = with_bounds(problem.run(budget), lambda value: area * value)
         half = self.options["translation_half_width"]
         where = "all translations" if half is None else f"translations within {half} (its units)"
         return Solution(
             found.status,
-            frame.restore(found.pose),
-            lower_bound=area * found.lower_bound,
-            upper_bound=area * found.upper_bound,
+            frame.restore(problem.incumbent.pose),
+            lower_bound=found.lower_bound,
+            upper_bound=found.upper_bound,
             gap_tol=area * settings.tolerance,
             certificate_scope=f"{SCOPE}; {where}",
-            counters=found.counters,
-            trace=found.trace,
+            counters={
+                "n_nodes": found.n_nodes,
+                "n_translation_cubes": problem.n_translation_cubes,
+            },
+            trace=Trace(found.events).rows(),
         )
 
     def _settings(self, frame: Frame, instance: Instance) -> Settings:

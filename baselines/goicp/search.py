@@ -9,19 +9,17 @@ so they move point i by at most gamma_i = 2 sin(alpha / 2) |x_i| from where the 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baselines._shared.closest_point import ClosestPoint, spread_poses
-from baselines._shared.cubes import Incumbent, OctreeSearch, OutOfTimeError
+from baselines._shared.cubes import Incumbent, OutOfTimeError, search_cubes
 from baselines._shared.poses import homogeneous
-from baselines.contract import Limits
 from baselines.goicp import kernels
 from baselines.goicp.distance import Cells
-from dcreg.status import Status
+from dcreg.search import Budget, Outcome
 
 _DISTANCES_PER_SLICE = 200_000  # of the inner search between two looks at the clock: some 20 ms
 # The inner search ends when it knows the relaxed minimum to this share of the tolerance. With the
@@ -43,16 +41,6 @@ class Settings:
     seed: int
 
 
-@dataclass
-class Outcome:
-    status: Status
-    pose: np.ndarray
-    lower_bound: float
-    upper_bound: float
-    counters: dict[str, int]
-    trace: list[dict[str, Any]] = field(default_factory=list)
-
-
 class GoICP:
     """One problem: arrays, the distance cells, and the bounds of a rotation cube."""
 
@@ -72,25 +60,17 @@ class GoICP:
         self.n_translation_cubes = 0
         self._heap = np.empty((4096, 5))
 
-    def run(self, limits: Limits, began: float) -> Outcome:
-        """Search all rotations until the gap is closed or a limit met."""
+    def run(self, budget: Budget) -> Outcome:
+        """Search all rotations until the gap is closed or a limit met; the pose is the incumbent's."""
         settings = self.settings
         self._descend(spread_poses(settings.n_starts, settings.seed, settings.translation_centre))
-        search = OctreeSearch(
-            self.bound_cube, self.incumbent, self.settings.tolerance, limits, began, self.deadline
-        )
-        status = search.run([(np.zeros(3), np.pi)])
-        return Outcome(
-            status,
-            self.incumbent.pose,
-            search.lower_bound,
-            self.incumbent.value,
-            {"n_nodes": search.n_nodes, "n_translation_cubes": self.n_translation_cubes},
-            search.trace,
+        root = np.zeros(3), np.pi
+        return search_cubes(
+            self.bound_cube, root, self.incumbent, budget, gap_tol=settings.tolerance
         )
 
     def bound_cube(
-        self, centre: np.ndarray, half: float, inherited: float, payload: Any
+        self, centre: np.ndarray, half: float, legacy: None = None
     ) -> tuple[float, None]:
         """Lower bound over the rotations of a cube and all translations; improves the incumbent."""
         if np.linalg.norm(centre) - np.sqrt(3.0) * half > np.pi:

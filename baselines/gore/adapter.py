@@ -8,7 +8,8 @@ import numpy as np
 
 from baselines._shared import rotation_search
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
-from baselines._shared.ransac import count_within, ransac
+from baselines._shared.kernels.samples import count_within
+from baselines._shared.ransac import ransac
 from baselines.contract import Instance, Limits
 from baselines.gore.removal import remove_outliers
 
@@ -50,5 +51,5 @@ class Adapter(CorrespondenceMethod):
         if best is not None and int(count_within(source, target, best, bound)) < instance.dim:
             best = None
         message = f"{len(pairs) - len(left)} of {len(pairs)} correspondences proven outliers"
-        extra = {"removed": len(pairs) - len(left), "consensus": removal.consensus}
+        extra = {"removed": float(len(pairs) - len(left)), "consensus": float(removal.consensus)}
         return Estimate(best, removal.finished and sampled, message, extra)

@@ -18,22 +18,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from baselines._shared.consistency import consistency_graph
 from baselines._shared.cubes import OutOfTimeError
-from baselines._shared.ransac import count_within
+from baselines._shared.kernels.lengths import consistency_graph
+from baselines._shared.kernels.samples import count_within
 from baselines._shared.robust import refit, squared_residuals
 from baselines._shared.rotation_search import most_correspondences
+from baselines.gore.kernels import LEFT, MOST, directions, drop_by_arcs
 
-# For rounding: the tolerance and lengths (both relative), cosines, angles at which intervals end.
+# For rounding, of the tolerance and of lengths (both relative).
 MARGIN = 1e-9
 LENGTH_MARGIN = 1e-15
-COSINE_MARGIN = 1e-14
-ANGLE_MARGIN = 1e-7
 
 _ARCS_PER_SLICE = 100_000  # between two looks at the clock: some 15 ms
-NEXT, LEFT, MOST, BEST, CHANGED = range(5)  # places in the integer state of the intervals
+
+
+# (k, others) -> bound on the others in a set with k, and a rotation worth trying
+BoundOnOthers = Callable[[int, np.ndarray], tuple[int, np.ndarray]]
 
 
 @dataclass
@@ -85,8 +86,8 @@ class _Removing:
     def __init__(self, source: np.ndarray, target: np.ndarray, bound: float, deadline: float):
         self.source, self.target, self.bound, self.deadline = source, target, bound, deadline
         n = len(source)
-        extent = np.linalg.norm(np.ptp(source, axis=0)) + np.linalg.norm(np.ptp(target, axis=0))
-        self.tolerance = 2 * bound * (1 + MARGIN) + LENGTH_MARGIN * extent
+        extent = sum(np.linalg.norm(np.ptp(points, axis=0)) for points in (source, target))
+        self.tolerance = float(2 * bound * (1 + MARGIN) + LENGTH_MARGIN * extent)
         rows_as_pairs = np.column_stack([np.arange(n), np.arange(n)])  # a point may be in several
         rows = consistency_graph(source, target, rows_as_pairs, self.tolerance, 1.0)
         bits = np.unpackbits(rows.view(np.uint8), axis=1, bitorder="little")
@@ -98,12 +99,12 @@ class _Removing:
         self.agreeing = np.zeros(n, dtype=bool)  # with the best pose: they reach that many
         self.searched = np.full(n, -1)  # number of partners at the last search
 
-    def settle(self, bound_on_others: Callable) -> None:
+    def settle(self, bound_on_others: BoundOnOthers) -> None:
         """Sweep until nothing changes."""
         while self.sweep(bound_on_others):
             pass
 
-    def sweep(self, bound_on_others: Callable) -> bool:
+    def sweep(self, bound_on_others: BoundOnOthers) -> bool:
         """Try every correspondence once as the origin; whether any went or the best pose rose."""
         before = self.alive.sum(), self.most
         for k in np.argsort(-self.reach, kind="stable"):
@@ -160,136 +161,11 @@ def _rotation_reach(
     Correspondences that reach fewer than `wanted` are dropped until none is; the bound holds for
     all sets of `wanted` and more.
     """
-    x, y, spread = _directions(source, target, tolerance)
+    x, y, spread = directions(source, target, tolerance)
     alive = np.ones(len(x), dtype=bool)
     rotation = np.eye(3)
     state = np.array([0, len(x), 0, 0, 0])
-    while not _drop_by_arcs(x, y, spread, wanted, alive, rotation, state, _ARCS_PER_SLICE):
+    while not drop_by_arcs(x, y, spread, wanted, alive, rotation, state, _ARCS_PER_SLICE):
         if time.perf_counter() > deadline:
             return len(x), rotation  # no bound, but a rotation worth trying
     return int(min(state[LEFT], state[MOST])), rotation
-
-
-@njit(cache=True)
-def _directions(source, target, tolerance):
-    """Unit vectors, and the largest angle between R x_i and y_i that the tolerance allows."""
-    n = len(source)
-    x, y = np.zeros((n, 3)), np.zeros((n, 3))
-    spread = np.empty(n)
-    for i in range(n):
-        a, b = np.sqrt((source[i] ** 2).sum()), np.sqrt((target[i] ** 2).sum())
-        if a > 0:
-            x[i] = source[i] / a
-        if b > 0:
-            y[i] = target[i] / b
-        if a <= tolerance or b <= tolerance:
-            spread[i] = np.pi  # near the origin every rotation may do
-        else:
-            cosine = (a**2 + b**2 - tolerance**2) / (2 * a * b)
-            spread[i] = np.arccos(min(1.0, max(-1.0, cosine - COSINE_MARGIN)))
-    return x, y, spread
-
-
-@njit(cache=True)
-def _drop_by_arcs(x, y, spread, wanted, alive, rotation, state, budget):
-    """Whether it came to the end; pauses after `budget` arcs."""
-    n = len(x)
-    starts, ends = np.empty(2 * n), np.empty(2 * n)
-    while True:
-        for k in range(state[NEXT], n):
-            if budget <= 0:
-                state[NEXT] = k
-                return False
-            if not alive[k]:
-                continue
-            if spread[k] >= np.pi / 2:  # tells nothing of the rotation
-                state[MOST] = max(state[MOST], state[LEFT])
-                continue
-            align = _rotation_between(x[k], y[k])
-            always, count = 1, 0
-            for i in range(n):
-                if i == k or not alive[i]:
-                    continue
-                centre, half = _arc(align @ x[i], y[i], y[k], spread[i] + spread[k])
-                if half >= np.pi:
-                    always += 1
-                elif half >= 0:
-                    low = (centre - half) % (2 * np.pi)
-                    high = low + 2 * half
-                    starts[count], ends[count] = low, min(high, 2 * np.pi)
-                    count += 1
-                    if high > 2 * np.pi:
-                        starts[count], ends[count] = 0.0, high - 2 * np.pi
-                        count += 1
-            budget -= state[LEFT]
-            stabbed, angle = _stab(np.sort(starts[:count]), np.sort(ends[:count]))
-            reach = always + stabbed
-            if reach > state[BEST]:
-                state[BEST] = reach
-                rotation[:] = _about(y[k], angle) @ align
-            if reach < wanted:
-                alive[k] = False
-                state[LEFT] -= 1
-                state[CHANGED] = 1
-            else:
-                state[MOST] = max(state[MOST], reach)
-        if not state[CHANGED]:
-            return True
-        state[NEXT] = state[MOST] = state[CHANGED] = 0
-
-
-@njit(cache=True)
-def _arc(x, y, axis, reach):
-    """Angles about `axis` by which x comes within `reach` of y: centre and half width.
-
-    Half width pi for all angles, -1 for none.
-    """
-    a, b = np.dot(x, axis), np.dot(y, axis)
-    across = np.sqrt(max(0.0, 1 - a * a) * max(0.0, 1 - b * b))
-    if reach >= np.pi:
-        return 0.0, np.pi
-    needed = np.cos(reach) - a * b - COSINE_MARGIN
-    if needed > across:
-        return 0.0, -1.0
-    if needed <= -across or across < 1e-6:  # too near the axis to tell one angle from another
-        return 0.0, np.pi
-    centre = np.arctan2(np.dot(np.cross(x, y), axis), np.dot(x, y) - a * b)
-    return centre, min(np.pi, np.arccos(needed / across) + ANGLE_MARGIN)
-
-
-@njit(cache=True)
-def _stab(starts, ends):
-    """Most closed intervals with a common point, given sorted ends, and the middle of one best."""
-    best, where, inside, e = 0, 0.0, 0, 0
-    for s in range(len(starts)):
-        while ends[e] < starts[s]:
-            inside -= 1
-            e += 1
-        inside += 1
-        if inside > best:
-            best, where = inside, (starts[s] + ends[e]) / 2
-    return best, where
-
-
-@njit(cache=True)
-def _about(axis, angle):
-    """Rotation about a unit axis."""
-    s, c = np.sin(angle), np.cos(angle)
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + s * cross + (1 - c) * (cross @ cross)
-
-
-@njit(cache=True)
-def _rotation_between(x, y):
-    """The least rotation from unit vector x to unit vector y."""
-    cosine = np.dot(x, y)
-    if cosine < -1 + 1e-12:  # half a turn about any axis across x
-        least = np.argmin(np.abs(x))
-        other = np.zeros(3)
-        other[least] = 1.0
-        axis = np.cross(x, other)
-        return _about(axis / np.sqrt((axis**2).sum()), np.pi)
-    v = np.cross(x, y)
-    cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    return np.eye(3) + cross + (cross @ cross) / (1 + cosine)

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from baselines._shared.consensus import Consensus
-from baselines._shared.cubes import Incumbent, OctreeSearch, OutOfTimeError
+from baselines._shared.cubes import Incumbent, OutOfTimeError, search_cubes, with_bounds
 from baselines._shared.poses import homogeneous
 from baselines._shared.rotation_search import most_matches
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.gots.search import TranslationCubes, matching_translations, points_of
+from dcreg.search import Budget, Trace
 
 SCOPE = (
     "translation only, objective: most source pairs whose rotation-invariant features match within eps, "
@@ -34,6 +35,8 @@ class Adapter(Baseline):
         return super().supports(instance)
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
+        budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
+        translating = budget.part(_TRANSLATION_TIME)
         began = time.perf_counter()
         eps = self.options["noise_factor"] * instance.noise_bound
         problem = Consensus(instance, eps)
@@ -44,25 +47,23 @@ class Adapter(Baseline):
         for pose, _ in starts:
             translation = pose[:3, :3].T @ pose[:3, 3]  # R x + t = R (x + R^T t)
             incumbent.offer(-cubes.count(translation), translation)
-        n_pairs = len(cubes.pairs)
-        search = OctreeSearch(
-            cubes.bound, incumbent, 0.0, limits, began, until, floor=-float(n_pairs)
+        found = search_cubes(
+            cubes.bound, matching_translations(problem.source, problem.target, eps), incumbent,
+            translating, gap_tol=0.0, floor=-float(len(cubes.pairs)), legacy=cubes.all_pairs,
+        )  # fmt: skip
+        found = with_bounds(
+            found, lambda value: float(eps**2 * (instance.n_inliers - points_of(-value)))
         )
-        root = matching_translations(problem.source, problem.target, eps)
-        status = search.run([root], cubes.all_pairs)
-        for row in search.trace:
-            for key in ("lower_bound", "upper_bound"):
-                row[key] = float(eps**2 * (instance.n_inliers - points_of(-row[key])))
         pose, extra = self._pose(problem, incumbent.pose, starts, began + limits.time_s)
         return Solution(
-            status,
+            found.status,
             problem.restore(problem.polish(pose) if self.options["polish"] else pose),
-            lower_bound=search.trace[-1]["lower_bound"],
-            upper_bound=search.trace[-1]["upper_bound"],
+            lower_bound=found.lower_bound,
+            upper_bound=found.upper_bound,
             gap_tol=0.0,
             certificate_scope=SCOPE,
-            counters={"n_nodes": search.n_nodes},
-            trace=search.trace,
+            counters={"n_nodes": found.n_nodes},
+            trace=Trace(found.events).rows(),
             extra={"matched_pairs": -incumbent.value, **extra},
         )
 

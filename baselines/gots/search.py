@@ -11,11 +11,12 @@ import time
 import numpy as np
 
 from baselines._shared.cubes import Incumbent, OutOfTimeError
-from baselines.gots.features import FeatureTree, matched_pairs
+from baselines.gots.features import FeatureTree
+from baselines.gots.kernels import matched_pairs
 
 
 class TranslationCubes:
-    """The bound of a cube of translations; the payload is the list of pairs still possible."""
+    """The bound of a cube of translations; its legacy is the list of pairs still possible."""
 
     def __init__(
         self, source: np.ndarray, target: np.ndarray, eps: float, incumbent: Incumbent,
@@ -36,7 +37,7 @@ class TranslationCubes:
         return self._matched(self.all_pairs, translation, 0.0, -1)[1]
 
     def bound(
-        self, centre: np.ndarray, half: float, inherited: float, possible: np.ndarray
+        self, centre: np.ndarray, half: float, possible: np.ndarray
     ) -> tuple[float, np.ndarray]:
         """Minus the most pairs that a translation of the cube may match; improves the incumbent."""
         if time.perf_counter() > self.deadline:

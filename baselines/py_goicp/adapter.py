@@ -40,13 +40,12 @@ class Adapter(Baseline):
         if isinstance(answer, str):
             return Solution(Status.FAILED, None, answer)
         rotation, translation = np.array(answer["rotation"]), np.array(answer["translation"])
-        pose = rigid_pose(
-            homogeneous(1.0, rotation, unit * translation + origin_target)
-        )  # its single-precision rotation made proper before it turns the origin
-        if pose is None:
+        # the single-precision rotation is made proper before it turns the origin
+        found = rigid_pose(homogeneous(1.0, rotation, unit * translation + origin_target))
+        if found is None:
             return Solution(Status.FAILED, None, "py_goicp returned a pose that is not finite")
-        pose[:3, 3] -= pose[:3, :3] @ origin_source
-        return Solution(Status.CONVERGED, pose)
+        found[:3, 3] -= found[:3, :3] @ origin_source
+        return Solution(Status.CONVERGED, found)
 
 
 def trim_fraction(n_kept: int, n: int) -> float:

@@ -41,6 +41,7 @@ class Adapter(Baseline):
         )
         search = Search(reduced, settings, budget)
         search.run()
+        assert search.status is not None
         return Solution(
             search.status,
             reduced.pose(),

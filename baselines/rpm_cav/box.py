@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._shared.concave import N_STATISTICS, Clouds, Incumbent, Support, least_linear
+from baselines._shared.concave import Clouds, Incumbent, Support
+from baselines._shared.kernels.statistics import N_STATISTICS, least_linear
 from baselines.contract import Instance
 from baselines.rpm_cav.kernels import bound_simplex
 from baselines.rpm_cav.search import root_simplex

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._shared.concave import concave, least_linear, statistics
+from baselines._shared.kernels.statistics import concave, least_linear, statistics
 from dcreg.kernels.compiling import jit
 
 

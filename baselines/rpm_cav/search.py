@@ -8,15 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from baselines._shared.concave import (
-    N_STATISTICS,
-    Coordinates,
-    History,
-    OutOfTimeError,
-    Reduced,
-    Support,
-    least_linear,
-)
+from baselines._shared.concave import Coordinates, History, OutOfTimeError, Reduced, Support
+from baselines._shared.kernels.statistics import N_STATISTICS, least_linear
 from baselines.rpm_cav.kernels import bound_children, bound_simplex, values_at
 from dcreg.search import Budget
 from dcreg.status import Status
@@ -64,7 +57,7 @@ class OpenSimplices:
 
     def pop(self, count: int, cutoff: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Up to `count` best simplices whose bound lies below `cutoff`."""
-        taken = []
+        taken: list[tuple[float, int, int]] = []
         while self._heap and len(taken) < count and self._heap[0][0] < cutoff:
             taken.append(heapq.heappop(self._heap))
         slots = [slot for _, _, slot in taken]

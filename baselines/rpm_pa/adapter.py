@@ -29,6 +29,7 @@ class Adapter(Baseline):
         )
         search = Search(reduced, Settings(gap_tol / reduced.area, self.options["epsilon0"]), budget)
         search.run()
+        assert search.status is not None
         return Solution(
             search.status,
             reduced.pose(),

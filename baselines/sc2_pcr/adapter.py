@@ -6,8 +6,9 @@ import time
 
 import numpy as np
 
-from baselines._shared.consistency import consistency_graph, length_differences, vote_scale
+from baselines._shared.consistency import length_differences, vote_scale
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
+from baselines._shared.kernels.lengths import consistency_graph
 from baselines._shared.poses import homogeneous
 from baselines.contract import Instance, Limits
 from baselines.sc2_pcr.consensus import best_pose, choose_seeds, leading_eigenvector, refine

@@ -5,11 +5,10 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numba import njit
 
-from baselines._shared.cliques import count_bits, has_bit
-from baselines._shared.ransac import count_within
+from baselines._shared.kernels.samples import count_within
 from baselines._shared.robust import squared_residuals
+from baselines.sc2_pcr.kernels import common_neighbours, submatrix
 from dcreg.local import fit_pose
 
 POWER_ITERATIONS = 10
@@ -42,30 +41,6 @@ def choose_seeds(
             seeds.append(int(i))
             free &= ((source - source[i]) ** 2).sum(axis=1) > radius**2
     return np.array(seeds)
-
-
-@njit(cache=True)
-def common_neighbours(rows, i):
-    """For every neighbour of i, how many neighbours they share; 0 for the others."""
-    n = len(rows)
-    counts = np.zeros(n, dtype=np.int64)
-    for j in range(n):
-        if has_bit(rows[i], j):
-            for w in range(rows.shape[1]):
-                counts[j] += count_bits(rows[i, w] & rows[j, w])
-    return counts
-
-
-@njit(cache=True)
-def submatrix(rows, members):
-    """Adjacency among `members`, 1 on the diagonal."""
-    k = len(members)
-    matrix = np.eye(k)
-    for a in range(k):
-        for b in range(a):
-            if has_bit(rows[members[a]], members[b]):
-                matrix[a, b] = matrix[b, a] = 1.0
-    return matrix
 
 
 def best_pose(

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines._shared.cliques import Clique, maximum_clique
-from baselines._shared.consistency import consistency_graph, vote_scale, vote_translation
+from baselines._shared.consistency import vote_scale, vote_translation
+from baselines._shared.kernels.lengths import consistency_graph
 from baselines._shared.poses import homogeneous
 from baselines._shared.robust import gnc_rotation
 

@@ -54,7 +54,7 @@ def branch_and_bound(
     budget : Budget
         Its listener is told of every round; what is left of it ends the search.
     branching : callable
-        Divides B boxes into 2 B.
+        Divides every box into equally many, those of a box next to each other.
     gap_tol : float
         Stop when ``upper_bound - lower_bound <= gap_tol`` (the paper's epsilon).
     refine : callable, optional
@@ -85,7 +85,7 @@ def branch_and_bound(
         if search.status is None:
             lower, upper, inherited = search.select()
             lower, upper = branching(lower, upper)
-            inherited = np.repeat(inherited, 2)
+            inherited = np.repeat(inherited, len(lower) // len(inherited))
     return search.outcome(budget.elapsed() - began)
 
 

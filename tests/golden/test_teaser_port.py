@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from baselines._shared import cliques
-from baselines._shared.consistency import consistency_graph
+from baselines._shared.kernels.lengths import consistency_graph
 from baselines._shared.poses import apply, homogeneous
 from baselines.teaser.pipeline import register
 from workflows.studies.golden import golden_folder, main, pose_difference, read_case, teaser_row

@@ -12,15 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baselines import registry
-from baselines._shared.concave import (
-    Clouds,
-    Incumbent,
-    Reduced,
-    Support,
-    concave,
-    least_linear,
-    statistics,
-)
+from baselines._shared.concave import Clouds, Incumbent, Reduced, Support
+from baselines._shared.kernels.statistics import concave, least_linear, statistics
 from baselines.contract import Instance, Limits
 from baselines.rpm_cav.box import BoxBound
 from baselines.rpm_cav.kernels import bound_simplex, values_at

@@ -15,7 +15,8 @@ from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.robust import refit, squared_residuals
 from baselines._shared.rotation_search import Found, most_correspondences
 from baselines.gore import removal as gore
-from baselines.gore.removal import _arc, _Removing, _rotation_reach, remove_outliers
+from baselines.gore.kernels import arc
+from baselines.gore.removal import _Removing, _rotation_reach, remove_outliers
 from dcreg.local import fit_pose
 
 
@@ -88,7 +89,7 @@ def test_arcs_hold_exactly_the_angles_that_come_near(seed: int, reach: float) ->
     generator = np.random.default_rng(seed)
     axis, x, y = generator.standard_normal((3, 3))
     axis, x, y = (v / np.linalg.norm(v) for v in (axis, x, y))
-    centre, half = _arc(x, y, axis, reach)
+    centre, half = arc(x, y, axis, reach)
     angles = np.linspace(-np.pi, np.pi, 361)
     moved = Rotation.from_rotvec(angles[:, None] * axis).apply(x)
     near = moved @ y >= np.cos(min(reach, np.pi))

@@ -12,16 +12,17 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from baselines._shared.consensus import Consensus
-from baselines._shared.cubes import OCTANTS, Incumbent, OctreeSearch
+from baselines._shared.cubes import OCTANTS, Incumbent, OutOfTimeError, search_cubes
 from baselines._shared.poses import apply, homogeneous
 from baselines._shared.rotation_search import most_correspondences, most_matches
-from baselines.contract import Instance, Limits
+from baselines.contract import Instance
 from baselines.frs import search as frs
 from baselines.goicp import kernels
 from baselines.goicp.adapter import Frame, optimal_translations
 from baselines.goicp.distance import Cells
 from baselines.goicp.search import GoICP, Settings, uncertainty
 from baselines.gots import search as gots
+from dcreg.search import Budget
 from dcreg.status import Status
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -120,7 +121,7 @@ class TestGoICP:
         generator, source, target = clouds(seed)
         problem = GoICP(source, target, settings_for(n_kept), never())
         centre = generator.uniform(-2, 2, 3)
-        bound, _ = problem.bound_cube(centre, half, 0.0, None)
+        bound, _ = problem.bound_cube(centre, half)
         for offset, t in zip(
             generator.uniform(-1, 1, (20, 3)), generator.uniform(-0.4, 0.4, (20, 3)), strict=True
         ):
@@ -146,7 +147,7 @@ class TestGoICP:
     def test_identical_clouds_cost_nothing(self):
         _, source, _ = clouds(3)
         problem = GoICP(source, source.copy(), settings_for(9), never())
-        outcome = problem.run(Limits(time_s=60.0), time.perf_counter())
+        outcome = problem.run(Budget(60.0))
         assert outcome.status is Status.OPTIMAL
         assert outcome.upper_bound == 0.0
 
@@ -215,18 +216,18 @@ class TestFRS:
     def test_bound_of_a_cube_holds_in_it_and_shrinks_with_it(self, seed, half):
         generator, source, target = clouds(seed)
         problem = consensus_of(source, target, 0.05)
-        incumbent = Incumbent(0.0, np.eye(4))
+        incumbent = Incumbent(-problem.count(np.eye(4)), np.eye(4))
         cubes = frs.TranslationCubes(problem, incumbent, 0, never())
         fitted, count = max(problem.starts(8, never()), key=lambda start: start[1])
         centre = fitted[:3, 3] + half * generator.uniform(-1, 1, 3)  # a cube that matters
-        bound, _ = cubes.bound(centre, half, -9.0, None)
+        bound, _ = cubes.bound(centre, half)
         assert bound <= -count
         assert -len(source) <= bound
         for shift in generator.uniform(-1, 1, (5, 3)):
             pose = fitted.copy()
             pose[:3, 3] = centre + half * shift
             assert bound <= -problem.count(pose)
-        child, _ = cubes.bound(centre + half / 2 * OCTANTS[0], half / 2, bound, None)
+        child, _ = cubes.bound(centre + half / 2 * OCTANTS[0], half / 2)
         # The incumbent may lie elsewhere, and counts below its own are not bounded any closer.
         assert child >= min(bound, incumbent.value)
         assert incumbent.value == -problem.count(incumbent.pose)
@@ -263,7 +264,7 @@ class TestGoTS:
         generator, source, target = clouds(seed)
         cubes = gots.TranslationCubes(source, target, eps, Incumbent(0.0, np.zeros(3)), never())
         centre = generator.uniform(-0.5, 0.5, 3)
-        upper = -cubes.bound(centre, half, -99.0, cubes.all_pairs)[0]
+        upper = -cubes.bound(centre, half, cubes.all_pairs)[0]
         kept, _ = cubes._matched(cubes.all_pairs, centre, half, -1)
         assert len(kept) == upper or upper <= -cubes.incumbent.value
         for shift in generator.uniform(-1, 1, (10, 3)):
@@ -294,47 +295,81 @@ class TestGoTS:
         target = (source + t) @ Rotation.from_rotvec([1, 2, 3]).as_matrix().T
         eps, incumbent = 0.004, Incumbent(0.0, np.zeros(3))
         cubes = gots.TranslationCubes(source, target, eps, incumbent, never())
-        search = OctreeSearch(
-            cubes.bound, incumbent, 0.0, Limits(60.0), time.perf_counter(), never(), floor=-36.0
-        )
-        root = gots.matching_translations(source, target, eps)
-        assert search.run([root], cubes.all_pairs) is Status.OPTIMAL
+        found = search_cubes(
+            cubes.bound, gots.matching_translations(source, target, eps), incumbent, Budget(60.0),
+            gap_tol=0.0, floor=-36.0, legacy=cubes.all_pairs,
+        )  # fmt: skip
+        assert found.status is Status.OPTIMAL
         assert incumbent.value == -36
         np.testing.assert_allclose(incumbent.pose, t, atol=10 * eps)
 
 
-class TestOctree:
+class TestCubes:
     @given(SEEDS)
     def test_minimises_a_cone_to_its_tolerance(self, seed):
         generator = np.random.default_rng(seed)
         peak = generator.uniform(-1, 1, 3)
         incumbent = Incumbent()
 
-        def bound(centre, half, inherited, payload):
+        def bound(centre, half, legacy):
             distance = float(np.linalg.norm(centre - peak))
             incumbent.offer(distance, centre)
             return max(distance - np.sqrt(3) * half, 0.0), None
 
-        search = OctreeSearch(bound, incumbent, 0.01, Limits(60.0), time.perf_counter(), never())
-        assert search.run([(np.zeros(3), 1.0)]) is Status.OPTIMAL
-        assert incumbent.value - search.lower_bound <= 0.01
-        assert search.lower_bound <= 1e-12
+        found = search_cubes(bound, (np.zeros(3), 1.0), incumbent, Budget(60.0), gap_tol=0.01)
+        assert found.status is Status.OPTIMAL
+        assert incumbent.value == found.upper_bound
+        assert found.upper_bound - found.lower_bound <= 0.01
+        assert found.lower_bound <= 1e-12
 
     @pytest.mark.parametrize(
-        ("limits", "status"),
+        ("budget", "status"),
         [
-            (Limits(60.0, nodes=20), Status.NODE_LIMIT),
-            (Limits(60.0, memory_mb=0), Status.MEMORY_LIMIT),
-            (Limits(0.0), Status.TIME_LIMIT),
+            (lambda: Budget(60.0, nodes=20), Status.NODE_LIMIT),
+            (lambda: Budget(60.0, memory_mb=0), Status.MEMORY_LIMIT),
+            (lambda: Budget(0.0), Status.TIME_LIMIT),
         ],
     )
-    def test_stops_at_limits_with_a_valid_bound(self, limits, status):
-        incumbent = Incumbent(1.0, None)
-        began = time.perf_counter()
-        search = OctreeSearch(
-            lambda centre, half, inherited, payload: (0.5 - half / 10, None),
-            incumbent, 1e-6, limits, began, began + limits.time_s,
+    def test_stops_at_limits_with_a_valid_bound(self, budget, status):
+        found = search_cubes(
+            lambda centre, half, legacy: (0.5 - half / 10, None), (np.zeros(3), 1.0),
+            Incumbent(1.0, None), budget(), gap_tol=1e-6,
         )  # fmt: skip
-        assert search.run([(np.zeros(3), 1.0)]) is status
-        assert 0.0 <= search.lower_bound <= 0.5
-        assert search.trace[-1]["kind"] == "end"
+        assert found.status is status
+        assert 0.0 <= found.lower_bound <= 0.5
+        assert found.events[-1].kind == "end"
+
+    def test_a_bound_out_of_time_leaves_its_cubes_the_bound_of_their_parent(self):
+        budget, asked = Budget(0.5), []
+
+        def bound(centre, half, legacy):
+            asked.append(half)
+            if len(asked) == 4:
+                while not budget.is_over:
+                    time.sleep(0.01)
+                raise OutOfTimeError
+            return -7.0 if half == 1.0 else -6.0, None
+
+        found = search_cubes(
+            bound, (np.zeros(3), 1.0), Incumbent(0.0), budget, gap_tol=0.0, floor=-9.0
+        )
+        assert found.status is Status.TIME_LIMIT
+        assert (found.lower_bound, found.upper_bound) == (-7.0, 0.0)
+        assert asked == [1.0, 0.5, 0.5, 0.5]
+
+    @pytest.mark.parametrize("memory_mb", [None, 0.02])
+    def test_parts_get_what_their_cube_hands_on_as_far_as_memory_goes(self, memory_mb):
+        everything, fulls = np.zeros(1000), []
+
+        def bound(centre, half, legacy):
+            fulls.append(legacy is everything)
+            if legacy is not everything:
+                assert (np.abs(centre - legacy[:3]) < legacy[3]).all()  # within its own parent
+            return 0.5 - half, np.array([*centre, half, *np.zeros(996)])
+
+        search_cubes(
+            bound, (np.zeros(3), 1.0), Incumbent(1.0), Budget(60.0, 200, memory_mb),
+            gap_tol=0.0, legacy=everything,
+        )  # fmt: skip
+        # nothing was learnt of the root's parent; with memory for one, all but the first go without
+        assert fulls.count(True) == 1 if memory_mb is None else fulls.count(True) > 100

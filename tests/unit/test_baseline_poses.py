@@ -244,4 +244,4 @@ def test_the_pose_fit_is_the_library_s() -> None:
         for path in registry.ROOT.rglob("*.py")
         if "linalg.svd" in path.read_text()
     }
-    assert users == {"_shared/poses.py", "_shared/ransac.py", "_shared/concave.py"}
+    assert users == {"_shared/poses.py", "_shared/kernels/samples.py", "_shared/concave.py"}

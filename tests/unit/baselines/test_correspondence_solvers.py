@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from baselines import registry
 from baselines._shared import cliques
-from baselines._shared.cliques import degeneracy, maximum_clique, pack
-from baselines._shared.consistency import consistency_graph, vote, vote_scale
+from baselines._shared.cliques import maximum_clique, pack
+from baselines._shared.consistency import vote, vote_scale
+from baselines._shared.kernels.graphs import degeneracy
+from baselines._shared.kernels.lengths import consistency_graph
 from baselines._shared.poses import apply, homogeneous
 from baselines._shared.ransac import ransac
 from baselines._shared.robust import gnc_pose

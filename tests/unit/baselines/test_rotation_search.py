@@ -15,13 +15,13 @@ def test_solves_compile_nothing_after_the_warm_up(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Otherwise the first solve that needs the search takes seconds beyond any limit."""
-    compiled, runs = rotation_search._search, []
+    compiled, runs = rotation_search.divide_cubes, []
 
     def counted(*arguments: object) -> int:
         runs.append(name)
         return compiled(*arguments)
 
-    monkeypatch.setattr(rotation_search, "_search", counted)
+    monkeypatch.setattr(rotation_search, "divide_cubes", counted)
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (2, 20, 3))
     instance = Instance("random", *points, "rigid3d", 12, (1, 1), 0.04, 0)
     method = registry.load(name)

@@ -1,0 +1,136 @@
+"""Compiled bounds by intervals of angles: see `baselines.gore.removal`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+# For rounding, of cosines and of angles at which intervals end.
+COSINE_MARGIN = 1e-14
+ANGLE_MARGIN = 1e-7
+NEXT, LEFT, MOST, BEST, CHANGED = range(5)  # places in the integer state of the intervals
+
+
+@njit(cache=True)
+def directions(source, target, tolerance):
+    """Unit vectors, and the largest angle between R x_i and y_i that the tolerance allows."""
+    n = len(source)
+    x, y = np.zeros((n, 3)), np.zeros((n, 3))
+    spread = np.empty(n)
+    for i in range(n):
+        a, b = np.sqrt((source[i] ** 2).sum()), np.sqrt((target[i] ** 2).sum())
+        if a > 0:
+            x[i] = source[i] / a
+        if b > 0:
+            y[i] = target[i] / b
+        if a <= tolerance or b <= tolerance:
+            spread[i] = np.pi  # near the origin every rotation may do
+        else:
+            cosine = (a**2 + b**2 - tolerance**2) / (2 * a * b)
+            spread[i] = np.arccos(min(1.0, max(-1.0, cosine - COSINE_MARGIN)))
+    return x, y, spread
+
+
+@njit(cache=True)
+def drop_by_arcs(x, y, spread, wanted, alive, rotation, state, budget):
+    """Whether it came to the end; pauses after `budget` arcs."""
+    n = len(x)
+    starts, ends = np.empty(2 * n), np.empty(2 * n)
+    while True:
+        for k in range(state[NEXT], n):
+            if budget <= 0:
+                state[NEXT] = k
+                return False
+            if not alive[k]:
+                continue
+            if spread[k] >= np.pi / 2:  # tells nothing of the rotation
+                state[MOST] = max(state[MOST], state[LEFT])
+                continue
+            align = _rotation_between(x[k], y[k])
+            always, count = 1, 0
+            for i in range(n):
+                if i == k or not alive[i]:
+                    continue
+                centre, half = arc(align @ x[i], y[i], y[k], spread[i] + spread[k])
+                if half >= np.pi:
+                    always += 1
+                elif half >= 0:
+                    low = (centre - half) % (2 * np.pi)
+                    high = low + 2 * half
+                    starts[count], ends[count] = low, min(high, 2 * np.pi)
+                    count += 1
+                    if high > 2 * np.pi:
+                        starts[count], ends[count] = 0.0, high - 2 * np.pi
+                        count += 1
+            budget -= state[LEFT]
+            stabbed, angle = _stab(np.sort(starts[:count]), np.sort(ends[:count]))
+            reach = always + stabbed
+            if reach > state[BEST]:
+                state[BEST] = reach
+                rotation[:] = _about(y[k], angle) @ align
+            if reach < wanted:
+                alive[k] = False
+                state[LEFT] -= 1
+                state[CHANGED] = 1
+            else:
+                state[MOST] = max(state[MOST], reach)
+        if not state[CHANGED]:
+            return True
+        state[NEXT] = state[MOST] = state[CHANGED] = 0
+
+
+@njit(cache=True)
+def arc(x, y, axis, reach):
+    """Angles about `axis` by which x comes within `reach` of y: centre and half width.
+
+    Half width pi for all angles, -1 for none.
+    """
+    a, b = np.dot(x, axis), np.dot(y, axis)
+    across = np.sqrt(max(0.0, 1 - a * a) * max(0.0, 1 - b * b))
+    if reach >= np.pi:
+        return 0.0, np.pi
+    needed = np.cos(reach) - a * b - COSINE_MARGIN
+    if needed > across:
+        return 0.0, -1.0
+    if needed <= -across or across < 1e-6:  # too near the axis to tell one angle from another
+        return 0.0, np.pi
+    centre = np.arctan2(np.dot(np.cross(x, y), axis), np.dot(x, y) - a * b)
+    return centre, min(np.pi, np.arccos(needed / across) + ANGLE_MARGIN)
+
+
+@njit(cache=True)
+def _stab(starts, ends):
+    """Most closed intervals with a common point, given sorted ends, and the middle of one best."""
+    best, where, inside, e = 0, 0.0, 0, 0
+    for s in range(len(starts)):
+        while ends[e] < starts[s]:
+            inside -= 1
+            e += 1
+        inside += 1
+        if inside > best:
+            best, where = inside, (starts[s] + ends[e]) / 2
+    return best, where
+
+
+@njit(cache=True)
+def _about(axis, angle):
+    """Rotation about a unit axis."""
+    s, c = np.sin(angle), np.cos(angle)
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + s * cross + (1 - c) * (cross @ cross)
+
+
+@njit(cache=True)
+def _rotation_between(x, y):
+    """The least rotation from unit vector x to unit vector y."""
+    cosine = np.dot(x, y)
+    if cosine < -1 + 1e-12:  # half a turn about any axis across x
+        least = np.argmin(np.abs(x))
+        other = np.zeros(3)
+        other[least] = 1.0
+        axis = np.cross(x, other)
+        return _about(axis / np.sqrt((axis**2).sum()), np.pi)
+    v = np.cross(x, y)
+    cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    return np.eye(3) + cross + (cross @ cross) / (1 + cosine)

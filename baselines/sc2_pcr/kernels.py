@@ -1,0 +1,32 @@
+"""Compiled counts of common neighbours: see `baselines.sc2_pcr.consensus`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from baselines._shared.kernels.graphs import count_bits, has_bit
+
+
+@njit(cache=True)
+def common_neighbours(rows, i):
+    """For every neighbour of i, how many neighbours they share; 0 for the others."""
+    n = len(rows)
+    counts = np.zeros(n, dtype=np.int64)
+    for j in range(n):
+        if has_bit(rows[i], j):
+            for w in range(rows.shape[1]):
+                counts[j] += count_bits(rows[i, w] & rows[j, w])
+    return counts
+
+
+@njit(cache=True)
+def submatrix(rows, members):
+    """Adjacency among `members`, 1 on the diagonal."""
+    k = len(members)
+    matrix = np.eye(k)
+    for a in range(k):
+        for b in range(a):
+            if has_bit(rows[members[a]], members[b]):
+                matrix[a, b] = matrix[b, a] = 1.0
+    return matrix
