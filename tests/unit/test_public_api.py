@@ -1,6 +1,8 @@
 """What `dcreg` offers by name: complete, documented, and loaded only when it is used."""
 
 import ast
+import doctest
+import importlib
 import inspect
 import subprocess
 import sys
@@ -149,3 +151,21 @@ def test_formats_of_the_command_line_are_those_of_the_readers():
 
     assert f"Files: {' '.join(READERS)}." in register.__doc__
     assert f"A ``{' '.join(READERS)}`` file" in dcreg.read_points.__doc__
+
+
+# --- examples ---------------------------------------------------------------------------------------
+
+EXAMPLES = [path for path in sorted(PACKAGE.rglob("*.py")) if ">>> " in path.read_text("utf-8")]
+
+
+def test_the_main_functions_have_examples():
+    names_of_modules = {path.stem for path in EXAMPLES}
+    assert {"registration", "sweeping", "verification"} <= names_of_modules
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_examples_of_docstrings_hold(path):
+    module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+    found = doctest.testmod(importlib.import_module(module))
+    assert found.attempted
+    assert not found.failed
