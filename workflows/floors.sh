@@ -16,7 +16,7 @@ END
 echo "floors: $floors"
 # shellcheck disable=SC2086
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check $floors \
-  pytest pytest-timeout hypothesis
+  pytest pytest-timeout hypothesis pydantic pyyaml pooch  # the last three draw the shapes of the tests
 NUMBA_CACHE_DIR=$venv/numba "$venv/bin/python" -m pytest -q -p no:cacheprovider \
   tests/golden/test_golden.py tests/unit/test_registration.py tests/unit/test_rigid.py \
   tests/unit/test_search.py
