@@ -37,7 +37,9 @@ _MAX_POINTS = 20_000
 def plot_registration(
     source: np.ndarray, target: np.ndarray, result: Result, path: str | Path
 ) -> None:
-    """Write a self-contained page (plotly.js inside, no network needed).
+    """Write a page with the clouds before and after, their pairs, and the bounds against time and work.
+
+    The page needs no network: plotly.js is written into it.
 
     Parameters
     ----------

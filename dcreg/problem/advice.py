@@ -15,6 +15,15 @@ _OPERATIONS_PER_SECOND = 1e9
 def advice(problem: Problem) -> Iterator[str]:
     """Warnings and hints, one line each; none where nothing looks odd.
 
+    Parameters
+    ----------
+    problem : Problem
+
+    Yields
+    ------
+    str
+        Beginning with ``warning:`` or ``hint:``.
+
     Examples
     --------
     >>> import numpy as np, dcreg

@@ -53,7 +53,12 @@ class Event:
 
 @dataclass
 class Trace:
-    """Ordered events of one run."""
+    """Bound history of one run; iterating gives its events in order.
+
+    Attributes
+    ----------
+    events : list of Event
+    """
 
     events: list[Event] = field(default_factory=list)
 
