@@ -13,7 +13,7 @@ author = "The dcreg contributors"
 copyright = "2026, the dcreg contributors"
 release = version = __version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "listings"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "mathml", "listings"]
 exclude_patterns = ["_extensions", "images"]
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
@@ -23,13 +23,11 @@ myst_heading_anchors = 3
 nitpicky = True
 nitpick_ignore_regex = [(r"py:.*", r"(?!dcreg\.).*")]
 default_role = "py:obj"
+smartquotes = False
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings state types, shapes and units
-autodoc_class_signature = "separated"
-napoleon_google_docstring = False
-napoleon_use_ivar = True
-napoleon_use_rtype = False
+numpydoc_show_class_members = False  # autodoc lists them
 python_maximum_signature_line_length = 80
 
 html_theme = "furo"
@@ -42,3 +40,12 @@ html_theme_options = {
 }
 html_show_sourcelink = False
 html_copy_source = False
+
+
+def without_results(app, what, name, obj, options, signature, annotation):
+    """What states attributes instead of parameters comes back from a call and is not built by hand."""
+    return ("", None) if what == "class" and "\n    Attributes\n" in (obj.__doc__ or "") else None
+
+
+def setup(app):
+    app.connect("autodoc-process-signature", without_results)

@@ -20,16 +20,15 @@ class BallBound(SpaceBound[Similarity2D]):
         space, k = self.space, self.space.n_inliers
         centres, halves = 0.5 * (lower + upper), 0.5 * (upper - lower)
         found = Evaluation(np.empty(len(lower)), centres, np.empty(len(lower)))
-        length = np.linalg.norm(space.source, axis=1)
+        length, target = np.linalg.norm(space.source, axis=1), space.points.target.T
         for box, (centre, half) in enumerate(zip(centres, halves, strict=True)):
             T = space.pose(centre)
             moved = space.source @ T[:2, :2].T + T[:2, 2]
-            distance = np.linalg.norm(moved[:, None] - space.target[None], axis=2)
+            distance = np.linalg.norm(moved[:, None] - target[None], axis=2)
             reach = np.hypot(half[0], half[1]) * length + np.hypot(half[2], half[3])
             nearest = np.maximum(0.0, distance - reach[:, None])
             found.lower_bounds[box] = k_assignment(nearest**2, k)[0]
-            found.values[box] = k_assignment(distance**2, k)[0]
-            self.n_assignments += 2
+        self.n_assignments += len(lower) + space.objectives(centres, found.values)
         return found
 
 

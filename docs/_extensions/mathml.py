@@ -3,15 +3,17 @@
 from docutils import nodes
 from docutils.utils.math import latex2mathml
 
-# Bars are fences here, never binary operators: without the space of those.
+# Bars are fences here, never binary operators: without the space of those. Braces keep their size.
 _BARS = ('<mo class="mathopen">|</mo>', '<mo stretchy="false">|</mo>', "<mo>|</mo>")
-_FENCE = '<mo lspace="0" rspace="0" stretchy="false">|</mo>'
+_REPLACED = {bar: '<mo lspace="0" rspace="0" stretchy="false">|</mo>' for bar in _BARS} | {
+    f"<mo>{brace}</mo>": f'<mo stretchy="false">{brace}</mo>' for brace in "{}"
+}
 
 
 def mathml(formula: str, as_block: bool = False) -> str:
     markup = latex2mathml.tex2mathml(formula, as_block)
-    for bar in _BARS:
-        markup = markup.replace(bar, _FENCE)
+    for old, new in _REPLACED.items():
+        markup = markup.replace(old, new)
     return markup
 
 

@@ -226,6 +226,7 @@ def test_lock_files_pin_every_direct_dependency():
 def test_notices_name_every_direct_dependency():
     names = direct_dependencies()
     rows = re.findall(r"^\| ([\w.-]+) \|", text_of(ROOT / "THIRD_PARTY_NOTICES.md"), re.M)
+    rows = [row for row in rows if row != "package"]
     assert len(names) > 20
     assert names == {row.lower() for row in rows}
 
