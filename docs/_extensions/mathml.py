@@ -5,7 +5,7 @@ from docutils.utils.math import latex2mathml
 
 # Bars are fences here, never binary operators: without the space of those. Braces keep their size.
 _BARS = ('<mo class="mathopen">|</mo>', '<mo stretchy="false">|</mo>', "<mo>|</mo>")
-_REPLACED = {bar: '<mo lspace="0" rspace="0" stretchy="false">|</mo>' for bar in _BARS} | {
+_REPLACED = dict.fromkeys(_BARS, '<mo lspace="0" rspace="0" stretchy="false">|</mo>') | {
     f"<mo>{brace}</mo>": f'<mo stretchy="false">{brace}</mo>' for brace in "{}"
 }
 
