@@ -120,7 +120,7 @@ def register(
     )  # fmt: skip
     if gap_tol is None:
         gap_tol = default_gap_tol(problem.source, problem.target, problem.n_inliers)
-    warm_up_mode(way, bound)
+    warm_up_mode(way, bound, problem.candidates is not None)
     time_setup = time.perf_counter() - began
 
     frame = Frame.of(problem)

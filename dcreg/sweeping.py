@@ -115,7 +115,7 @@ def sweep(
         gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
     )  # fmt: skip
-    warm_up_mode(mode, bound)
+    warm_up_mode(mode, bound, problems[0].candidates is not None)
     time_setup = time.perf_counter() - began
     area = Frame.of(problems[0]).area
     budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(listener, area))

@@ -1,43 +1,99 @@
-"""Compile kernels before they are needed."""
+"""Compile kernels before they are needed. ``python -m dcreg.warm_up`` compiles all of them."""
 
 from __future__ import annotations
 
 import functools
+import logging
+import multiprocessing
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
+from dcreg.kernels.compiling import forget_old_kernels, when_compiling
 from dcreg.local import polish
 from dcreg.local.sampled_rotation import search_sampled_rotation
 from dcreg.local.sparse import sparse_matching
-from dcreg.modes import MODES, Mode, Task
+from dcreg.modes import MODES, Mode, Task, find_mode
 from dcreg.search import Budget
 
+_LOGGER = logging.getLogger("dcreg")
+_MESSAGE = "compiling the kernels that this search needs; once, they are kept for later runs"
 
-def warm_up() -> None:
-    """Compile every kernel into the on-disk cache, so that no later process waits for it."""
-    for mode in MODES:
-        for bound in ("tight", "paper", "edges") if mode.takes_bound else (None,):
-            warm_up_mode(mode, bound)
-        if mode.model == "similarity2d":
-            warm_up_mode(mode, "termwise")
-    points = np.random.default_rng(0).standard_normal((20, 3))
-    search_sampled_rotation(points, points, 20, gap_tol=0.0, budget=Budget())
-    sparse_matching(points, points, 15)
+
+def warm_up(processes: int = 1) -> None:
+    """Compile every kernel into the on-disk cache, so that no later process waits for it.
+
+    Kernels of earlier versions of the library are removed from it.
+
+    Parameters
+    ----------
+    processes : int
+        Processes that share the work. More than one takes less time, and more of the processor,
+        since some kernels are then compiled more than once.
+    """
+    forget_old_kernels()
+    works = list(_works())
+    if processes == 1:
+        for work in works:
+            work()
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, context) as pool:
+        for done in [pool.submit(work) for work in works]:
+            done.result()
+
+
+def _works() -> Iterator[functools.partial[None]]:
+    """All there is to compile, in parts that have little in common."""
+    for mode in sorted(MODES, key=lambda mode: mode.name):  # the dearest first
+        bounds = (None, "tight-exact", "paper", "edges", "termwise")
+        yield functools.partial(
+            _compile_mode, mode.model, mode.name, bounds if mode.takes_bound else (None,)
+        )
+
+
+def _compile_mode(model: str, name: str, bounds: tuple[str | None, ...]) -> None:
+    for bound in bounds:
+        for restricted in (False, True):
+            warm_up_mode(find_mode(model, name), bound, restricted)
+    if model == "rigid3d" and name == "paper":
+        points = np.random.default_rng(0).standard_normal((20, 3))
+        search_sampled_rotation(points, points, 20, gap_tol=0.0, budget=Budget())
+        sparse_matching(points, points, 15)
 
 
 @functools.cache
-def warm_up_mode(mode: Mode, bound: str | None) -> None:
-    """Compile (or load from cache) every kernel of a mode on a tiny problem, once a process."""
+def warm_up_mode(mode: Mode, bound: str | None, restricted: bool = False) -> None:
+    """Compile (or load from cache) the kernels that a mode and a bound need, once a process.
+
+    They are those that a search of a tiny problem meets. Where one of them has to be compiled, a record
+    of level INFO goes to the logger ``dcreg`` first.
+
+    Parameters
+    ----------
+    mode : Mode
+    bound : str or None
+        None: the mode's own.
+    restricted : bool
+        Whether not every pair is feasible.
+    """
     generator = np.random.default_rng(0)
     dim = 2 if mode.model == "similarity2d" else 3
     scale_range = (0.5, 1.5) if dim == 2 else (1.0, 1.0)
     points = generator.standard_normal((8, dim))
     moved = points[:, ::-1].copy()
-    for n_inliers in (6, 8):  # both assignment solvers
+    candidates = ~np.eye(8, dtype=bool) if restricted else None
+    with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
         mode.run(
             Task(
-                points, moved, n_inliers, scale_range, None, bound or mode.own_bound, False, 0.5, 1,
+                points, moved, 6, scale_range, candidates, bound or mode.own_bound, False, 0.5, 1,
                 Budget(nodes=8),
             )
         )  # fmt: skip
-        polish(points, moved, np.eye(dim + 1), n_inliers, scale_range)
+        polish(points, moved, np.eye(dim + 1), 6, scale_range, candidates)
+
+
+if __name__ == "__main__":
+    warm_up(processes=min(len(MODES), os.cpu_count() or 1))

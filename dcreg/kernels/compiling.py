@@ -8,15 +8,17 @@ different sources run side by side.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numba as nb
-from numba.core import caching, config
+from numba.core import caching, config, event
 from numba.misc.appdirs import AppDirs
 
 HERE = Path(__file__).parent
@@ -25,7 +27,7 @@ _PREFIX = "kernels-"
 
 @functools.cache
 def digest_of(package: Path) -> str:
-    """Digest of the library's kernels and of the files in `package` that compile functions of their own."""
+    """Digest of the library's kernels, and of the files in `package` that compile others with them."""
     sources = set(HERE.rglob("*.py"))
     if package not in HERE.parents:
         sources |= {path for path in package.rglob("*.py") if __name__ in path.read_text("utf-8")}
@@ -66,10 +68,25 @@ def _is_writable(folder: Path) -> bool:
     return os.access(folder, os.W_OK)
 
 
-def is_compiled(function: Any) -> bool:
-    """Whether the cache on disk holds machine code of a kernel."""
-    folder = cache_folder(Path(function.py_func.__code__.co_filename))
-    return folder is not None and any(folder.glob(f"*.{function.py_func.__qualname__}-*.nbi"))
+class _FirstCompilation(event.Listener):
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell: Callable[[], None] | None = tell
+
+    def on_start(self, event: event.Event) -> None:
+        tell, self._tell = self._tell, None
+        if tell is not None:
+            tell()
+
+    def on_end(self, event: event.Event) -> None:
+        pass
+
+
+def when_compiling(tell: Callable[[], None]) -> contextlib.AbstractContextManager[Any]:
+    """A context in which `tell` is called before a kernel is compiled for the first time.
+
+    Kernels that lie in the cache are loaded without a word.
+    """
+    return event.install_listener("numba:compile", _FirstCompilation(tell))
 
 
 def forget_old_kernels() -> None:
@@ -100,7 +117,7 @@ class _Locator(caching._CacheLocator):
 
 
 class _CacheImpl(caching.CompileResultCacheImpl):
-    _locator_classes = [_Locator]
+    _locator_classes = (_Locator,)
 
 
 class _Cache(caching.FunctionCache):
@@ -121,7 +138,7 @@ def _compiled(**options: Any) -> Any:
 
 
 jit: Any = _compiled()
-# For a part of one kernel: compiled as if it stood there, which takes less time than a function of its own.
+# For a part of one kernel: compiled as if it stood there, in less time than as a function of its own.
 jit_part: Any = _compiled(inline="always")
 # For reductions over finite numbers whose order is free: lets the compiler vectorise a minimum.
 jit_reduction: Any = _compiled(fastmath={"nnan", "nsz", "reassoc"})

@@ -46,7 +46,8 @@ def features(space: FeatureSpace, theta: np.ndarray) -> np.ndarray:
 def costs(space: FeatureSpace, theta: np.ndarray) -> np.ndarray:
     """(n, m) squared distances of features at `theta`."""
     moved = features(space, theta)
-    return ((moved[:, None, :] - space.target_features.T[None]) ** 2).sum(axis=-1)
+    target = np.atleast_2d(space.points.target)  # points by axis, or norms
+    return ((moved[:, None, :] - target.T[None]) ** 2).sum(axis=-1)
 
 
 def objective(space: FeatureSpace, theta: np.ndarray) -> float:

@@ -6,8 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dcreg.kernels import assignment as kernels
-from dcreg.kernels.selection import greatest, least, smallest_sum
+from dcreg.kernels.assignment import dense as kernels
+from dcreg.kernels.assignment.selection import (
+    kth_smallest,
+    least,
+    place_of_least,
+    smallest_sum,
+    sum_of_smallest,
+)
 from dcreg.local.assignment import k_assignment, pairs_of
 from tests.oracles import kernels as reference
 
@@ -72,9 +78,9 @@ def test_any_starting_prices_lead_to_the_optimum(case, seed, spread):
 
 
 @given(arrays(np.float64, st.integers(1, 40), elements=st.floats(allow_nan=False)))
-def test_least_and_greatest_of_any_numbers(values):
+def test_least_of_any_numbers(values):
     assert least(values) == values.min()
-    assert greatest(values) == values.max()
+    assert place_of_least(values) == values.argmin()
 
 
 @given(st.integers(1, 40), st.integers(0, 2**32 - 1), st.booleans())
@@ -85,6 +91,8 @@ def test_smallest_sum_equals_sorting(n, seed, ties):
     level, spacing = generator.normal(0.0, 5.0), generator.choice([0.0, 1e-6, 1.0])
     found, _ = smallest_sum(values, k, level, spacing)
     assert found == pytest.approx(np.sort(values)[:k].sum(), abs=1e-9)
+    assert sum_of_smallest(values, k) == pytest.approx(np.sort(values)[:k].sum(), abs=1e-9)
+    assert kth_smallest(values, k - 1) == np.sort(values)[k - 1]
 
 
 @pytest.mark.parametrize("k", [0, 4])

@@ -13,7 +13,6 @@ import dcreg
 from dcreg import certificate
 from dcreg.bounds import BOUNDS, RigidBound, RotationBound, make_bound
 from dcreg.certificate.verification import verify
-from dcreg.kernels import vertices
 from dcreg.local import fit_pose, objective
 from dcreg.problem import InputError, Problem
 from dcreg.search import Box
@@ -73,9 +72,7 @@ def test_bounds_hold_for_the_feasible_pairs(seed, name):
             features = y if dim == 2 else np.linalg.norm(y, axis=1, keepdims=True)
             true = least(((moved[:, None] - features[None]) ** 2).sum(-1), mask, k)
             assert bound <= true + 1e-9
-            value, col_of = vertices.objective(
-                model.kind, model.source, model.target_features, k, theta
-            )
+            value, col_of = model.objective(theta)
             assert value == pytest.approx(true, abs=1e-9)
             assert mask[np.flatnonzero(col_of >= 0), col_of[col_of >= 0]].all()
 

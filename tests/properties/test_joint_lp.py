@@ -9,7 +9,7 @@ from scipy.optimize import linprog
 
 from dcreg.bounds import make_bound
 from dcreg.bounds.termwise_lp import TermwiseR3
-from dcreg.kernels import termwise
+from dcreg.kernels.termwise import plane
 from dcreg.search import Box, LongestEdge
 from tests.problems import models_with_boxes
 
@@ -59,14 +59,14 @@ def plain_programme(model, box):
 
     cost = np.zeros(at[-1])
     cost[p], cost[s], cost[v] = planes[-1], k, -2.0
-    for index, (f, a, b, c) in enumerate(termwise.TRILINEAR):
+    for index, (f, a, b, c) in enumerate(plane.TRILINEAR):
         if a == b:
             square(w[index], t[a])
         else:
             product(w[index], t[a], t[b])
         product(z[index], g[f], w[index])
         cost[z[index]] = c
-    for index, (f, a) in enumerate(termwise.BILINEAR):
+    for index, (f, a) in enumerate(plane.BILINEAR):
         product(v[index], g[f], t[a])
     square(s[0], t[2])
     square(s[1], t[3])

@@ -6,8 +6,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dcreg.bounds import make_bound
-from dcreg.kernels.norm_bound import norm_curvature
-from dcreg.kernels.shared import best_linearisation
+from dcreg.kernels.features.linearisation import best_linearisation
+from dcreg.kernels.norm.curvature import norm_curvature
 from dcreg.search import Box, LongestEdge
 from dcreg.spaces import Translation3D
 from tests.oracles import kernels as reference

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dcreg.bounds import RigidBound
-from dcreg.kernels import rigid as kernels
-from dcreg.kernels.assignment import dual_bound, k_assignment
+from dcreg.kernels.assignment.dense import dual_bound, k_assignment
+from dcreg.kernels.space.cayley import vertex_bound
+from dcreg.kernels.space.poses import View, pair_costs, relative_corners
+from dcreg.kernels.space.rigid import bid
 from dcreg.local import objective
 from dcreg.search import Box
 from dcreg.spaces import Rigid3D
@@ -69,26 +71,24 @@ class Parts:
     def __init__(self, model, box):
         self.k = model.n_inliers
         buffer = np.empty((8, 3))
-        count = kernels.relative_corners(box.centre, box.lower, box.upper, buffer)
+        count = relative_corners(box.centre, box.lower, box.upper, buffer)
         self.corners = buffer[:count]
         tangent = np.linalg.norm(self.corners, axis=1).max() if count else np.inf
         self.angle = 2.0 * np.arctan(tangent)
         self.half = box.half_widths[4:]
-        self.moved = model.pose(box.centre)[:3, :3] @ model.source
-        self.shifted = model.target.copy()
-        self.shifted[:3] -= box.centre[4:, None]
-        self.reach = kernels.column_norms(model.source)
+        source, target, prices, k = model.clouds
+        moved = model.pose(box.centre)[:3, :3] @ source
+        reach, shifted = np.linalg.norm(source, axis=0), target - box.centre[4:, None]
+        self.view = View(moved, reach, shifted, prices, k)
 
     def costs(self):
-        out = np.empty((self.moved.shape[1], self.shifted.shape[1]))
-        kernels.pair_costs(self.moved, self.reach, self.angle, self.shifted, self.half, out)
+        out = np.empty((self.view.moved.shape[1], self.view.shifted.shape[1]))
+        pair_costs(self.view, self.angle, self.half, out)
         return out
 
     def vertex_bound(self, cutoff=np.inf):
         _, col_of = k_assignment(self.costs(), self.k)
-        return kernels.vertex_bound(
-            self.moved, self.shifted, self.corners, self.half, self.k, -1.0, cutoff, col_of
-        )[0]
+        return vertex_bound(self.view, self.corners, self.half, -1.0, cutoff, col_of)[0]
 
 
 @given(problems(), boxes(), st.sampled_from([0.5, 0.95, 1.0, 1.5, 10.0]))
@@ -135,7 +135,7 @@ def test_auction_never_exceeds_the_assignment(problem, box, scale):
     parts = Parts(Rigid3D(*problem), box)
     costs = scale * parts.costs()
     b = np.zeros(costs.shape[1])
-    kernels.bid(costs, parts.k, b)
+    bid(costs, parts.k, b)
     assert (b >= 0.0).all()
     assert dual_bound(costs, parts.k, b) <= k_assignment(costs, parts.k)[0] + 1e-9
 

@@ -10,8 +10,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from dcreg.bounds import RotationBound
-from dcreg.kernels import rotation as kernels
-from dcreg.kernels.assignment import k_assignment, k_assignment_duals
+from dcreg.kernels.assignment.dense import cheapest_pairs
+from dcreg.kernels.space import rotation as kernels
 from dcreg.search import Box, LongestEdge
 from dcreg.spaces import Rotation3D
 from tests.problems import KINDS, cloud
@@ -89,6 +89,11 @@ def facet_boxes(draw, halves=(1.0, 0.5, 0.1, 0.01)):
     )
 
 
+def corners_of(box):
+    corners = np.empty((16, 4))
+    return corners[: kernels.box_corners(box.lower, box.upper, corners)]
+
+
 def evaluate(problem, box, cutoff=np.inf):
     bound = RotationBound(Rotation3D(*problem))
     return bound.evaluate(box.lower[None], box.upper[None], cutoff)
@@ -116,32 +121,33 @@ def test_each_bound_alone_is_below_the_objective(problem, box):
 
 @given(problems(), facet_boxes())
 def test_angular_bound_agrees_with_its_definition(problem, box):
-    source, target, k = problem
-    corners = kernels.box_corners(box.lower, box.upper)
-    angle = kernels.box_angle(box.centre, corners)
-    caps = kernels.cap_costs(kernels.rotation_matrix(box.centre), angle, source.T, target.T)
-    assert k_assignment(caps, k)[0] == pytest.approx(exact_b1(*problem, box), abs=1e-7)
+    space = Rotation3D(*problem)
+    caps, moved = np.empty((space.n_source, space.n_target)), space.matrix(box.centre)
+    angle = kernels.box_angle(box.centre, corners_of(box))
+    kernels.cap_costs(moved @ space.clouds.source, angle, space.clouds, caps)
+    assert cheapest_pairs(caps, problem[2])[0] == pytest.approx(exact_b1(*problem, box), abs=1e-7)
 
 
 @given(problems(), facet_boxes(halves=(0.3, 0.1, 0.01)))
 def test_lifted_bound_decides_like_its_exact_vertices(problem, box):
     """Lazily solved vertices reach any cutoff that B2 reaches and none that it does not."""
-    corners = kernels.box_corners(box.lower, box.upper)
+    corners = corners_of(box)
     if (corners @ corners.T).min() <= 0.0:
         return
     exact = exact_b2(*problem, box)
-    source, target, k = problem[0].T.copy(), problem[1].T.copy(), problem[2]
-    centre = kernels.pair_costs(kernels.rotation_matrix(box.centre), source, target)
-    duals = k_assignment_duals(centre, k)[2]
+    space = Rotation3D(*problem)
+    centre = np.empty((space.n_source, space.n_target))
+    kernels.pair_costs(space.matrix(box.centre), space.clouds, centre)
+    duals = cheapest_pairs(centre, problem[2])[2]
     for cutoff in (exact - 1e-7, exact + 1e-7):
-        value, _ = kernels.vertex_bound(corners, source, target, k, duals, -np.inf, cutoff)
+        value, _ = kernels.vertex_bound(corners, space.clouds, duals, -np.inf, cutoff)
         assert (value >= cutoff) == (exact >= cutoff)
         assert value <= exact + 1e-9
 
 
 @given(facet_boxes())
 def test_box_angle_covers_every_rotation_of_the_box(box):
-    corners = kernels.box_corners(box.lower, box.upper)
+    corners = corners_of(box)
     angle = kernels.box_angle(box.centre, corners)
     centre = rotation_of(box.centre)
     angles = [(rotation_of(q) * centre.inv()).magnitude() for q in rotations_in(box, 200)]
@@ -202,7 +208,7 @@ def test_bound_is_second_order_at_the_optimum(rng):
     width = np.array([0.0, 1.0, 1.0, 1.0])
     for half in (0.02, 0.01, 0.005, 0.0025):
         box = Box(theta - half * width, theta + half * width)
-        delta = kernels.box_angle(theta, kernels.box_corners(box.lower, box.upper))
+        delta = kernels.box_angle(theta, corners_of(box))
         cutoff = value - 1.05 * delta**2 * (source**2).sum()
         assert evaluate(problem, box, cutoff).lower_bounds[0] >= cutoff
     assert exact_b1(*problem, box) < cutoff

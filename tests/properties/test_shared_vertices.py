@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcreg.bounds import make_bound
-from dcreg.bounds.dc_shared import VertexCache
-from dcreg.kernels import shared
+from dcreg.bounds.vertex_cache import VertexCache
+from dcreg.kernels.plane.profiles import Vertices, blend_prices, boxes_of
 from dcreg.search import Box, Budget, LongestEdge, branch_and_bound
 from tests.problems import models
 
@@ -35,9 +35,8 @@ def test_prices_are_the_mean_of_the_neighbours_by_distance(seed):
             expected[slot] = np.average(duals[others], axis=0, weights=distance**-3.0)
     # as in the search, a neighbour whose prices count is none of those that are being replaced
     apart = not any(values[s] < np.inf or s < settled for s in which)
-    found = np.zeros(which.size, np.bool_)
-    start, boxes = shared.boxes_of(slots, which)
-    shared.blend_prices(slots, which, start, boxes, settled, thetas, values, weights, duals, found)
+    vertices = Vertices(thetas, values, values, values, np.empty((used, 0)), duals)
+    found = blend_prices(vertices, weights, slots, which, *boxes_of(slots, which), settled)
     assert found.tolist() == known
     first = which[0]
     assert duals[first] == pytest.approx(expected[first])

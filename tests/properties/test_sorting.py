@@ -5,10 +5,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dcreg.kernels.assignment import k_assignment
-from dcreg.kernels.features import NORM3D
-from dcreg.kernels.sorting import COLUMNS, sort_columns
-from dcreg.kernels.vertices import objectives
+from dcreg.kernels.assignment.dense import k_assignment
+from dcreg.kernels.assignment.sorting import COLUMNS, sort_columns
+from dcreg.kernels.norm.line import objectives_on_line
 
 KINDS = {
     "uniform": lambda generator, shape: generator.random(shape),
@@ -73,7 +72,7 @@ def test_objectives_equal_the_general_assignment(n, m, rows, share, seed):
     target = generator.random(m)
     k = 1 + round(share * (min(n, m) - 1))
     values = np.empty(rows)
-    assert objectives(NORM3D, source, target[None], k, thetas, values) == rows
+    assert objectives_on_line(source, np.sort(target), k, thetas, values) == rows
     for theta, value in zip(thetas, values, strict=True):
         cost = (np.linalg.norm(source + theta, axis=1)[:, None] - target) ** 2
         assert value == pytest.approx(k_assignment(cost, k)[0], rel=1e-10, abs=1e-11)
@@ -81,12 +80,12 @@ def test_objectives_equal_the_general_assignment(n, m, rows, share, seed):
 
 @pytest.mark.parametrize("k", [30, 70])
 def test_values_do_not_depend_on_how_rows_are_sliced(k, rng):
-    source, target, thetas = rng.random((70, 3)), rng.random((1, 70)), rng.random((41, 3))
+    source, target, thetas = rng.random((70, 3)), np.sort(rng.random(70)), rng.random((41, 3))
     whole = np.empty(41)
-    objectives(NORM3D, source, target, k, thetas, whole)
+    objectives_on_line(source, target, k, thetas, whole)
     for size in (1, 2, 7, COLUMNS, 9, 20):
         parts = np.empty(41)
         for first in range(0, 41, size):
             part = slice(first, first + size)
-            objectives(NORM3D, source, target, k, thetas[part], parts[part])
+            objectives_on_line(source, target, k, thetas[part], parts[part])
         np.testing.assert_array_equal(parts, whole)

@@ -200,7 +200,7 @@ def _relax(costs, b, shift, row, dist, pred):
         pred[j] = row if closer else pred[j]
 
 
-@jit_part
+@jit
 def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
     """The same by way of all rows at the spare column at once."""
     for j in range(b.size):
@@ -280,7 +280,7 @@ def _augment(cost, spare_price, a, b, col_of, row_of, free, left):
             _update_spare_rows(cost, joined, gone, col_of, spare_cost, spare_row)
 
 
-@jit_part
+@jit
 def _first(dist, low):
     at = dist.size
     for j in range(dist.size):

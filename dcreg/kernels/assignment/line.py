@@ -61,24 +61,6 @@ def line_matching(a, b, k):
 
 
 @jit
-def line_nearest_bound(a, b, k):
-    """Lower bound on the optimum: sum of the k smallest ``min_j (a_i - b_j)^2``, by one merge."""
-    n, m = a.size, b.size
-    nearest = np.empty(n)
-    j = 0
-    for i in range(n):
-        while j + 1 < m and b[j + 1] <= a[i]:
-            j += 1
-        low = abs(a[i] - b[j])
-        if j + 1 < m:
-            low = min(low, b[j + 1] - a[i])
-        nearest[i] = low * low
-    if k < n:
-        nearest = np.partition(nearest, k - 1)[:k]
-    return nearest.sum()
-
-
-@jit
 def _close_gaps(a, b, k, values, free):
     """Close the cheapest gap k times; `free` tells which points of the merged order stay unmatched."""
     n, m = a.size, b.size

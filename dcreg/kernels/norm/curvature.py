@@ -4,8 +4,8 @@ For a fixed matching the Hessian of E(t) = sum (|x_i + t| - r_i)^2 is
 
     2 sum [I - r_i / z_i (I - u_i u_i^T)],    z_i = |x_i + t|, u_i the direction of x_i + t.
 
-The paper's decomposition takes 2 k I, the most that it can be anywhere. Where the radii fit (r_i = z_i) the Hessian is
-``2 sum u_i u_i^T``, a third of that on average.
+The paper's decomposition takes 2 k I, the most that it can be anywhere. Where the radii fit (r_i = z_i)
+the Hessian is ``2 sum u_i u_i^T``, a third of that on average.
 
 Let M be diagonal and twice M above the Hessian throughout the box, for the matching P* that is optimal at
 the box's minimiser t*. Then E_P* - |.|_M^2 is concave on the box, and
@@ -14,7 +14,8 @@ the box's minimiser t*. Then E_P* - |.|_M^2 is concave on the box, and
 
 How far the radii are from fitting is known wherever it matters. Take any number c. Where the minimum of
 the box is not below c, c is a bound; otherwise sum (z_i(t*) - r_i)^2 < c. So the lesser of this bound and
-c always is a bound. A search takes the cutoff, above which boxes are discarded anyway. Derived in this project, not in the paper.
+c always is a bound. A search takes the cutoff, above which boxes are discarded anyway. Derived in this
+project, not in the paper.
 """
 
 from __future__ import annotations

@@ -204,7 +204,7 @@ def _step_box(corners, half, low_box, high_box):
 
 @jit_part
 def _same(a, b):
+    same = True
     for i in range(a.size):
-        if a[i] != b[i]:
-            return False
-    return True
+        same &= a[i] == b[i]
+    return same

@@ -55,7 +55,10 @@ def _length(q):
 
 @jit
 def pair_costs(M, clouds, out):
-    """|a_i|^2 + |y_j|^2 - 2 y_j.(M a_i) and the price: affine in M, the squared residual if M is a rotation."""
+    """|a_i|^2 + |y_j|^2 - 2 y_j.(M a_i), and the price.
+
+    Affine in M, and the squared residual if M is a rotation.
+    """
     source, target, prices = clouds.source, clouds.target, clouds.prices
     moved = np.empty(source.shape)
     transform(M, source, moved)

@@ -1,9 +1,9 @@
 """Term-wise relaxations of the objective in norm space (reconstructed RPM-HTB, R1 and R2).
 
 The objective is ``E = |x|^2 + 2 x.t - 2 |y| |x + t| + k |t|^2 + |y|^2``. Its product of the matching with
-a length |x_i + t| belongs to one row each: R1 has the three aggregates of x, and one of |y| for every row.
-The mean facet of such a row costs its error whether the row is matched or not, so R1 takes it only where
-all rows are, and R2's interval otherwise. With r_i the greatest length in the box,
+a length |x_i + t| belongs to one row each: R1 has the three aggregates of x, and one of |y| for every
+row. The mean facet of such a row costs its error whether the row is matched or not, so R1 takes it only
+where all rows are, and R2's interval otherwise. With r_i the greatest length in the box,
 
     |x_i + t| <= (r_i^2 + |x_i + t|^2) / (2 r_i) <= (r_i^2 + secants of the squares) / (2 r_i) <= r_i,
 
