@@ -119,7 +119,7 @@ def write(path: str | Path, certificate: Certificate) -> None:
     arrays["checksum"] = np.array(_checksum(arrays))
     # an open file keeps numpy from appending ".npz"
     with whole_file(path) as part, part.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+        np.savez_compressed(file, **arrays)
 
 
 def read(path: str | Path) -> Certificate:
