@@ -13,6 +13,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -112,14 +113,14 @@ def write(path: str | Path, certificate: Certificate) -> None:
     OSError
         If the file cannot be written.
     """
-    arrays = {
+    arrays: dict[str, Any] = {
         entry.name: np.array(getattr(certificate, entry.name)) for entry in fields(certificate)
     }
     arrays |= {"format": np.array(FORMAT), "format_version": np.array(FORMAT_VERSION)}
     arrays["checksum"] = np.array(_checksum(arrays))
     # an open file keeps numpy from appending ".npz"
     with whole_file(path) as part, part.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+        np.savez_compressed(file, **arrays)
 
 
 def read(path: str | Path) -> Certificate:
