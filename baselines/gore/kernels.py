@@ -44,7 +44,7 @@ def drop_by_arcs(x, y, spread, wanted, alive, rotation, state, budget):
                 return False
             if not alive[k]:
                 continue
-            if spread[k] >= np.pi / 2:  # tells nothing of the rotation
+            if spread[k] >= np.pi / 2:  # no rotation is ruled out
                 state[MOST] = max(state[MOST], state[LEFT])
                 continue
             align = _rotation_between(x[k], y[k])

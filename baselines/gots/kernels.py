@@ -21,7 +21,7 @@ def matched_pairs(source, pairs, listed, centre, half, eps, bar, features, spans
         low[i], high[i] = _norm_interval(source[i], centre, half)
         low[i] -= eps
         high[i] += eps
-        # A point without any target norm in reach spoils all its pairs.
+        # A point without any target norm in reach is in no matched pair.
         place = np.searchsorted(norms, low[i])
         alone[i] = place == len(norms) or norms[place] > high[i]
     kept = np.empty(len(listed), np.int32)

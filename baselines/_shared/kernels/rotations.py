@@ -40,7 +40,7 @@ def divide_cubes(
             child[3], child[4], sizes[octant] = half, -1, 0
             angle = np.sqrt(child[0] ** 2 + child[1] ** 2 + child[2] ** 2)
             if angle - np.sqrt(3.0) * half > np.pi:
-                continue  # the rotations of this cube are in others
+                continue  # outside the ball of rotation vectors: other cubes hold its rotations
             _rotation_of(child[0], child[1], child[2], angle, centre_rotation)
             bar = max(cutoff, state[BEST] + slack)
             sizes[octant], possible, matched = _match(
