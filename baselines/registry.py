@@ -192,7 +192,7 @@ def _import_adapter(name: str, root: Path) -> ModuleType:
         assert spec is not None
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
-        sys.modules[module_name] = module  # dataclasses look their module up
+        sys.modules[module_name] = module  # dataclasses look up the module of their class
         spec.loader.exec_module(module)
     return sys.modules[module_name]
 

@@ -1,7 +1,7 @@
 """The library's branch and bound over cubes divided in eight, for Go-ICP, FRS and GoTS.
 
 Their bounds work through one cube at a time, may improve the incumbent on the way by poses that are no
-centre of a cube, may run out of time within a cube, and may hand what they learnt of a cube on to its
+centre of a cube, may run out of time within a cube, and may pass what they learnt of a cube on to its
 parts.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from dcreg.search import Box, Budget, Evaluation, Outcome, branch_and_bound
 
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-_SHARE_OF_BOXES = 0.5  # of the memory; the rest is for what cubes hand on
+_SHARE_OF_BOXES = 0.5  # of the memory; the rest is for what cubes pass on
 
 
 class OutOfTimeError(Exception):
@@ -38,8 +38,8 @@ class Incumbent:
         return False
 
 
-# (centre, half-width, legacy of the parent) -> (lower bound, own legacy). Improves the incumbent on the
-# way; +inf for a cube without admissible points; may raise OutOfTimeError.
+# (centre, half-width, what the parent cube passed on) -> (lower bound, what this cube passes on).
+# Improves the incumbent on the way; +inf for a cube without admissible points; may raise OutOfTimeError.
 CubeBound = Callable[[np.ndarray, float, Any], tuple[float, Any]]
 
 
@@ -51,7 +51,7 @@ def search_cubes(
     *,
     gap_tol: float,
     floor: float = 0.0,
-    legacy: np.ndarray | None = None,
+    passed_on: np.ndarray | None = None,
 ) -> Outcome:
     """Minimise over a cube to within `gap_tol` of the incumbent's value.
 
@@ -65,9 +65,9 @@ def search_cubes(
     gap_tol : float
     floor : float
         A value that the objective is never below.
-    legacy : array, optional
-        What the root cube gets in place of its parent's. A legacy for which the memory does not suffice
-        is replaced by this one.
+    passed_on : array, optional
+        Given to the bound of the root cube, and wherever the memory did not suffice to keep what a cube
+        passed on.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def search_cubes(
     if budget.memory_mb is not None:
         memory.memory_mb = _SHARE_OF_BOXES * budget.memory_mb
     found = branch_and_bound(
-        _Cubes(bound, root, incumbent, floor, legacy, memory.memory_mb),
+        _Cubes(bound, root, incumbent, floor, passed_on, memory.memory_mb),
         memory,
         branching=divide_in_eight,
         gap_tol=gap_tol,
@@ -126,14 +126,14 @@ class _Cubes:
         root: tuple[np.ndarray, float],
         incumbent: Incumbent,
         floor: float,
-        legacy: np.ndarray | None,
+        passed_on: np.ndarray | None,
         memory_mb: float | None,
     ) -> None:
         centre, half = root
         self.roots = [Box(centre - half, centre + half)]
         self.bound, self.incumbent, self.floor = bound, incumbent, floor
-        self._first = legacy
-        self._legacies: dict[bytes, Any] = {}
+        self._first = passed_on
+        self._passed: dict[bytes, Any] = {}
         self._bytes_left = np.inf if memory_mb is None else memory_mb * 2**20
 
     def evaluate(
@@ -142,10 +142,10 @@ class _Cubes:
         """Bound the parts of one cube; those that time does not suffice for keep its bound."""
         bounds = np.zeros(len(lower))
         centres, halves = 0.5 * (lower + upper), 0.5 * (upper - lower).max(axis=1)
-        legacy = self._taken(lower.min(axis=0), upper.max(axis=0))
+        passed_on = self._taken(lower.min(axis=0), upper.max(axis=0))
         for cube in range(len(lower)):
             try:
-                value, own = self.bound(centres[cube], float(halves[cube]), legacy)
+                value, own = self.bound(centres[cube], float(halves[cube]), passed_on)
             except OutOfTimeError:
                 break
             bounds[cube] = value - self.floor
@@ -154,15 +154,15 @@ class _Cubes:
         values = np.full(len(lower), self.incumbent.value - self.floor)
         return Evaluation(bounds, centres, values)
 
-    def _keep(self, lower: np.ndarray, upper: np.ndarray, legacy: Any) -> None:
-        if legacy is not None and legacy.nbytes <= self._bytes_left:
-            self._bytes_left -= legacy.nbytes
-            self._legacies[lower.tobytes() + upper.tobytes()] = legacy
+    def _keep(self, lower: np.ndarray, upper: np.ndarray, passed_on: Any) -> None:
+        if passed_on is not None and passed_on.nbytes <= self._bytes_left:
+            self._bytes_left -= passed_on.nbytes
+            self._passed[lower.tobytes() + upper.tobytes()] = passed_on
 
     def _taken(self, lower: np.ndarray, upper: np.ndarray) -> Any:
-        """The legacy of the cube with these corners."""
-        legacy = self._legacies.pop(lower.tobytes() + upper.tobytes(), None)
-        if legacy is None:
+        """What the cube with these corners passed on."""
+        passed_on = self._passed.pop(lower.tobytes() + upper.tobytes(), None)
+        if passed_on is None:
             return self._first
-        self._bytes_left += legacy.nbytes
-        return legacy
+        self._bytes_left += passed_on.nbytes
+        return passed_on

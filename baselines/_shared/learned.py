@@ -165,7 +165,7 @@ class Child:
                 stderr=errors,
                 env={**os.environ, **counts},
             )
-        # also when the adapter is forgotten without a word
+        # also when the adapter is dropped without being closed
         self.close = weakref.finalize(self, _close, self._process, self._folder)
 
     def register(self, instance: Instance, deadline: float) -> np.ndarray:

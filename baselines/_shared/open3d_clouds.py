@@ -12,9 +12,8 @@ def cloud(points: np.ndarray) -> Any:
     import open3d
 
     result = open3d.geometry.PointCloud()
-    result.points = open3d.utility.Vector3dVector(
-        np.array(points, dtype=float)
-    )  # refuses read-only
+    # the binding refuses read-only arrays
+    result.points = open3d.utility.Vector3dVector(np.array(points, dtype=float))
     return result
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 ASCENT_STEPS = 200  # per penalty
 PENALTIES = 100
-TINY = 1e-9  # weight that counts as none
-STILL = 1e-5  # change of the weights at which an ascent ends
+NO_WEIGHT = 1e-9  # a weight up to this one counts as none
+LEAST_CHANGE = 1e-5  # of the weights: a step that changes none by more ends the ascent
 
 
 def dense_clique(
@@ -41,7 +41,7 @@ def dense_clique(
     penalty, finished = 0.0, True
     for _ in range(PENALTIES):
         gain, loss = affinity @ u, forbidden(u)
-        clashing = (loss > TINY) & (u > TINY)
+        clashing = (loss > NO_WEIGHT) & (u > NO_WEIGHT)
         if not clashing.any():
             break
         penalty += float((gain[clashing] / loss[clashing]).mean())
@@ -91,6 +91,6 @@ def _ascend(
         moved = float(np.abs(trial - u).max())
         u, image, value = trial, trial_image, trial_value
         step *= 2
-        if moved < STILL or time.perf_counter() > deadline:
+        if moved < LEAST_CHANGE or time.perf_counter() > deadline:
             break
     return u

@@ -24,7 +24,7 @@ class TranslationCubes:
         self.slack, self.deadline = slack, deadline
         self.n_rotation_cubes = 0
 
-    def bound(self, centre: np.ndarray, half: float, legacy: None = None) -> tuple[float, None]:
+    def bound(self, centre: np.ndarray, half: float, passed_on: None = None) -> tuple[float, None]:
         """Minus the most source points matched by any rotation and a translation of the cube."""
         problem = self.consensus
         rho = np.sqrt(3.0) * half

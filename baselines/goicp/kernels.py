@@ -15,7 +15,8 @@ the poses for its upper bound and no second search is run.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dcreg.kernels.compiling import jit
 
 BLOCK = 4  # cells per axis that share one preliminary list
 FINISHED, PAUSED, FULL = 0, 1, 2
@@ -24,7 +25,7 @@ FINISHED, PAUSED, FULL = 0, 1, 2
 SIZE, DISCARDED, RELAXED, TRUE, TRUE_X, TRUE_Y, TRUE_Z, EVALUATED = range(8)
 
 
-@njit(cache=True)
+@jit
 def cube_values(points, gamma, gamma_t, t, n_kept, cells, cutoff, scratch, dropped):
     """(bound, relaxed, true) of a translation cube with centre `t`; see the module's text.
 
@@ -54,7 +55,7 @@ def cube_values(points, gamma, gamma_t, t, n_kept, cells, cutoff, scratch, dropp
     return bound, relaxed, true
 
 
-@njit(cache=True)
+@jit
 def _exchange(dropped, size, capacity, value):
     """Put `value` among the largest so far; return the one that it pushed out (0 while none)."""
     if size < capacity:  # a heap with its least element first
@@ -80,7 +81,7 @@ def _exchange(dropped, size, capacity, value):
     return least
 
 
-@njit(cache=True)
+@jit
 def search_translations(points, gamma, n_kept, cells, cutoff, gap, heap, state, budget):
     """Best-first search until the relaxed minimum is known to `gap`, or to be at least `cutoff`.
 
@@ -128,7 +129,7 @@ def search_translations(points, gamma, n_kept, cells, cutoff, gap, heap, state, 
     return code
 
 
-@njit(cache=True)
+@jit
 def _push(heap, size, bound, centre, half):
     child = size
     while child > 0 and heap[(child - 1) // 2, 0] > bound:
@@ -140,7 +141,7 @@ def _push(heap, size, bound, centre, half):
     return size + 1
 
 
-@njit(cache=True)
+@jit
 def _pop(heap, size):
     """Remove the first row."""
     size -= 1
@@ -158,7 +159,7 @@ def _pop(heap, size):
     return size
 
 
-@njit(cache=True)
+@jit
 def distance(x, y, z, cells):
     """Distance from a position to the nearest target point."""
     grid, starts, points, wide, wide_starts, wide_points, target, size = cells
@@ -172,7 +173,7 @@ def distance(x, y, z, cells):
     return _nearest(x, y, z, target, 0, len(target))
 
 
-@njit(cache=True)
+@jit
 def _cell(x, y, z, grid, n):
     i = np.floor((x - grid[0]) * grid[3])
     j = np.floor((y - grid[1]) * grid[3])
@@ -182,7 +183,7 @@ def _cell(x, y, z, grid, n):
     return (int(i) * n + int(j)) * n + int(k)
 
 
-@njit(cache=True)
+@jit
 def _nearest(x, y, z, points, start, stop):
     best = np.inf
     for p in range(start, stop):
@@ -191,7 +192,7 @@ def _nearest(x, y, z, points, start, stop):
     return np.sqrt(best)
 
 
-@njit(cache=True)
+@jit
 def all_distances(points, cells):
     found = np.empty(len(points))
     for i in range(len(points)):
@@ -199,7 +200,7 @@ def all_distances(points, cells):
     return found
 
 
-@njit(cache=True)
+@jit
 def build(target, origin, side, n):
     """Start of each cell's list (n^3 + 1) and the lists' coordinates, cells in C order."""
     m = len(target)
@@ -237,7 +238,7 @@ def build(target, origin, side, n):
     return counts, points
 
 
-@njit(cache=True)
+@jit
 def _candidates(target, among, n_among, x, y, z, side, found):
     """Those of the listed points that can be nearest in the cell of this centre; their number."""
     squared = np.empty(n_among)

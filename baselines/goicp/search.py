@@ -70,11 +70,14 @@ class GoICP:
         )
 
     def bound_cube(
-        self, centre: np.ndarray, half: float, legacy: None = None
+        self, centre: np.ndarray, half: float, passed_on: None = None
     ) -> tuple[float, None]:
         """Lower bound over the rotations of a cube and all translations; improves the incumbent."""
         if np.linalg.norm(centre) - np.sqrt(3.0) * half > np.pi:
-            return np.inf, None  # the rotations of this cube are in others
+            return (
+                np.inf,
+                None,
+            )  # outside the ball of rotation vectors: other cubes hold its rotations
         rotation = Rotation.from_rotvec(centre).as_matrix()
         gamma = uncertainty(half, self.norms)
         bound, value, translation = self.search_translations(rotation, gamma)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dcreg.kernels.compiling import jit
 
 # For rounding, of cosines and of angles at which intervals end.
 COSINE_MARGIN = 1e-14
@@ -11,7 +12,7 @@ ANGLE_MARGIN = 1e-7
 NEXT, LEFT, MOST, BEST, CHANGED = range(5)  # places in the integer state of the intervals
 
 
-@njit(cache=True)
+@jit
 def directions(source, target, tolerance):
     """Unit vectors, and the largest angle between R x_i and y_i that the tolerance allows."""
     n = len(source)
@@ -31,7 +32,7 @@ def directions(source, target, tolerance):
     return x, y, spread
 
 
-@njit(cache=True)
+@jit
 def drop_by_arcs(x, y, spread, wanted, alive, rotation, state, budget):
     """Whether it came to the end; pauses after `budget` arcs."""
     n = len(x)
@@ -43,7 +44,7 @@ def drop_by_arcs(x, y, spread, wanted, alive, rotation, state, budget):
                 return False
             if not alive[k]:
                 continue
-            if spread[k] >= np.pi / 2:  # tells nothing of the rotation
+            if spread[k] >= np.pi / 2:  # no rotation is ruled out
                 state[MOST] = max(state[MOST], state[LEFT])
                 continue
             align = _rotation_between(x[k], y[k])
@@ -79,7 +80,7 @@ def drop_by_arcs(x, y, spread, wanted, alive, rotation, state, budget):
         state[NEXT] = state[MOST] = state[CHANGED] = 0
 
 
-@njit(cache=True)
+@jit
 def arc(x, y, axis, reach):
     """Angles about `axis` by which x comes within `reach` of y: centre and half width.
 
@@ -98,7 +99,7 @@ def arc(x, y, axis, reach):
     return centre, min(np.pi, np.arccos(needed / across) + ANGLE_MARGIN)
 
 
-@njit(cache=True)
+@jit
 def _stab(starts, ends):
     """Most closed intervals with a common point, given sorted ends, and the middle of one best."""
     best, where, inside, e = 0, 0.0, 0, 0
@@ -112,7 +113,7 @@ def _stab(starts, ends):
     return best, where
 
 
-@njit(cache=True)
+@jit
 def _about(axis, angle):
     """Rotation about a unit axis."""
     s, c = np.sin(angle), np.cos(angle)
@@ -121,7 +122,7 @@ def _about(axis, angle):
     return np.eye(3) + s * cross + (1 - c) * (cross @ cross)
 
 
-@njit(cache=True)
+@jit
 def _rotation_between(x, y):
     """The least rotation from unit vector x to unit vector y."""
     cosine = np.dot(x, y)

@@ -49,7 +49,7 @@ class Adapter(Baseline):
             incumbent.offer(-cubes.count(translation), translation)
         found = search_cubes(
             cubes.bound, matching_translations(problem.source, problem.target, eps), incumbent,
-            translating, gap_tol=0.0, floor=-float(len(cubes.pairs)), legacy=cubes.all_pairs,
+            translating, gap_tol=0.0, floor=-float(len(cubes.pairs)), passed_on=cubes.all_pairs,
         )  # fmt: skip
         found = with_bounds(
             found, lambda value: float(eps**2 * (instance.n_inliers - points_of(-value)))
@@ -82,5 +82,5 @@ class Adapter(Baseline):
             if at_translation >= count:
                 pose, count = turned, at_translation
         except OutOfTimeError:
-            pass  # the starts remain
+            pass  # the best start is the answer
         return pose, {"matched": float(count), "matched_at_translation": float(at_translation)}

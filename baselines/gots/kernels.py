@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dcreg.kernels.compiling import jit
 
 
-@njit(cache=True)
+@jit
 def matched_pairs(source, pairs, listed, centre, half, eps, bar, features, spans, boxes, norms):
     """Those of the listed source pairs that some t of the cube may match; None too few for `bar`.
 
@@ -20,7 +21,7 @@ def matched_pairs(source, pairs, listed, centre, half, eps, bar, features, spans
         low[i], high[i] = _norm_interval(source[i], centre, half)
         low[i] -= eps
         high[i] += eps
-        # A point without any target norm in reach spoils all its pairs.
+        # A point without any target norm in reach is in no matched pair.
         place = np.searchsorted(norms, low[i])
         alone[i] = place == len(norms) or norms[place] > high[i]
     kept = np.empty(len(listed), np.int32)
@@ -40,7 +41,7 @@ def matched_pairs(source, pairs, listed, centre, half, eps, bar, features, spans
     return kept[:n_kept], n_kept
 
 
-@njit(cache=True)
+@jit
 def _norm_interval(x, centre, half):
     """Least and largest |x + t| over the cube, widened by rounding."""
     least = largest = 0.0
@@ -51,7 +52,7 @@ def _norm_interval(x, centre, half):
     return np.sqrt(least) - 1e-12, np.sqrt(largest) + 1e-12
 
 
-@njit(cache=True)
+@jit
 def _holds(low_a, high_a, low_b, high_b, low_c, high_c, features, spans, boxes):
     """Whether a target feature lies in the box."""
     stack = np.empty(64, np.int64)

@@ -16,7 +16,7 @@ from baselines.gots.kernels import matched_pairs
 
 
 class TranslationCubes:
-    """The bound of a cube of translations; its legacy is the list of pairs still possible."""
+    """The bound of a cube of translations; it passes the list of pairs still possible on to the parts."""
 
     def __init__(
         self, source: np.ndarray, target: np.ndarray, eps: float, incumbent: Incumbent,

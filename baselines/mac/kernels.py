@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from baselines._shared.kernels.graphs import (
     clear_bit,
@@ -12,11 +11,12 @@ from baselines._shared.kernels.graphs import (
     lowest_bit,
     set_bit,
 )
+from dcreg.kernels.compiling import jit
 
 NODES_PER_CLIQUE = 20  # of the search, beyond which a start is given up
 
 
-@njit(cache=True)
+@jit
 def cliques_from(rows, weights, first, before, max_cliques, cliques, heaviest):
     """Maximal cliques with `first` and no vertex of `before`: their number, and whether all."""
     words = rows.shape[1]
@@ -57,12 +57,12 @@ def cliques_from(rows, weights, first, before, max_cliques, cliques, heaviest):
     return count, True
 
 
-@njit(cache=True)
+@jit
 def _is_empty(row):
     return count_bits_of(row) == 0
 
 
-@njit(cache=True)
+@jit
 def _take(row):
     """Remove and return the lowest set bit, -1 for none."""
     for w in range(len(row)):
@@ -73,7 +73,7 @@ def _take(row):
     return -1
 
 
-@njit(cache=True)
+@jit
 def _branch(rows, candidates, excluded, branches):
     """Candidates that the pivot does not know; False when there is nothing to branch on."""
     words = rows.shape[1]
@@ -95,7 +95,7 @@ def _branch(rows, candidates, excluded, branches):
     return any_left
 
 
-@njit(cache=True)
+@jit
 def _keep(path, weight, cliques, heaviest):
     for vertex in path:
         if weight > heaviest[vertex]:

@@ -77,7 +77,7 @@ def bound_simplex(clouds, origin, inverse, vertices, values, cutoff, n_ascents, 
         weights = inverse.T @ slope
         least, col_of = least_linear(clouds, weights, 1.0)
         spent += 1
-        # thin simplices have steep slopes: keep the bound below the rounding of its terms
+        # in thin simplices the terms are large: lower the bound by their rounding
         size = np.abs(weights) @ np.abs(origin) + np.abs(slope).sum() + abs(least)
         found = least - weights @ origin + below - 1e-14 * size
         bound = max(bound, found)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from baselines._shared.kernels.graphs import count_bits, has_bit
+from dcreg.kernels.compiling import jit
 
 
-@njit(cache=True)
+@jit
 def common_neighbours(rows, i):
     """For every neighbour of i, how many neighbours they share; 0 for the others."""
     n = len(rows)
@@ -20,7 +20,7 @@ def common_neighbours(rows, i):
     return counts
 
 
-@njit(cache=True)
+@jit
 def submatrix(rows, members):
     """Adjacency among `members`, 1 on the diagonal."""
     k = len(members)

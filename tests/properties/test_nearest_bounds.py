@@ -297,7 +297,7 @@ class TestGoTS:
         cubes = gots.TranslationCubes(source, target, eps, incumbent, never())
         found = search_cubes(
             cubes.bound, gots.matching_translations(source, target, eps), incumbent, Budget(60.0),
-            gap_tol=0.0, floor=-36.0, legacy=cubes.all_pairs,
+            gap_tol=0.0, floor=-36.0, passed_on=cubes.all_pairs,
         )  # fmt: skip
         assert found.status is Status.OPTIMAL
         assert incumbent.value == -36
@@ -311,7 +311,7 @@ class TestCubes:
         peak = generator.uniform(-1, 1, 3)
         incumbent = Incumbent()
 
-        def bound(centre, half, legacy):
+        def bound(centre, half, passed_on):
             distance = float(np.linalg.norm(centre - peak))
             incumbent.offer(distance, centre)
             return max(distance - np.sqrt(3) * half, 0.0), None
@@ -332,7 +332,7 @@ class TestCubes:
     )
     def test_stops_at_limits_with_a_valid_bound(self, budget, status):
         found = search_cubes(
-            lambda centre, half, legacy: (0.5 - half / 10, None), (np.zeros(3), 1.0),
+            lambda centre, half, passed_on: (0.5 - half / 10, None), (np.zeros(3), 1.0),
             Incumbent(1.0, None), budget(), gap_tol=1e-6,
         )  # fmt: skip
         assert found.status is status
@@ -342,7 +342,7 @@ class TestCubes:
     def test_a_bound_out_of_time_leaves_its_cubes_the_bound_of_their_parent(self):
         budget, asked = Budget(0.5), []
 
-        def bound(centre, half, legacy):
+        def bound(centre, half, passed_on):
             asked.append(half)
             if len(asked) == 4:
                 while not budget.is_over:
@@ -361,15 +361,17 @@ class TestCubes:
     def test_parts_get_what_their_cube_hands_on_as_far_as_memory_goes(self, memory_mb):
         everything, fulls = np.zeros(1000), []
 
-        def bound(centre, half, legacy):
-            fulls.append(legacy is everything)
-            if legacy is not everything:
-                assert (np.abs(centre - legacy[:3]) < legacy[3]).all()  # within its own parent
+        def bound(centre, half, passed_on):
+            fulls.append(passed_on is everything)
+            if passed_on is not everything:
+                assert (
+                    np.abs(centre - passed_on[:3]) < passed_on[3]
+                ).all()  # within its own parent
             return 0.5 - half, np.array([*centre, half, *np.zeros(996)])
 
         search_cubes(
             bound, (np.zeros(3), 1.0), Incumbent(1.0), Budget(60.0, 200, memory_mb),
-            gap_tol=0.0, legacy=everything,
+            gap_tol=0.0, passed_on=everything,
         )  # fmt: skip
         # nothing was learnt of the root's parent; with memory for one, all but the first go without
         assert fulls.count(True) == 1 if memory_mb is None else fulls.count(True) > 100

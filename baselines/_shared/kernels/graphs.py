@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dcreg.kernels.compiling import jit
 
 
-@njit(cache=True)
+@jit
 def count_bits(word):
     """Set bits of a word, all in parallel."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
@@ -17,7 +18,7 @@ def count_bits(word):
     return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
-@njit(cache=True)
+@jit
 def count_bits_of(row):
     """Set bits of a row of words."""
     total = 0
@@ -26,28 +27,28 @@ def count_bits_of(row):
     return total
 
 
-@njit(cache=True)
+@jit
 def lowest_bit(word):
     """Place of the lowest set bit; 64 for none."""
     return count_bits((word & (~word + np.uint64(1))) - np.uint64(1))
 
 
-@njit(cache=True)
+@jit
 def has_bit(row, place):
     return (row[place >> 6] >> np.uint64(place & 63)) & np.uint64(1) != 0
 
 
-@njit(cache=True)
+@jit
 def set_bit(row, place):
     row[place >> 6] |= np.uint64(1) << np.uint64(place & 63)
 
 
-@njit(cache=True)
+@jit
 def clear_bit(row, place):
     row[place >> 6] &= ~(np.uint64(1) << np.uint64(place & 63))
 
 
-@njit(cache=True)
+@jit
 def degrees(rows):
     """Number of neighbours of every vertex."""
     result = np.zeros(len(rows), dtype=np.int64)
@@ -56,7 +57,7 @@ def degrees(rows):
     return result
 
 
-@njit(cache=True)
+@jit
 def degeneracy(rows):
     """Vertices in the order in which the least degree is removed, and their core numbers."""
     n = len(rows)
@@ -91,7 +92,7 @@ def degeneracy(rows):
     return order, degree
 
 
-@njit(cache=True)
+@jit
 def greedy_clique(rows, order, starts):
     """The largest of the cliques grown along `order` from its first vertices, `starts` in number.
 
@@ -122,7 +123,7 @@ def greedy_clique(rows, order, starts):
     return best
 
 
-@njit(cache=True)
+@jit
 def common_later(rows, order, core, path, place, size):
     """Common neighbours of `path` behind `place` that can be in a clique of more than `size`."""
     common = rows[path[0]].copy()
@@ -138,7 +139,7 @@ def common_later(rows, order, core, path, place, size):
     return later[:count].copy()
 
 
-@njit(cache=True)
+@jit
 def subgraph(rows, members):
     """Adjacency among `members`, most neighbours first, and the member at each place."""
     p = len(members)
@@ -159,7 +160,7 @@ def subgraph(rows, members):
     return local, order
 
 
-@njit(cache=True)
+@jit
 def colour_order(rows, candidates, needed, queue, colours):
     """Greedy colouring of the candidates; those with colours beyond `needed`, in colour order.
 
@@ -191,7 +192,7 @@ def colour_order(rows, candidates, needed, queue, colours):
     return count
 
 
-@njit(cache=True)
+@jit
 def grow_cliques(rows, candidates, queue, colours, left, path, found, state, steps):
     """Some `steps` row operations of the depth-first search; True when it is complete."""
     words = rows.shape[1]

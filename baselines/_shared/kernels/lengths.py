@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from baselines._shared.kernels.graphs import set_bit
+from dcreg.kernels.compiling import jit
 
 
-@njit(cache=True)
+@jit
 def consistency_graph(source, target, pairs, tolerance, scale):
     """Rows of bits: ``| |y_i - y_j| - scale |x_i - x_j| | <= tolerance`` and no point shared."""
     n, d = source.shape
@@ -27,7 +27,7 @@ def consistency_graph(source, target, pairs, tolerance, scale):
     return rows
 
 
-@njit(cache=True)
+@jit
 def length_ratios(source, target, tolerance, low, high):
     """Ratios ``|y_i - y_j| / |x_i - x_j|`` that can be a scale in [low, high], and their ranges.
 
@@ -52,7 +52,7 @@ def length_ratios(source, target, tolerance, low, high):
     return ratios[:count], ranges[:count]
 
 
-@njit(cache=True)
+@jit
 def sweep_ends(values, ranges, order):
     """The weighted mean of least truncated cost along the sorted ends of the intervals."""
     n = len(values)

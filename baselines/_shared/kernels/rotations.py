@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dcreg.kernels.compiling import jit
 
 _LEAST_HALF_WIDTH = 1e-6  # radians; a smaller cube is not divided and keeps its upper bound
 FINISHED, PAUSED = 0, 1
 STACKED, BEST, GIVEN_UP, CUBES = range(4)  # places in a search's integer state
 
 
-@njit(cache=True)
+@jit
 def divide_cubes(
     source, target, pairs, cosines, cutoff, slack, stack, spans, lists, state, rotation, budget
 ):  # fmt: skip
@@ -39,7 +40,7 @@ def divide_cubes(
             child[3], child[4], sizes[octant] = half, -1, 0
             angle = np.sqrt(child[0] ** 2 + child[1] ** 2 + child[2] ** 2)
             if angle - np.sqrt(3.0) * half > np.pi:
-                continue  # the rotations of this cube are in others
+                continue  # outside the ball of rotation vectors: other cubes hold its rotations
             _rotation_of(child[0], child[1], child[2], angle, centre_rotation)
             bar = max(cutoff, state[BEST] + slack)
             sizes[octant], possible, matched = _match(
@@ -66,7 +67,7 @@ def divide_cubes(
     return FINISHED
 
 
-@njit(cache=True)
+@jit
 def _match(
     source, target, pairs, cosines, listed, rotation, cos_delta, sin_delta, upper, bar, kept
 ):  # fmt: skip
@@ -116,7 +117,7 @@ def _match(
     return n_kept, possible, matched
 
 
-@njit(cache=True)
+@jit
 def _rotation_of(x, y, z, angle, rotation):
     """Rodrigues' formula for the rotation vector (x, y, z) of this length, into `rotation`."""
     if angle < 1e-12:

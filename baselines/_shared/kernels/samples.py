@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dcreg.kernels.compiling import jit
 
 
-@njit(cache=True)
+@jit
 def count_within(source, target, pose, bound):
     """Number of rows whose moved source is within `bound` of the target."""
     n, d = source.shape
@@ -23,7 +24,7 @@ def count_within(source, target, pose, bound):
     return count
 
 
-@njit(cache=True)
+@jit
 def count_inliers(source, target, samples, bound, low, high):
     """Number of inliers of the pose of each sample; 0 for one whose lengths do not agree."""
     counts = np.zeros(len(samples), dtype=np.int64)
@@ -36,7 +37,7 @@ def count_inliers(source, target, samples, bound, low, high):
     return counts
 
 
-@njit(cache=True)
+@jit
 def _agrees(source, target, rows, tolerance, low, high):
     """No point twice, and every length of the sample can be that of the other set."""
     for a in range(len(rows)):
@@ -51,7 +52,7 @@ def _agrees(source, target, rows, tolerance, low, high):
     return True
 
 
-@njit(cache=True)
+@jit
 def _sample_pose(source, target, rows, low, high):
     """Least-squares pose of the sample; all zero where it is degenerate."""
     d = source.shape[1]
