@@ -22,6 +22,8 @@ from numba.core import caching, config, event
 from numba.misc.appdirs import AppDirs
 
 HERE = Path(__file__).parent
+_njit: Any = nb.njit  # its types do not know all of its options
+_settings: Any = nb.config  # whose names are made at run time
 _PREFIX = "kernels-"
 
 
@@ -53,8 +55,8 @@ def cache_folder(file: Path) -> Path | None:
     """
     name = _PREFIX + digest_of(_package_of(file))
     beside = file.parent / "__pycache__"
-    if config.CACHE_DIR:
-        return Path(config.CACHE_DIR) / name / file.parent.name
+    if _settings.CACHE_DIR:
+        return Path(_settings.CACHE_DIR) / name / file.parent.name
     if _is_writable(beside) or (beside / name).is_dir():
         return beside / name
     users = Path(AppDirs(appname="dcreg", appauthor=False).user_cache_dir)
@@ -117,7 +119,7 @@ class _Locator(caching._CacheLocator):
 
 
 class _CacheImpl(caching.CompileResultCacheImpl):
-    _locator_classes = (_Locator,)
+    _locator_classes: Any = (_Locator,)
 
 
 class _Cache(caching.FunctionCache):
@@ -127,9 +129,7 @@ class _Cache(caching.FunctionCache):
 def _compiled(**options: Any) -> Any:
     def decorate(function: Any) -> Any:
         # kernels are called from Python and from each other, never by address: no C entry is needed
-        kernel = nb.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(
-            function
-        )
+        kernel = _njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
         if cache_folder(Path(function.__code__.co_filename)) is not None:
             kernel._cache = _Cache(function)
         return kernel
