@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numba as nb
-from numba.core import caching, config, event
+from numba.core import caching, event
 from numba.misc.appdirs import AppDirs
 
 HERE = Path(__file__).parent
