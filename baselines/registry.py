@@ -145,8 +145,7 @@ def fingerprint(name: str, root: Path = ROOT) -> str:
     solving = card.model_dump(exclude=PRESENTATION)
     digest.update(json.dumps(solving, sort_keys=True, default=str).encode())
     if card.requires:
-        installed = _installed_version([card.requires.partition(".")[0]])
-        digest.update(f"{card.requires}={installed}".encode())
+        digest.update(f"{card.requires}={version(card)}".encode())
     for path in code_of(name, root):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
