@@ -22,8 +22,6 @@ from numba.core import caching, event
 from numba.misc.appdirs import AppDirs
 
 HERE = Path(__file__).parent
-_njit: Any = nb.njit  # its types do not know all of its options
-_settings: Any = nb.config  # whose names are made at run time
 _PREFIX = "kernels-"
 
 
@@ -55,8 +53,9 @@ def cache_folder(file: Path) -> Path | None:
     """
     name = _PREFIX + digest_of(_package_of(file))
     beside = file.parent / "__pycache__"
-    if _settings.CACHE_DIR:
-        return Path(_settings.CACHE_DIR) / name / file.parent.name
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen:
+        return Path(chosen) / name / file.parent.name
     if _is_writable(beside) or (beside / name).is_dir():
         return beside / name
     users = Path(AppDirs(appname="dcreg", appauthor=False).user_cache_dir)
@@ -119,17 +118,20 @@ class _Locator(caching._CacheLocator):
 
 
 class _CacheImpl(caching.CompileResultCacheImpl):
-    _locator_classes: Any = (_Locator,)
+    _locator_classes = [_Locator]  # noqa: RUF012 (declared by Numba without ClassVar)
 
 
 class _Cache(caching.FunctionCache):
     _impl_class = _CacheImpl
 
 
+# Kernels are called from Python and from each other, never by address: they need no entry in C.
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
+
 def _compiled(**options: Any) -> Any:
     def decorate(function: Any) -> Any:
-        # kernels are called from Python and from each other, never by address: no C entry is needed
-        kernel = _njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+        kernel: Any = nb.njit(**_OPTIONS, **options)(function)
         if cache_folder(Path(function.__code__.co_filename)) is not None:
             kernel._cache = _Cache(function)
         return kernel
@@ -139,6 +141,7 @@ def _compiled(**options: Any) -> Any:
 
 jit: Any = _compiled()
 # For a part of one kernel: compiled as if it stood there, in less time than as a function of its own.
+# Not for loops that have to be vectorised: the compiler does that best in a function of their own.
 jit_part: Any = _compiled(inline="always")
 # For reductions over finite numbers whose order is free: lets the compiler vectorise a minimum.
 jit_reduction: Any = _compiled(fastmath={"nnan", "nsz", "reassoc"})

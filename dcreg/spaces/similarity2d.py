@@ -116,10 +116,13 @@ class Similarity2D(FeatureSpace):
         clipping is exact.
         """
         rows = np.flatnonzero(col_of >= 0)
-        (x, y), (u, v) = self.points.axes[:, rows], self.points.target[:, col_of[rows]]
-        mx, my, mu, mv = x.mean(), y.mean(), u.mean(), v.mean()
-        x, y, u, v = x - mx, y - my, u - mu, v - mv
-        dot, cross, spread = x @ u + y @ v, x @ v - y @ u, x @ x + y @ y
+        both = np.concatenate([self.points.axes[:, rows], self.points.target[:, col_of[rows]]])
+        mx, my, mu, mv = middle = both.sum(axis=1) / rows.size
+        both -= middle[:, None]
+        products = both @ both.T  # of x, y of the source and u, v of the target
+        dot = products[0, 2] + products[1, 3]
+        cross = products[0, 3] - products[1, 2]
+        spread = products[0, 0] + products[1, 1]
         low, high = self.scale_range
         length = math.hypot(dot, cross)
         scale = min(max(length / spread if spread > 0.0 else low, low), high)

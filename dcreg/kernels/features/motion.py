@@ -55,12 +55,18 @@ def curvature(target, axes, delta, out):
         for i in range(out.size):
             out[i] = r
     else:
-        x, y = axes[0], axes[1]
-        cos, sin, right, up = delta[0], delta[1], delta[2], delta[3]
-        for i in range(out.size):
-            u = cos * x[i] - sin * y[i] + right
-            v = sin * x[i] + cos * y[i] + up
-            out[i] = u * u + v * v
+        plane_curvature(axes, delta, out)
+
+
+@jit
+def plane_curvature(axes, delta, out):
+    """`curvature` over similarities in the plane."""
+    x, y = axes[0], axes[1]
+    cos, sin, right, up = delta[0], delta[1], delta[2], delta[3]
+    for i in range(out.size):
+        u = cos * x[i] - sin * y[i] + right
+        v = sin * x[i] + cos * y[i] + up
+        out[i] = u * u + v * v
 
 
 @jit

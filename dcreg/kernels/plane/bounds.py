@@ -11,7 +11,7 @@ from dcreg.kernels.assignment.selection import place_of_least, smallest_sum, tot
 from dcreg.kernels.compiling import jit, jit_part
 from dcreg.kernels.features.boxes import n_vertices
 from dcreg.kernels.features.linearisation import best_linearisation
-from dcreg.kernels.features.motion import curvature, pair_costs
+from dcreg.kernels.features.motion import pair_costs, plane_curvature
 
 
 class Boxes(NamedTuple):
@@ -59,14 +59,13 @@ class Effort(NamedTuple):
 
 
 @jit
-def charged_value(points, known, slot, delta, charged):
-    """Lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from a vertex's value and profile."""
-    curvature(points.target, points.axes, delta, charged)
-    level = known.levels[slot] - total(charged) / charged.size
+def charged_value(axes, k, low, level, profile, delta, charged):
+    """Lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from what is kept of a vertex."""
+    plane_curvature(axes, delta, charged)
+    level -= total(charged) / charged.size
     for i in range(charged.size):
-        charged[i] = known.profiles[slot, i] - charged[i]
-    spacing = 2.0 * abs(known.lows[slot]) / (points.k * points.k)
-    return smallest_sum(charged, points.k, level, spacing)[0]
+        charged[i] = profile[i] - charged[i]
+    return smallest_sum(charged, k, level, 2.0 * abs(low) / (k * k))[0]
 
 
 @jit
@@ -92,7 +91,11 @@ def shared_bounds(points, known, effort, boxes):
             for v in range(count):
                 for a in range(dim):
                     delta[a] = corner[v, a] - point[a]
-                charged[v] = charged_value(points, known, boxes.slots[box, v], delta, charges)
+                slot = boxes.slots[box, v]
+                charged[v] = charged_value(
+                    points.axes, points.k, known.lows[slot], known.levels[slot],
+                    known.profiles[slot], delta, charges,
+                )  # fmt: skip
                 if charged[v] < bound:
                     bound, at = charged[v], v
             previous = best
@@ -131,9 +134,13 @@ def exact_bounds(points, known, cutoff, slots, places, bounds):
     for box in range(slots.shape[0]):
         for v in range(slots.shape[1]):
             charged[v], exact[v] = np.inf, False
-            if slots[box, v] >= 0:
-                _from_point(known.thetas, slots[box, v], places, box, delta)
-                charged[v] = charged_value(points, known, slots[box, v], delta, missed)
+            slot = slots[box, v]
+            if slot >= 0:
+                _from_point(known.thetas, slot, places, box, delta)
+                charged[v] = charged_value(
+                    points.axes, points.k, known.lows[slot], known.levels[slot],
+                    known.profiles[slot], delta, missed,
+                )  # fmt: skip
         while True:
             v = place_of_least(charged)
             if exact[v] or charged[v] >= cutoff:
@@ -141,7 +148,7 @@ def exact_bounds(points, known, cutoff, slots, places, bounds):
             slot = slots[box, v]
             _from_point(known.thetas, slot, places, box, delta)
             pair_costs(points, known.thetas[slot], cost)
-            curvature(points.target, points.axes, delta, missed)
+            plane_curvature(points.axes, delta, missed)
             for i in range(n):
                 for j in range(m):
                     cost[i, j] -= missed[i]

@@ -13,7 +13,7 @@ import numpy as np
 
 from dcreg.kernels.assignment.dense import first_prices, improve_assignment, row_minima
 from dcreg.kernels.assignment.selection import least, smallest_sum, total
-from dcreg.kernels.compiling import jit, jit_part
+from dcreg.kernels.compiling import jit
 from dcreg.kernels.features.motion import pair_costs
 
 # Added to the squared distance of a vertex that was not solved: any solved one counts for more.
@@ -95,33 +95,29 @@ def _dual_profile(cost, k, b, profile):
 @jit
 def boxes_of(slots, which):
     """Boxes that have the vertex ``which[at]``: ``boxes[start[at] : start[at + 1]]``; `which` ascends."""
-    first = which[0]
+    first, n_boxes, n_vertices = which[0], slots.shape[0], slots.shape[1]
     place = np.empty(which[which.size - 1] - first + 1, np.int64)
     for at in range(place.size):
         place[at] = -1
     for at in range(which.size):
         place[which[at] - first] = at
-    start = np.zeros(which.size + 1, np.int64)
-    for box in range(slots.shape[0]):
-        for v in range(slots.shape[1]):
-            at = _place(slots[box, v] - first, place)
-            if at >= 0:
-                start[at + 1] += 1
+    start, owner = np.zeros(which.size + 1, np.int64), np.empty(n_boxes * n_vertices, np.int64)
+    found = 0
+    for box in range(n_boxes):
+        for v in range(n_vertices):
+            slot = slots[box, v] - first
+            if 0 <= slot < place.size and place[slot] >= 0:
+                owner[found] = box * which.size + place[slot]
+                start[place[slot] + 1] += 1
+                found += 1
     for at in range(which.size):
         start[at + 1] += start[at]
-    boxes, filled = np.empty(start[which.size], np.int64), np.zeros(which.size, np.int64)
-    for box in range(slots.shape[0]):
-        for v in range(slots.shape[1]):
-            at = _place(slots[box, v] - first, place)
-            if at >= 0:
-                boxes[start[at] + filled[at]] = box
-                filled[at] += 1
+    boxes, filled = np.empty(found, np.int64), np.zeros(which.size, np.int64)
+    for entry in range(found):
+        box, at = owner[entry] // which.size, owner[entry] % which.size
+        boxes[start[at] + filled[at]] = box
+        filled[at] += 1
     return start, boxes
-
-
-@jit_part
-def _place(at, place):
-    return place[at] if 0 <= at < place.size else -1
 
 
 @jit
