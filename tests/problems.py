@@ -38,6 +38,7 @@ def models(draw, families=("similarity2d", "norm3d"), max_points=6):
         model = Similarity2D(source, target, n_inliers, (0.5, 1.5), draw(st.booleans()))
     else:
         model = Translation3D(source, target, n_inliers, draw(st.booleans()))
+    model.target = target  # for tests that build the same problem anew
     return model
 
 
