@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from dcreg.bounds import BOUNDS, make_bound
 from dcreg.search import Box, LongestEdge
-from dcreg.spaces import Similarity2D
+from dcreg.spaces import Similarity2D, Translation3D
 from tests.oracles import kernels as reference
 from tests.problems import models, models_with_boxes
 
@@ -33,6 +33,50 @@ def test_bound_is_below_the_objective_anywhere_in_the_box(name, data):
     thetas = thetas[model.admissible(thetas)]
     objectives = [reference.objective(model, theta) for theta in thetas]
     assert bound <= min(objectives, default=np.inf) + 1e-9
+
+
+def thorough(name, model, box, cutoff=np.inf):
+    found = make_bound(name, model).evaluate(
+        box.lower[None], box.upper[None], cutoff, thorough=True
+    )
+    return found.lower_bounds[0]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(data=st.data(), tightness=st.sampled_from([0.5, 1.0, 2.0]))
+def test_thorough_bound_is_below_the_objective_and_no_weaker(name, data, tightness):
+    """It does not know the cutoff, and gives what the bound gives when it matters most."""
+    model, box = data.draw(models_with_boxes(families=families(name)))
+    thetas = np.concatenate([box.sample(np.random.default_rng(0), 40), box.vertices()])
+    thetas = thetas[model.admissible(thetas)]
+    lowest = min((reference.objective(model, theta) for theta in thetas), default=np.inf)
+    bound = thorough(name, model, box)
+    assert bound <= lowest + 1e-9
+    if np.isfinite(lowest):
+        cutoff = tightness * lowest + 1e-3
+        assert thorough(name, model, box, cutoff) == bound
+        # what a search gets of it; above the cutoff precision is of no use
+        plain = make_bound(name, model).evaluate(box.lower[None], box.upper[None], cutoff)
+        assert bound >= min(plain.lower_bounds[0], cutoff) - 1e-3 * (1.0 + abs(bound))
+
+
+@pytest.mark.parametrize("family", ["similarity2d", "norm3d"])
+def test_thorough_tight_bound_surpasses_the_shared_one_without_a_cutoff(family):
+    """Off the optimum the objective slopes, so that the box centre is not the best place."""
+    generator = np.random.default_rng(3)
+    source = generator.standard_normal((30, 2 if family == "similarity2d" else 3))
+    target = source + 0.02 * generator.standard_normal(source.shape)
+    model = (
+        Similarity2D(source, target, 30, (0.5, 1.5))
+        if family == "similarity2d"
+        else Translation3D(source, target, 30)
+    )
+    for _ in range(5):
+        centre = model.identity + generator.uniform(-0.2, 0.2, model.identity.size)
+        box = Box(centre - 0.1, centre + 0.1)
+        tight, shared = thorough("tight", model, box), thorough("shared", model, box)
+        least = min(reference.objective(model, theta) for theta in box.vertices())
+        assert tight > shared + 0.05 * (least - shared)
 
 
 @pytest.mark.parametrize("name", NAMES)
