@@ -7,13 +7,14 @@ one. Folders and modules whose names start with ``_`` are shared helpers or the 
 from __future__ import annotations
 
 import colorsys
+import functools
 import hashlib
 import importlib.util
 import json
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
@@ -129,7 +130,7 @@ def version(card: Card) -> str:
     if not card.requires:
         return repository_version
     module = card.requires.partition(".")[0]
-    candidates = [module, *metadata.packages_distributions().get(module, [])]
+    candidates = [module, *_distributions().get(module, [])]
     return _installed_version(candidates) or "not installed"
 
 
@@ -231,6 +232,12 @@ def _files(folder: Path) -> Iterator[Path]:
     for path in sorted(folder.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
             yield path
+
+
+@functools.cache
+def _distributions() -> Mapping[str, list[str]]:
+    """Names of the distributions that hold each importable package; slow to find out, hence kept."""
+    return metadata.packages_distributions()
 
 
 def _installed_version(distributions: Iterable[str]) -> str | None:
