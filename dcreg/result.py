@@ -27,7 +27,8 @@ class Stage:
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid``, ``start``, ``basins``, ``basin`` or ``polish``.
+        ``search``, ``rotation``, ``rigid`` or ``polish``; of mode ``multi`` also ``start``, ``basins``
+        and ``basin 3 of 12``, of a sweep ``descents``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional

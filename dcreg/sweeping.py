@@ -84,8 +84,8 @@ def sweep(
     node_limit, memory_limit_mb : optional
         For each search.
     listener : callable, optional
-        Called with every `dcreg.Event`, whose stage names the cardinality (``k=40``);
-        returning True ends the sweep, with status ``stopped`` for what is not proven.
+        Called with every `dcreg.Event`, whose stage names the cardinality (``k=40``)
+        or is ``rotation``; returning True ends the sweep, with status ``stopped`` for what is not proven.
 
     Returns
     -------
@@ -168,8 +168,8 @@ class _Level:
     upper_bound: float = np.inf
     proven_by: int | None = None
     stopped_by: Status | None = None
-    time_s: float = 0.0
     n_descending: int = 0
+    descending_s: float = 0.0
     events: list[Event] = field(default_factory=list)
     searches: list[Stage] = field(default_factory=list)
 
@@ -215,7 +215,7 @@ class _Level:
     def answer(self) -> Answer:
         """What is known, but for the pose."""
         status = Status.OPTIMAL if self.closed else self.stopped_by or Status.STOPPED
-        descents = Stage("descents", time_s=0.0, n_assignments=self.n_descending)
+        descents = Stage("descents", self.descending_s, n_assignments=self.n_descending)
         return Answer(
             np.empty(0), status, self.lower_bound, self.upper_bound, self.space.scope,
             [descents, *self.searches], list(self.events),
@@ -231,7 +231,9 @@ class _Sweep:
     def incumbents(self) -> None:
         """A pose for every cardinality, from descents of its own and from its neighbours'."""
         for level in self.levels:
+            began = self.budget.elapsed()
             level.take(*level.space.start(self.budget))
+            level.descending_s += self.budget.elapsed() - began
         self._exchange()
 
     def _exchange(self) -> None:
@@ -239,7 +241,11 @@ class _Sweep:
         upward = list(itertools.pairwise(self.levels))
         downward = [(b, a) for a, b in reversed(upward)]
         for giver, taker in upward + downward:
+            if self.budget.is_over:
+                return
+            began = self.budget.elapsed()
             taker.take(*taker.space.refine(giver.theta))
+            taker.descending_s += self.budget.elapsed() - began
 
     def bounds(self) -> None:
         """Prove the cardinalities in ascending order, each by transfer if that is enough."""
@@ -285,7 +291,6 @@ class _Sweep:
         if found.lower_bound > level.lower_bound:
             level.lower_bound, level.proven_by = found.lower_bound, level.k
         level.stopped_by = found.status
-        level.time_s += found.time_s
         level.events = found.events
         level.searches.append(Stage.of("search", found, gap_tol))
         if better:
@@ -301,8 +306,9 @@ class _Sweep:
     def _result(self, level: _Level, polish: bool, time_setup: float, budget: Budget) -> Result:
         began = budget.elapsed()
         answer = level.answer()
+        spent = sum(stage.time_s for stage in answer.stages)
         place(level.task, level.space, level.theta, budget, answer)
         return result_of(
             level.problem, self.mode, level.task, answer, polish=polish, time_setup_s=time_setup,
-            budget=budget, time_solve_s=level.time_s + budget.elapsed() - began,
+            budget=budget, time_solve_s=spent + budget.elapsed() - began,
         )  # fmt: skip

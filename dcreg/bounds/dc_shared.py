@@ -46,7 +46,7 @@ class SharedBound(SpaceBound[FeatureSpace]):
         super().__init__(space, roots, threads)
         self.in_norm_space = isinstance(space, Translation3D)
         sizes = (0, 0) if self.in_norm_space else (space.n_source, space.n_target)
-        self.cache = VertexCache(self.roots[0], *sizes)
+        self.cache = VertexCache(self.roots, *sizes)
         self.loss_weights = space.n_inliers * space.axis_weights**2
 
     def _evaluate(

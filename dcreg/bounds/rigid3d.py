@@ -58,28 +58,13 @@ k squared residuals at any pose of the start box (`dcreg.problem.pairs.FeasibleP
 
 from __future__ import annotations
 
-import numpy as np
-
-from dcreg.bounds.base import SpaceBound
+from dcreg.bounds.clouds import CloudBound
 from dcreg.kernels.space.rigid import bound_boxes
-from dcreg.search import Evaluation
 from dcreg.spaces import Rigid3D
 
 
-class RigidBound(SpaceBound[Rigid3D]):
+class RigidBound(CloudBound[Rigid3D]):
     """The greatest of the bounds in the module's docstring, over boxes of poses."""
 
     round_pairs, max_round = 1_000_000, 256
-
-    def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
-    ) -> Evaluation:
-        bounds, values = np.empty(len(lower)), np.empty(len(lower))
-
-        def work(part: slice) -> int:
-            return bound_boxes(
-                lower[part], upper[part], cutoff, self.space.clouds, bounds[part], values[part]
-            )
-
-        self._run(work, len(lower))
-        return Evaluation(bounds, 0.5 * (lower + upper), values)
+    bound_boxes = staticmethod(bound_boxes)

@@ -39,28 +39,13 @@ as it decides about the cutoff. At a box of one rotation B1 equals E.
 
 from __future__ import annotations
 
-import numpy as np
-
-from dcreg.bounds.base import SpaceBound
+from dcreg.bounds.clouds import CloudBound
 from dcreg.kernels.space.rotation import bound_boxes
-from dcreg.search import Evaluation
 from dcreg.spaces import Rotation3D
 
 
-class RotationBound(SpaceBound[Rotation3D]):
+class RotationBound(CloudBound[Rotation3D]):
     """max(B1, B2) over boxes of quaternions; proofs in the module's docstring."""
 
     round_pairs, max_round = 4_000_000, 32
-
-    def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
-    ) -> Evaluation:
-        bounds, values = np.empty(len(lower)), np.empty(len(lower))
-
-        def work(part: slice) -> int:
-            return bound_boxes(
-                lower[part], upper[part], cutoff, self.space.clouds, bounds[part], values[part]
-            )
-
-        self._run(work, len(lower))
-        return Evaluation(bounds, 0.5 * (lower + upper), values)
+    bound_boxes = staticmethod(bound_boxes)

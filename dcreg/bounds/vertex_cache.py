@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dcreg.kernels.features.lattice import Lattice, find_or_add, rebuild
@@ -15,23 +17,24 @@ _FIRST = 4096  # vertices there is room for at first
 
 
 class VertexCache:
-    """Vertices by slot, found by their place on the root box's dyadic lattice.
+    """Vertices by slot, found by their place on a lattice over the hull of the roots.
 
     Its arrays are those of `dcreg.kernels.features.lattice.Lattice` and
     `dcreg.kernels.plane.profiles.Vertices`.
 
     Parameters
     ----------
-    root : Box
-        Every box asked for is made from it by bisection.
+    roots : sequence of Box
+        Every box asked for is made from one of them by bisection.
     profile_size, duals_size : int
         Entries of a profile and of a dual vector; 0 where none is needed.
     """
 
     _ARRAYS = ("keys", "thetas", "lows", "values", "levels", "profiles", "duals", "met")
 
-    def __init__(self, root: Box, profile_size: int, duals_size: int) -> None:
-        self.origin, self.width = root.lower, root.upper - root.lower
+    def __init__(self, roots: Sequence[Box], profile_size: int, duals_size: int) -> None:
+        self.origin = np.min([root.lower for root in roots], axis=0)
+        self.width = np.max([root.upper for root in roots], axis=0) - self.origin
         self.max_vertices = MAX_CACHE_BYTES // (8 * (profile_size + duals_size + 16))
         self.used = self._calls = 0
         self.keys = np.empty((_FIRST, 4), np.int64)

@@ -20,7 +20,7 @@ import dcreg
 _LIBRARY = logging.getLogger("dcreg")
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _HEADER = (
-    f"  {'stage':<8}{'nodes':>9}{'open':>8}{'assign.':>10}"
+    f"  {'stage':<15}{'nodes':>9}{'open':>8}{'assign.':>10}"
     f"{'lower bound':>12}{'upper bound':>12}{'gap':>10}{'time':>8}"
 )
 
@@ -144,7 +144,7 @@ class Progress:
     def _line(self, event: dcreg.Event) -> str:
         mark = "*" if self._improved else " "
         return (
-            f"{mark} {event.stage:<8}{event.n_nodes:>9}{event.n_open:>8}{event.n_assignments:>10}"
+            f"{mark} {event.stage:<15}{event.n_nodes:>9}{event.n_open:>8}{event.n_assignments:>10}"
             f"{_number(event.lower_bound, 5):>12}{_number(event.upper_bound, 5):>12}"
             f"{_number(event.gap, 4):>10}{event.time_s:>7.1f}s"
             f"{'  ' + event.status if event.status else ''}"

@@ -149,8 +149,11 @@ def _low_places(
     assignments, spent = bound.n_assignments, descents.spent
     margin = task.gap_tol if settings.margin is None else settings.margin
     cutoff = found.upper_bound + margin
+    node_limit = settings.basin_nodes
+    if budget.nodes is not None:
+        node_limit = min(node_limit, budget.nodes)
     centres, n_nodes, complete = _low_boxes(
-        bound, bound.roots[0], cutoff, settings.separation, settings.basin_nodes, budget
+        bound, bound.roots[0], cutoff, settings.separation, node_limit, budget
     )
     for theta in centres[:: max(1, -(-len(centres) // MAX_DESCENTS))]:
         if budget.is_over:
@@ -184,7 +187,9 @@ def _low_boxes(
     leaves: list[np.ndarray] = [np.empty((0, root.dim))]
     n_nodes = 0
     while stack:
-        if n_nodes >= node_limit or budget.is_over:
+        held = sum(part[0].nbytes + part[1].nbytes for part in stack)
+        full = budget.memory_mb is not None and held > budget.memory_mb * 2**20
+        if n_nodes >= node_limit or full or budget.is_over:
             return np.concatenate(leaves), n_nodes, False
         lower, upper = stack.pop()
         found = bound.evaluate(lower, upper, cutoff)

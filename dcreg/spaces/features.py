@@ -11,6 +11,8 @@ from dcreg.kernels.features.motion import pair_costs
 from dcreg.kernels.points import Points
 from dcreg.spaces.base import Space
 
+LEAST_GAIN = 1e-9  # share of the objective by which a step of a descent has to lower it
+
 
 class FeatureSpace(Space):
     """A space over which every bound is written once, in terms of features of the moved source.

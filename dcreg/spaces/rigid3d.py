@@ -21,20 +21,18 @@ import itertools
 import numpy as np
 
 from dcreg.kernels.assignment.dense import cheapest_pairs
-from dcreg.kernels.points import Clouds
 from dcreg.kernels.space.geometry import best_rotation
 from dcreg.kernels.space.poses import nearest_scores, pose_costs
-from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
-from dcreg.spaces.base import Space, mean_of_largest, radius
+from dcreg.spaces.base import mean_of_largest, radius
+from dcreg.spaces.clouds import CloudSpace
 from dcreg.spaces.rotation3d import Rotation3D
 
 _SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored
 _ROUNDING = 1e-12
-_MAX_ROUNDS = 100
 
 
-def largest_subset_mean(points: np.ndarray, count: int, cells: int = 8) -> float:
+def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> float:
     """An upper bound on ``|mean of any `count` points|`` in space.
 
     The support function of the subset means is the mean of the largest projections. Directions are
@@ -50,7 +48,7 @@ def largest_subset_mean(points: np.ndarray, count: int, cells: int = 8) -> float
     return farthest / np.cos(2.0 * np.arcsin(np.sqrt(0.5) / cells))
 
 
-class Rigid3D(Space):
+class Rigid3D(CloudSpace):
     """Rigid poses of centred clouds; theta is a quaternion and a translation, y = R x + t.
 
     Parameters
@@ -78,15 +76,7 @@ class Rigid3D(Space):
         reduced_box: bool = True,
         candidates: np.ndarray | None = None,
     ) -> None:
-        source, target = (np.asarray(points, dtype=np.float64) for points in (source, target))
-        reach = radius(source) + radius(target)
-        self.clouds = Clouds(
-            np.ascontiguousarray(source.T),
-            np.ascontiguousarray(target.T),
-            FeasiblePairs(candidates).prices(n_inliers, reach),
-            n_inliers,
-        )
-        self.n_inliers = n_inliers
+        super().__init__(source, target, n_inliers, candidates)
         self.reduced_box = reduced_box
         self._centres = np.zeros(3), np.zeros(3)  # of the clouds as they were given, see `centred`
 
@@ -108,14 +98,6 @@ class Rigid3D(Space):
         space._centres = centres
         return space
 
-    @property
-    def n_source(self) -> int:
-        return int(self.clouds.source.shape[1])
-
-    @property
-    def n_target(self) -> int:
-        return int(self.clouds.target.shape[1])
-
     def translations(self) -> Box:
         """A box that holds the translation of every optimum."""
         k, source, target = self.n_inliers, self.clouds.source, self.clouds.target
@@ -123,7 +105,7 @@ class Rigid3D(Space):
             if k == source.shape[1]:
                 reach = float(np.linalg.norm(source.mean(axis=1)))
             else:
-                reach = largest_subset_mean(source.T, k)
+                reach = largest_subset_mean_3d(source.T, k)
             lower = np.array([-mean_of_largest(-y, k) for y in target])
             upper = np.array([mean_of_largest(y, k) for y in target])
             # rounding must not cut off the optimum, yet a centred set keeps zero width
@@ -148,19 +130,17 @@ class Rigid3D(Space):
         value, col_of, _ = cheapest_pairs(cost, self.n_inliers)
         return float(value), col_of
 
-    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Alternate matching and best pose from `theta`: theta, objective, assignments."""
-        best, (value, col_of), spent = theta.copy(), self.objective(theta), 1
-        for _ in range(_MAX_ROUNDS):
-            rows = np.flatnonzero(col_of >= 0)
-            trial = _fit(self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]])
-            trial_value, trial_col = self.objective(trial)
-            spent += 1
-            if trial_value >= value * (1.0 - 1e-12):
-                break
-            best, value, col_of = trial, trial_value, trial_col
-        best[:4] /= best[:4][np.argmax(np.abs(best[:4]))]
-        return best, value, spent
+    @staticmethod
+    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Quaternion and translation (Horn 1987, centred)."""
+        x, y = source.mean(axis=1), target.mean(axis=1)
+        turn = best_rotation(source - x[:, None], target - y[:, None])
+        return np.append(turn, y - Rotation3D.matrix(turn) @ x)
+
+    def normalised(self, theta: np.ndarray) -> np.ndarray:
+        theta = theta.copy()
+        theta[:4] /= theta[:4][np.argmax(np.abs(theta[:4]))]
+        return theta
 
     def seeds(self) -> np.ndarray:
         """Regular poses, as many as may be scored in a moment; always with t at the box centre."""
@@ -195,11 +175,4 @@ class Rigid3D(Space):
         T[:3, 3] -= self._centres[1] - T[:3, :3] @ self._centres[0]
         corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
         moved = corners @ T[:3, :3].T + T[:3, 3]
-        return _fit(corners.T, moved.T)
-
-
-def _fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Best rigid pose of paired (3, k) points (Horn 1987, centred): quaternion and translation."""
-    x, y = source.mean(axis=1), target.mean(axis=1)
-    turn = best_rotation(source - x[:, None], target - y[:, None])
-    return np.append(turn, y - Rotation3D.matrix(turn) @ x)
+        return self.fit(corners.T, moved.T)

@@ -21,18 +21,15 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.kernels.assignment.dense import cheapest_pairs
-from dcreg.kernels.points import Clouds
 from dcreg.kernels.space import rotation as kernels
 from dcreg.kernels.space.geometry import best_rotation, rotation_matrix
-from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
-from dcreg.spaces.base import Space, radius
+from dcreg.spaces.clouds import CloudSpace
 
 _START_CELLS_PER_AXIS = 4  # of the regular grid of seeds
-_MAX_ROUNDS = 100
 
 
-class Rotation3D(Space):
+class Rotation3D(CloudSpace):
     """Rotations about the origin; theta is a quaternion (w, x, y, z) of any length but zero.
 
     Parameters
@@ -46,31 +43,6 @@ class Rotation3D(Space):
     axis_weights = np.ones(4)
     scope = "rotation about the origin"
     n_descents = 8
-
-    def __init__(
-        self,
-        source: np.ndarray,
-        target: np.ndarray,
-        n_inliers: int,
-        candidates: np.ndarray | None = None,
-    ) -> None:
-        source, target = (np.asarray(points, dtype=np.float64) for points in (source, target))
-        reach = radius(source) + radius(target)
-        self.clouds = Clouds(
-            np.ascontiguousarray(source.T),
-            np.ascontiguousarray(target.T),
-            FeasiblePairs(candidates).prices(n_inliers, reach),
-            n_inliers,
-        )
-        self.n_inliers = n_inliers
-
-    @property
-    def n_source(self) -> int:
-        return int(self.clouds.source.shape[1])
-
-    @property
-    def n_target(self) -> int:
-        return int(self.clouds.target.shape[1])
 
     @staticmethod
     def roots() -> list[Box]:
@@ -110,25 +82,15 @@ class Rotation3D(Space):
         kernels.pair_costs(R, self.clouds, cost)
         _, col_of, _ = cheapest_pairs(cost, self.n_inliers)
         # summed anew: the expanded squares of `pair_costs` cancel and may leave a tiny negative sum
-        x, y = self._matched(col_of)
+        x, y = self.matched(col_of)
         return float(((R @ x - y) ** 2).sum()), col_of
 
-    def _matched(self, col_of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The matched points of both clouds, (3, k) each."""
-        rows = np.flatnonzero(col_of >= 0)
-        return self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]]
+    @staticmethod
+    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        return best_rotation(source, target)
 
-    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Alternate matching and best rotation from `theta`: theta, objective, assignments."""
-        best, (value, col_of), spent = theta, self.objective(theta), 1
-        for _ in range(_MAX_ROUNDS):
-            trial = best_rotation(*self._matched(col_of))
-            trial_value, trial_col = self.objective(trial)
-            spent += 1
-            if trial_value >= value * (1.0 - 1e-12):
-                break
-            best, value, col_of = trial, trial_value, trial_col
-        return best / best[np.argmax(np.abs(best))], value, spent
+    def normalised(self, theta: np.ndarray) -> np.ndarray:
+        return theta / theta[np.argmax(np.abs(theta))]
 
     def pose(self, theta: np.ndarray) -> np.ndarray:
         """The (4, 4) matrix of the rotation."""

@@ -12,9 +12,8 @@ from dcreg.kernels.points import Points
 from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
 from dcreg.spaces.base import largest_subset_mean, mean_of_largest, radius
-from dcreg.spaces.features import FeatureSpace
-
-_MAX_ROUNDS = 100
+from dcreg.spaces.descent import alternate
+from dcreg.spaces.features import LEAST_GAIN, FeatureSpace
 
 
 class Similarity2D(FeatureSpace):
@@ -97,17 +96,16 @@ class Similarity2D(FeatureSpace):
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Every assignment starts from the prices of the one before."""
-        best = theta.copy()
         _, col_of, prices = cheapest_pairs(self._costs(theta), self.n_inliers)
-        value, spent = np.inf, 1
-        for _ in range(_MAX_ROUNDS):
-            trial = self._fit(col_of)
-            trial_value, trial_col = improve_assignment(self._costs(trial), self.n_inliers, prices)
-            spent += 1
-            if trial_value >= value * (1.0 - 1e-9):
-                break
-            best, value, col_of = trial, trial_value, trial_col
-        return best, value, spent
+        found, value, spent = alternate(
+            theta.copy(),
+            np.inf,
+            col_of,
+            lambda _, matching: self._fit(matching),
+            lambda trial: improve_assignment(self._costs(trial), self.n_inliers, prices),
+            LEAST_GAIN,
+        )
+        return found, value, spent + 1
 
     def _fit(self, col_of: np.ndarray) -> np.ndarray:
         """Least-squares similarity of the matched pairs, its scale clipped to the range.

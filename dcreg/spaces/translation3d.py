@@ -11,9 +11,9 @@ from dcreg.kernels.points import Points
 from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
 from dcreg.spaces.base import mean_of_largest, radius
-from dcreg.spaces.features import FeatureSpace
+from dcreg.spaces.descent import alternate
+from dcreg.spaces.features import LEAST_GAIN, FeatureSpace
 
-_MAX_ROUNDS = 100
 _STEPS = 20  # of the fit to one matching
 
 
@@ -93,17 +93,16 @@ class Translation3D(FeatureSpace):
         return values, self.objectives(seeds, values)
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        best = theta.copy()
-        value, col_of = self.objective(best)
-        spent = 1
-        for _ in range(_MAX_ROUNDS):
-            rows = np.flatnonzero(col_of >= 0)
-            trial = best.copy()
-            axes = np.ascontiguousarray(self.points.axes[:, rows])
-            fit_norm3d(axes, self.norms[col_of[rows]], _STEPS, trial)
-            trial_value, trial_col = self.objective(trial)
-            spent += 1
-            if trial_value >= value * (1.0 - 1e-9):
-                break
-            best, value, col_of = trial, trial_value, trial_col
-        return best, value, spent
+        value, col_of = self.objective(theta)
+        found, value, spent = alternate(
+            theta.copy(), value, col_of, self._fit, self.objective, LEAST_GAIN
+        )
+        return found, value, spent + 1
+
+    def _fit(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
+        """A few steps from `theta` towards the translation that fits the norms of the pairs best."""
+        rows = np.flatnonzero(col_of >= 0)
+        trial = theta.copy()
+        axes = np.ascontiguousarray(self.points.axes[:, rows])
+        fit_norm3d(axes, self.norms[col_of[rows]], _STEPS, trial)
+        return trial

@@ -142,6 +142,28 @@ def test_shared_vertices_keep_every_descendant_valid(name, data):
         lower, upper = branching(lower[keep], upper[keep])
 
 
+@pytest.mark.parametrize("name", NAMES)
+@given(data=st.data())
+def test_bounds_over_several_roots_do_not_mix_them_up(name, data):
+    """Roots flat along one axis and apart on it: what holds at one tells nothing of the other."""
+    model, box = data.draw(models_with_boxes(families=families(name)))
+    flat = box.lower.copy()
+    flat[-1] = box.upper[-1] = box.lower[-1]
+    shift = np.zeros(box.dim)
+    shift[-1] = 3.0
+    roots = [Box(flat - far, np.maximum(flat, box.upper) - far) for far in (0.0 * shift, shift)]
+    lower, upper = (np.array([getattr(root, end) for root in roots]) for end in ("lower", "upper"))
+    together = make_bound(name, model, roots).evaluate(lower, upper, np.inf).lower_bounds
+    alone = [evaluate(name, model, root).lower_bounds[0] for root in roots]
+    generator = np.random.default_rng(0)
+    for bound, root in zip(together, roots, strict=True):
+        thetas = root.sample(generator, 20)
+        for theta in thetas[model.admissible(thetas)]:
+            assert bound <= reference.objective(model, theta) + 1e-9
+    if name in ("paper", "edges"):  # without memory: the same to the last bit
+        np.testing.assert_array_equal(together, alone)
+
+
 @given(models_with_boxes())
 def test_paper_bound_equals_its_numpy_twin(model_and_box):
     model, box = model_and_box

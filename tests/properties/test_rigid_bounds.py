@@ -16,7 +16,7 @@ from dcreg.kernels.space.rigid import bid
 from dcreg.local import objective
 from dcreg.search import Box
 from dcreg.spaces import Rigid3D
-from dcreg.spaces.rigid3d import largest_subset_mean
+from dcreg.spaces.rigid3d import largest_subset_mean_3d
 from tests.problems import KINDS, cloud
 
 
@@ -168,5 +168,5 @@ def test_subset_mean_is_bounded(seed, count):
     points = np.random.default_rng(seed).standard_normal((7, 3))
     means = [points[list(rows)].mean(axis=0) for rows in combinations(range(7), count)]
     longest = np.linalg.norm(means, axis=1).max()
-    assert longest <= largest_subset_mean(points, count) + 1e-12
-    assert largest_subset_mean(points, count) <= 1.02 * longest + 1e-12
+    assert longest <= largest_subset_mean_3d(points, count) + 1e-12
+    assert largest_subset_mean_3d(points, count) <= 1.02 * longest + 1e-12

@@ -45,7 +45,7 @@ def test_prices_are_the_mean_of_the_neighbours_by_distance(seed):
 
 
 def test_a_full_cache_forgets_what_was_met_least_recently():
-    cache = VertexCache(Box(np.zeros(4), np.ones(4)), 2, 2)
+    cache = VertexCache([Box(np.zeros(4), np.ones(4))], 2, 2)
     cache.max_vertices = 60
     halves = [Box(np.zeros(4), np.array([0.5**i, 1.0, 1.0, 1.0])) for i in range(8)]
     for box in halves:

@@ -357,6 +357,17 @@ def test_mode_multi_counts_the_descents_it_starts_with(spatial):
     assert result.n_assignments == counted
 
 
+def test_node_limit_holds_in_every_stage_of_mode_multi(spatial, rng):
+    source, target, _ = spatial
+    target = target + 0.1 * rng.standard_normal(target.shape)
+    result = dcreg.register(
+        source, target, n_inliers=15, model="rigid3d", mode="multi", node_limit=40
+    )
+    assert {"search", "basins"} <= {stage.name for stage in result.stages}
+    # a round may end a little beyond: a stage bounds at most twice its last round more
+    assert all(stage.n_nodes <= 40 + 64 for stage in result.stages)
+
+
 def test_mode_multi_tells_of_every_basin(spatial):
     source, target, _ = spatial
     seen = []

@@ -331,3 +331,21 @@ def test_times_of_all_stages_are_on_one_clock():
         assert times == sorted(times)
     stages = {event.stage for result in found.results for event in result.trace}
     assert "rotation" in stages
+
+
+def test_poses_are_not_exchanged_past_the_limit(monkeypatch):
+    """A neighbour's pose is tried only while there is time: one descent each is all that is left."""
+    calls = []
+    refine = Similarity2D.refine
+    monkeypatch.setattr(
+        Similarity2D, "refine", lambda space, theta: calls.append(space) or refine(space, theta)
+    )
+    dcreg.sweep(*flat(noise=0.05), COUNTS, model="similarity2d", time_limit=1e-9)
+    starts = [space for space in calls if space.n_source == 24]  # not those of the warm-up
+    assert len(starts) == len(COUNTS)
+
+
+def test_time_of_descents_is_counted():
+    for result in dcreg.sweep(*flat(noise=0.05), COUNTS, model="similarity2d").results:
+        assert result.stages[0].name == "descents"
+        assert 0.0 < result.stages[0].time_s <= result.time_solve_s
