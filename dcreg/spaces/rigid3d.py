@@ -17,19 +17,22 @@ and both are centred, that is the single value 0 and only the rotation is search
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 
 from dcreg.kernels.assignment.dense import cheapest_pairs
 from dcreg.kernels.space.geometry import best_rotation
 from dcreg.kernels.space.poses import nearest_scores, pose_costs
-from dcreg.search import Box
+from dcreg.search import Box, Budget
 from dcreg.spaces.base import mean_of_largest, radius
 from dcreg.spaces.clouds import CloudSpace
+from dcreg.spaces.congruent import SCALES, best_descents, congruent_poses, rounds_for
 from dcreg.spaces.rotation3d import Rotation3D
 
 _SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored
 _ROUNDING = 1e-12
+DENSE_DESCENTS = 40_000  # pairs beyond which descents begin with nearest neighbours
 
 
 def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> float:
@@ -78,6 +81,7 @@ class Rigid3D(CloudSpace):
     ) -> None:
         super().__init__(source, target, n_inliers, candidates)
         self.reduced_box = reduced_box
+        self._candidates = candidates
         self._centres = np.zeros(3), np.zeros(3)  # of the clouds as they were given, see `centred`
 
     @classmethod
@@ -142,6 +146,38 @@ class Rigid3D(CloudSpace):
         theta[:4] /= theta[:4][np.argmax(np.abs(theta[:4]))]
         return theta
 
+    def start(self, budget: Budget) -> tuple[np.ndarray, float, int]:
+        """The best of descents from poses of congruent triples and from a regular grid.
+
+        The grid alone where all points match: then the centroids do too, and only turns are left to try.
+        """
+        box = self.translations()
+        if (box.lower == box.upper).all():
+            return super().start(budget)
+        ends = []
+        for theta in self._congruent(budget):
+            ends.append(self.refine(theta))
+            if budget.is_over:
+                break
+        if not ends or not budget.is_over:
+            ends.append(super().start(budget))
+        theta, value, _ = min(ends, key=lambda end: end[1])
+        return theta, value, sum(spent for *_, spent in ends)
+
+    def _congruent(self, budget: Budget) -> Iterator[np.ndarray]:
+        """Parameters of the poses that congruent triples suggest, scale by scale."""
+        source, target = self.clouds.source.T, self.clouds.target.T
+        for seed in range(rounds_for(self.n_source, self.n_inliers)):
+            for scale in SCALES:
+                if budget.is_over:
+                    return
+                poses = congruent_poses(
+                    source, target, self.n_inliers, scale, self._candidates, seed=seed
+                )
+                if self.n_pairs > DENSE_DESCENTS:
+                    poses = best_descents(poses, source, target, self.n_inliers)
+                yield from map(self._parameter, poses)
+
     def seeds(self) -> np.ndarray:
         """Regular poses, as many as may be scored in a moment; always with t at the box centre."""
         box = self.translations()
@@ -173,6 +209,10 @@ class Rigid3D(CloudSpace):
         """The parameter of a pose: the inverse of `pose`."""
         T = T.copy()
         T[:3, 3] -= self._centres[1] - T[:3, :3] @ self._centres[0]
+        return self._parameter(T)
+
+    def _parameter(self, T: np.ndarray) -> np.ndarray:
+        """Quaternion and translation of a pose, by the fit to four moved points."""
         corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
         moved = corners @ T[:3, :3].T + T[:3, 3]
         return self.fit(corners.T, moved.T)

@@ -1,0 +1,201 @@
+"""Where a rigid search starts when many points have no partner: poses from congruent triples.
+
+A rigid motion keeps distances. Three source points and three target points with the same distances fix a
+pose; among enough random source triples one consists of true pairs, and of all its congruent target
+triples one is right. Poses are scored by how many source points they bring near the target, and the best
+distinct ones are returned. (The idea is that of congruent sets, Aiger, Mitra and Cohen-Or 2008; the
+details are this project's.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from dcreg.kernels.space import congruent as kernels
+
+MAX_TARGETS = 300  # target points that triples are made of
+MAX_LOOKED = 150  # source points that score
+FAILURE = (
+    1e-9  # wished probability that no triple consists of true pairs; congruent clutter hides some
+)
+MIN_TRIPLES, MAX_TRIPLES = 60, 200  # a round
+MAX_ROUNDS = 8
+MAX_SAMPLE, MAX_STEPS = 300, 30  # of descents by nearest neighbours
+SHORTEST = 0.6  # side of a source triple, in RMS radii; short ones fix a rotation badly
+KEPT_PER_TRIPLE = 6
+APART = 0.15  # poses that move the unit corners by less than this differ too little
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How exact congruence and nearness are taken, in RMS radii of the target.
+
+    Attributes
+    ----------
+    tolerance : float
+        Difference of two distances that counts as none.
+    reach : float
+        Distance beyond which a point is not near the target.
+    """
+
+    tolerance: float
+    reach: float
+
+
+# Noise is not known beforehand: a fine scale tells apart more, a coarse one tolerates more.
+SCALES = (Scale(0.04, 0.06), Scale(0.06, 0.1), Scale(0.09, 0.2))
+
+
+def congruent_poses(
+    source: np.ndarray,
+    target: np.ndarray,
+    n_inliers: int,
+    scale: Scale,
+    candidates: np.ndarray | None = None,
+    *,
+    count: int = 30,
+    seed: int = 0,
+) -> np.ndarray:
+    """The best distinct poses that congruent triples suggest, best first.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+    n_inliers : int
+    scale : Scale
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+    count : int
+        Poses returned at most.
+    seed : int
+
+    Returns
+    -------
+    (P, 4, 4) array
+        Proper rigid poses; none where no triples agree.
+    """
+    unit = float(np.sqrt(((target - target.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    if len(source) < 3 or len(target) < 3 or unit == 0.0:
+        return np.empty((0, 4, 4))
+    rng = np.random.default_rng(seed)
+    x, y = np.ascontiguousarray(source / unit), np.ascontiguousarray(target / unit)
+    triples = _long_triples(x, n_inliers, rng)
+    columns = np.sort(rng.permutation(len(y))[:MAX_TARGETS])
+    feasible = np.empty((0, 0), np.bool_)
+    if candidates is not None:
+        feasible = np.ascontiguousarray(candidates[:, columns])
+    looked = x[rng.permutation(len(x))[:MAX_LOOKED]]
+    cell = scale.reach / 3.0
+    origin = y.min(axis=0) - scale.reach
+    size = int(np.ceil((np.ptp(y, axis=0).max() + 2.0 * scale.reach) / cell)) + 1
+    field = np.empty((size, size, size))
+    kernels.nearness_field(y, origin, cell, size, scale.reach, field)
+    poses = np.zeros((len(triples), KEPT_PER_TRIPLE, 3, 4))
+    scores = np.zeros((len(triples), KEPT_PER_TRIPLE))
+    some = y[columns]
+    kernels.triple_poses(
+        triples, x, some, feasible, _pairs_by_length(some),
+        (scale.tolerance, looked, origin, cell, field), poses, scores,
+    )  # fmt: skip
+    found = _distinct(poses.reshape(-1, 3, 4), scores.ravel(), count)
+    found[:, :3, 3] *= unit
+    return found
+
+
+def rounds_for(n_source: int, n_inliers: int) -> int:
+    """How often triples have to be drawn anew so that one of true pairs is among them."""
+    return int(np.clip(np.ceil(_triples_needed(n_source, n_inliers) / MAX_TRIPLES), 1, MAX_ROUNDS))
+
+
+def _triples_needed(n_source: int, n_inliers: int) -> float:
+    share = (n_inliers / n_source) ** 3
+    return float(np.log(FAILURE) / np.log1p(-share)) if share < 1.0 else 0.0
+
+
+def best_descents(
+    poses: np.ndarray, source: np.ndarray, target: np.ndarray, n_inliers: int, count: int = 3
+) -> np.ndarray:
+    """The poses that end best when a sample of the source follows its nearest neighbours.
+
+    For clouds so large that every one-to-one matching takes long: alternates the nearest neighbours of
+    the trimmed sample and the least-squares pose.
+
+    Returns
+    -------
+    (P, 4, 4) array
+        At most `count`, best first.
+    """
+    rng = np.random.default_rng(0)
+    sample = source[np.sort(rng.permutation(len(source))[:MAX_SAMPLE])]
+    k = max(3, round(n_inliers * len(sample) / len(source)))
+    tree = cKDTree(target)
+    ends = [_follow_nearest(T, sample, target, tree, k) for T in poses]
+    ends.sort(key=lambda end: end[0])
+    return np.array([T for _, T in ends[:count]]).reshape(-1, 4, 4)
+
+
+def _follow_nearest(
+    T: np.ndarray, sample: np.ndarray, target: np.ndarray, tree: cKDTree, k: int
+) -> tuple[float, np.ndarray]:
+    best, least = T, np.inf
+    for _ in range(MAX_STEPS):
+        distances, columns = tree.query(sample @ T[:3, :3].T + T[:3, 3])
+        rows = np.argpartition(distances, k - 1)[:k]
+        value = float((distances[rows] ** 2).sum())
+        if value >= least * (1.0 - 1e-3):
+            break
+        best, least = T, value
+        T = _fitted(sample[rows], target[columns[rows]])
+    return least, best
+
+
+def _fitted(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Least-squares rigid pose of paired points."""
+    x, y = source.mean(axis=0), target.mean(axis=0)
+    turn = Rotation.align_vectors(target - y, source - x)[0].as_matrix()
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn, y - turn @ x
+    return T
+
+
+def _long_triples(points: np.ndarray, n_inliers: int, rng: np.random.Generator) -> np.ndarray:
+    """Random triples with long sides, as many as it takes for one of true pairs."""
+    needed = _triples_needed(len(points), n_inliers)
+    count = int(np.clip(needed, MIN_TRIPLES, MAX_TRIPLES))
+    drawn = rng.integers(len(points), size=(20 * count, 3))
+    sides = [
+        np.linalg.norm(points[drawn[:, a]] - points[drawn[:, b]], axis=1)
+        for a, b in ((0, 1), (0, 2), (1, 2))
+    ]
+    shortest = np.min(sides, axis=0)
+    long = np.flatnonzero(shortest >= SHORTEST)
+    if len(long) < count:  # a small or flat cloud: the longest there are
+        long = np.argsort(-shortest, kind="stable")
+    return drawn[long[:count]]
+
+
+def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First and second point of every ordered pair, and their distance, ascending."""
+    first, second = np.nonzero(~np.eye(len(points), dtype=bool))
+    lengths = np.linalg.norm(points[first] - points[second], axis=1)
+    order = np.argsort(lengths, kind="stable")
+    return first[order], second[order], lengths[order]
+
+
+def _distinct(poses: np.ndarray, scores: np.ndarray, count: int) -> np.ndarray:
+    """The best poses that differ, as (P, 4, 4)."""
+    corners = np.vstack([np.zeros(3), np.eye(3)])
+    kept: list[np.ndarray] = []
+    moved = np.einsum("pab,cb->pca", poses[:, :, :3], corners) + poses[:, None, :, 3]
+    taken = np.empty((0, 4, 3))
+    for at in np.argsort(-scores, kind="stable"):
+        if scores[at] <= 0.0 or len(kept) == count:
+            break
+        if (np.abs(taken - moved[at]).max(axis=(1, 2), initial=0.0) > APART).all():
+            kept.append(np.vstack([poses[at], [0.0, 0.0, 0.0, 1.0]]))
+            taken = np.concatenate([taken, moved[at : at + 1]])
+    return np.array(kept).reshape(-1, 4, 4)

@@ -1,0 +1,98 @@
+"""Starts from congruent triples: right where many points have no partner, and whatever is odd."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from dcreg.search import Budget
+from dcreg.spaces import Rigid3D
+from dcreg.spaces.congruent import SCALES, best_descents, congruent_poses, rounds_for
+
+
+def partial_overlap(seed, n_common=30, n_clutter=30, noise=0.005):
+    """Clouds of which half has no partner: beside the shape, on either side."""
+    rng = np.random.default_rng(seed)
+    shape = rng.standard_normal((n_common, 3)) * [1.0, 0.6, 0.3]
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([0.4, 1.9, -0.8]).as_matrix()
+    T[:3, 3] = [0.5, -0.3, 0.8]
+    target = shape @ T[:3, :3].T + T[:3, 3] + noise * rng.standard_normal((n_common, 3))
+    beside = rng.uniform(-0.5, 0.5, (2, n_clutter, 3))
+    beside += np.array([[[-2.0, 0.0, 0.0]], [[1.5, 1.0, 0.0]]])
+    source, target = np.concatenate([shape, beside[0]]), np.concatenate([target, beside[1]])
+    return source, rng.permutation(target), T
+
+
+def angle(T, truth):
+    return Rotation.from_matrix(T[:3, :3] @ truth[:3, :3].T).magnitude()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_some_pose_is_near_the_true_one(seed):
+    source, target, truth = partial_overlap(seed)
+    poses = np.concatenate([congruent_poses(source, target, 30, scale) for scale in SCALES])
+    assert all(np.linalg.det(T[:3, :3]) == pytest.approx(1.0) for T in poses)
+    assert min(angle(T, truth) for T in poses) < 0.1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_default_mode_is_right_on_partial_overlap(seed):
+    source, target, truth = partial_overlap(seed)
+    result = dcreg.register(source, target, n_inliers=30, model="rigid3d", time_limit=8.0)
+    assert angle(result.T_target_source, truth) < 0.05
+    assert np.linalg.norm(result.translation - truth[:3, 3]) < 0.05
+
+
+def test_only_feasible_triples_are_used():
+    source, target, truth = partial_overlap(0)
+    moved = source @ truth[:3, :3].T + truth[:3, 3]
+    near = np.linalg.norm(moved[:, None] - target[None], axis=2) < 0.1
+    poses = congruent_poses(source, target, 30, SCALES[0], ~near)
+    assert all(angle(T, truth) > 0.02 for T in poses)
+    poses = congruent_poses(source, target, 30, SCALES[1], near)
+    assert angle(poses[0], truth) < 0.1
+
+
+def test_best_descents_keep_the_right_pose_among_wrong_ones():
+    source, target, truth = partial_overlap(1, n_common=200, n_clutter=200)
+    wrong = [truth @ _turned(a) for a in (0.8, 1.6, 2.4)]
+    nearly = truth @ _turned(0.05)
+    (best,) = best_descents(np.array([*wrong, nearly]), source, target, 200, count=1)
+    assert angle(best, truth) < 0.02
+
+
+def _turned(by):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([0.0, by, 0.0]).as_matrix()
+    return T
+
+
+@pytest.mark.parametrize("kind", ["few", "one place", "line", "plane"])
+def test_odd_clouds_still_give_a_start(kind, rng):
+    source = rng.standard_normal((8, 3))
+    if kind == "few":
+        source = source[:2]
+    elif kind == "one place":
+        source[:] = 1.0
+    elif kind == "line":
+        source[:, 1:] = 0.0
+    else:
+        source[:, 2] = 0.0
+    target = source[::-1] + 0.5
+    k = len(source) - 1
+    theta, value, spent = Rigid3D.centred(source, target, k).start(Budget())
+    assert np.isfinite(theta).all()
+    assert value == pytest.approx(0.0, abs=1e-9)
+    assert spent >= 1
+
+
+def test_rounds_grow_with_the_outliers():
+    assert rounds_for(100, 100) == 1
+    assert rounds_for(100, 100) <= rounds_for(100, 50) < rounds_for(100, 30)
+
+
+def test_starts_are_the_same_every_time():
+    source, target, _ = partial_overlap(2)
+    first, second = (congruent_poses(source, target, 30, SCALES[0]) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
