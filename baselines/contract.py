@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from dcreg.status import Status
+
+if TYPE_CHECKING:
+    from dcreg.search import Budget
 
 ModelName = Literal["similarity2d", "rigid3d"]
 
@@ -94,6 +97,12 @@ class Limits:
     nodes: int | None = None
     memory_mb: int | None = None
     threads: int = 1
+
+    def budget(self) -> Budget:
+        """The clock, boxes and memory of a run that begins now."""
+        from dcreg.search import Budget  # compiled code comes with it
+
+        return Budget(self.time_s, self.nodes, self.memory_mb)
 
 
 @dataclass

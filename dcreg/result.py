@@ -15,7 +15,7 @@ from dcreg._version import __version__
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, write_text
-from dcreg.problem import InputError
+from dcreg.problem import InputError, scale_of
 from dcreg.search import Outcome, Trace
 from dcreg.status import Status
 
@@ -166,8 +166,7 @@ class Result:
     @property
     def scale(self) -> float:
         """Scale of the final pose; 1 in 3D."""
-        d = self.T_target_source.shape[0] - 1
-        return float(abs(np.linalg.det(self.T_target_source[:d, :d])) ** (1.0 / d))
+        return scale_of(self.T_target_source)
 
     @property
     def rotation(self) -> np.ndarray:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import jinja2
 import matplotlib
 import numpy as np
 import pandas as pd
@@ -22,7 +21,7 @@ import typer
 from matplotlib.figure import Figure as MplFigure
 
 from dcreg.bounds.names import BOUND_NAMES
-from reports import theme
+from reports import templating, theme
 
 HERE = Path(__file__).parent
 INK = {"light": "#1b2229", "dark": "#e6eaef"}
@@ -241,13 +240,6 @@ def build(folder: Path) -> Path:
     ):  # fmt: skip
         drawn = _drawings(draw, tables, folder / name)
         figures.append({"id": name, "title": title, "caption": caption} | drawn)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(HERE / "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     shown = [
         {"id": "losses", "title": "Loss beside the published DC bound's",
          "caption": "Mean of least objective met − bound, as a multiple of that of the bound `paper`, "
@@ -265,9 +257,9 @@ def build(folder: Path) -> Path:
     page = folder / "index.html"
     css = (HERE / "assets" / "report.css").read_text(encoding="utf-8")
     page.write_text(
-        environment.get_template("bounds_study.html").render(
-            css=css, figures=figures, tables=shown
-        ),
+        templating.environment()
+        .get_template("bounds_study.html")
+        .render(css=css, figures=figures, tables=shown),
         encoding="utf-8",
     )
     return page

@@ -6,10 +6,9 @@ import importlib.resources
 from pathlib import Path
 from typing import Annotated, Any
 
-import jinja2
 import typer
 
-from reports import sections, theme
+from reports import sections, templating, theme
 from reports.page import Page, pack, pack_json
 from reports.tables import ReportError, Tables
 from workflows.records import SchemaError
@@ -41,13 +40,7 @@ def build(tables_dir: Path, out: Path) -> None:
 
 
 def _render(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(HERE / "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templating.environment()
     environment.filters |= {
         "number": theme.number,
         "percent": theme.percent,

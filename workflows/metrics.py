@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from data.sampling import transform
+from dcreg.problem import nearest_rotation, scale_of
 
 # A run succeeds when its RMSE is below this share of the longest side of the bounding box of the
 # target's true inliers ...
@@ -97,7 +98,7 @@ def rmse_floor(case: Case) -> float:
 def rotation_error_deg(case: Case) -> float:
     """Angle of the rotation from the true to the found orientation, 0 to 180."""
     d = case.dim
-    found, true = (_rotation_of(T[:d, :d]) for T in (case.T, case.T_true))
+    found, true = (nearest_rotation(T[:d, :d]) for T in (case.T, case.T_true))
     # The arc tangent of sine and cosine: the arc cosine alone loses half the digits near zero.
     relative = found @ true.T
     if d == 2:
@@ -175,17 +176,6 @@ METRICS: dict[str, Metric] = {
         "lower_bound above objective_true: a wrong certificate unless 0", bound_violation,
     ),
 }  # fmt: skip
-
-
-def scale_of(T: np.ndarray) -> float:
-    d = len(T) - 1
-    return float(abs(np.linalg.det(T[:d, :d])) ** (1.0 / d))
-
-
-def _rotation_of(linear: np.ndarray) -> np.ndarray:
-    """The orthogonal matrix nearest to a linear map (proper, unless the map itself reflects)."""
-    U, _, Vt = np.linalg.svd(linear)
-    return U @ Vt
 
 
 def _rms(residuals: np.ndarray) -> float:

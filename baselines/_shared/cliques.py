@@ -8,7 +8,6 @@ at the clock: numba has none.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +20,7 @@ from baselines._shared.kernels.graphs import (
     grow_cliques,
     subgraph,
 )
+from dcreg.search import Budget
 
 # Greedy cliques before the exact search. The size found does not depend on their number, but which of
 # several largest cliques is found does, and the poses of these may differ by degrees. With this number
@@ -41,19 +41,18 @@ class Clique:
         return len(self.vertices) == self.upper_bound
 
 
-def maximum_clique(rows: np.ndarray, deadline: float = np.inf) -> Clique:
-    """A maximum clique, or at the deadline the largest found with a bound on the maximum.
+def maximum_clique(rows: np.ndarray, budget: Budget) -> Clique:
+    """A maximum clique, or when the budget is over the largest found with a bound on the maximum.
 
     Of several maximum cliques it is the one grown first from a few innermost vertices (`STARTS`),
     or where those are not maximum, the first in the lexicographic order that the degeneracy order
-    of the vertices induces, whatever the search met first (unless the deadline cuts that short).
+    of the vertices induces, whatever the search met first (unless the budget cuts that short).
 
     Parameters
     ----------
     rows : (n, words) uint64
         Symmetric adjacency, bit j of row i, as `pack` makes it.
-    deadline : float
-        In terms of `time.perf_counter`.
+    budget : Budget
     """
     n = len(rows)
     if n == 0:
@@ -67,14 +66,14 @@ def maximum_clique(rows: np.ndarray, deadline: float = np.inf) -> Clique:
             break
         if core[vertex] < len(best):
             continue
-        larger, finished = _extended(rows, order, core, [vertex], place, len(best), n, deadline)
+        larger, finished = _extended(rows, order, core, [vertex], place, len(best), n, budget)
         if len(larger) > len(best):
             best = larger
-        if not finished or time.perf_counter() > deadline:
+        if not finished or budget.is_over:
             bound = min(int(most[place]) + 1, _n_colours(rows))
             return Clique(np.sort(best), max(len(best), bound))
     if len(best) > len(grown):
-        best = _first(rows, order, core, best, deadline)
+        best = _first(rows, order, core, best, budget)
     return Clique(np.sort(best), len(best))
 
 
@@ -82,12 +81,12 @@ def warm_up() -> None:
     """Compile all of the search, on a graph that the greedy start does not settle."""
     upper = np.triu(np.random.default_rng(0).random((60, 60)) < 0.5, 1)
     rows = pack(upper | upper.T)
-    maximum_clique(rows)
+    maximum_clique(rows, Budget())
     _n_colours(rows)
 
 
 def _first(
-    rows: np.ndarray, order: np.ndarray, core: np.ndarray, clique: np.ndarray, deadline: float
+    rows: np.ndarray, order: np.ndarray, core: np.ndarray, clique: np.ndarray, budget: Budget
 ) -> np.ndarray:
     """The first of the maximum cliques, given any one of them.
 
@@ -106,8 +105,8 @@ def _first(
             if not candidates[vertex] or core[vertex] < size - 1:
                 continue
             path = [*chosen, vertex]
-            other, finished = _extended(rows, order, core, path, position, size - 1, size, deadline)
-            if not finished or time.perf_counter() > deadline:
+            other, finished = _extended(rows, order, core, path, position, size - 1, size, budget)
+            if not finished or budget.is_over:
                 return clique
             if len(other) == size:
                 clique, known = other, position
@@ -126,7 +125,7 @@ def _extended(
     place: int,
     size: int,
     goal: int,
-    deadline: float,
+    budget: Budget,
 ) -> tuple[np.ndarray, bool]:
     """A clique of more than `size` that goes on from `path` behind `place`, empty if there is none.
 
@@ -138,7 +137,7 @@ def _extended(
     if len(later) == 0:
         return np.array(path), True
     search = _Search(rows, later, size - len(path), goal - len(path))
-    finished = search.run(deadline)
+    finished = search.run(budget)
     if not search.state[2]:
         return np.empty(0, dtype=np.int64), finished
     return np.concatenate([path, later[search.best]]), finished
@@ -165,11 +164,11 @@ class _Search:
     def best(self) -> np.ndarray:
         return self.order[self.found[: self.state[2]]]
 
-    def run(self, deadline: float) -> bool:
+    def run(self, budget: Budget) -> bool:
         """True when the search is complete."""
         parts = (self.rows, self.candidates, self.queue, self.colours, self.left)
         while not grow_cliques(*parts, self.path, self.found, self.state, STEPS):
-            if time.perf_counter() > deadline:
+            if budget.is_over:
                 return False
         return True
 

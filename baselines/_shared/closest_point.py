@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from baselines._shared.poses import apply, homogeneous
 from dcreg.local import fit_pose
+from dcreg.search import Budget
 
 _AT_ONCE = 16  # poses descended between two looks at the clock
 
@@ -49,13 +48,13 @@ class ClosestPoint:
         return best_poses, best
 
     def descend_until(
-        self, poses: np.ndarray, tolerance: float, deadline: float
+        self, poses: np.ndarray, tolerance: float, budget: Budget
     ) -> tuple[np.ndarray, np.ndarray]:
-        """`descend` a few poses at a time until all are done or `time.perf_counter()` is late."""
+        """`descend` a few poses at a time until all are done or the budget is over."""
         done = []
         for first in range(0, len(poses), _AT_ONCE):
             done.append(self.descend(poses[first : first + _AT_ONCE], tolerance))
-            if time.perf_counter() > deadline:
+            if budget.is_over:
                 break
         descended, values = zip(*done, strict=True)
         return np.concatenate(descended), np.concatenate(values)

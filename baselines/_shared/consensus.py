@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -11,6 +9,7 @@ from baselines._shared.closest_point import ClosestPoint, spread_poses
 from baselines._shared.poses import apply
 from baselines.contract import Instance
 from dcreg.local import fit_pose
+from dcreg.search import Budget
 
 _SHRINK = 0.7  # of the radius between two fits of the ascent
 
@@ -48,17 +47,17 @@ class Consensus:
             radius = max(self.radius, _SHRINK * radius)
         return best_pose, best
 
-    def starts(self, count: int, deadline: float) -> list[tuple[np.ndarray, int]]:
+    def starts(self, count: int, budget: Budget) -> list[tuple[np.ndarray, int]]:
         """Poses of trimmed ICP from the identity and random rotations, with their counts.
 
-        At least one; fewer than `count` where the deadline came first.
+        At least one; fewer than `count` where the budget was over first.
         """
         local = ClosestPoint(self.source, self.target, self.n_inliers)
         spread = spread_poses(count, self.seed, np.zeros(3))
         found = []
-        for pose in local.descend_until(spread, 0.0, deadline)[0]:
+        for pose in local.descend_until(spread, 0.0, budget)[0]:
             found.append(self.ascend(pose, 2.0 * self.radius))
-            if time.perf_counter() > deadline:
+            if budget.is_over:
                 break
         return found
 

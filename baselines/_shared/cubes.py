@@ -20,7 +20,7 @@ _SHARE_OF_BOXES = 0.5  # of the memory; the rest is for what cubes pass on
 
 
 class OutOfTimeError(Exception):
-    """Raised by a bound when the deadline passed before it knew its answer."""
+    """Raised by a bound when the budget was over before it knew its answer."""
 
 
 @dataclass
@@ -139,7 +139,11 @@ class _Cubes:
     def evaluate(
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
     ) -> Evaluation:
-        """Bound the parts of one cube; those that time does not suffice for keep its bound."""
+        """Bound the parts of one cube; those that time does not suffice for keep its bound.
+
+        `thorough` changes nothing: what ends a bound early is the incumbent that it improves, not the
+        cutoff, and its answer is as good as that incumbent lets it be.
+        """
         bounds = np.zeros(len(lower))
         centres, halves = 0.5 * (lower + upper), 0.5 * (upper - lower).max(axis=1)
         passed_on = self._taken(lower.min(axis=0), upper.max(axis=0))

@@ -22,7 +22,6 @@ No front end gives more than `max_pairs`: the least similar are dropped, and the
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,6 +33,7 @@ from baselines._shared import open3d_clouds
 from baselines._shared.poses import median_spacing
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from dcreg.local import fit_pose
+from dcreg.search import Budget
 from dcreg.status import Status
 
 FRONT_ENDS = ("fpfh-mutual", "norm-signature", "all-pairs", "oracle")
@@ -231,10 +231,10 @@ class CorrespondenceMethod(Baseline):
         if self.options["front_end"] != "oracle":
             putative_pairs(small, self.options)
         rows = np.arange(len(small.source))
-        self.estimate(small, np.column_stack([rows, rows]), Limits(time_s=30.0))
+        self.estimate(small, np.column_stack([rows, rows]), Budget(time_s=30.0))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        start = time.perf_counter()
+        budget = limits.budget()
         try:
             putative = putative_pairs(instance, self.options)
         except FrontEndError as error:
@@ -244,11 +244,8 @@ class CorrespondenceMethod(Baseline):
         if len(pairs) < instance.dim:
             message = f"{len(pairs)} correspondences, a pose needs {instance.dim}"
             return Solution(Status.FAILED, None, message, counters=counters)
-        left = max(1e-3, limits.time_s - (time.perf_counter() - start))
-        found = self.estimate(
-            instance, pairs, Limits(left, limits.nodes, limits.memory_mb, limits.threads)
-        )
-        late = time.perf_counter() - start > limits.time_s
+        found = self.estimate(instance, pairs, budget)
+        late = budget.is_over
         notes = [putative.note, found.message]
         pose, status = found.pose, Status.CONVERGED
         if not found.finished and pose is None:
@@ -270,12 +267,15 @@ class CorrespondenceMethod(Baseline):
             status, pose, "; ".join(filter(None, notes)), counters=counters, extra=found.extra
         )
 
-    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
-        """The pose from these pairs within the limits, with what else is to be told."""
-        return Estimate(self.solve_pairs(instance, pairs, limits))
+    def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
+        """The pose from these pairs within the budget, with what else is to be told.
+
+        The front end has spent its part: the budget may be over before the first step.
+        """
+        return Estimate(self.solve_pairs(instance, pairs, budget))
 
     def solve_pairs(
-        self, instance: Instance, pairs: np.ndarray, limits: Limits
+        self, instance: Instance, pairs: np.ndarray, budget: Budget
     ) -> np.ndarray | None:
         """The pose from these pairs, None when there is none."""
         raise NotImplementedError(f"{type(self).__name__} must define estimate or solve_pairs")

@@ -28,7 +28,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 import weakref
 from pathlib import Path
 from typing import Any
@@ -37,6 +36,7 @@ import numpy as np
 
 from baselines._shared.poses import rigid_pose
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
+from dcreg.search import Budget
 from dcreg.status import Status
 
 CHILD = Path(__file__).with_name("learned_child.py")
@@ -82,7 +82,7 @@ class LearnedMethod(Baseline):
             self.solve(instance, Limits(time_s=LOADING_S))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        deadline = time.perf_counter() + limits.time_s
+        budget = limits.budget()
         if reason := self.available():
             return Solution(Status.UNAVAILABLE, None, reason)
         if reason := self.supports(instance):
@@ -90,7 +90,7 @@ class LearnedMethod(Baseline):
         try:
             if self._child is None:
                 self._child = self._started(limits.threads)
-            pose = self._child.register(instance, deadline)
+            pose = self._child.register(instance, budget)
         except TimeoutError:
             self._drop_child()
             # load the network anew while the next instance is on its way
@@ -168,18 +168,18 @@ class Child:
         # also when the adapter is dropped without being closed
         self.close = weakref.finalize(self, _close, self._process, self._folder)
 
-    def register(self, instance: Instance, deadline: float) -> np.ndarray:
+    def register(self, instance: Instance, budget: Budget) -> np.ndarray:
         """The pose as the child gave it.
 
         Raises
         ------
         TimeoutError
-            At `deadline` (of `time.perf_counter`); the child may be in any state then.
+            When the budget is over; the child may be in any state then.
         ChildError
             With the child's reason.
         """
         if not self._ready:
-            self._answer(deadline)
+            self._answer(budget)
             self._ready = True
         given, wanted = (Path(self._folder.name) / name for name in ("input.npz", "output.npz"))
         np.savez(
@@ -198,17 +198,16 @@ class Child:
             self._process.stdin.flush()
         except OSError:
             raise ChildError(self._death()) from None
-        self._answer(deadline)
+        self._answer(budget)
         with np.load(wanted) as arrays:
             return np.array(arrays["T_target_source"])
 
-    def _answer(self, deadline: float) -> None:
+    def _answer(self, budget: Budget) -> None:
         """Wait for the next answer, which must not be an error."""
         assert self._process.stdout is not None
         stream = self._process.stdout.fileno()
         while b"\n" not in self._buffer:
-            left = deadline - time.perf_counter()
-            if left <= 0 or not select.select([stream], [], [], left)[0]:
+            if budget.is_over or not select.select([stream], [], [], budget.left())[0]:
                 raise TimeoutError
             part = os.read(stream, 65536)
             if not part:

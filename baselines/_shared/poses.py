@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from baselines.contract import Instance
-from dcreg.problem import unit_length
+from dcreg.problem import nearest_rotation, unit_length
 
 
 def homogeneous(scale: float, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
@@ -24,24 +24,13 @@ def apply(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ pose[:d, :d].T + pose[:d, d]
 
 
-def proper_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation (determinant +1) nearest to `matrix`, and of largest inner product with it.
-
-    Removes single-precision noise, and solves Wahba's problem for ``sum target_i source_i^T``.
-    """
-    u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=float))
-    sign = np.ones(len(u))
-    sign[-1] = np.sign(np.linalg.det(u @ vt))
-    return (u * sign) @ vt
-
-
 def rigid_pose(pose: np.ndarray) -> np.ndarray | None:
     """The pose with an exactly proper rotation and scale 1; None when it has non-finite entries."""
     pose = np.asarray(pose, dtype=float)
     if not np.isfinite(pose).all():
         return None
     d = len(pose) - 1
-    return homogeneous(1.0, proper_rotation(pose[:d, :d]), pose[:d, d])
+    return homogeneous(1.0, nearest_rotation(pose[:d, :d]), pose[:d, d])
 
 
 def unit_of(instance: Instance) -> float:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared.kernels.samples import count_inliers, count_within
 from baselines._shared.robust import refit
 from dcreg.local import fit_pose
+from dcreg.search import Budget
 
 BATCH = 500  # samples between two looks at the clock: a millisecond
 
@@ -22,12 +21,12 @@ def ransac(
     seed: int,
     max_samples: int,
     confidence: float,
-    deadline: float = np.inf,
+    budget: Budget,
 ) -> tuple[np.ndarray | None, int, bool]:
     """The refitted pose with the most residuals within `bound`.
 
     Ends when a sample of true correspondences has been drawn with probability `confidence`, judged
-    by the share of inliers of the best pose.
+    by the share of inliers of the best pose, or when the budget is over.
 
     Returns
     -------
@@ -49,7 +48,7 @@ def ransac(
         drawn += BATCH
         if best is not None:
             needed = min(max_samples, _samples_needed(most / n, d, confidence))
-        if time.perf_counter() > deadline:
+        if budget.is_over:
             return best, drawn, drawn >= needed
     return best, drawn, True
 

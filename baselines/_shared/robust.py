@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 
-from baselines._shared.poses import apply, proper_rotation
+from baselines._shared.poses import apply
 from dcreg.local import fit_pose
+from dcreg.problem import nearest_rotation
+from dcreg.search import Budget
 
 # Truncated least squares by graduated non-convexity (Yang, Antonante, Tzoumas and Carlone, 2020).
 GNC_FACTOR = 1.4
@@ -21,7 +22,7 @@ def gnc(
     squared_residuals: Callable[[np.ndarray], np.ndarray],
     n: int,
     bound: float,
-    deadline: float = np.inf,
+    budget: Budget,
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Minimise ``sum(min(r^2, bound^2))``: from convex to truncated in steps of `GNC_FACTOR`.
 
@@ -57,21 +58,21 @@ def gnc(
         mu *= GNC_FACTOR
         if abs(before - cost) < GNC_COST_CHANGE * limit:
             break
-        if time.perf_counter() > deadline:
+        if budget.is_over:
             return best, weights, False
     return best, weights, True
 
 
 def gnc_rotation(
-    source: np.ndarray, target: np.ndarray, bound: float, deadline: float = np.inf
+    source: np.ndarray, target: np.ndarray, bound: float, budget: Budget
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Rotation between vectors of which some are wrong; see `gnc`."""
     return gnc(
-        lambda weights: proper_rotation((weights[:, None] * target).T @ source),
+        lambda weights: nearest_rotation((weights[:, None] * target).T @ source),
         lambda rotation: ((source @ rotation.T - target) ** 2).sum(axis=1),
         len(source),
         bound,
-        deadline,
+        budget,
     )
 
 
@@ -79,8 +80,8 @@ def gnc_pose(
     source: np.ndarray,
     target: np.ndarray,
     bound: float,
-    scale_range: tuple[float, float] = (1.0, 1.0),
-    deadline: float = np.inf,
+    scale_range: tuple[float, float],
+    budget: Budget,
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Pose between points of which some are wrong; see `gnc`."""
     return gnc(
@@ -88,7 +89,7 @@ def gnc_pose(
         lambda pose: squared_residuals(pose, source, target),
         len(source),
         bound,
-        deadline,
+        budget,
     )
 
 

@@ -14,13 +14,13 @@ at 300), and in single searches at the radii of noise slower at all sizes up to 
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.kernels.rotations import BEST, CUBES, GIVEN_UP, PAUSED, STACKED, divide_cubes
+from dcreg.search import Budget
 
 _TESTS_PER_SLICE = 2_000_000  # pair tests between two looks at the clock: some 20 ms
 
@@ -36,7 +36,7 @@ class Found:
 
 
 def most_matches(
-    source: np.ndarray, target: np.ndarray, radius: float, cutoff: int, slack: int, deadline: float
+    source: np.ndarray, target: np.ndarray, radius: float, cutoff: int, slack: int, budget: Budget
 ) -> Found:
     """Bound the number of source points that a rotation brings within `radius` of a target point.
 
@@ -48,16 +48,20 @@ def most_matches(
         Counts up to this one are of no interest: the bound is not made lower.
     slack : int
         The bound may exceed the best count by this much.
-    deadline : float
-        Moment of `time.perf_counter()` after which `OutOfTimeError` is raised.
+    budget : Budget
+
+    Raises
+    ------
+    OutOfTimeError
+        When the budget is over.
     """
     norms, others = np.linalg.norm(source, axis=1), np.linalg.norm(target, axis=1)
     pairs = np.column_stack(np.nonzero(np.abs(norms[:, None] - others) <= radius))
-    return _most_of(source, target, pairs, radius, cutoff, slack, deadline)
+    return _most_of(source, target, pairs, radius, cutoff, slack, budget)
 
 
 def most_correspondences(
-    source: np.ndarray, target: np.ndarray, radius: float, cutoff: int, slack: int, deadline: float
+    source: np.ndarray, target: np.ndarray, radius: float, cutoff: int, slack: int, budget: Budget
 ) -> Found:
     """Bound the number of rows i whose source a rotation brings within `radius` of target i.
 
@@ -65,12 +69,12 @@ def most_correspondences(
     """
     lengths = np.linalg.norm(source, axis=1) - np.linalg.norm(target, axis=1)
     rows = np.flatnonzero(np.abs(lengths) <= radius)
-    return _most_of(source, target, np.column_stack([rows, rows]), radius, cutoff, slack, deadline)
+    return _most_of(source, target, np.column_stack([rows, rows]), radius, cutoff, slack, budget)
 
 
 def warm_up() -> None:
     """Compile the search; problems as easy as those of a warm-up end without it."""
-    most_matches(np.eye(3), np.eye(3), 0.1, 0, 0, np.inf)
+    most_matches(np.eye(3), np.eye(3), 0.1, 0, 0, Budget())
 
 
 def _most_of(
@@ -80,7 +84,7 @@ def _most_of(
     radius: float,
     cutoff: int,
     slack: int,
-    deadline: float,
+    budget: Budget,
 ) -> Found:
     """The search over `pairs` (by source index) that pass the shell test."""
     n_possible = len(np.unique(pairs[:, 0]))
@@ -105,7 +109,7 @@ def _most_of(
         )  # fmt: skip
         if len(lists) < spans[state[STACKED] - 1].sum() + 8 * len(pairs):
             lists = np.concatenate([lists, np.empty_like(lists)])
-        if code == PAUSED and time.perf_counter() > deadline:
+        if code == PAUSED and budget.is_over:
             raise OutOfTimeError
     upper_bound = int(max(state[GIVEN_UP], state[BEST]))
     return Found(upper_bound, int(state[BEST]), rotation, int(state[CUBES]))

@@ -14,7 +14,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -23,13 +22,14 @@ from scipy.spatial.transform import Rotation
 
 from baselines._shared.poses import apply, homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
+from dcreg.search import Budget
 from dcreg.status import Status
 
 STARTS = ("identity", "centroid", "multi")
 
-# Improves one start pose until it converges or `time.perf_counter()` passes the deadline; None when
-# the method broke down from there.
-Refine = Callable[[np.ndarray, float], np.ndarray | None]
+# Improves one start pose until it converges or the budget is over; None when the method broke down
+# from there.
+Refine = Callable[[np.ndarray, Budget], np.ndarray | None]
 
 
 def check_choice(method: Baseline, option: str, choices: tuple[str, ...]) -> str:
@@ -62,15 +62,15 @@ def start_poses(instance: Instance, starts: str) -> list[np.ndarray]:
 
 def best_of_starts(instance: Instance, starts: str, limits: Limits, refine: Refine) -> Solution:
     """Refine every start within the time limit and return the pose that fits best."""
-    deadline = time.perf_counter() + limits.time_s
+    budget = limits.budget()
     poses = start_poses(instance, starts)
     distance = SymmetricDistance(instance)
     best: np.ndarray | None = None
     least, tried = np.inf, 0
     for pose in poses:
-        if best is not None and time.perf_counter() > deadline:
+        if best is not None and budget.is_over:
             break
-        refined = refine(pose, deadline)
+        refined = refine(pose, budget)
         tried += 1
         value = np.inf if refined is None else distance(refined)
         if value < least:
@@ -78,7 +78,7 @@ def best_of_starts(instance: Instance, starts: str, limits: Limits, refine: Refi
     counters = {"n_starts": tried}
     if best is None:
         return Solution(Status.FAILED, None, "no start gave a finite pose", counters=counters)
-    if time.perf_counter() > deadline:
+    if budget.is_over:
         message = f"{tried} of {len(poses)} starts within the time limit"
         return Solution(Status.TIME_LIMIT, best, message, counters=counters)
     return Solution(Status.CONVERGED, best, counters=counters)

@@ -13,8 +13,8 @@ class Adapter(Baseline):
     """Replace this by your method; it moves the source's centroid onto the target's.
 
     Rules the contract tests check: import heavy packages inside `solve`, never change the arrays of
-    the instance, stop near ``limits.time_s`` with the best pose so far, draw random numbers from
-    ``instance.seed`` only, report OPTIMAL and bounds only when they are proven.
+    the instance, stop when ``limits.budget()`` is over with the best pose so far, draw random
+    numbers from ``instance.seed`` only, report OPTIMAL and bounds only when they are proven.
     """
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:

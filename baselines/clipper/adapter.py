@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared.consistency import length_differences, sharing, vote_scale
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
 from baselines.clipper.dense import dense_clique
-from baselines.contract import Instance, Limits
+from baselines.contract import Instance
 from dcreg.local import fit_pose
+from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
     """Densest clique of the affinity graph, then least squares over its members."""
 
-    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
-        deadline = time.perf_counter() + limits.time_s
+    def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
         tolerance = 2 * self.options["noise_factor"] * instance.noise_bound
         scale = vote_scale(source, target, tolerance, instance.scale_range)
@@ -27,7 +25,7 @@ class Adapter(CorrespondenceMethod):
         sigma = self.options["sigma_factor"] * tolerance
         affinity = np.where(consistent, np.exp(-0.5 * (differences / sigma) ** 2), 0.0)
         np.fill_diagonal(affinity, 1.0)
-        chosen, finished = dense_clique(affinity, consistent, deadline)
+        chosen, finished = dense_clique(affinity, consistent, budget)
         extra = {"clique_size": float(len(chosen))}
         if len(chosen) < instance.dim:
             return Estimate(None, finished, extra=extra)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
+
+from dcreg.search import Budget
 
 ASCENT_STEPS = 200  # per penalty
 PENALTIES = 100
@@ -14,7 +15,7 @@ LEAST_CHANGE = 1e-5  # of the weights: a step that changes none by more ends the
 
 
 def dense_clique(
-    affinity: np.ndarray, consistent: np.ndarray, deadline: float = np.inf
+    affinity: np.ndarray, consistent: np.ndarray, budget: Budget
 ) -> tuple[np.ndarray, bool]:
     """Correspondences of a local optimum of ``max u' M u`` over cliques, and whether it finished.
 
@@ -45,8 +46,8 @@ def dense_clique(
         if not clashing.any():
             break
         penalty += float((gain[clashing] / loss[clashing]).mean())
-        u = _ascend(affinity, forbidden, u, penalty, deadline)
-        if time.perf_counter() > deadline:
+        u = _ascend(affinity, forbidden, u, penalty, budget)
+        if budget.is_over:
             finished = False
             break
     size = max(1, round(float(u @ (affinity @ u))))
@@ -66,7 +67,7 @@ def _ascend(
     forbidden: Callable[[np.ndarray], np.ndarray],
     u: np.ndarray,
     penalty: float,
-    deadline: float,
+    budget: Budget,
 ) -> np.ndarray:
     """A local maximum for this penalty: gradient steps with backtracking, then projection."""
     step = 1.0
@@ -84,13 +85,13 @@ def _ascend(
                 if trial_value > value:
                     break
             step /= 2
-            if time.perf_counter() > deadline:
+            if budget.is_over:
                 return u
         else:
             return u
         moved = float(np.abs(trial - u).max())
         u, image, value = trial, trial_image, trial_value
         step *= 2
-        if moved < LEAST_CHANGE or time.perf_counter() > deadline:
+        if moved < LEAST_CHANGE or budget.is_over:
             break
     return u

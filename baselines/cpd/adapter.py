@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import time
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,8 @@ import numpy as np
 from baselines._shared.poses import apply, homogeneous, unit_of
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
+from dcreg.problem import scale_of
+from dcreg.search import Budget
 
 
 class Adapter(Baseline):
@@ -31,8 +32,8 @@ class Adapter(Baseline):
         normalise = homogeneous(1 / unit, np.eye(instance.dim), -origin / unit)
         target = apply(normalise, instance.target)
 
-        def refine(pose: np.ndarray, deadline: float) -> np.ndarray | None:
-            start_scale = float(np.linalg.det(pose[:-1, :-1])) ** (1 / instance.dim)
+        def refine(pose: np.ndarray, budget: Budget) -> np.ndarray | None:
+            start_scale = scale_of(pose)
             drift = _bounded_rigid()(
                 scale_range=np.array(instance.scale_range) / start_scale,
                 X=target,
@@ -44,7 +45,7 @@ class Adapter(Baseline):
             try:
                 while drift.iteration < drift.max_iterations and drift.diff > drift.tolerance:
                     drift.iterate()
-                    if time.perf_counter() > deadline:
+                    if budget.is_over:
                         break
             except np.linalg.LinAlgError:  # no source point explains any target point
                 return None

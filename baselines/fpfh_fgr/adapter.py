@@ -7,14 +7,15 @@ import numpy as np
 from baselines._shared import open3d_clouds
 from baselines._shared.front_ends import CorrespondenceMethod
 from baselines._shared.poses import rigid_pose
-from baselines.contract import Instance, Limits
+from baselines.contract import Instance
+from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
     """Graduated non-convexity with line processes over the pairs that pass the tuple test."""
 
     def solve_pairs(
-        self, instance: Instance, pairs: np.ndarray, limits: Limits
+        self, instance: Instance, pairs: np.ndarray, budget: Budget
     ) -> np.ndarray | None:
         import open3d
 

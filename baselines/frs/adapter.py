@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
 from baselines._shared import rotation_search
 from baselines._shared.consensus import Consensus
 from baselines._shared.cubes import Incumbent, search_cubes, with_bounds
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.frs.search import TranslationCubes, matching_translations
-from dcreg.search import Budget, Trace
+from dcreg.search import Trace
 
 SCOPE = (
     "rigid pose, many-to-one consensus: most source points within xi of the target, all rotations and "
@@ -25,15 +23,14 @@ class Adapter(Baseline):
         rotation_search.warm_up()
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
-        deadline = time.perf_counter() + limits.time_s
+        budget = limits.budget()
         radius = self.options["noise_factor"] * instance.noise_bound
         problem = Consensus(instance, radius)
         incumbent = Incumbent()
-        for pose, count in problem.starts(self.options["start_rotations"], deadline):
+        for pose, count in problem.starts(self.options["start_rotations"], budget):
             incumbent.offer(-count, pose)
         slack = int(self.options["rotation_slack"] * len(problem.source))
-        cubes = TranslationCubes(problem, incumbent, slack, deadline)
+        cubes = TranslationCubes(problem, incumbent, slack, budget)
         found = search_cubes(
             cubes.bound, matching_translations(problem.source, problem.target, radius), incumbent,
             budget, gap_tol=0.0, floor=-float(len(problem.source)),

@@ -14,14 +14,15 @@ from baselines._shared.consensus import Consensus
 from baselines._shared.cubes import Incumbent
 from baselines._shared.poses import homogeneous
 from baselines._shared.rotation_search import most_matches
+from dcreg.search import Budget
 
 
 class TranslationCubes:
     """The bound of a cube of translations; improves the incumbent on the way."""
 
-    def __init__(self, consensus: Consensus, incumbent: Incumbent, slack: int, deadline: float):
+    def __init__(self, consensus: Consensus, incumbent: Incumbent, slack: int, budget: Budget):
         self.consensus, self.incumbent = consensus, incumbent
-        self.slack, self.deadline = slack, deadline
+        self.slack, self.budget = slack, budget
         self.n_rotation_cubes = 0
 
     def bound(self, centre: np.ndarray, half: float, passed_on: None = None) -> tuple[float, None]:
@@ -37,7 +38,7 @@ class TranslationCubes:
             problem.radius + rho,
             known,
             slack,
-            self.deadline,
+            self.budget,
         )
         self.n_rotation_cubes += found.n_cubes
         if found.count > known:

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
 from baselines._shared.robust import gnc_pose
-from baselines.contract import Instance, Limits
+from baselines.contract import Instance
+from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
     """Weighted least squares whose weights harden from all equal to in or out."""
 
-    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
+    def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         pose, weights, finished = gnc_pose(
             instance.source[pairs[:, 0]],
             instance.target[pairs[:, 1]],
             self.options["noise_factor"] * instance.noise_bound,
             instance.scale_range,
-            time.perf_counter() + limits.time_s,
+            budget,
         )
         return Estimate(pose, finished, extra={"inliers": int((weights >= 0.5).sum())})

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared.cubes import with_bounds
 from baselines._shared.poses import homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.goicp.search import GoICP, Settings
-from dcreg.search import Budget, Trace
+from dcreg.search import Trace
 
 SCOPE = (
     "rigid pose, many-to-one objective: sum of the n_inliers smallest squared distances from moved "
@@ -22,13 +20,12 @@ class Adapter(Baseline):
     """Globally optimal trimmed nearest-neighbour registration."""
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
-        deadline = time.perf_counter() + limits.time_s
+        budget = limits.budget()
         frame = Frame(instance, self.options["normalise"])
         settings = self._settings(frame, instance)
-        problem = GoICP(frame.source, frame.target, settings, deadline)
+        problem = GoICP(frame.source, frame.target, settings, budget)
         area = frame.unit**2
-        found = with_bounds(problem.run(budget), lambda value: area * value)
+        found = with_bounds(problem.run(), lambda value: area * value)
         half = self.options["translation_half_width"]
         where = "all translations" if half is None else f"translations within {half} (its units)"
         return Solution(

@@ -8,7 +8,6 @@ so they move point i by at most gamma_i = 2 sin(alpha / 2) |x_i| from where the 
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,9 +44,9 @@ class GoICP:
     """One problem: arrays, the distance cells, and the bounds of a rotation cube."""
 
     def __init__(
-        self, source: np.ndarray, target: np.ndarray, settings: Settings, deadline: float
+        self, source: np.ndarray, target: np.ndarray, settings: Settings, budget: Budget
     ) -> None:
-        self.source, self.settings, self.deadline = source, settings, deadline
+        self.source, self.settings, self.budget = source, settings, budget
         self.norms = np.linalg.norm(source, axis=1)
         self.local = ClosestPoint(source, target, settings.n_kept)
         reach = (
@@ -60,13 +59,13 @@ class GoICP:
         self.n_translation_cubes = 0
         self._heap = np.empty((4096, 5))
 
-    def run(self, budget: Budget) -> Outcome:
+    def run(self) -> Outcome:
         """Search all rotations until the gap is closed or a limit met; the pose is the incumbent's."""
         settings = self.settings
         self._descend(spread_poses(settings.n_starts, settings.seed, settings.translation_centre))
         root = np.zeros(3), np.pi
         return search_cubes(
-            self.bound_cube, root, self.incumbent, budget, gap_tol=settings.tolerance
+            self.bound_cube, root, self.incumbent, self.budget, gap_tol=settings.tolerance
         )
 
     def bound_cube(
@@ -96,16 +95,16 @@ class GoICP:
         state[[kernels.DISCARDED, kernels.RELAXED, kernels.TRUE]] = np.inf
         state[kernels.SIZE] = 1
         self._heap[0] = 0.0, *settings.translation_centre, settings.translation_half_width
-        budget = max(8, _DISTANCES_PER_SLICE // len(points))
+        per_slice = max(8, _DISTANCES_PER_SLICE // len(points))
         code = kernels.PAUSED
         while code != kernels.FINISHED:
             code = kernels.search_translations(
                 points, gamma, settings.n_kept, self.cells.arrays, cutoff,
-                _INNER_SHARE * settings.tolerance, self._heap, state, budget,
+                _INNER_SHARE * settings.tolerance, self._heap, state, per_slice,
             )  # fmt: skip
             if code == kernels.FULL:
                 self._heap = np.concatenate([self._heap, np.empty_like(self._heap)])
-            elif code == kernels.PAUSED and time.perf_counter() > self.deadline:
+            elif code == kernels.PAUSED and self.budget.is_over:
                 raise OutOfTimeError
         self.n_translation_cubes += int(state[kernels.EVALUATED])
         open_bound = self._heap[0, 0] if state[kernels.SIZE] > 0 else np.inf
@@ -113,7 +112,7 @@ class GoICP:
         return min(open_bound, state[kernels.DISCARDED]), state[kernels.TRUE], translation
 
     def _descend(self, poses: np.ndarray) -> None:
-        refined, _ = self.local.descend_until(poses, self.settings.icp_tolerance, self.deadline)
+        refined, _ = self.local.descend_until(poses, self.settings.icp_tolerance, self.budget)
         # A descent may leave the cube of translations that the bounds speak of.
         for pose in (*refined, *poses):
             offset = np.abs(pose[:3, 3] - self.settings.translation_centre).max()

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared import rotation_search
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
 from baselines._shared.kernels.samples import count_within
 from baselines._shared.ransac import ransac
-from baselines.contract import Instance, Limits
+from baselines.contract import Instance
 from baselines.gore.removal import remove_outliers
+from dcreg.search import Budget
 
 SHARE_FOR_REMOVAL = 0.8  # of the time; the rest is for RANSAC
 
@@ -23,15 +22,14 @@ class Adapter(CorrespondenceMethod):
         super().warm_up(instance)
         rotation_search.warm_up()
 
-    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
-        start = time.perf_counter()
+    def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
         bound = self.options["noise_factor"] * instance.noise_bound
         removal = remove_outliers(
             source,
             target,
             bound,
-            start + SHARE_FOR_REMOVAL * limits.time_s,
+            budget.part(SHARE_FOR_REMOVAL),
             self.options["rotation_search"],
         )
         left = removal.kept
@@ -43,7 +41,7 @@ class Adapter(CorrespondenceMethod):
             seed=instance.seed,
             max_samples=self.options["max_samples"],
             confidence=self.options["confidence"],
-            deadline=start + limits.time_s,
+            budget=budget,
         )
         best = removal.pose
         if pose is not None and int(count_within(source, target, pose, bound)) > removal.consensus:

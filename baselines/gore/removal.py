@@ -13,7 +13,6 @@ rounding gets a margin.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -25,6 +24,7 @@ from baselines._shared.kernels.samples import count_within
 from baselines._shared.robust import refit, squared_residuals
 from baselines._shared.rotation_search import most_correspondences
 from baselines.gore.kernels import LEFT, MOST, directions, drop_by_arcs
+from dcreg.search import Budget
 
 # For rounding, of the tolerance and of lengths (both relative).
 MARGIN = 1e-9
@@ -52,10 +52,10 @@ def remove_outliers(
     source: np.ndarray,
     target: np.ndarray,
     bound: float,
-    deadline: float = np.inf,
+    budget: Budget,
     rotation_search: bool = True,
 ) -> Removal:
-    """Drop correspondences as long as one can be dropped, or to the deadline.
+    """Drop correspondences as long as one can be dropped, or until the budget is over.
 
     Parameters
     ----------
@@ -63,12 +63,11 @@ def remove_outliers(
         Row i of one corresponds to row i of the other.
     bound : float
         Largest residual in a consensus set.
-    deadline : float
-        Moment of `time.perf_counter()` to end by.
+    budget : Budget
     rotation_search : bool
         Search all rotations about the correspondences that the intervals of angles leave.
     """
-    state = _Removing(source, target, bound, deadline)
+    state = _Removing(source, target, bound, budget)
     try:
         state.settle(state.arcs)
         # What the search removes or finds lets the far cheaper intervals remove more.
@@ -83,8 +82,8 @@ def remove_outliers(
 class _Removing:
     """Who is left of one problem, and the best pose met."""
 
-    def __init__(self, source: np.ndarray, target: np.ndarray, bound: float, deadline: float):
-        self.source, self.target, self.bound, self.deadline = source, target, bound, deadline
+    def __init__(self, source: np.ndarray, target: np.ndarray, bound: float, budget: Budget):
+        self.source, self.target, self.bound, self.budget = source, target, bound, budget
         n = len(source)
         extent = sum(np.linalg.norm(np.ptp(points, axis=0)) for points in (source, target))
         self.tolerance = float(2 * bound * (1 + MARGIN) + LENGTH_MARGIN * extent)
@@ -117,14 +116,14 @@ class _Removing:
                 self.reach[k] = min(self.reach[k], count + 1)
                 self._offer(k, rotation)
             self.alive[k] = self.reach[k] >= self.most
-            if time.perf_counter() > self.deadline:
+            if self.budget.is_over:
                 raise OutOfTimeError
         return before != (self.alive.sum(), self.most)
 
     def arcs(self, k: int, others: np.ndarray) -> tuple[int, np.ndarray]:
         """Bound on the others in a set with k of more than the best one's size, by intervals."""
         x, y = self.source[others] - self.source[k], self.target[others] - self.target[k]
-        return _rotation_reach(x, y, self.tolerance, self.most - 1, self.deadline)
+        return _rotation_reach(x, y, self.tolerance, self.most - 1, self.budget)
 
     def search(self, k: int, others: np.ndarray) -> tuple[int, np.ndarray]:
         """The same by branch and bound: exact, unless it is too small for k to stay."""
@@ -132,7 +131,7 @@ class _Removing:
             return len(others), np.eye(3)
         x, y = self.source[others] - self.source[k], self.target[others] - self.target[k]
         # With `most - 1` others k stays, so counts up to one less need not be told apart.
-        found = most_correspondences(x, y, self.tolerance, self.most - 2, 0, self.deadline)
+        found = most_correspondences(x, y, self.tolerance, self.most - 2, 0, self.budget)
         self.searched[k] = len(others)
         return found.upper_bound, found.rotation
 
@@ -154,7 +153,7 @@ def _rotation_reach(
     target: np.ndarray,
     tolerance: float,
     wanted: int,
-    deadline: float = np.inf,
+    budget: Budget,
 ) -> tuple[int, np.ndarray]:
     """Bound on ``|{i: |R x_i - y_i| <= tolerance}|`` over all rotations, and the best R met.
 
@@ -166,6 +165,6 @@ def _rotation_reach(
     rotation = np.eye(3)
     state = np.array([0, len(x), 0, 0, 0])
     while not drop_by_arcs(x, y, spread, wanted, alive, rotation, state, _ARCS_PER_SLICE):
-        if time.perf_counter() > deadline:
+        if budget.is_over:
             return len(x), rotation  # no bound, but a rotation worth trying
     return int(min(state[LEFT], state[MOST])), rotation

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -35,15 +34,13 @@ class Adapter(Baseline):
         return super().supports(instance)
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
+        budget = limits.budget()
         translating = budget.part(_TRANSLATION_TIME)
-        began = time.perf_counter()
         eps = self.options["noise_factor"] * instance.noise_bound
         problem = Consensus(instance, eps)
         incumbent = Incumbent()
-        until = began + _TRANSLATION_TIME * limits.time_s
-        cubes = TranslationCubes(problem.source, problem.target, eps, incumbent, until)
-        starts = problem.starts(self.options["start_rotations"], until)
+        cubes = TranslationCubes(problem.source, problem.target, eps, incumbent, translating)
+        starts = problem.starts(self.options["start_rotations"], translating)
         for pose, _ in starts:
             translation = pose[:3, :3].T @ pose[:3, 3]  # R x + t = R (x + R^T t)
             incumbent.offer(-cubes.count(translation), translation)
@@ -54,7 +51,7 @@ class Adapter(Baseline):
         found = with_bounds(
             found, lambda value: float(eps**2 * (instance.n_inliers - points_of(-value)))
         )
-        pose, extra = self._pose(problem, incumbent.pose, starts, began + limits.time_s)
+        pose, extra = self._pose(problem, incumbent.pose, starts, budget)
         return Solution(
             found.status,
             problem.restore(problem.polish(pose) if self.options["polish"] else pose),
@@ -68,14 +65,14 @@ class Adapter(Baseline):
         )
 
     def _pose(
-        self, problem: Consensus, translation: np.ndarray, starts: list[Any], deadline: float
+        self, problem: Consensus, translation: np.ndarray, starts: list[Any], budget: Budget
     ) -> tuple[np.ndarray, dict[str, float]]:
         """The pose of largest consensus: at the found translation, or a start's if that is better."""
         pose, count = max(starts, key=lambda start: start[1])
         at_translation = 0
         try:
             found = most_matches(
-                problem.source + translation, problem.target, problem.radius, 0, 0, deadline
+                problem.source + translation, problem.target, problem.radius, 0, 0, budget
             )
             turned = homogeneous(1.0, found.rotation, found.rotation @ translation)
             turned, at_translation = problem.ascend(turned, 2.0 * problem.radius)

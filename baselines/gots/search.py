@@ -6,13 +6,12 @@ points: c source points matched one to one at a pose give c (c - 1) / 2 matched 
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared.cubes import Incumbent, OutOfTimeError
 from baselines.gots.features import FeatureTree
 from baselines.gots.kernels import matched_pairs
+from dcreg.search import Budget
 
 
 class TranslationCubes:
@@ -20,10 +19,10 @@ class TranslationCubes:
 
     def __init__(
         self, source: np.ndarray, target: np.ndarray, eps: float, incumbent: Incumbent,
-        deadline: float,
+        budget: Budget,
     ) -> None:  # fmt: skip
         self.source, self.eps = np.ascontiguousarray(source), eps
-        self.incumbent, self.deadline = incumbent, deadline
+        self.incumbent, self.budget = incumbent, budget
         first, second = np.triu_indices(len(source), 1)
         lengths = np.linalg.norm(source[first] - source[second], axis=1)
         # Long pairs are the rarest: they fail first, and a cube is given up sooner.
@@ -40,7 +39,7 @@ class TranslationCubes:
         self, centre: np.ndarray, half: float, possible: np.ndarray
     ) -> tuple[float, np.ndarray]:
         """Minus the most pairs that a translation of the cube may match; improves the incumbent."""
-        if time.perf_counter() > self.deadline:
+        if self.budget.is_over:
             raise OutOfTimeError
         known = int(-self.incumbent.value)
         kept, upper = self._matched(possible, centre, half, known)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from baselines._shared.poses import apply
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 from dcreg.local import fit_pose
+from dcreg.search import Budget
 
 
 class Adapter(Baseline):
@@ -25,7 +25,7 @@ class Adapter(Baseline):
         tree = cKDTree(instance.target)
         n_kept = instance.n_inliers if self.options["trim"] else len(instance.source)
 
-        def refine(pose: np.ndarray, deadline: float) -> np.ndarray:
+        def refine(pose: np.ndarray, budget: Budget) -> np.ndarray:
             last_cost = np.inf
             for _ in range(self.options["max_iterations"]):
                 distances, nearest = tree.query(apply(pose, instance.source))
@@ -37,7 +37,7 @@ class Adapter(Baseline):
                 pose = fit_pose(
                     instance.source[kept], instance.target[nearest[kept]], instance.scale_range
                 )
-                if time.perf_counter() > deadline:
+                if budget.is_over:
                     break
             return pose
 

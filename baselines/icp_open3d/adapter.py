@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from baselines._shared import open3d_clouds
 from baselines._shared.poses import rigid_pose, unit_of
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
+from dcreg.search import Budget
 
 
 class Adapter(Baseline):
@@ -30,9 +30,9 @@ class Adapter(Baseline):
         radii = unit_of(instance) * np.array(self.options["coarse_distances"])
         distances = [*radii, self.options["noise_factor"] * instance.noise_bound]
 
-        def refine(pose: np.ndarray, deadline: float) -> np.ndarray | None:
+        def refine(pose: np.ndarray, budget: Budget) -> np.ndarray | None:
             for distance in distances:
-                if time.perf_counter() > deadline:
+                if budget.is_over:
                     break
                 outcome = registration.registration_icp(
                     source,

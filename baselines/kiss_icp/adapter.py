@@ -9,6 +9,7 @@ import numpy as np
 from baselines._shared.poses import rigid_pose, unit_of
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
+from dcreg.search import Budget
 
 
 class Adapter(Baseline):
@@ -38,7 +39,7 @@ class Adapter(Baseline):
             max_num_threads=limits.threads,
         )
 
-        def refine(pose: np.ndarray, _deadline: float) -> np.ndarray | None:
+        def refine(pose: np.ndarray, _budget: Budget) -> np.ndarray | None:
             # As in the odometry: the robust kernel is a third of the correspondence distance.
             found = registration.align_points_to_map(
                 points=np.array(instance.source),

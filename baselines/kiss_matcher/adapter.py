@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from baselines._shared.front_ends import CorrespondenceMethod
-from baselines._shared.poses import homogeneous, proper_rotation
-from baselines.contract import Instance, Limits
+from baselines._shared.poses import homogeneous
+from baselines.contract import Instance
+from dcreg.problem import nearest_rotation
+from dcreg.search import Budget
 
 # The library derives its noise bounds from the voxel size and refuses small ones; clouds are
 # rescaled so that the noise bound becomes this voxel size (the library's default).
@@ -17,7 +19,7 @@ class Adapter(CorrespondenceMethod):
     """ROBIN's graph pruning (k-core) and GNC over the pairs that remain."""
 
     def solve_pairs(
-        self, instance: Instance, pairs: np.ndarray, limits: Limits
+        self, instance: Instance, pairs: np.ndarray, budget: Budget
     ) -> np.ndarray | None:
         import kiss_matcher
 
@@ -33,7 +35,7 @@ class Adapter(CorrespondenceMethod):
         rotation, translation = np.asarray(found.rotation), np.ravel(found.translation)
         if not (found.valid and np.isfinite(rotation).all() and np.isfinite(translation).all()):
             return None
-        rotation = proper_rotation(rotation)
+        rotation = nearest_rotation(rotation)
         return homogeneous(
             1.0, rotation, unit * translation + origin_target - rotation @ origin_source
         )

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared.kernels.graphs import set_bit
 from baselines.mac.kernels import cliques_from
+from dcreg.search import Budget
 
 
 class HeaviestCliques:
@@ -27,7 +26,7 @@ class HeaviestCliques:
         self.n_cliques = 0
         self.n_capped = 0  # starting vertices whose cliques were not all listed
 
-    def run(self, deadline: float = np.inf) -> bool:
+    def run(self, budget: Budget) -> bool:
         """List the cliques; True when no start was left out for want of time."""
         before = np.zeros(self.rows.shape[1], dtype=np.uint64)
         for vertex in self.order:
@@ -38,7 +37,7 @@ class HeaviestCliques:
             self.n_cliques += count
             self.n_capped += not complete
             set_bit(before, vertex)
-            if time.perf_counter() > deadline:
+            if budget.is_over:
                 return False
         return True
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
 from baselines._shared.ransac import ransac
-from baselines.contract import Instance, Limits
+from baselines.contract import Instance
+from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
     """The pose of a sample that most correspondences agree with, refitted to those."""
 
-    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
+    def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         pose, n_samples, finished = ransac(
             instance.source[pairs[:, 0]],
             instance.target[pairs[:, 1]],
@@ -23,6 +22,6 @@ class Adapter(CorrespondenceMethod):
             seed=instance.seed,
             max_samples=self.options["max_samples"],
             confidence=self.options["confidence"],
-            deadline=time.perf_counter() + limits.time_s,
+            budget=budget,
         )
         return Estimate(pose, finished, extra={"samples": n_samples})

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared.consistency import length_differences, vote_scale
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
 from baselines._shared.kernels.lengths import consistency_graph
 from baselines._shared.poses import homogeneous
-from baselines.contract import Instance, Limits
+from baselines.contract import Instance
 from baselines.sc2_pcr.consensus import best_pose, choose_seeds, leading_eigenvector, refine
+from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
     """Seeds, two-stage consensus sets, the pose with most inliers, refinement."""
 
-    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
-        deadline = time.perf_counter() + limits.time_s
+    def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
         bound = self.options["noise_factor"] * instance.noise_bound
         scale = vote_scale(source, target, 2 * bound, instance.scale_range)
@@ -33,7 +31,7 @@ class Adapter(CorrespondenceMethod):
             max(1, round(self.options["seed_ratio"] * len(pairs))),
         )
         sizes = self.options["first_neighbours"], self.options["second_neighbours"]
-        pose, finished = best_pose(source, target, rows, seeds, sizes, bound, deadline)
+        pose, finished = best_pose(source, target, rows, seeds, sizes, bound, budget)
         if pose is None:
             return Estimate(None, finished)
         pose = refine(pose, source, target, bound)

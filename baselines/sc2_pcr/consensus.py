@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared.kernels.samples import count_within
 from baselines._shared.robust import squared_residuals
 from baselines.sc2_pcr.kernels import common_neighbours, submatrix
 from dcreg.local import fit_pose
+from dcreg.search import Budget
 
 POWER_ITERATIONS = 10
 REFINEMENTS = 20
@@ -50,7 +49,7 @@ def best_pose(
     seeds: np.ndarray,
     sizes: tuple[int, int],
     bound: float,
-    deadline: float,
+    budget: Budget,
 ) -> tuple[np.ndarray | None, bool]:
     """The pose of the seed with the most residuals within `bound`, and whether all were tried."""
     best, most = None, 0
@@ -61,7 +60,7 @@ def best_pose(
             count = int(count_within(source, target, pose, bound))
             if count > most:
                 best, most = pose, count
-        if time.perf_counter() > deadline:
+        if budget.is_over:
             return best, False
     return best, True
 

@@ -9,6 +9,7 @@ import numpy as np
 from baselines._shared.poses import rigid_pose, unit_of
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
+from dcreg.search import Budget
 
 
 class Adapter(Baseline):
@@ -34,7 +35,7 @@ class Adapter(Baseline):
         target, tree = prepared(instance.target / unit)
         source, _ = prepared(instance.source / unit)
 
-        def refine(pose: np.ndarray, _deadline: float) -> np.ndarray | None:
+        def refine(pose: np.ndarray, _budget: Budget) -> np.ndarray | None:
             outcome = small_gicp.align(
                 target,
                 source,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from baselines._shared import cliques
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
-from baselines.contract import Instance, Limits
+from baselines.contract import Instance
 from baselines.teaser.pipeline import register
+from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
@@ -19,14 +18,14 @@ class Adapter(CorrespondenceMethod):
         super().warm_up(instance)
         cliques.warm_up()
 
-    def estimate(self, instance: Instance, pairs: np.ndarray, limits: Limits) -> Estimate:
+    def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         found = register(
             instance.source[pairs[:, 0]],
             instance.target[pairs[:, 1]],
             pairs,
             self.options["noise_factor"] * instance.noise_bound,
             instance.scale_range,
-            time.perf_counter() + limits.time_s,
+            budget,
         )
         size, bound = len(found.clique.vertices), found.clique.upper_bound
         proof = "proven maximum" if found.clique.is_maximum else f"not proven, at most {bound}"

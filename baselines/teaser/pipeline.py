@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from baselines._shared.consistency import vote_scale, vote_translation
 from baselines._shared.kernels.lengths import consistency_graph
 from baselines._shared.poses import homogeneous
 from baselines._shared.robust import gnc_rotation
+from dcreg.search import Budget
 
 SHARE_FOR_CLIQUE = 0.9  # of the time left; rotation and translation take milliseconds
 
@@ -32,8 +32,8 @@ def register(
     target: np.ndarray,
     pairs: np.ndarray,
     noise_bound: float,
-    scale_range: tuple[float, float] = (1.0, 1.0),
-    deadline: float = np.inf,
+    scale_range: tuple[float, float],
+    budget: Budget,
 ) -> TeaserResult:
     """Pose of the corresponding rows of `source` and `target`.
 
@@ -44,16 +44,15 @@ def register(
         Which points the rows are: two rows that share a point are never both taken.
     noise_bound : float
         Largest residual of a true correspondence.
-    deadline : float
-        In terms of `time.perf_counter`; the clique may then be less than the maximum.
+    budget : Budget
+        Where it is over, the clique may be less than the maximum.
     """
     # Invariant to translation: differences of correspondences, whose noise is at most twice the
     # bound. Invariant to rotation as well: their lengths.
     tolerance = 2 * noise_bound
     scale = vote_scale(source, target, tolerance, scale_range)
     rows = consistency_graph(source, target, pairs, tolerance, scale)
-    now = time.perf_counter()
-    clique = maximum_clique(rows, now + SHARE_FOR_CLIQUE * (deadline - now))
+    clique = maximum_clique(rows, budget.part(SHARE_FOR_CLIQUE))
     members = clique.vertices
     if len(members) < source.shape[1]:
         return TeaserResult(None, clique, clique.is_maximum)
@@ -62,7 +61,7 @@ def register(
         scale * (source[following] - source[members]),
         target[following] - target[members],
         tolerance,
-        deadline,
+        budget,
     )
     turned = scale * source @ rotation.T
     translation = vote_translation(turned[members], target[members], noise_bound)

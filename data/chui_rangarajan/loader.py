@@ -78,6 +78,7 @@ class Loader(RecordedDataset):
         source, target, n_pairs = read(path, int(level), trial)
         rows = np.arange(n_pairs)
         from dcreg.local import fit_pose
+        from dcreg.problem import scale_of
 
         T_true = fit_pose(source[:n_pairs], target[:n_pairs], (0.0, np.inf))
         return RawInstance(
@@ -86,7 +87,7 @@ class Loader(RecordedDataset):
             np.column_stack([rows, rows]),
             T_true,
             tuple(self.card.parameters["scale_range"]),
-            {"scale_true": float(np.sqrt(np.linalg.det(T_true[:2, :2])))},
+            {"scale_true": scale_of(T_true)},
         )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from data.contract import Axis, DataError, File, RawInstance, RecordedDataset
 from data.fetch import fetch
 from data.scans import scan_instance
+from dcreg.problem import nearest_rotation
 
 HERE = Path(__file__).parent
 
@@ -42,12 +43,6 @@ def read_torch_array(path: Path) -> np.ndarray:
         for _ in range(3):
             _ArraysOnly(stream).load()
         return _ArraysOnly(stream).load()
-
-
-def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The official matrices are off by up to 6e-4 from being rotations."""
-    U, _, Vt = np.linalg.svd(matrix)
-    return U @ Vt
 
 
 @cache
@@ -120,6 +115,7 @@ class Loader(RecordedDataset):
             if (entry["scene_name"], entry["frag_id0"], entry["frag_id1"]) == (shape, i, j)
         )
         T_true = np.eye(4)
+        # The official matrices are off by up to 6e-4 from being rotations.
         T_true[:3, :3] = nearest_rotation(official["rotation"])
         T_true[:3, 3] = official["translation"]
         parameters = self.card.parameters

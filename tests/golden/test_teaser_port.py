@@ -12,6 +12,7 @@ from baselines._shared import cliques
 from baselines._shared.kernels.lengths import consistency_graph
 from baselines._shared.poses import apply, homogeneous
 from baselines.teaser.pipeline import register
+from dcreg.search import Budget
 from workflows.studies.golden import golden_folder, main, pose_difference, read_case, teaser_row
 
 FOLDER = golden_folder()
@@ -59,12 +60,12 @@ def test_a_thousand_correspondences_with_95_percent_outliers_in_a_sixth_of_a_sec
     source, target, truth = hard_case(0)
     pairs = np.column_stack([np.arange(1000), np.arange(1000)])
     cliques.warm_up()
-    register(source[:50], target[:50], pairs[:50], 0.01)
+    register(source[:50], target[:50], pairs[:50], 0.01, (1.0, 1.0), Budget())
     times = []
     for seed in range(1, 6):
         source, target, truth = hard_case(seed)
         start = time.perf_counter()
-        found = register(source, target, pairs, 0.01)
+        found = register(source, target, pairs, 0.01, (1.0, 1.0), Budget())
         times.append(time.perf_counter() - start)
         assert found.clique.is_maximum
         angle, shift = pose_difference(found.pose, truth)

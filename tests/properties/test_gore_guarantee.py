@@ -18,6 +18,7 @@ from baselines.gore import removal as gore
 from baselines.gore.kernels import arc
 from baselines.gore.removal import _Removing, _rotation_reach, remove_outliers
 from dcreg.local import fit_pose
+from dcreg.search import Budget
 
 
 @st.composite
@@ -54,7 +55,7 @@ def sparse(seed: int, n: int = 60, n_inliers: int = 6, bound: float = 0.05) -> t
 def loses_inliers(problem: tuple) -> bool:
     """Whether the guarantee is broken for the planted set; it is off where a larger is known."""
     source, target, bound, n_inliers = problem
-    removal = remove_outliers(source, target, bound)
+    removal = remove_outliers(source, target, bound, Budget())
     return removal.consensus <= n_inliers and not set(range(n_inliers)) <= set(removal.kept)
 
 
@@ -62,7 +63,7 @@ def loses_inliers(problem: tuple) -> bool:
 @settings(max_examples=150, deadline=None)
 def test_no_planted_inlier_is_ever_removed(problem: tuple) -> None:
     source, target, bound, n_inliers, _ = problem
-    removal = remove_outliers(source, target, bound)
+    removal = remove_outliers(source, target, bound, Budget())
     assert removal.finished
     # The promise is to largest consensus sets; the planted one is no such set if a larger is known.
     if removal.consensus <= n_inliers:
@@ -77,7 +78,7 @@ def test_reach_is_no_less_than_the_planted_consensus(problem: tuple) -> None:
     for k in range(0, n_inliers, 5):
         others = np.delete(np.arange(len(source)), k)
         reach, rotation = _rotation_reach(
-            source[others] - source[k], target[others] - target[k], 2 * bound, 0
+            source[others] - source[k], target[others] - target[k], 2 * bound, 0, Budget()
         )
         assert reach >= n_inliers - 1
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
@@ -104,7 +105,7 @@ def test_most_outliers_go() -> None:
     source = generator.uniform(-0.5, 0.5, (200, 3))
     target = source + 0.003
     target[40:] = generator.uniform(-0.5, 0.5, (160, 3))
-    removal = remove_outliers(source, target, 0.01)
+    removal = remove_outliers(source, target, 0.01, Budget())
     assert removal.consensus >= 40
     assert len(removal.kept) <= 45
     assert set(range(40)) <= set(removal.kept)
@@ -115,7 +116,7 @@ def test_most_outliers_go() -> None:
 def test_no_set_as_large_as_the_best_known_loses_a_member(seed: int, bound: float) -> None:
     """Planted or not: sets from fits to random triples, those of chance included."""
     source, target, _, _ = sparse(seed, 30, 5, bound)
-    removal = remove_outliers(source, target, bound)
+    removal = remove_outliers(source, target, bound, Budget())
     generator = np.random.default_rng(seed)
     for _ in range(300):
         weights = np.zeros(30)
@@ -130,7 +131,7 @@ def test_no_set_as_large_as_the_best_known_loses_a_member(seed: int, bound: floa
 @settings(max_examples=60, deadline=None)
 def test_searched_reach_is_no_less_than_the_planted_consensus(problem: tuple, cut: bool) -> None:
     source, target, bound, n_inliers, _ = problem
-    state = _Removing(source, target, bound, np.inf)
+    state = _Removing(source, target, bound, Budget())
     if cut:  # as if the planted set were known: with it the search ends earliest
         state.most = n_inliers
     for k in range(0, n_inliers, 5):
@@ -145,8 +146,8 @@ def test_search_removes_and_finds_what_intervals_do_not() -> None:
     tighter = larger = 0
     for seed in range(20):
         source, target, bound, _ = sparse(seed, 40, 6, 0.1)
-        arcs = remove_outliers(source, target, bound, rotation_search=False)
-        both = remove_outliers(source, target, bound)
+        arcs = remove_outliers(source, target, bound, Budget(), rotation_search=False)
+        both = remove_outliers(source, target, bound, Budget())
         assert both.consensus >= arcs.consensus
         assert set(both.kept) <= set(arcs.kept) or both.consensus > arcs.consensus
         larger += both.consensus > arcs.consensus
@@ -180,9 +181,9 @@ def test_search_out_of_time_leaves_what_intervals_left(monkeypatch: pytest.Monke
         raise OutOfTimeError
 
     source, target, bound, _ = sparse(2)
-    arcs = remove_outliers(source, target, bound, rotation_search=False)
+    arcs = remove_outliers(source, target, bound, Budget(), rotation_search=False)
     monkeypatch.setattr(gore, "most_correspondences", late)
-    cut = remove_outliers(source, target, bound)
+    cut = remove_outliers(source, target, bound, Budget())
     assert arcs.finished
     assert not cut.finished
     np.testing.assert_array_equal(cut.kept, arcs.kept)
@@ -191,9 +192,9 @@ def test_search_out_of_time_leaves_what_intervals_left(monkeypatch: pytest.Monke
 @pytest.mark.parametrize(("n", "bound", "limit"), [(3000, 0.12, 0.5), (200, 0.15, 1.6)])
 def test_time_limit_holds(n: int, bound: float, limit: float) -> None:
     """Amid the intervals of one correspondence of thousands, and (where fast) amid the search."""
-    remove_outliers(*sparse(0)[:3])  # compiled
+    remove_outliers(*sparse(0)[:3], Budget())  # compiled
     source, target, _, _ = sparse(0, n, 6, bound)
     start = time.perf_counter()
-    removal = remove_outliers(source, target, bound, start + limit)
+    removal = remove_outliers(source, target, bound, Budget(limit))
     assert time.perf_counter() - start < limit + 0.8  # one slice, a refit, and a loaded machine
     assert len(removal.kept) > 0

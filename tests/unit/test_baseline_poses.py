@@ -17,13 +17,14 @@ from baselines._shared.poses import (
     apply,
     homogeneous,
     median_spacing,
-    proper_rotation,
     rigid_pose,
     unit_of,
 )
 from baselines._shared.starts import STARTS, best_of_starts, start_poses
 from baselines.contract import Instance, Limits
 from dcreg.local import fit_pose
+from dcreg.problem import nearest_rotation
+from dcreg.search import Budget
 from dcreg.status import Status
 
 
@@ -40,7 +41,7 @@ def instance_of(model: str, seed: int = 0, n: int = 30) -> Instance:
 @settings(max_examples=50, deadline=None)
 def test_fit_recovers_an_exact_pose_inside_the_range(seed: int, d: int, low: float) -> None:
     generator = np.random.default_rng(seed)
-    rotation = proper_rotation(generator.standard_normal((d, d)))
+    rotation = nearest_rotation(generator.standard_normal((d, d)))
     truth = homogeneous(low + 0.1, rotation, generator.standard_normal(d))
     source = generator.standard_normal((8, d))
     found = fit_pose(source, apply(truth, source), (low, low + 0.2))
@@ -126,7 +127,7 @@ def test_start_lists_are_as_documented(model: str, count: int) -> None:
 
 
 def test_out_of_time_gives_the_best_so_far() -> None:
-    def slow(pose: np.ndarray, _deadline: float) -> np.ndarray:
+    def slow(pose: np.ndarray, _budget: Budget) -> np.ndarray:
         time.sleep(0.06)
         return pose
 
@@ -138,7 +139,7 @@ def test_out_of_time_gives_the_best_so_far() -> None:
 
 def test_breakdown_everywhere_is_a_failure() -> None:
     solution = best_of_starts(
-        instance_of("rigid3d"), "multi", Limits(time_s=5.0), lambda pose, _deadline: None
+        instance_of("rigid3d"), "multi", Limits(time_s=5.0), lambda pose, _budget: None
     )
     assert solution.status is Status.FAILED
     assert solution.counters["n_starts"] == 26
@@ -238,10 +239,28 @@ def test_fits_side_by_side_are_those_one_by_one(weighted: bool) -> None:
 
 
 def test_the_pose_fit_is_the_library_s() -> None:
-    """Singular values serve the nearest rotation, a compiled fit, and ranks; no other pose fits."""
+    """Singular values serve a compiled fit, and ranks; no other pose fits."""
     users = {
         path.relative_to(registry.ROOT).as_posix()
         for path in registry.ROOT.rglob("*.py")
         if "linalg.svd" in path.read_text()
     }
-    assert users == {"_shared/poses.py", "_shared/kernels/samples.py", "_shared/concave.py"}
+    assert users == {"_shared/kernels/samples.py", "_shared/concave.py"}
+
+
+def test_methods_read_no_clock_of_their_own() -> None:
+    """A deadline beside the budget made of the same limits would be another one."""
+    users = {
+        path.relative_to(registry.ROOT).as_posix()
+        for path in registry.ROOT.rglob("*.py")
+        if "perf_counter" in path.read_text()
+    }
+    assert users == set()
+
+
+def test_the_budget_of_a_run_is_made_of_all_its_limits() -> None:
+    budget = Limits(time_s=7.0, nodes=11, memory_mb=13, threads=2).budget()
+    assert (budget.nodes, budget.memory_mb) == (11, 13)
+    left = budget.left()
+    assert left is not None
+    assert 6.0 < left <= 7.0

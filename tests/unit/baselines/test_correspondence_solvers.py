@@ -22,6 +22,7 @@ from baselines.clipper.dense import dense_clique
 from baselines.contract import Instance, Limits
 from baselines.mac.enumerate import HeaviestCliques
 from dcreg.local import fit_pose
+from dcreg.search import Budget
 from dcreg.status import Status
 
 NOISE = 0.01
@@ -64,7 +65,7 @@ CASES = [
 @pytest.mark.parametrize(("name", "model", "outliers"), CASES)
 def test_planted_pose_is_recovered_despite_outliers(name: str, model: str, outliers: float) -> None:
     instance, truth = planted(model, 300, outliers)
-    found = registry.load(name).estimate(instance, rows_as_pairs(300), Limits(20.0))
+    found = registry.load(name).estimate(instance, rows_as_pairs(300), Budget(20.0))
     assert found.finished
     assert rms_to(found.pose, truth, instance.source) < NOISE
 
@@ -79,7 +80,7 @@ def test_result_does_not_depend_on_the_unit_of_length(name: str, unit: float) ->
     )  # fmt: skip
     method = registry.load(name)
     first, second = (
-        method.estimate(each, rows_as_pairs(120), Limits(20.0)).pose for each in (instance, scaled)
+        method.estimate(each, rows_as_pairs(120), Budget(20.0)).pose for each in (instance, scaled)
     )
     np.testing.assert_allclose(second[:3, :3], first[:3, :3], atol=1e-6)
     np.testing.assert_allclose(second[:3, 3] / unit, first[:3, 3], atol=1e-6)
@@ -115,7 +116,7 @@ class TestCliques:
     @pytest.mark.parametrize("seed", range(40))
     def test_maximum_is_that_of_networkx(self, seed: int) -> None:
         adjacency = self.random_graph(seed)
-        clique = maximum_clique(pack(adjacency))
+        clique = maximum_clique(pack(adjacency), Budget())
         expected, _ = nx.max_weight_clique(nx.from_numpy_array(adjacency), weight=None)
         assert clique.is_maximum
         assert len(clique.vertices) == len(expected)
@@ -141,20 +142,20 @@ class TestCliques:
             listed = list(nx.find_cliques(nx.from_numpy_array(adjacency)))
             size = max(map(len, listed))
             first = min(sorted(place[clique]) for clique in listed if len(clique) == size)
-            assert sorted(place[maximum_clique(rows).vertices]) == first
+            assert sorted(place[maximum_clique(rows, Budget()).vertices]) == first
 
     def test_cut_off_search_gives_a_clique_and_a_bound(self) -> None:
         generator = np.random.default_rng(1)
         upper = np.triu(generator.random((300, 300)) < 0.9, 1)
         adjacency = upper | upper.T
-        clique = maximum_clique(pack(adjacency), time.perf_counter() + 0.1)
+        clique = maximum_clique(pack(adjacency), Budget(0.1))
         assert not clique.is_maximum
         assert len(clique.vertices) < clique.upper_bound < 300
         inside = adjacency[np.ix_(clique.vertices, clique.vertices)]
         assert inside.sum() == len(clique.vertices) * (len(clique.vertices) - 1)
 
     def test_no_vertices_no_clique(self) -> None:
-        clique = maximum_clique(np.zeros((0, 1), dtype=np.uint64))
+        clique = maximum_clique(np.zeros((0, 1), dtype=np.uint64), Budget())
         assert len(clique.vertices) == clique.upper_bound == 0
 
 
@@ -163,7 +164,7 @@ def test_heaviest_clique_through_every_vertex_is_that_of_a_full_list() -> None:
     upper = np.triu(generator.random((40, 40)) * (generator.random((40, 40)) < 0.4), 1)
     weights = upper + upper.T
     search = HeaviestCliques(pack(weights > 0), weights, generator.permutation(40), 10_000)
-    assert search.run()
+    assert search.run(Budget())
     listed = [c for c in nx.find_cliques(nx.from_numpy_array(weights > 0)) if len(c) >= 3]
     assert search.n_cliques == len(listed)
     for vertex in range(40):
@@ -174,7 +175,7 @@ def test_heaviest_clique_through_every_vertex_is_that_of_a_full_list() -> None:
 def test_cap_on_maximal_cliques_is_told() -> None:
     instance, _ = planted("rigid3d", 150, 0.3)
     noisy = Instance(**{**vars(instance), "noise_bound": 0.15})
-    found = registry.load("mac", max_cliques=3).estimate(noisy, rows_as_pairs(150), Limits(20.0))
+    found = registry.load("mac", max_cliques=3).estimate(noisy, rows_as_pairs(150), Budget(20.0))
     assert "starts capped at 3" in found.message
 
 
@@ -208,7 +209,9 @@ def test_pairs_that_share_a_point_are_never_both_taken() -> None:
 
 def test_gnc_without_outliers_is_least_squares() -> None:
     instance, _ = planted("rigid3d", 50, 0.0)
-    pose, weights, finished = gnc_pose(instance.source, instance.target, NOISE)
+    pose, weights, finished = gnc_pose(
+        instance.source, instance.target, NOISE, (1.0, 1.0), Budget()
+    )
     assert finished
     assert (weights == 1).all()
     expected = fit_pose(instance.source, instance.target, (1.0, 1.0))
@@ -219,14 +222,14 @@ def test_dense_clique_of_two_blocks_is_the_denser() -> None:
     consistent = np.zeros((20, 20), dtype=bool)
     consistent[:12, :12] = consistent[12:, 12:] = True
     affinity = np.where(consistent, 1.0, 0.0)
-    chosen, finished = dense_clique(affinity, consistent)
+    chosen, finished = dense_clique(affinity, consistent, Budget())
     assert finished
     assert list(chosen) == list(range(12))
 
 
 def test_ransac_ends_early_when_sure_and_repeats_itself() -> None:
     instance, _ = planted("rigid3d", 100, 0.1)
-    settings = {"seed": 1, "max_samples": 50_000, "confidence": 0.999}
+    settings = {"seed": 1, "max_samples": 50_000, "confidence": 0.999, "budget": Budget()}
     first, second = (
         ransac(instance.source, instance.target, NOISE, (1.0, 1.0), **settings) for _ in range(2)
     )

@@ -1,0 +1,22 @@
+"""What a homogeneous matrix says of its linear part: the scale, and the rotation nearest to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def scale_of(pose: np.ndarray) -> float:
+    """Scale of a (d+1, d+1) pose: the d-th root of its linear part's determinant, without the sign."""
+    d = len(pose) - 1
+    return float(abs(np.linalg.det(pose[:d, :d])) ** (1.0 / d))
+
+
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation (determinant +1) nearest to a (d, d) matrix, and of largest inner product with it.
+
+    Removes rounding and a scale, and solves Wahba's problem for ``sum target_i source_i^T``.
+    """
+    u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=float))
+    sign = np.ones(len(u))
+    sign[-1] = np.sign(np.linalg.det(u @ vt))
+    return (u * sign) @ vt
