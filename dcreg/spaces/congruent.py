@@ -92,13 +92,18 @@ def congruent_poses(
     cell = scale.reach / 3.0
     origin = y.min(axis=0) - scale.reach
     size = int(np.ceil((np.ptp(y, axis=0).max() + 2.0 * scale.reach) / cell)) + 1
-    field = np.empty((size, size, size))
+    field = np.zeros((size, size, size))
     kernels.nearness_field(y, origin, cell, size, scale.reach, field)
     poses = np.zeros((len(triples), KEPT_PER_TRIPLE, 3, 4))
     scores = np.zeros((len(triples), KEPT_PER_TRIPLE))
     some = y[columns]
+    first, second, lengths = _pairs_by_length(some)
+    sides = _sides(x, triples)
+    ends = [
+        np.searchsorted(lengths, sides[:, 0] + by) for by in (-scale.tolerance, scale.tolerance)
+    ]
     kernels.triple_poses(
-        triples, x, some, feasible, _pairs_by_length(some),
+        triples, np.column_stack([sides[:, 1:], *ends]), x, some, feasible, (first, second),
         (scale.tolerance, looked, origin, cell, field), poses, scores,
     )  # fmt: skip
     found = _distinct(poses.reshape(-1, 3, 4), scores.ravel(), count)
@@ -167,15 +172,20 @@ def _long_triples(points: np.ndarray, n_inliers: int, rng: np.random.Generator) 
     needed = _triples_needed(len(points), n_inliers)
     count = int(np.clip(needed, MIN_TRIPLES, MAX_TRIPLES))
     drawn = rng.integers(len(points), size=(20 * count, 3))
-    sides = [
-        np.linalg.norm(points[drawn[:, a]] - points[drawn[:, b]], axis=1)
-        for a, b in ((0, 1), (0, 2), (1, 2))
-    ]
-    shortest = np.min(sides, axis=0)
+    shortest = _sides(points, drawn).min(axis=1)
     long = np.flatnonzero(shortest >= SHORTEST)
     if len(long) < count:  # a small or flat cloud: the longest there are
         long = np.argsort(-shortest, kind="stable")
     return drawn[long[:count]]
+
+
+def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
+    """(T, 3) distances of the first to the second, the first to the third, the second to the third."""
+    corners = points[triples]
+    ends = ((0, 1), (0, 2), (1, 2))
+    return np.stack(
+        [np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in ends], axis=1
+    )
 
 
 def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,8 +19,10 @@ _FIRST_SHARE = 0.3  # ... this share of what the poses kept so far score there o
 
 @jit
 def nearness_field(points, origin, cell, shape, reach, field):
-    """field[cell] = max(0, 1 - (d / reach)^2), d from the cell's centre to the nearest point."""
-    field[:] = 0.0
+    """field[cell] = max(0, 1 - (d / reach)^2), d from the cell's centre to the nearest point.
+
+    `field` comes as zeros.
+    """
     span = int(reach / cell) + 1
     for j in range(points.shape[0]):
         x, y, z = points[j, 0] - origin[0], points[j, 1] - origin[1], points[j, 2] - origin[2]
@@ -89,53 +91,51 @@ def _in_shell(points, i, k, low, high):
 
 
 @jit
-def triple_poses(triples, source, target, feasible, pairs, search, poses, scores):
+def triple_poses(triples, sides, source, target, feasible, pairs, search, poses, scores):
     """The best poses of every source triple.
 
     Parameters
     ----------
     triples : (T, 3) int array
+    sides : (T, 4) array
+        Distances of the first to the third point and of the second to the third; then where the target
+        pairs begin and end that are as long as the first two points are apart.
     source, target : (n, 3), (m, 3) arrays
     feasible : (n, m) or (0, 0) bool array
         Which points may be matched; empty: all.
-    pairs : (first, second, lengths)
+    pairs : (first, second)
         The ordered pairs of target points by length.
     search : (tolerance, looked, origin, cell, field)
         Tolerance of a distance, the source points that score, and the field of `nearness_field`.
     poses, scores : (T, K, 3, 4), (T, K) arrays
-        Receive the best poses of each triple.
+        Receive the best poses of each triple; scores come as zeros.
 
     Returns
     -------
     int
         Target triples tried.
     """
-    first, second, lengths = pairs
+    first, second = pairs
     tolerance, looked, origin, cell, field = search
     F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     tried = 0
     for at in range(triples.shape[0]):
         u, v, w = triples[at, 0], triples[at, 1], triples[at, 2]
         p, q, r = source[u], source[v], source[w]
-        scores[at] = 0.0
         if not frame(p, q, r, F):
             continue
-        pq = math.sqrt(((q - p) ** 2).sum())
-        pr = math.sqrt(((r - p) ** 2).sum())
-        qr = math.sqrt(((r - q) ** 2).sum())
-        near_pr, far_pr = max(0.0, pr - tolerance) ** 2, (pr + tolerance) ** 2
-        near_qr, far_qr = max(0.0, qr - tolerance) ** 2, (qr + tolerance) ** 2
-        low = np.searchsorted(lengths, pq - tolerance)
-        for pair in range(low, np.searchsorted(lengths, pq + tolerance)):
+        near_pr, far_pr = max(0.0, sides[at, 0] - tolerance) ** 2, (sides[at, 0] + tolerance) ** 2
+        near_qr, far_qr = max(0.0, sides[at, 1] - tolerance) ** 2, (sides[at, 1] + tolerance) ** 2
+        for pair in range(int(sides[at, 2]), int(sides[at, 3])):
             i, j = first[pair], second[pair]
-            if feasible.size and not (feasible[u, i] and feasible[v, j]):
+            if feasible.size > 0 and not (feasible[u, i] and feasible[v, j]):
                 continue
             for k in range(target.shape[0]):
                 if not _in_shell(target, i, k, near_pr, far_pr):
                     continue
                 if not _in_shell(target, j, k, near_qr, far_qr) or k in (i, j):
                     continue
-                if feasible.size and not feasible[w, k]:
+                if feasible.size > 0 and not feasible[w, k]:
                     continue
                 if not frame(target[i], target[j], target[k], G):
                     continue
@@ -145,10 +145,15 @@ def triple_poses(triples, source, target, feasible, pairs, search, poses, scores
                     for b in range(3):
                         R[a, b] = G[a, 0] * F[b, 0] + G[a, 1] * F[b, 1] + G[a, 2] * F[b, 2]
                         t[a] -= R[a, b] * (p[b] + q[b] + r[b]) / 3.0
-                worst = np.argmin(scores[at])
+                worst = 0
+                for other in range(1, scores.shape[1]):
+                    if scores[at, other] < scores[at, worst]:
+                        worst = other
                 score = overlap(R, t, looked, origin, cell, field, scores[at, worst])
                 if score > scores[at, worst]:
                     scores[at, worst] = score
-                    poses[at, worst, :, :3] = R
-                    poses[at, worst, :, 3] = t
+                    for a in range(3):
+                        poses[at, worst, a, 3] = t[a]
+                        for b in range(3):
+                            poses[at, worst, a, b] = R[a, b]
     return tried
