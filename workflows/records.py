@@ -54,7 +54,7 @@ RAW: dict[str, Column] = {
     "n_inliers": Column(int, "pairs the solver was told: round(ratio * true count)"),
     "seed": Column(int, "seed given to methods that draw random numbers"),
     "status": Column(str, "how the run ended, one of dcreg.Status"),
-    "message": Column(str, "why, where the status needs it"),
+    "message": Column(str, "why the run ended so, or what ran (DC-Reg: mode and bound)"),
     "T_target_source": Column(str, "JSON of the pose (rows of the homogeneous matrix), or empty"),
     "lower_bound": Column(float, "bound on the objective the method certifies (see its card)"),
     "upper_bound": Column(float, "least value found of the certified objective, same unit"),
