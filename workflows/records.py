@@ -78,11 +78,11 @@ TRACES: dict[str, Column] = {
     "method": Column(str, PLAN["method"].meaning),
     "instance_id": Column(str, PLAN["instance_id"].meaning),
     "stage": Column(str, "the search that speaks: search, rotation, ..."),
-    "kind": Column(str, "start, bound, tick or end"),
+    "kind": Column(str, "bound: one of the two moved; or end"),
     "time_s": Column(float, "time since the solve began"),
     "n_nodes": Column(float, "boxes bounded so far"),
     "n_assignments": Column(float, "exact assignments so far"),
-    "n_open": Column(float, "boxes waiting"),
+    "n_open": Column(float, "boxes, or other regions, waiting"),
     "lower_bound": Column(float, "bound at that moment"),
     "upper_bound": Column(float, "value of the incumbent at that moment"),
 }

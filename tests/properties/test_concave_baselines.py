@@ -20,7 +20,7 @@ from baselines.rpm_cav.kernels import bound_simplex, values_at
 from baselines.rpm_cav.search import root_simplex
 from baselines.rpm_pa.kernels import value_at
 from baselines.rpm_pa.polytope import Polytope
-from baselines.rpm_pa.search import Search, Settings
+from baselines.rpm_pa.search import Search
 from dcreg import objective
 from dcreg.local import fit_pose
 from dcreg.search import Budget
@@ -80,8 +80,10 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def support_of(clouds: Clouds, with_fixed: bool = False) -> Support:
-    idle = Incumbent(clouds.source, clouds.target, clouds.k, SCALES, np.eye(3), -np.inf, 0)
-    return Support(clouds, idle, Budget(), with_fixed)
+    idle = Incumbent(
+        clouds.source, clouds.target, clouds.k, SCALES, np.eye(3), -np.inf, 0, Budget()
+    )
+    return Support(clouds, idle, with_fixed)
 
 
 class TestReduction:
@@ -221,7 +223,7 @@ class TestPolytope:
         instance = problem(seed, most=4)
         budget = Budget(nodes=300)
         reduced = Reduced.of(instance, budget)
-        search = Search(reduced, Settings(0.01, epsilon0), budget)
+        search = Search(reduced, budget, 0.01, epsilon0)
         kept: list[Polytope] = []
         rebuild = search._rebuilt
         search._rebuilt = lambda: kept.append(rebuild()) or kept[-1]  # type: ignore[method-assign]
