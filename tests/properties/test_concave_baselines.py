@@ -26,6 +26,7 @@ from dcreg.local import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
 from tests.problems import KINDS, cloud
+from workflows.records import RAW_TRACES
 
 SCALES = (0.5, 1.5)
 
@@ -279,3 +280,23 @@ def test_never_certifies_a_wrong_optimum(name: str, options: dict) -> None:
             assert solution.upper_bound - solution.lower_bound <= solution.gap_tol + slack, seed
     print(f"{name} {options}: {n_optimal} of {N_PROBLEMS} certified")
     assert n_optimal > 0.3 * N_PROBLEMS
+
+
+@pytest.mark.parametrize("name", ["rpm_cav", "rpm_pa"])
+def test_history_is_in_the_columns_of_the_library_and_closes(name: str) -> None:
+    solution = registry.load(name).solve(problem(1), Limits(10.0, nodes=200))
+    assert RAW_TRACES.keys() - {"run_id", "instance_id"} <= solution.trace[0].keys()
+    *before, last = solution.trace
+    assert {row["kind"] for row in before} == {"bound"}
+    assert (last["kind"], last["status"]) == ("end", solution.status)
+    assert last["lower_bound"] == solution.lower_bound
+
+
+def test_a_descent_takes_no_step_after_the_time_limit() -> None:
+    points = np.random.default_rng(0).standard_normal((8, 2))
+    spent = []
+    for time_s in (60.0, 0.0):
+        incumbent = Incumbent(points, points[::-1], 6, SCALES, np.eye(3), np.inf, 0, Budget(time_s))
+        incumbent.offer(np.array([0, 1, 2, 3, 4, 5, -1, -1]))
+        spent.append(incumbent.n_assignments)
+    assert spent[0] > spent[1] == 1
