@@ -131,7 +131,7 @@ browser:
 ## clean: remove results, caches and the environment (keeps fetched data in resources/)
 .PHONY: clean
 clean:
-	rm -rf $(VENV) results .snakemake .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
+	rm -rf $(VENV) .venv-floors results .snakemake .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 ## help: this list

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Runs tests of the library with the lowest versions of its dependencies that pyproject.toml states.
+# Runs tests of the library, its command line and its figures with the lowest versions of their
+# dependencies that pyproject.toml states.
 # usage: floors.sh PYTHON
 set -eu
 python=$1
@@ -19,4 +20,5 @@ echo "floors: $floors"
   pytest pytest-timeout hypothesis pydantic pyyaml pooch  # the last three draw the shapes of the tests
 NUMBA_CACHE_DIR=$venv/numba "$venv/bin/python" -m pytest -q -p no:cacheprovider \
   tests/golden/test_golden.py tests/unit/test_registration.py tests/unit/test_rigid.py \
-  tests/unit/test_search.py
+  tests/unit/test_search.py tests/unit/test_certificate.py tests/unit/test_cli.py \
+  tests/unit/test_plot.py tests/unit/test_public_api.py

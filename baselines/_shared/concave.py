@@ -18,18 +18,20 @@ function of (u, L) is least over all matchings at a k-cardinality assignment, ex
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+import abc
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from baselines._shared.kernels.statistics import N_STATISTICS, concave, least_linear, statistics
-from baselines.contract import Instance
+from baselines.contract import Instance, Solution
 from dcreg.local import fit_pose, polish
 from dcreg.local.assignment import pairs_of
-from dcreg.problem import Frame, Problem
-from dcreg.search import Budget
+from dcreg.problem import Frame, Problem, default_gap_tol
+from dcreg.search import Budget, Event, Trace
 from dcreg.spaces import Similarity2D
+from dcreg.status import Status
 
 SCOPE = "similarity pose"
 _FLAT = 1e-8  # relative extent below which all matchings agree in a statistic
@@ -37,37 +39,6 @@ _FLAT = 1e-8  # relative extent below which all matchings agree in a statistic
 
 class OutOfTimeError(Exception):
     """The time limit came before the search had its first region; the incumbent stands."""
-
-
-class History:
-    """Rows of a bound history, in squared units of the input: one whenever a bound moved, and the last.
-
-    Parameters
-    ----------
-    budget : Budget
-        Its clock counts.
-    area : float
-        Squared units of the input in one squared unit of the search.
-    """
-
-    def __init__(self, budget: Budget, area: float) -> None:
-        self.budget, self.area = budget, area
-        self.rows: list[dict[str, Any]] = []
-
-    def add(self, lower: float, upper: float, n_nodes: int, n_assignments: int, last: bool) -> None:
-        """The state of the search; kept when a bound moved, and always the last one."""
-        bounds = {"lower_bound": lower * self.area, "upper_bound": upper * self.area}
-        if self.rows and not last and bounds.items() <= self.rows[-1].items():
-            return
-        self.rows.append(
-            {
-                "stage": "search",
-                "time_s": self.budget.elapsed(),
-                "n_nodes": n_nodes,
-                "n_assignments": n_assignments,
-                **bounds,
-            }
-        )
 
 
 class Clouds(NamedTuple):
@@ -91,6 +62,7 @@ class Incumbent:
     pose: np.ndarray
     value: float
     n_assignments: int
+    budget: Budget
 
     def beaten_by(self, value: float) -> bool:
         """Whether a matching of this value is better by more than rounding."""
@@ -100,7 +72,9 @@ class Incumbent:
         """Descend from a matching that is better than the incumbent; True: it became the incumbent."""
         pairs = pairs_of(col_of)
         pose = fit_pose(self.source[pairs[:, 0]], self.target[pairs[:, 1]], self.scale_range)
-        pose, value, _, spent = polish(self.source, self.target, pose, self.k, self.scale_range)
+        pose, value, _, spent = polish(
+            self.source, self.target, pose, self.k, self.scale_range, budget=self.budget
+        )
         self.n_assignments += spent
         if value >= self.value:
             return False
@@ -129,7 +103,8 @@ class Reduced:
         k, scale_range = problem.n_inliers, problem.scale_range
         space = Similarity2D(source, target, k, scale_range)
         theta, value, spent = space.start(budget)
-        start = Incumbent(source, target, k, scale_range, space.pose(theta), value, spent)
+        pose = space.pose(theta)
+        start = Incumbent(source, target, k, scale_range, pose, value, spent, budget)
         return cls(frame, Clouds(source, target, k, *scale_range), start)
 
     @property
@@ -137,9 +112,113 @@ class Reduced:
         """Squared target units per squared normalised unit."""
         return self.frame.area
 
+    def gap_tol(self, instance: Instance, factor: float) -> float:
+        """The library's default tolerance with this factor, in normalised units."""
+        points = instance.source, instance.target
+        return default_gap_tol(*points, instance.n_inliers, factor) / self.area
+
     def pose(self) -> np.ndarray:
         """The incumbent in the coordinates of the instance."""
         return self.frame.pose(self.incumbent.pose)
+
+
+@dataclass
+class ConcaveSearch(abc.ABC):
+    """A running search; bounds are in normalised units, the incumbent lives in `reduced`.
+
+    Attributes
+    ----------
+    reduced : Reduced
+    budget : Budget
+    gap_tol : float
+        In normalised units.
+    status : Status or None
+        None while it runs.
+    n_nodes, dim : int
+        Regions bounded, and dimensions of the statistics.
+    n_assignments : int
+        Those of the search itself; the incumbent counts its own.
+    history : Trace
+        An event whenever a bound moved, and the end, in squared units of the input.
+    """
+
+    reduced: Reduced
+    budget: Budget
+    gap_tol: float
+    status: Status | None = field(default=None, init=False)
+    lower_bound: float = field(default=0.0, init=False)  # a sum of squares
+    n_nodes: int = field(default=0, init=False)
+    n_assignments: int = field(default=0, init=False)
+    dim: int = field(default=0, init=False)
+    history: Trace = field(default_factory=Trace, init=False)
+
+    @property
+    def upper_bound(self) -> float:
+        return self.reduced.incumbent.value
+
+    @property
+    def cutoff(self) -> float:
+        """Regions whose bound reaches this hold no matching that is better by the tolerance."""
+        return self.upper_bound - self.gap_tol
+
+    @abc.abstractmethod
+    def run(self) -> None:
+        """Search until a bound or a limit ends it; then `status` says which."""
+
+    def ended(self, nbytes: int, share: float) -> Status | None:
+        """Why the search ends here; None: it goes on.
+
+        Parameters
+        ----------
+        nbytes : int
+            In use by its regions.
+        share : float
+            Of the memory limit that they may use.
+        """
+        budget = self.budget
+        if self.lower_bound >= self.cutoff:
+            return Status.OPTIMAL
+        if budget.is_over:
+            return Status.TIME_LIMIT
+        if budget.nodes is not None and self.n_nodes >= budget.nodes:
+            return Status.NODE_LIMIT
+        if budget.memory_mb is not None and nbytes > share * budget.memory_mb * 2**20:
+            return Status.MEMORY_LIMIT
+        return None
+
+    def record(self, n_open: int = 0) -> None:
+        """Keep the state of the search when a bound moved, and when it ended."""
+        kind = "bound" if self.status is None else "end"
+        event = Event(
+            kind, "search", self.budget.elapsed(), self.n_nodes,
+            self.n_assignments + self.reduced.incumbent.n_assignments, n_open,
+            self.lower_bound, self.upper_bound, "" if self.status is None else self.status.value,
+        ).scaled(self.reduced.area)  # fmt: skip
+        last = self.history.events[-1] if self.history.events else None
+        moved = last is None or (last.lower_bound, last.upper_bound) != (
+            event.lower_bound, event.upper_bound
+        )  # fmt: skip
+        if moved or kind == "end":
+            self.history.events.append(event)
+
+    def solution(self, **extra: float) -> Solution:
+        """What the search found, in the units of the instance."""
+        assert self.status is not None
+        area, incumbent = self.reduced.area, self.reduced.incumbent
+        return Solution(
+            self.status,
+            self.reduced.pose(),
+            lower_bound=self.lower_bound * area,
+            upper_bound=self.upper_bound * area,
+            gap_tol=self.gap_tol * area,
+            certificate_scope=SCOPE,
+            counters={
+                "n_nodes": self.n_nodes,
+                "n_assignments": self.n_assignments + incumbent.n_assignments,
+            },
+            trace=self.history.rows(),
+            extra={**extra, "n_dimensions": float(self.dim)},
+        )
 
 
 @dataclass
@@ -172,15 +251,9 @@ class Support:
     A matching better than the incumbent is offered to it. Points are ``u(P)``, or ``(u, L)(P)``.
     """
 
-    def __init__(
-        self,
-        clouds: Clouds,
-        incumbent: Incumbent,
-        budget: Budget,
-        with_fixed: bool = False,
-    ) -> None:
+    def __init__(self, clouds: Clouds, incumbent: Incumbent, with_fixed: bool = False) -> None:
         self.clouds, self.incumbent, self.with_fixed = clouds, incumbent, with_fixed
-        self.budget = budget
+        self.budget = incumbent.budget
         self.n_assignments = 0
         self.points: list[np.ndarray] = []
 

@@ -11,18 +11,16 @@ import dcreg
 from baselines._shared.single_boxes import bound_of_box
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from dcreg.bounds import DEFAULT_BOUND, bound_names, bound_parts, make_bound
-from dcreg.modes import AUTO, MODES, Answer, Mode, Task, mode_names
+from dcreg.modes import AUTO, MODES, Answer, Mode, Task, find_mode, mode_names
 from dcreg.problem import InputError, Problem, default_gap_tol, suggestion
 from dcreg.registration import result_of, task_of
 from dcreg.result import Result
 from dcreg.search import Budget
+from dcreg.warm_up import warm_up_mode
 
 
 class LibraryMethod(Baseline):
-    """Tolerance, warm-up and answer of every method on the library's search."""
-
-    def warm_up(self, instance: Instance) -> None:
-        self.solve(tiny(instance), Limits(time_s=30.0, nodes=100))
+    """Tolerance of every method on the library's search."""
 
     def gap_tol(self, instance: Instance) -> float:
         """The library's default tolerance, with the card's `gap_tol_factor`."""
@@ -37,34 +35,31 @@ class BranchAndBound(LibraryMethod):
     Attributes
     ----------
     bounds : tuple of str
-        Those the method's card speaks for.
-    modes : tuple of str, optional
-        Likewise; default: all of the library. A method that stands for its bounds names modes that take
-        one, and has no bound of null, which would be the library's own.
+        Those the method's card speaks for. Where they are not all of the library, null, the library's own
+        bound, is refused.
+    mode : str, optional
+        That of the option `mode`, if the card has one; null: the library chooses.
     """
 
     bounds: tuple[str, ...] = tuple(bound_names())
-    modes: tuple[str, ...] | None = None
+    mode: str | None = None
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
+        if "mode" in self.options:
+            self.mode = self.options["mode"]
         self._check_mode()
         self._check_bound()
 
     def _check_mode(self) -> None:
-        mode = self.options["mode"]
         known = {AUTO, *(name for model in self.card.models for name in mode_names(model))}
-        if self.modes is not None:
-            known = set(self.modes)
-        elif mode is None:
-            return
-        if mode not in known:
-            raise ValueError(f"option mode = {mode!r}{suggestion(str(mode), known)}")
+        if self.mode is not None and self.mode not in known:
+            raise ValueError(f"option mode = {self.mode!r}{suggestion(str(self.mode), known)}")
 
     def _check_bound(self) -> None:
-        bound, mode = self.options["bound"], self.options["mode"]
+        bound = self.options["bound"]
         if bound is None:
-            if self.modes is not None:
+            if DEFAULT_BOUND not in self.bounds:
                 raise ValueError(
                     "option bound = null is the library's own bound; choose from "
                     f"{', '.join(self.bounds)}"
@@ -77,19 +72,26 @@ class BranchAndBound(LibraryMethod):
         if not set(bound.split("+")) <= set(self.bounds):
             raise ValueError(f"option bound = {bound!r}{suggestion(bound, self.bounds)}")
         chosen = [
-            entry for entry in MODES if entry.name == mode and entry.model in self.card.models
+            entry for entry in MODES if entry.name == self.mode and entry.model in self.card.models
         ]
         if chosen and not any(entry.takes_bound for entry in chosen):
             raise ValueError(
-                f"option bound = {bound!r}, but mode {mode!r} has bounds of its own; leave one of "
+                f"option bound = {bound!r}, but mode {self.mode!r} has bounds of its own; leave one of "
                 "them out"
             )
 
     def supports(self, instance: Instance) -> str | None:
-        mode = self.options["mode"]
-        if mode not in (None, AUTO, *mode_names(instance.model)):
-            return f"mode {mode!r} does not treat {instance.model}"
+        if self.mode not in (None, AUTO, *mode_names(instance.model)):
+            return f"mode {self.mode!r} does not treat {instance.model}"
         return super().supports(instance)
+
+    def warm_up(self, instance: Instance) -> None:
+        """The kernels of the mode, or of all modes that the library may choose by size."""
+        bound, names = self.options["bound"], [self.mode or AUTO]
+        if names == [AUTO]:
+            names = mode_names(instance.model) if bound is None else ["paper"]
+        for name in names:
+            warm_up_mode(find_mode(instance.model, name), bound)
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         result = dcreg.register(
@@ -97,7 +99,7 @@ class BranchAndBound(LibraryMethod):
             instance.target,
             n_inliers=instance.n_inliers,
             model=instance.model,
-            mode=self.options["mode"],
+            mode=self.mode,
             bound=self.options["bound"],
             scale_range=instance.scale_range,
             gap_tol=self.gap_tol(instance),
@@ -118,33 +120,48 @@ class BranchAndBound(LibraryMethod):
 
 
 class ModeOfItsOwn(LibraryMethod):
-    """A method that replaces the library's modes by one of its own: problem, frame and polish stay."""
+    """A method that replaces the library's modes by one of its own: problem, frame and polish stay.
+
+    Attributes
+    ----------
+    own_bound : str
+        What the bound of its search is called in results.
+    """
+
+    own_bound: str
 
     @abc.abstractmethod
     def run(self, task: Task) -> Answer:
         """Solve the normalised task."""
+
+    def warm_up(self, instance: Instance) -> None:
+        self.solve(tiny(instance), Limits(time_s=30.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         problem = Problem(
             instance.source, instance.target, instance.n_inliers, instance.model,
             instance.scale_range,
         )  # fmt: skip
-        mode = Mode(self.card.display_name, problem.model, self.run, self.card.summary)
+        mode = Mode(
+            self.card.display_name, problem.model, self.run, self.card.summary,
+            takes_bound=False, own_bound=self.own_bound,
+        )  # fmt: skip
+        mode.check(problem, None, certificate=False)
         budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
         task = task_of(problem, mode, None, self.gap_tol(instance), limits.threads, budget)
         answer = self.run(task)
         result = result_of(
-            problem, mode, task, answer, polish=self.options["polish"],
-            time_setup_s=0.0,
-        )  # fmt: skip
+            problem, mode, task, answer, polish=self.options["polish"], time_setup_s=0.0
+        )
         return solution_of(result)
 
 
 def solution_of(result: Result) -> Solution:
-    """A result of the library as the contract wants it."""
+    """A result of the library as the contract wants it; its message tells what ran."""
     return Solution(
         status=result.status,
         T_target_source=result.T_target_source,
+        message=f"mode {result.mode}, bound {result.bound}",
         lower_bound=result.lower_bound,
         upper_bound=result.upper_bound,
         gap_tol=result.gap_tol,

@@ -28,9 +28,8 @@ from baselines._shared.single_boxes import bound_of_box
 from baselines.contract import Instance
 from dcreg.bounds.base import SpaceBound
 from dcreg.kernels.termwise import plane
-from dcreg.modes import Answer, Task
-from dcreg.modes.paper import place, space_of
-from dcreg.search import Box, Evaluation, minimise
+from dcreg.modes import Answer, Task, paper
+from dcreg.search import Box, Evaluation
 from dcreg.spaces import FeatureSpace
 
 # theta -> least beta.theta + gamma.phi + k (t3^2 + t4^2) over a box, relaxed, and where it is attained
@@ -91,15 +90,7 @@ class SimilaritySearch(ModeOfItsOwn):
     bound: type[SubstitutedBound]
 
     def run(self, task: Task) -> Answer:
-        space = space_of(task)
-        bound = self.bound(space, threads=task.threads)
-        found = minimise(space, bound, task.budget, gap_tol=task.gap_tol)
-        answer = Answer(
-            np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope
-        )
-        answer.add("search", found)
-        place(task, space, found.theta, task.budget, answer)
-        return answer
+        return paper.run(task, self.bound)
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
         """Lower bound over a box of theta; see `baselines.contract.BoxBounding`."""

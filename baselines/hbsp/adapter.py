@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 
 from baselines._shared.relaxations import SimilaritySearch
@@ -9,19 +12,17 @@ from baselines.contract import Instance
 from baselines.hbsp.rotation import SemidefiniteRotationBound
 from baselines.hbsp.similarity import SemidefiniteBound
 from dcreg.bounds import make_bound
-from dcreg.modes import Answer, Task
-from dcreg.search import minimise
-from dcreg.spaces import Rotation3D, Translation3D
-from dcreg.status import Status
+from dcreg.modes import Answer, Task, paper
+from dcreg.search import Budget, Outcome, minimise
+from dcreg.spaces import Rotation3D
 
-# Share of the time limit after which the translation search must have made room for the rotation.
-_TRANSLATION_SHARE = 0.5
 SCOPE_3D = "rotation about the translation found in norm space"
 
 
 class Adapter(SimilaritySearch):
     """2D: branch and bound over theta. 3D: DC-Reg's translation, then HBSP's search of the rotation."""
 
+    own_bound = "hbsp"
     bound = SemidefiniteBound
 
     def run(self, task: Task) -> Answer:
@@ -34,20 +35,18 @@ class Adapter(SimilaritySearch):
 
 def translate_and_turn(task: Task) -> Answer:
     """The translation of norm space by DC-Reg's tight bound, then the rotation about it by HBSP's."""
-    norms = Translation3D(task.source, task.target, task.n_inliers)
-    moved = minimise(
-        norms, make_bound("tight", norms, threads=task.threads),
-        task.budget.part(_TRANSLATION_SHARE), gap_tol=task.gap_tol,
+    answer = paper.run(task, partial(make_bound, "tight"), turn)
+    rotation = answer.stages[-1]
+    assert rotation.lower_bound is not None
+    assert rotation.upper_bound is not None
+    return replace(
+        answer, lower_bound=rotation.lower_bound, upper_bound=rotation.upper_bound,
+        scope=SCOPE_3D, cover=None,
     )  # fmt: skip
-    space = Rotation3D(task.source + moved.theta, task.target, task.n_inliers)
-    turned = minimise(
-        space, SemidefiniteRotationBound(space), task.budget, gap_tol=task.gap_tol,
-        stage="rotation",
-    )  # fmt: skip
-    T = space.pose(turned.theta)
-    T[:3, 3] = T[:3, :3] @ moved.theta
-    status = turned.status if moved.status is Status.OPTIMAL else moved.status
-    answer = Answer(T, status, turned.lower_bound, turned.upper_bound, SCOPE_3D)
-    answer.add("search", moved)
-    answer.add("rotation", turned)
-    return answer
+
+
+def turn(task: Task, shifted: np.ndarray, budget: Budget) -> Outcome:
+    """The best rotation of the shifted source, by HBSP's bound."""
+    space = Rotation3D(shifted, task.target, task.n_inliers, task.candidates)
+    bound = SemidefiniteRotationBound(space, threads=task.threads)
+    return minimise(space, bound, budget, gap_tol=task.gap_tol, stage="rotation")

@@ -31,31 +31,38 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
 
     round_pairs, max_round = 20_000, 4
 
-    def __init__(self, space: Rotation3D, roots: Sequence[Box] | None = None) -> None:
-        super().__init__(space, roots)
+    def __init__(
+        self, space: Rotation3D, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> None:
+        super().__init__(space, roots, threads)
         a, y = space.clouds.source, space.clouds.target
         self.squares = (a**2).sum(axis=0)[:, None] + (y**2).sum(axis=0)
         self.outer = a[:, None, :, None] * y[None, :, None, :]  # (3, 3, n, m)
         self.low = np.array([[self._assign(plane) for plane in row] for row in self.outer])
         self.high = np.array([[-self._assign(-plane) for plane in row] for row in self.outer])
-        self.lifted = LiftedBox(3)
+        self.n_assignments += 2 * 9
 
     def _assign(self, cost: np.ndarray) -> float:
-        self.n_assignments += 1
         return float(cheapest_pairs(np.ascontiguousarray(cost), self.space.n_inliers)[0])
 
     def _evaluate(
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
     ) -> Evaluation:
         found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
-        for box in range(len(lower)):
-            found.lower_bounds[box], theta = self._bound(Box(lower[box], upper[box]))
-            found.thetas[box] = theta
-            found.values[box] = self.space.objective(theta)[0]
-        self.n_assignments += len(lower)
+
+        def work(part: slice) -> int:
+            lifted = LiftedBox(3)
+            boxes = range(len(lower))[part]
+            for box in boxes:
+                found.lower_bounds[box], theta = self._bound(Box(lower[box], upper[box]), lifted)
+                found.thetas[box] = theta
+                found.values[box] = self.space.objective(theta)[0]
+            return 2 * len(boxes)
+
+        self._run(work, len(lower))
         return found
 
-    def _bound(self, box: Box) -> tuple[float, np.ndarray]:
+    def _bound(self, box: Box, lifted: LiftedBox) -> tuple[float, np.ndarray]:
         least, most = rotation_range(box)
         r_low, r_high = least.T, most.T  # [a, b] is the range of R_ba
         r_middle, g_middle = 0.5 * (r_low + r_high), 0.5 * (self.low + self.high)
@@ -68,7 +75,7 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
         T = np.zeros((4, 4))
         T[:, 0] = box.centre
         T[free, [1, 2, 3]] = box.half_widths[free]
-        rotating, z = self.lifted.least(T.T @ quaternion_form(-2.0 * g_middle.T) @ T, T.T @ T)
+        rotating, z = lifted.least(T.T @ quaternion_form(-2.0 * g_middle.T) @ T, T.T @ T)
         theta = T @ np.concatenate([[1.0], np.clip(z, -1.0, 1.0)])
         return value + rotating, theta
 

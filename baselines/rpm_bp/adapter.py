@@ -7,4 +7,5 @@ from baselines.rpm_bp.bound import BilinearBound
 class Adapter(SimilaritySearch):
     """Branch and bound over theta; a k-assignment and a convex QP of low dimension for every box."""
 
+    own_bound = "rpm-bp"
     bound = BilinearBound

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._shared.concave import SCOPE, Reduced
+from baselines._shared.concave import Reduced
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from baselines.rpm_cav.box import BoxBound
-from baselines.rpm_cav.search import Search, Settings
-from dcreg.problem import default_gap_tol
+from baselines.rpm_cav.search import Search
 from dcreg.search import Budget
 
 
@@ -32,34 +31,13 @@ class Adapter(Baseline):
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
         reduced = Reduced.of(instance, budget)
-        area, incumbent = reduced.area, reduced.incumbent
-        gap_tol = default_gap_tol(
-            instance.source, instance.target, instance.n_inliers, self.options["gap_tol_factor"]
+        gap_tol = reduced.gap_tol(instance, self.options["gap_tol_factor"])
+        search = Search(
+            reduced, budget, gap_tol, self.options["ascents"], self.options["branching"] == "gap"
         )
-        settings = Settings(
-            gap_tol / area, self.options["ascents"], self.options["branching"] == "gap"
-        )
-        search = Search(reduced, settings, budget)
         search.run()
-        assert search.status is not None
-        return Solution(
-            search.status,
-            reduced.pose(),
-            lower_bound=search.lower_bound * area,
-            upper_bound=search.upper_bound * area,
-            gap_tol=gap_tol,
-            certificate_scope=SCOPE,
-            counters={
-                "n_nodes": search.n_nodes,
-                "n_assignments": search.n_assignments + incumbent.n_assignments,
-            },
-            trace=search.history.rows,
-            # The simplices' own bound; until it passes zero, that zero is the lower bound.
-            extra={
-                "simplex_bound": float(search.raw_bound * area),
-                "n_dimensions": float(search.dim),
-            },
-        )
+        # The simplices' own bound; until it passes zero, that zero is the lower bound.
+        return search.solution(simplex_bound=float(search.raw_bound * reduced.area))
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
         """Lower bound for the poses of a box of theta; see `baselines.rpm_cav.box`."""

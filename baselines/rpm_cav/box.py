@@ -31,8 +31,10 @@ class BoxBound:
         low, high = instance.scale_range
         self.clouds = Clouds(source, target, instance.n_inliers, low, high)
         # a value of minus infinity: no matching is worth a descent
-        idle = Incumbent(source, target, self.clouds.k, (low, high), np.eye(3), -np.inf, 0)
-        support = Support(self.clouds, idle, Budget())
+        idle = Incumbent(
+            source, target, self.clouds.k, (low, high), np.eye(3), -np.inf, 0, Budget()
+        )
+        support = Support(self.clouds, idle)
         self.z = support.coordinates()
         self.root = root_simplex(support, self.z) if self.z.dim else np.empty((1, 0))
 

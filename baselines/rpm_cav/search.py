@@ -8,22 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from baselines._shared.concave import Coordinates, History, OutOfTimeError, Reduced, Support
+from baselines._shared.concave import ConcaveSearch, Coordinates, OutOfTimeError, Support
 from baselines._shared.kernels.statistics import N_STATISTICS, least_linear
 from baselines.rpm_cav.kernels import bound_children, bound_simplex, values_at
-from dcreg.search import Budget
 from dcreg.status import Status
 
 _MAX_CORNERS = 256  # corners of the box tried for the root simplex
-
-
-@dataclass
-class Settings:
-    """See the card's parameters."""
-
-    gap_tol: float  # in normalised units
-    ascents: int
-    by_gap: bool
 
 
 class OpenSimplices:
@@ -74,52 +64,35 @@ class OpenSimplices:
 
 
 @dataclass
-class Search:
-    """The running search; bounds are in normalised units, the incumbent lives in `reduced`."""
+class Search(ConcaveSearch):
+    """Best first over simplices; the options are those of the card."""
 
-    reduced: Reduced
-    settings: Settings
-    budget: Budget
-    status: Status | None = None
-    lower_bound: float = 0.0  # a sum of squares
-    n_nodes: int = 0
-    n_assignments: int = 0
-    dim: int = 0
-    raw_bound: float = -np.inf  # before zero was taken for a lower bound
-    history: History = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.history = History(self.budget, self.reduced.area)
-
-    @property
-    def upper_bound(self) -> float:
-        return self.reduced.incumbent.value
-
-    @property
-    def cutoff(self) -> float:
-        return self.upper_bound - self.settings.gap_tol
+    ascents: int
+    by_gap: bool
+    raw_bound: float = field(default=-np.inf, init=False)  # before zero was taken for a lower bound
 
     def run(self) -> None:
         clouds, incumbent = self.reduced.clouds, self.reduced.incumbent
         self.record()
-        support = Support(clouds, incumbent, self.budget)
+        support = Support(clouds, incumbent)
         try:
             coordinates = support.coordinates()
             self.dim = coordinates.dim
             root = root_simplex(support, coordinates)
         except OutOfTimeError:
-            self.n_assignments += support.n_assignments
-            self.finish(Status.TIME_LIMIT)
-            return
+            self.status = Status.TIME_LIMIT
         self.n_assignments += support.n_assignments
-        if self.dim == 0:  # all matchings agree in their statistics: the least L decides
+        if (
+            self.status is None and self.dim == 0
+        ):  # all agree in their statistics: the least L decides
             _, col_of = least_linear(clouds, np.zeros(N_STATISTICS), 1.0)
             incumbent.offer(col_of)
             self.n_assignments += 1
             self.lower_bound = self.upper_bound
-            self.finish(Status.OPTIMAL)
-            return
-        self._branch(coordinates, root)
+            self.status = Status.OPTIMAL
+        if self.status is None:
+            self._branch(coordinates, root)
+        self.record()
 
     def _branch(self, z: Coordinates, root: np.ndarray) -> None:
         clouds = self.reduced.clouds
@@ -127,7 +100,7 @@ class Search:
         col_of = np.empty(len(clouds.source), np.int64)
         values = values_at(clouds, z.origin, z.axes, root)
         bound, value, spent = bound_simplex(
-            clouds, z.origin, z.inverse, root, values, self.cutoff, self.settings.ascents, col_of
+            clouds, z.origin, z.inverse, root, values, self.cutoff, self.ascents, col_of
         )
         self._account(1, spent, value, col_of)
         nodes.push(root[None], values[None], np.array([bound]))
@@ -136,53 +109,27 @@ class Search:
         while self.status is None:
             self.raw_bound = min(nodes.lower_bound, pruned, self.upper_bound)
             self.lower_bound = max(self.lower_bound, self.raw_bound)
-            self.record()
-            self.status = self._ended(nodes)
+            self.record(len(nodes))
+            # half of the worker's memory: the rest is Python and its libraries
+            self.status = self.ended(nodes.nbytes, 0.5)
             if self.status is not None:
-                break
+                return
             found = nodes.pop(round_size, self.cutoff)
             vertices, values, bounds, value, spent = bound_children(
                 clouds, z.origin, z.axes, z.inverse, *found, self.cutoff,
-                self.settings.ascents, self.settings.by_gap, col_of,
+                self.ascents, self.by_gap, col_of,
             )  # fmt: skip
             self._account(len(bounds), spent, value, col_of)
             keep = bounds < self.cutoff
             if not keep.all():
                 pruned = min(pruned, float(bounds[~keep].min()))
             nodes.push(vertices[keep], values[keep], bounds[keep])
-        self.record()
-
-    def _ended(self, nodes: OpenSimplices) -> Status | None:
-        budget = self.budget
-        if self.lower_bound >= self.cutoff:
-            return Status.OPTIMAL
-        if self.budget.is_over:
-            return Status.TIME_LIMIT
-        if budget.nodes is not None and self.n_nodes >= budget.nodes:
-            return Status.NODE_LIMIT
-        # half of the worker's memory: the rest is Python and its libraries
-        if budget.memory_mb is not None and nodes.nbytes > 0.5 * budget.memory_mb * 2**20:
-            return Status.MEMORY_LIMIT
-        return None
 
     def _account(self, nodes: int, spent: int, value: float, col_of: np.ndarray) -> None:
         self.n_nodes += nodes
         self.n_assignments += spent
         if self.reduced.incumbent.beaten_by(value):
             self.reduced.incumbent.offer(col_of)
-
-    def record(self) -> None:
-        self.history.add(
-            self.lower_bound,
-            self.upper_bound,
-            self.n_nodes,
-            self.n_assignments + self.reduced.incumbent.n_assignments,
-            last=self.status is not None,
-        )
-
-    def finish(self, status: Status) -> None:
-        self.status = status
-        self.record()
 
 
 def root_simplex(support: Support, z: Coordinates) -> np.ndarray:

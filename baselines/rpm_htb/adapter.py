@@ -8,10 +8,10 @@ from dcreg.bounds import bound_names
 
 
 class Adapter(BranchAndBound):
-    """Same search, box, tolerance, assignment and polish as DC-Reg; only the bound differs."""
+    """Search, box, tolerance, assignment and polish of DC-Reg in mode `paper`; only the bound differs."""
 
     bounds = tuple(name for name in bound_names() if name.startswith("termwise"))
-    modes = ("paper",)  # others search with bounds of their own, or differ in more than the bound
+    mode = "paper"  # the others search with bounds of their own, or differ in more than the bound
 
     def supports(self, instance: Instance) -> str | None:
         if instance.dim == 3 and "termwise-r3" in self.options["bound"]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from baselines._shared.concave import SCOPE, Reduced
+from baselines._shared.concave import Reduced
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
-from baselines.rpm_pa.search import Search, Settings
-from dcreg.problem import default_gap_tol
+from baselines.rpm_pa.search import Search
 from dcreg.search import Budget
 
 
@@ -24,23 +23,7 @@ class Adapter(Baseline):
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
         reduced = Reduced.of(instance, budget)
-        gap_tol = default_gap_tol(
-            instance.source, instance.target, instance.n_inliers, self.options["gap_tol_factor"]
-        )
-        search = Search(reduced, Settings(gap_tol / reduced.area, self.options["epsilon0"]), budget)
+        gap_tol = reduced.gap_tol(instance, self.options["gap_tol_factor"])
+        search = Search(reduced, budget, gap_tol, self.options["epsilon0"])
         search.run()
-        assert search.status is not None
-        return Solution(
-            search.status,
-            reduced.pose(),
-            lower_bound=search.lower_bound * reduced.area,
-            upper_bound=search.upper_bound * reduced.area,
-            gap_tol=gap_tol,
-            certificate_scope=SCOPE,
-            counters={
-                "n_nodes": search.n_facets_tested,
-                "n_assignments": search.n_assignments,
-            },
-            trace=search.history.rows,
-            extra={"n_dimensions": float(search.dim)},
-        )
+        return search.solution()

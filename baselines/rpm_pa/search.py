@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from baselines._shared.concave import History, OutOfTimeError, Reduced, Support
+from baselines._shared.concave import ConcaveSearch, OutOfTimeError, Support
 from baselines.rpm_pa.kernels import extensions, test_facets, value_at
 from baselines.rpm_pa.polytope import Polytope
-from dcreg.search import Budget
 from dcreg.status import Status
 
 _CLOSED = 1e-9
@@ -22,57 +21,40 @@ _REACH = 100.0
 
 
 @dataclass
-class Settings:
-    """See the card's parameters."""
-
-    gap_tol: float  # in normalised units
-    epsilon0: float
-
-
-@dataclass
-class Search:
-    """The running search; bounds are in normalised units, the incumbent lives in `reduced`.
+class Search(ConcaveSearch):
+    """Facet by facet; `epsilon0` is the card's.
 
     All matchings lie in the polytope D spanned by their points ``(u, L)``. A facet's cone is closed
     when D does not leave the polytope there: then, F being concave, no matching of the cone beats
     the level. Until then ``min F`` over the facet's simplex, stretched to hold D, is a lower bound.
     """
 
-    reduced: Reduced
-    settings: Settings
-    budget: Budget
-    status: Status | None = None
-    lower_bound: float = 0.0  # a sum of squares
-    n_facets_tested: int = 0
-    n_rebuilt: int = 0
-    dim: int = 0
-    history: History = field(init=False)
+    epsilon0: float
+    n_rebuilt: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        self.history = History(self.budget, self.reduced.area)
         clouds, incumbent = self.reduced.clouds, self.reduced.incumbent
         self.batch = int(np.clip(300_000 // (len(clouds.source) * len(clouds.target)), 1, _BATCH))
-        self.support = Support(clouds, incumbent, self.budget, with_fixed=True)
-
-    @property
-    def upper_bound(self) -> float:
-        return self.reduced.incumbent.value
+        self.support = Support(clouds, incumbent, with_fixed=True)
 
     @property
     def exact(self) -> bool:
-        return self.settings.epsilon0 == 0.0
+        return self.epsilon0 == 0.0
 
     @property
     def level(self) -> float:
         """The polytope stays inside ``F >= level``."""
         share = _SHARE_OF_TOLERANCE if self.exact else 1e-6
         # the inner point is a mean of matchings' points, so no worse than the incumbent but for rounding
-        return min(self.upper_bound, self.at_inner) - share * self.settings.gap_tol - 1e-12
+        return min(self.upper_bound, self.at_inner) - share * self.gap_tol - 1e-12
 
     def run(self) -> None:
         self.record()
         try:
-            self.z = self.support.coordinates()
+            try:
+                self.z = self.support.coordinates()
+            finally:
+                self.n_assignments += self.support.n_assignments
             self.dim = self.z.dim
             if self.dim == 0:  # all matchings have the same value, that of the incumbent
                 self.lower_bound = self.upper_bound
@@ -91,9 +73,10 @@ class Search:
         polytope = self._rebuilt()
         while self.status is None:
             self.lower_bound = max(self.lower_bound, min(polytope.lower_bound, self.upper_bound))
-            self.record()
+            self.record(polytope.n_facets)
             untested = polytope.untested(self.batch)
-            self.status = self._ended(polytope)
+            # the arrays are copied once to grow, and half of the worker's memory is Python's
+            self.status = self.ended(polytope.nbytes, 0.2)
             if self.status is not None:
                 return
             if len(untested):
@@ -109,9 +92,10 @@ class Search:
             self.reduced.clouds, self.z.origin, self.z.axes, self.z.inverse, self.inner,
             polytope.vertices, polytope.members[facets], polytope.normals[facets], col_of,
         )  # fmt: skip
-        self.n_facets_tested += len(facets)
+        self.n_nodes += len(facets)
+        self.n_assignments += len(facets)
         polytope.bounds[facets] = np.maximum(polytope.bounds[facets], bounds)
-        passage[polytope.bounds[facets] >= self.upper_bound - self.settings.gap_tol] = 0.0
+        passage[polytope.bounds[facets] >= self.upper_bound - self.gap_tol] = 0.0
         polytope.passage[facets], polytope.farthest[facets] = passage, farthest
         return self.reduced.incumbent.beaten_by(best) and self.reduced.incumbent.offer(col_of)
 
@@ -119,7 +103,7 @@ class Search:
         """Annex the point by which D passes the polytope most; False when no facet is passed."""
         while True:
             facet = polytope.most_passed()
-            if polytope.passage[facet] <= 1.0 + self.dim * self.settings.epsilon0 + _CLOSED:
+            if polytope.passage[facet] <= 1.0 + self.dim * self.epsilon0 + _CLOSED:
                 return False
             if self._annex(polytope, polytope.farthest[facet].copy()):
                 return True
@@ -152,30 +136,3 @@ class Search:
 
     def _z(self, points: np.ndarray) -> np.ndarray:
         return (points - self.z.origin) @ self.z.inverse.T
-
-    def _ended(self, polytope: Polytope) -> Status | None:
-        budget = self.budget
-        if self.lower_bound >= self.upper_bound - self.settings.gap_tol:
-            return Status.OPTIMAL
-        if self.budget.is_over:
-            return Status.TIME_LIMIT
-        if budget.nodes is not None and self.n_facets_tested >= budget.nodes:
-            return Status.NODE_LIMIT
-        # the arrays are copied once to grow, and half of the worker's memory is Python's
-        if budget.memory_mb is not None and polytope.nbytes > 0.2 * budget.memory_mb * 2**20:
-            return Status.MEMORY_LIMIT
-        return None
-
-    def record(self) -> None:
-        self.history.add(
-            self.lower_bound,
-            self.upper_bound,
-            self.n_facets_tested,
-            self.n_assignments,
-            last=self.status is not None,
-        )
-
-    @property
-    def n_assignments(self) -> int:
-        own = self.support.n_assignments + self.n_facets_tested
-        return own + self.reduced.incumbent.n_assignments

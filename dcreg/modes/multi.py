@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dcreg.bounds import RotationBound, make_bound
+from dcreg.modes.paper import pose_of
 from dcreg.modes.task import Answer, Task
 from dcreg.result import Stage
 from dcreg.search import Bound, Box, Budget, LongestEdge, Outcome, minimise
@@ -230,9 +231,7 @@ def _try_basin(
         space, RotationBound(space, threads=task.threads), budget,
         gap_tol=max(task.gap_tol, BASIN_GAP * value), start=(theta, value), stage=name,
     )  # fmt: skip
-    rotation = Rotation3D.matrix(turned.theta)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = rotation, rotation @ translation
+    T = pose_of(Rotation3D.matrix(turned.theta), translation)
     theta, value, refining = rigid.refine(rigid.theta(T))
     answer.basins.append(Basin(translation, norm_value, rigid.pose(theta), value))
     turned.n_assignments += spent + refining

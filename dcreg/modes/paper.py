@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from dcreg.bounds import RotationBound, make_bound
+from dcreg.bounds.base import MakeBound
 from dcreg.local.sampled_rotation import search_sampled_rotation
 from dcreg.local.sparse import is_large
 from dcreg.modes.task import Answer, Task
@@ -14,6 +18,9 @@ from dcreg.status import Status
 
 # Share of the time that the translation search may use before the rotation gets its turn.
 TRANSLATION_SHARE = 0.8
+
+# (task, shifted source, budget) -> the best rotation about the origin
+Turn = Callable[[Task, np.ndarray, Budget], Outcome]
 
 
 def space_of(task: Task) -> Similarity2D | Translation3D:
@@ -32,38 +39,11 @@ def space_of(task: Task) -> Similarity2D | Translation3D:
     )
 
 
-def run(task: Task) -> Answer:
-    """The similarity; or one translation in norm space, then the rotation about the origin."""
-    space = space_of(task)
-    bound = make_bound(task.bound, space, threads=task.threads)
-    budget = task.budget if task.dim == 2 else task.budget.part(TRANSLATION_SHARE)
-    found = minimise(space, bound, budget, gap_tol=task.gap_tol, leaves=task.leaves)
-    answer = Answer(
-        np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,
-        cover=(bound.roots[0], found),
-    )  # fmt: skip
-    answer.add("search", found)
-    place(task, space, found.theta, task.budget, answer)
-    return answer
-
-
-def place(
-    task: Task, space: FeatureSpace, theta: np.ndarray, budget: Budget, answer: Answer
-) -> None:
-    """Complete the answer of a search that ended at `theta`: its pose, in space by a rotation search."""
-    if isinstance(space, Similarity2D):
-        answer.T = space.pose(theta)
-        return
-    shifted = task.source + theta
-    found = turn(task, shifted, budget)
-    answer.add("rotation", found)
-    rotation = Rotation3D.matrix(found.theta)
-    answer.T = np.eye(4)
-    answer.T[:3, :3] = rotation
-    answer.T[:3, 3] = rotation @ theta
-    # a sampled rotation that came to its own end claims nothing: the status stays the translation's
-    if answer.status is Status.OPTIMAL and found.status is not Status.CONVERGED:
-        answer.status = found.status
+def pose_of(rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """``x -> rotation (x + shift)`` as a (4, 4) matrix."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, rotation @ shift
+    return T
 
 
 def turn(task: Task, shifted: np.ndarray, budget: Budget) -> Outcome:
@@ -75,3 +55,48 @@ def turn(task: Task, shifted: np.ndarray, budget: Budget) -> Outcome:
     space = Rotation3D(shifted, task.target, task.n_inliers, task.candidates)
     bound = RotationBound(space, threads=task.threads)
     return minimise(space, bound, budget, gap_tol=task.gap_tol, stage="rotation")
+
+
+def run(task: Task, make: MakeBound | None = None, turn: Turn = turn) -> Answer:
+    """The similarity; or one translation in norm space, then the rotation about the origin.
+
+    Parameters
+    ----------
+    task : Task
+    make : callable, optional
+        The bound of the certified search, from ``(space, threads=…)``; default: the task's.
+    turn : callable
+        The rotation search that follows in space.
+    """
+    space = space_of(task)
+    make = make or partial(make_bound, task.bound)
+    bound = make(space, threads=task.threads)
+    budget = task.budget if task.dim == 2 else task.budget.part(TRANSLATION_SHARE)
+    found = minimise(space, bound, budget, gap_tol=task.gap_tol, leaves=task.leaves)
+    answer = Answer(
+        np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,
+        cover=(bound.roots[0], found),
+    )  # fmt: skip
+    answer.add("search", found)
+    place(task, space, found.theta, task.budget, answer, turn)
+    return answer
+
+
+def place(
+    task: Task,
+    space: FeatureSpace,
+    theta: np.ndarray,
+    budget: Budget,
+    answer: Answer,
+    turn: Turn = turn,
+) -> None:
+    """Complete the answer of a search that ended at `theta`: its pose, in space by a rotation search."""
+    if isinstance(space, Similarity2D):
+        answer.T = space.pose(theta)
+        return
+    found = turn(task, task.source + theta, budget)
+    answer.add("rotation", found)
+    answer.T = pose_of(Rotation3D.matrix(found.theta), theta)
+    # a sampled rotation that came to its own end claims nothing: the status stays the translation's
+    if answer.status is Status.OPTIMAL and found.status is not Status.CONVERGED:
+        answer.status = found.status

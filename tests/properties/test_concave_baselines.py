@@ -20,12 +20,13 @@ from baselines.rpm_cav.kernels import bound_simplex, values_at
 from baselines.rpm_cav.search import root_simplex
 from baselines.rpm_pa.kernels import value_at
 from baselines.rpm_pa.polytope import Polytope
-from baselines.rpm_pa.search import Search, Settings
+from baselines.rpm_pa.search import Search
 from dcreg import objective
 from dcreg.local import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
 from tests.problems import KINDS, cloud
+from workflows.records import RAW_TRACES
 
 SCALES = (0.5, 1.5)
 
@@ -80,8 +81,10 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def support_of(clouds: Clouds, with_fixed: bool = False) -> Support:
-    idle = Incumbent(clouds.source, clouds.target, clouds.k, SCALES, np.eye(3), -np.inf, 0)
-    return Support(clouds, idle, Budget(), with_fixed)
+    idle = Incumbent(
+        clouds.source, clouds.target, clouds.k, SCALES, np.eye(3), -np.inf, 0, Budget()
+    )
+    return Support(clouds, idle, with_fixed)
 
 
 class TestReduction:
@@ -221,7 +224,7 @@ class TestPolytope:
         instance = problem(seed, most=4)
         budget = Budget(nodes=300)
         reduced = Reduced.of(instance, budget)
-        search = Search(reduced, Settings(0.01, epsilon0), budget)
+        search = Search(reduced, budget, 0.01, epsilon0)
         kept: list[Polytope] = []
         rebuild = search._rebuilt
         search._rebuilt = lambda: kept.append(rebuild()) or kept[-1]  # type: ignore[method-assign]
@@ -277,3 +280,23 @@ def test_never_certifies_a_wrong_optimum(name: str, options: dict) -> None:
             assert solution.upper_bound - solution.lower_bound <= solution.gap_tol + slack, seed
     print(f"{name} {options}: {n_optimal} of {N_PROBLEMS} certified")
     assert n_optimal > 0.3 * N_PROBLEMS
+
+
+@pytest.mark.parametrize("name", ["rpm_cav", "rpm_pa"])
+def test_history_is_in_the_columns_of_the_library_and_closes(name: str) -> None:
+    solution = registry.load(name).solve(problem(1), Limits(10.0, nodes=200))
+    assert RAW_TRACES.keys() - {"run_id", "instance_id"} <= solution.trace[0].keys()
+    *before, last = solution.trace
+    assert {row["kind"] for row in before} == {"bound"}
+    assert (last["kind"], last["status"]) == ("end", solution.status)
+    assert last["lower_bound"] == solution.lower_bound
+
+
+def test_a_descent_takes_no_step_after_the_time_limit() -> None:
+    points = np.random.default_rng(0).standard_normal((8, 2))
+    spent = []
+    for time_s in (60.0, 0.0):
+        incumbent = Incumbent(points, points[::-1], 6, SCALES, np.eye(3), np.inf, 0, Budget(time_s))
+        incumbent.offer(np.array([0, 1, 2, 3, 4, 5, -1, -1]))
+        spent.append(incumbent.n_assignments)
+    assert spent[0] > spent[1] == 1

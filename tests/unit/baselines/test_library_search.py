@@ -1,0 +1,125 @@
+"""Methods on the library's search: they warm up what they will run, and say what ran."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines import registry
+from baselines.contract import Instance, Limits
+from baselines.hbsp.rotation import SemidefiniteRotationBound
+from dcreg.modes import table
+from dcreg.problem import InputError
+from dcreg.search import LongestEdge
+from dcreg.spaces import Rotation3D
+from workflows import config
+
+# How many compiled forms of functions a process holds, read from the cache or made, before and after.
+LOADED = """
+import gc
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from baselines import registry
+from baselines.contract import Instance, Limits
+
+def loaded():
+    found = [each for each in gc.get_objects() if isinstance(each, Dispatcher)]
+    return {{(each.py_func.__name__, form) for each in found for form in each.overloads}}
+
+points = np.random.default_rng(0).standard_normal((60, {dim}))
+instance = Instance("i", points, points + 0.1, "{model}", {k}, {scales}, 0.05, 0)
+method = registry.load("dcreg", **{options})
+method.warm_up(instance)
+warm = loaded()
+solution = method.solve(instance, Limits(20.0, nodes=300))
+print(solution.message)
+print(sorted(name for name, _ in loaded() - warm))
+"""
+
+
+def instance(dim: int, k: int = 6) -> Instance:
+    points = np.random.default_rng(3).standard_normal((8, dim))
+    model, scales = ("similarity2d", (0.5, 1.5)) if dim == 2 else ("rigid3d", (1.0, 1.0))
+    return Instance("i", points, points + 0.1, model, k, scales, 0.05, 0)
+
+
+@pytest.mark.parametrize(
+    ("dim", "k", "options", "ran"),
+    [
+        (2, 50, {}, "mode paper, bound tight"),
+        (3, 50, {}, "mode multi, bound tight"),  # twelve points would run mode full
+        (3, 60, {}, "mode full, bound rigid"),
+        (3, 50, {"bound": "paper"}, "mode paper, bound paper"),
+    ],
+)
+def test_a_timed_solve_meets_no_kernel_that_its_warm_up_did_not(dim, k, options, ran):
+    model, scales = ("similarity2d", (0.5, 1.5)) if dim == 2 else ("rigid3d", (1.0, 1.0))
+    code = LOADED.format(dim=dim, k=k, options=options, model=model, scales=scales)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=Path(registry.__file__).parents[1],
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [ran, "[]"]
+
+
+@pytest.mark.parametrize(
+    ("name", "dim", "bound"),
+    [
+        ("dcreg", 2, "mode paper, bound tight"),
+        ("dcreg", 3, "mode full, bound rigid"),
+        ("rpm_htb", 2, "mode paper, bound termwise"),
+        ("rpm_htb", 3, "mode paper, bound termwise"),
+        ("rpm_bp", 2, "mode RPM-BP (reconstructed), bound rpm-bp"),
+        ("hbsp", 2, "mode HBSP (reconstructed), bound hbsp"),
+        ("hbsp", 3, "mode HBSP (reconstructed), bound hbsp"),
+    ],
+)
+def test_a_solution_tells_the_mode_and_bound_that_ran(name, dim, bound):
+    solution = registry.load(name).solve(instance(dim), Limits(10.0, nodes=20))
+    assert solution.message == bound
+
+
+@pytest.mark.parametrize("name", ["dcreg", "rpm_bp", "hbsp"])
+def test_clouds_too_large_for_a_cost_matrix_are_refused(name, monkeypatch):
+    monkeypatch.setattr(table, "MAX_PAIRS", 60)
+    with pytest.raises(InputError, match="8 x 8 pairs exceed 60"):
+        registry.load(name).solve(instance(2), Limits(10.0))
+
+
+def test_hbsp_bounds_rotations_alike_with_any_threads(rng):
+    space = Rotation3D(rng.normal(size=(7, 3)), rng.normal(size=(6, 3)), 5)
+    [root, *_] = space.roots()
+    lower, upper = root.lower[None], root.upper[None]
+    for _ in range(3):
+        lower, upper = LongestEdge(np.ones(4))(lower, upper)
+    bounds = [SemidefiniteRotationBound(space, threads=threads) for threads in (1, 2)]
+    one, two = (bound.evaluate(lower, upper, np.inf) for bound in bounds)
+    np.testing.assert_array_equal(one.lower_bounds, two.lower_bounds)
+    np.testing.assert_array_equal(one.values, two.values)
+    assert bounds[0].n_assignments == bounds[1].n_assignments
+
+
+def test_hbsp_turns_with_the_threads_it_is_given(monkeypatch):
+    seen = []
+    made = SemidefiniteRotationBound.__init__
+
+    def spy(self, space, roots=None, threads=1):
+        seen.append(threads)
+        made(self, space, roots, threads)
+
+    monkeypatch.setattr(SemidefiniteRotationBound, "__init__", spy)
+    registry.load("hbsp").solve(instance(3), Limits(10.0, nodes=10, threads=2))
+    assert seen == [2]
+
+
+@pytest.mark.parametrize("experiment", ["all", "demo"])
+def test_bounds_are_compared_in_3d_with_dcreg_in_the_same_mode(experiment):
+    """By itself the library may choose a mode with another objective."""
+    methods = config.load(experiment).methods
+    assert {"mode": "paper", "bound": "tight"} in [method.options for method in methods]
+    assert "tight" not in {method.name: method.label for method in methods}["dcreg"]
