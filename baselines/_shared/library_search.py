@@ -15,7 +15,6 @@ from dcreg.modes import AUTO, MODES, Answer, Mode, Task, find_mode, mode_names
 from dcreg.problem import InputError, Problem, default_gap_tol, suggestion
 from dcreg.registration import result_of, task_of
 from dcreg.result import Result
-from dcreg.search import Budget
 from dcreg.warm_up import warm_up_mode
 
 
@@ -147,7 +146,7 @@ class ModeOfItsOwn(LibraryMethod):
             takes_bound=False, own_bound=self.own_bound,
         )  # fmt: skip
         mode.check(problem, None, certificate=False)
-        budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
+        budget = limits.budget()
         task = task_of(problem, mode, None, self.gap_tol(instance), limits.threads, budget)
         answer = self.run(task)
         result = result_of(

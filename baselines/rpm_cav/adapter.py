@@ -8,7 +8,6 @@ from baselines._shared.concave import Reduced
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from baselines.rpm_cav.box import BoxBound
 from baselines.rpm_cav.search import Search
-from dcreg.search import Budget
 
 
 class Adapter(Baseline):
@@ -29,7 +28,7 @@ class Adapter(Baseline):
         self.solve(tiny(instance), Limits(time_s=600.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        budget = Budget(limits.time_s, limits.nodes, limits.memory_mb)
+        budget = limits.budget()
         reduced = Reduced.of(instance, budget)
         gap_tol = reduced.gap_tol(instance, self.options["gap_tol_factor"])
         search = Search(
