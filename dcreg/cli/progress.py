@@ -20,7 +20,7 @@ import dcreg
 _LIBRARY = logging.getLogger("dcreg")
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _HEADER = (
-    f"  {'stage':<15}{'nodes':>9}{'open':>8}{'assign.':>10}"
+    f"  {'stage':<11}{'nodes':>9}{'open':>7}{'assign.':>9}"
     f"{'lower bound':>12}{'upper bound':>12}{'gap':>10}{'time':>8}"
 )
 
@@ -143,8 +143,9 @@ class Progress:
 
     def _line(self, event: dcreg.Event) -> str:
         mark = "*" if self._improved else " "
+        stage = event.stage.replace(" of ", "/")  # "basin 3 of 12"
         return (
-            f"{mark} {event.stage:<15}{event.n_nodes:>9}{event.n_open:>8}{event.n_assignments:>10}"
+            f"{mark} {stage:<11}{event.n_nodes:>9}{event.n_open:>7}{event.n_assignments:>9}"
             f"{_number(event.lower_bound, 5):>12}{_number(event.upper_bound, 5):>12}"
             f"{_number(event.gap, 4):>10}{event.time_s:>7.1f}s"
             f"{'  ' + event.status if event.status else ''}"
