@@ -103,7 +103,7 @@ def congruent_poses(
         np.searchsorted(lengths, sides[:, 0] + by) for by in (-scale.tolerance, scale.tolerance)
     ]
     kernels.triple_poses(
-        triples, np.column_stack([sides[:, 1:], *ends]), x, some, feasible, (first, second),
+        triples, np.column_stack([sides[:, 1:], *ends]), (x, some), feasible, (first, second),
         (scale.tolerance, looked, origin, cell, field), poses, scores,
     )  # fmt: skip
     found = _distinct(poses.reshape(-1, 3, 4), scores.ravel(), count)

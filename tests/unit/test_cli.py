@@ -463,7 +463,7 @@ def test_the_last_event_is_shown_even_without_an_end():
 
 def test_terminal_shows_one_live_line():
     text = show([event(n_nodes=n) for n in (41, 42, 43)], terminal=True)
-    assert "search         43" in text
+    assert "search            43" in text
     assert "\x1b[" in text  # redrawn in place
 
 

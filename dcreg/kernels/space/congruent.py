@@ -91,7 +91,7 @@ def _in_shell(points, i, k, low, high):
 
 
 @jit
-def triple_poses(triples, sides, source, target, feasible, pairs, search, poses, scores):
+def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores):
     """The best poses of every source triple.
 
     Parameters
@@ -100,7 +100,7 @@ def triple_poses(triples, sides, source, target, feasible, pairs, search, poses,
     sides : (T, 4) array
         Distances of the first to the third point and of the second to the third; then where the target
         pairs begin and end that are as long as the first two points are apart.
-    source, target : (n, 3), (m, 3) arrays
+    clouds : (source, target), (n, 3) and (m, 3) arrays
     feasible : (n, m) or (0, 0) bool array
         Which points may be matched; empty: all.
     pairs : (first, second)
@@ -115,6 +115,7 @@ def triple_poses(triples, sides, source, target, feasible, pairs, search, poses,
     int
         Target triples tried.
     """
+    source, target = clouds
     first, second = pairs
     tolerance, looked, origin, cell, field = search
     F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
