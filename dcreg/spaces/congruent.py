@@ -27,6 +27,7 @@ MAX_ROUNDS = 8
 MAX_SAMPLE, MAX_STEPS = 300, 30  # of descents by nearest neighbours
 SHORTEST = 0.6  # side of a source triple, in RMS radii; short ones fix a rotation badly
 KEPT_PER_TRIPLE = 6
+MAX_CELLS = 256  # of the field of nearness along the longest side: about 150 MB
 APART = 0.15  # poses that move the unit corners by less than this differ too little
 
 
@@ -89,11 +90,13 @@ def congruent_poses(
     if candidates is not None:
         feasible = np.ascontiguousarray(candidates[:, columns])
     looked = x[rng.permutation(len(x))[:MAX_LOOKED]]
-    cell = scale.reach / 3.0
-    origin = y.min(axis=0) - scale.reach
-    size = int(np.ceil((np.ptp(y, axis=0).max() + 2.0 * scale.reach) / cell)) + 1
+    extent = float(np.ptp(y, axis=0).max())
+    reach = max(scale.reach, 3.0 * extent / MAX_CELLS)  # a far outlier must not cost memory
+    cell = reach / 3.0
+    origin = y.min(axis=0) - reach
+    size = int(np.ceil((extent + 2.0 * reach) / cell)) + 1
     field = np.zeros((size, size, size))
-    kernels.nearness_field(y, origin, cell, size, scale.reach, field)
+    kernels.nearness_field(y, origin, cell, size, reach, field)
     poses = np.zeros((len(triples), KEPT_PER_TRIPLE, 3, 4))
     scores = np.zeros((len(triples), KEPT_PER_TRIPLE))
     some = y[columns]

@@ -96,3 +96,18 @@ def test_starts_are_the_same_every_time():
     source, target, _ = partial_overlap(2)
     first, second = (congruent_poses(source, target, 30, SCALES[0]) for _ in range(2))
     np.testing.assert_array_equal(first, second)
+
+
+def test_a_far_outlier_costs_no_memory(rng, monkeypatch):
+    """The field of nearness spans the target, whose extent one point may stretch without bound."""
+    from dcreg.kernels.space import congruent as kernels
+
+    sizes = []
+    fill = kernels.nearness_field
+    monkeypatch.setattr(
+        kernels, "nearness_field", lambda *given: sizes.append(given[-1].nbytes) or fill(*given)
+    )
+    points = rng.standard_normal((1000, 3))
+    points[0] = 1e6
+    congruent_poses(points[:50], points, 40, SCALES[0])
+    assert max(sizes) < 200e6
