@@ -102,6 +102,10 @@ def congruent_poses(
     some = y[columns]
     first, second, lengths = _pairs_by_length(some)
     sides = _sides(x, triples)
+    telling = (
+        sides.min(axis=1) > 2.0 * scale.tolerance
+    )  # else nearly every target triple would agree
+    triples, sides = triples[telling], sides[telling]
     ends = [
         np.searchsorted(lengths, sides[:, 0] + by) for by in (-scale.tolerance, scale.tolerance)
     ]
