@@ -145,7 +145,8 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wra
 
 def _compiled(**options: Any) -> Any:
     def decorate(function: Any) -> Any:
-        kernel: Any = nb.njit(**_OPTIONS, **options)(function)
+        private = function.__name__.startswith("_")
+        kernel: Any = nb.njit(no_cpython_wrapper=private, **_OPTIONS, **options)(function)
         if cache_folder(Path(function.__code__.co_filename)) is not None:
             kernel._cache = _Cache(function)
         return kernel

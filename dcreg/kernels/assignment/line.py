@@ -28,7 +28,7 @@ def line_assignment(a, b, k, values):
 def line_value(a, b, k):
     """The optimum for k pairs alone: O(n) when all points match."""
     if k == a.size and k == b.size:
-        return _sorted_cost(a, 0, b, 0, k)
+        return _sorted_cost(a, b)
     return line_assignment(a, b, k, np.empty(k))
 
 
@@ -84,15 +84,12 @@ def _close_gaps(a, b, k, values, free):
     # heap of gaps; one is stale when its left end was matched or got another neighbour
     key = np.empty(total_points + k)
     gap = np.empty((total_points + k, 2), np.int64)
-    size = 0
+    size = np.int64(0)  # not the literal 0, for which the heap's functions would be compiled anew
     for p in range(total_points):
         left[p], right[p] = p - 1, p + 1
         if p + 1 < total_points and is_a[p] != is_a[p + 1]:
             price[p] = (place[p + 1] - place[p]) ** 2
-            key[size], gap[size, 0], gap[size, 1] = price[p], p, p + 1
-            size += 1
-    for start in range(size // 2 - 1, -1, -1):
-        _sift_down(key, gap, size, start)
+            size = _push(key, gap, size, price[p], p, p + 1)
     total = 0.0
     for step in range(k):
         lo, hi = gap[0]
@@ -116,10 +113,11 @@ def _close_gaps(a, b, k, values, free):
                 price[before] += price[hi] - price[lo]
             else:
                 pairs = (after - before + 1) // 2
+                i, j = index[before], index[after] + 1
                 if is_a[before]:
-                    whole = _sorted_cost(a, index[before], b, index[after] - pairs + 1, pairs)
+                    whole = _sorted_cost(a[i : i + pairs], b[j - pairs : j])
                 else:
-                    whole = _sorted_cost(a, index[after] - pairs + 1, b, index[before], pairs)
+                    whole = _sorted_cost(a[j - pairs : j], b[i : i + pairs])
                 price[before] = whole - cost
             size = _push(key, gap, size, price[before], before, after)
         matched[before] = cost
@@ -127,9 +125,9 @@ def _close_gaps(a, b, k, values, free):
 
 
 @jit
-def _sorted_cost(a, i, b, j, pairs):
-    """Sum of ``(a[i + t] - b[j + t])^2`` over `pairs` terms; four sums so that it vectorises."""
-    a, b = a[i : i + pairs], b[j : j + pairs]
+def _sorted_cost(a, b):
+    """Sum of ``(a_i - b_i)^2``; four sums so that it vectorises."""
+    pairs = a.size
     s0 = s1 = s2 = s3 = 0.0
     whole = pairs - pairs % 4
     for t in range(0, whole, 4):
@@ -157,14 +155,8 @@ def _push(key, gap, size, price, lo, hi):
 @jit
 def _drop_first(key, gap, size):
     size -= 1
-    key[0], gap[0, 0], gap[0, 1] = key[size], gap[size, 0], gap[size, 1]
-    _sift_down(key, gap, size, 0)
-    return size
-
-
-@jit
-def _sift_down(key, gap, size, at):
-    price, lo, hi = key[at], gap[at, 0], gap[at, 1]
+    price, lo, hi = key[size], gap[size, 0], gap[size, 1]
+    at = 0
     while True:
         child = 2 * at + 1
         if child >= size:
@@ -176,3 +168,4 @@ def _sift_down(key, gap, size, at):
         key[at], gap[at, 0], gap[at, 1] = key[child], gap[child, 0], gap[child, 1]
         at = child
     key[at], gap[at, 0], gap[at, 1] = price, lo, hi
+    return size

@@ -8,6 +8,7 @@ beyond the last one act as infinite, and any number of rows will do.
 
 from __future__ import annotations
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -65,7 +66,7 @@ _sort_four = _network((0, 1), (2, 3), (0, 2), (1, 3), (1, 2))
 @jit
 def sort_columns(table):
     """Sort each of the `COLUMNS` columns of a contiguous table without NaN in place."""
-    n, half = table.shape[0], 4
+    n, half = table.shape[0], np.int64(4)  # a literal would compile what it is handed to anew
     _sort_fours(table)
     while half < n:
         _mirror(table, half)
@@ -74,7 +75,7 @@ def sort_columns(table):
             _two_rounds(table, step // 2)
             step //= 4
         if step == 1:
-            _round(table, 0, 1)
+            _round(table, step - 1, step)
         half *= 2
 
 
