@@ -53,6 +53,11 @@ bench: dev
 	  --benchmark-json=results/bench/raw.json $(if $(QUICK),--quick) $(if $(CASES),-k "$(CASES)")
 	@$(BIN)/python -m tests.bench.tables results/bench/raw.json results/bench
 
+## modes: how often each 3D mode finds the right pose (ARGS="--points 300 --limit 5"), tables in results/modes
+.PHONY: modes
+modes: dev
+	@$(BIN)/python -m tests.bench.modes results/modes $(ARGS)
+
 ## profile: where solves spend their time, as shares of CPU time
 .PHONY: profile
 profile: dev

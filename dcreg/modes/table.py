@@ -17,10 +17,8 @@ from dcreg.problem import InputError, Problem, suggestion
 MAX_PAIRS = 100_000_000
 # In norm space these match sorted numbers and need no cost matrix.
 MATRIX_FREE_BOUNDS = {"tight", "tight-exact", "shared"}
-# Mode `full` closes on this many pairs in seconds, whatever the outliers.
-FULL_PAIRS = 1_600
-# Beyond this a single box of modes `full` and `multi` takes seconds.
-RIGID_PAIRS = 160_000
+# Beyond this a single assignment of mode `full` takes seconds.
+RIGID_PAIRS = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -126,12 +124,12 @@ def find_mode(model: str, name: str) -> Mode:
 def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = False) -> str:
     """The mode that gives the best pose for the time.
 
-    ``full`` where it closes within seconds: all points match, or few pairs; else ``multi``, which ends
-    by itself and tries the same first poses. ``paper`` where only it will do: for certificates, a bound
-    that was asked for, and large clouds.
+    In 3D ``full``: over shapes, disturbances, sizes and limits none is right more often (``make modes``
+    measures it). ``paper`` where only it will do: for certificates, a bound that was asked for, and large
+    clouds.
     """
-    n, m = len(problem.source), len(problem.target)
+    pairs = len(problem.source) * len(problem.target)
     only_paper = certificate or bound is not None
-    if problem.model == "similarity2d" or only_paper or n * m > RIGID_PAIRS:
+    if problem.model == "similarity2d" or only_paper or pairs > RIGID_PAIRS:
         return "paper"
-    return "full" if problem.n_inliers == n == m or n * m <= FULL_PAIRS else "multi"
+    return "full"

@@ -243,9 +243,9 @@ def test_trace_is_monotone_within_a_stage_and_ends(spatial, tmp_path):
     [
         (30, 30, 20, {}, "full"),
         (200, 200, 200, {}, "full"),
-        (60, 60, 50, {}, "multi"),
-        (60, 70, 60, {}, "multi"),
-        (2000, 2000, 2000, {}, "paper"),
+        (60, 60, 50, {}, "full"),
+        (1000, 1200, 800, {}, "full"),
+        (2100, 2000, 2000, {}, "paper"),
         (30, 30, 30, {"bound": "edges"}, "paper"),
         (30, 30, 30, {"certificate": True}, "paper"),
     ],

@@ -1,0 +1,137 @@
+"""``python -m tests.bench.modes OUT``: how often each 3D mode finds the right pose, and how soon.
+
+What `dcreg.modes.choose_mode` is chosen by. OUT gets ``modes.csv``, a row per solve, and the table that
+is printed: a row per size, share of the true pairs asked for, limit and mode.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import typer
+
+import dcreg
+from data.registry import dataset
+from dcreg.local import fit_pose, objective
+from workflows.disturb import make_instance
+
+RIGHT = 0.05  # RMSE above that of the best fit to the true pairs, in longest sides of the prototype
+TESTS = {
+    "deformation": (0.02, 0.05),
+    "noise": (0.02, 0.05),
+    "mixed_outliers": (0.3, 0.5),
+    "separate_outliers": (0.3, 0.5),
+    "occlusion_outliers": (0.1, 0.3, 0.5),
+}
+SHAPES = {"horse": None, "dino": None, "bunny": None, "embedded": "pony"}
+SAME = 1.0 + 1e-3  # objectives within this factor are one place
+
+
+def main(
+    out: Annotated[Path, typer.Argument(help="folder for the tables")],
+    points: Annotated[list[int], typer.Option(help="points per cloud")] = [100],  # noqa: B006
+    share: Annotated[list[float], typer.Option(help="n_inliers over true pairs")] = [1.0, 0.5],  # noqa: B006
+    limit: Annotated[list[float], typer.Option(help="seconds per solve")] = [10.0],  # noqa: B006
+    mode: Annotated[list[str], typer.Option()] = ["auto", "full", "multi"],  # noqa: B006
+    shapes: Annotated[str, typer.Option(help="data sets, by comma")] = ",".join(SHAPES),
+    trials: Annotated[int, typer.Option()] = 1,
+) -> None:
+    """Solve every problem in every mode, one thread each; print and store the tables."""
+    rows = [
+        _solved(*problem, name, seconds)
+        for n_points in points
+        for part in share
+        for problem in _problems(shapes.split(","), n_points, part, trials)
+        for seconds in limit
+        for name in mode
+    ]
+    solves = pd.DataFrame(rows)
+    out.mkdir(parents=True, exist_ok=True)
+    solves.to_csv(out / "modes.csv", index=False)
+    table = summary(solves)
+    table.to_csv(out / "modes_summary.csv", index=False)
+    print(table.to_string(index=False))
+    print(f"tables: {out}")
+
+
+def summary(solves: pd.DataFrame) -> pd.DataFrame:
+    """A row per size, share, limit and mode."""
+    solves = solves.assign(best=solves.groupby("problem")["value"].transform("min"))
+    solves["best"] = solves[["best", "reference_value"]].min(axis=1)
+    wrong = ~solves["right"]
+    solves["search_error"] = wrong & (solves["value"] > SAME * solves["best"])
+    # a wrong pose that fits better than the truth: no search for this objective finds the right one
+    solves["model_error"] = wrong & ~solves["search_error"]
+    grouped = solves.groupby(["points", "share", "limit_s", "mode"], sort=False)
+    table = grouped.agg(
+        solves=("right", "size"),
+        right=("right", "sum"),
+        search_errors=("search_error", "sum"),
+        model_errors=("model_error", "sum"),
+        certified=("certified", "sum"),
+        first_found_s=("found_s", "median"),
+        median_s=("time_s", "median"),
+        longest_s=("time_s", "max"),
+    )
+    return table.round(2).reset_index()
+
+
+def _problems(names: list[str], n_points: int, part: float, trials: int):
+    """Labelled instances of every shape, test and level."""
+    for name in names:
+        source = dataset(name)
+        shape = SHAPES.get(name) or source.shapes()[0]
+        for test, levels in TESTS.items():
+            for level in levels:
+                for trial in range(trials):
+                    instance = make_instance(source, shape, test, level, trial, n_points)
+                    label = f"{name} {test} {level} {trial} {n_points} {part}"
+                    yield label, instance, part
+
+
+def _solved(label: str, instance, part: float, mode: str, limit: float) -> dict[str, object]:
+    pairs = instance.pairs
+    k = max(3, int(part * len(pairs)))
+    trace: list[dcreg.Event] = []
+    began = time.perf_counter()
+    result = dcreg.register(
+        instance.source, instance.target, n_inliers=k, model="rigid3d", mode=mode, time_limit=limit,
+        threads=1, listener=trace.append,
+    )  # fmt: skip
+    x, y = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
+    reference = fit_pose(x, y, (1.0, 1.0))
+    excess = _squares(result.T_target_source, x, y) - _squares(reference, x, y)
+    value = objective(instance.source, instance.target, result.T_target_source, k)[0]
+    # in the other modes upper bounds are those of another objective
+    found = [event.time_s for event in trace if event.upper_bound <= SAME * result.upper_bound]
+    first = min(found, default=np.nan) if result.mode == "full" else np.nan
+    return {
+        "problem": label,
+        "points": int(label.split()[-2]),
+        "share": part,
+        "limit_s": limit,
+        "mode": mode,
+        "ran": result.mode,
+        "status": str(result.status),
+        "n_inliers": k,
+        "error": float(np.sqrt(max(0.0, excess))),
+        "right": bool(np.sqrt(max(0.0, excess)) < RIGHT),
+        "value": value,
+        "reference_value": objective(instance.source, instance.target, reference, k)[0],
+        "certified": str(result.status) == "optimal",
+        "found_s": first,
+        "time_s": time.perf_counter() - began,
+    }
+
+
+def _squares(T: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
+    residuals = x @ T[:3, :3].T + T[:3, 3] - y
+    return float((residuals**2).sum(axis=1).mean())
+
+
+if __name__ == "__main__":
+    typer.run(main)
