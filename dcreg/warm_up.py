@@ -48,7 +48,7 @@ def warm_up(processes: int = 1) -> None:
 def _works() -> Iterator[functools.partial[None]]:
     """All there is to compile, in parts that have little in common."""
     for mode in sorted(MODES, key=lambda mode: mode.name):  # the dearest first
-        bounds = (None, "tight-exact", "paper", "edges", "termwise")
+        bounds = (None, "tight-exact", "shared", "paper", "edges", "termwise")
         yield functools.partial(
             _compile_mode, mode.model, mode.name, bounds if mode.takes_bound else (None,)
         )
