@@ -13,9 +13,9 @@ import numpy as np
 
 from dcreg.kernels.compiling import forget_old_kernels, when_compiling
 from dcreg.local import polish
-from dcreg.local.sampled_rotation import search_sampled_rotation
 from dcreg.local.sparse import sparse_matching
 from dcreg.modes import MODES, Mode, Task, find_mode
+from dcreg.modes.sampled_rotation import search_sampled_rotation
 from dcreg.search import Budget
 
 _LOGGER = logging.getLogger("dcreg")

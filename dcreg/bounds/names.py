@@ -14,9 +14,7 @@ def bound_parts(name: str) -> list[str]:
     InputError
         For an unknown name, listing the known ones.
     """
-    parts = [
-        part for word in name.split("+") for part in BOUND_ALIASES.get(word, word).split("+")
-    ]
+    parts = [part for word in name.split("+") for part in BOUND_ALIASES.get(word, word).split("+")]
     unknown = [part for part in parts if part not in BOUND_NAMES]
     if unknown:
         raise InputError(
