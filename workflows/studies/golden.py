@@ -1,4 +1,4 @@
-"""Our ports beside recorded answers of the official implementations: ``results/golden``.
+"""Our solvers beside recorded answers of official implementations: ``results/golden``.
 
 ``python -m workflows.studies.golden [NAME ...] [--golden FOLDER] [--out FOLDER]`` solves every
 recorded case again and writes a table per comparison as CSV and Markdown. The cases are not part
