@@ -129,7 +129,9 @@ def test_a_trace_without_a_pose_is_still_json(tmp_path):
     before = dcreg.Event("bound", "search", 0.1, 16, 16, 16, 0.0, math.inf)
     dcreg.Trace([before]).write_jsonl(tmp_path / "trace.jsonl")
     (line,) = (tmp_path / "trace.jsonl").read_text().splitlines()
-    row = json.loads(line, parse_constant=pytest.fail)  # called for Infinity, which JSON does not know
+    row = json.loads(
+        line, parse_constant=pytest.fail
+    )  # called for Infinity, which JSON does not know
     assert row["upper_bound"] is None
     assert row["stage"] == "search"
 
