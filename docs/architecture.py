@@ -131,7 +131,7 @@ def _first_line(module: str) -> str:
 
 
 PARTS = (
-    Part("dcreg.cli", 0, 1.5, ("dcreg.cli",), "use"),
+    Part("dcreg.cli", 0, 1.5, ("dcreg.cli", "dcreg.__main__"), "use"),
     Part(
         "dcreg: register, sweep, …", 1, 1.5,
         ("dcreg", "dcreg.registration", "dcreg.sweeping", "dcreg.warm_up"), "use",
