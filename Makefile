@@ -69,7 +69,7 @@ bounds: setup
 	@$(BIN)/python -m workflows.studies.bounds results/bounds
 	@$(BIN)/python -m reports.bounds_study results/bounds
 
-## golden: compare own TEASER and Go-ICP with recorded outputs of the official programs
+## golden: our TEASER port, and mode full, beside recorded outputs of official TEASER++ and Go-ICP
 .PHONY: golden
 golden: setup
 	@$(BIN)/python -m workflows.studies.golden

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from dcreg._version import __version__
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, write_text
-from dcreg.problem import InputError, scale_of
+from dcreg.problem import InputError, rotation_angle_deg, scale_of
 from dcreg.search import Outcome, Trace
 from dcreg.status import Status
 
@@ -183,13 +182,7 @@ class Result:
     @property
     def rotation_deg(self) -> float:
         """Angle of the rotation in degrees: signed in 2D, about the axis in 3D."""
-        rotation = self.rotation
-        if len(rotation) == 2:
-            return math.degrees(math.atan2(rotation[1, 0], rotation[0, 0]))
-        # atan2 of sine and cosine keeps digits where the arc cosine has none, near 0 and 180 degrees
-        skew = rotation - rotation.T
-        sine = math.sqrt(skew[0, 1] ** 2 + skew[0, 2] ** 2 + skew[1, 2] ** 2) / 2
-        return math.degrees(math.atan2(sine, (np.trace(rotation) - 1) / 2))
+        return rotation_angle_deg(self.rotation)
 
     @property
     def rmse_matched(self) -> float:

@@ -13,9 +13,9 @@ import numpy as np
 
 from dcreg.kernels.compiling import forget_old_kernels, when_compiling
 from dcreg.local import polish
-from dcreg.local.sampled_rotation import search_sampled_rotation
 from dcreg.local.sparse import sparse_matching
 from dcreg.modes import MODES, Mode, Task, find_mode
+from dcreg.modes.sampled_rotation import search_sampled_rotation
 from dcreg.search import Budget
 
 _LOGGER = logging.getLogger("dcreg")
@@ -48,7 +48,7 @@ def warm_up(processes: int = 1) -> None:
 def _works() -> Iterator[functools.partial[None]]:
     """All there is to compile, in parts that have little in common."""
     for mode in sorted(MODES, key=lambda mode: mode.name):  # the dearest first
-        bounds = (None, "tight-exact", "paper", "edges", "termwise")
+        bounds = (None, "tight-exact", "shared", "paper", "edges", "termwise")
         yield functools.partial(
             _compile_mode, mode.model, mode.name, bounds if mode.takes_bound else (None,)
         )

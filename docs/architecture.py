@@ -131,7 +131,7 @@ def _first_line(module: str) -> str:
 
 
 PARTS = (
-    Part("dcreg.cli", 0, 1.5, ("dcreg.cli",), "use"),
+    Part("dcreg.cli", 0, 1.5, ("dcreg.cli", "dcreg.__main__"), "use"),
     Part(
         "dcreg: register, sweep, …", 1, 1.5,
         ("dcreg", "dcreg.registration", "dcreg.sweeping", "dcreg.warm_up"), "use",
@@ -140,20 +140,20 @@ PARTS = (
     Part("dcreg.modes", 2, 0.5, ("dcreg.modes",), "solve"),
     Part("dcreg.plot", 2, 2, ("dcreg.plot",), "data"),
     Part("dcreg.io", 2, 3, ("dcreg.io",), "data"),
-    Part("dcreg.bounds", 3, 0, ("dcreg.bounds",), "solve"),
-    Part("dcreg.local", 3, 1, ("dcreg.local",), "solve"),
+    Part("dcreg.bounds", 3, 0.5, ("dcreg.bounds",), "solve"),
     Part(
         "results", 3, 2, ("dcreg.result", "dcreg.sweep_result"), "data",
         "What register and sweep return: it prints and writes itself.",
     ),
     Part("dcreg.spaces", 4, 0.5, ("dcreg.spaces",), "solve"),
     Part("dcreg.certificate.record", 4, 2, ("dcreg.certificate.record",), "prove"),
-    Part("dcreg.search", 5, 0.5, ("dcreg.search",), "solve"),
-    Part("dcreg.certificate", 5, 2, ("dcreg.certificate",), "prove"),
-    Part("dcreg.problem", 5, 3, ("dcreg.problem",), "data"),
-    Part("dcreg.kernels", 6, 0.5, ("dcreg.kernels",), "solve"),
+    Part("dcreg.local", 5, 0.5, ("dcreg.local",), "solve"),
+    Part("dcreg.search", 6, 0.5, ("dcreg.search",), "solve"),
+    Part("dcreg.certificate", 6, 2, ("dcreg.certificate",), "prove"),
+    Part("dcreg.problem", 6, 3, ("dcreg.problem",), "data"),
+    Part("dcreg.kernels", 7, 0.5, ("dcreg.kernels",), "solve"),
     Part(
-        "status, names, files, text", 6, 2,
+        "status, names, files, text", 7, 2,
         ("dcreg.status", "dcreg.names", "dcreg.files", "dcreg.text", "dcreg._version"), "base",
         "What every part may use.",
     ),

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from data.sampling import transform
-from dcreg.problem import nearest_rotation, scale_of
+from dcreg.problem import nearest_rotation, rotation_angle_deg, scale_of
 
 # A run succeeds when its RMSE is below this share of the longest side of the bounding box of the
 # target's true inliers ...
@@ -99,18 +99,7 @@ def rotation_error_deg(case: Case) -> float:
     """Angle of the rotation from the true to the found orientation, 0 to 180."""
     d = case.dim
     found, true = (nearest_rotation(T[:d, :d]) for T in (case.T, case.T_true))
-    # The arc tangent of sine and cosine: the arc cosine alone loses half the digits near zero.
-    relative = found @ true.T
-    if d == 2:
-        sine, cosine = relative[1, 0], relative[0, 0]
-        return float(abs(np.degrees(np.arctan2(sine, cosine))))
-    axis = [
-        relative[2, 1] - relative[1, 2],
-        relative[0, 2] - relative[2, 0],
-        relative[1, 0] - relative[0, 1],
-    ]
-    sine, cosine = np.linalg.norm(axis) / 2, (np.trace(relative) - 1) / 2
-    return float(np.degrees(np.arctan2(sine, cosine)))
+    return abs(rotation_angle_deg(found @ true.T))
 
 
 def translation_error(case: Case) -> float:

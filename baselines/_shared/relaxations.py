@@ -32,7 +32,8 @@ from dcreg.modes import Answer, Task, paper
 from dcreg.search import Box, Evaluation
 from dcreg.spaces import FeatureSpace
 
-# theta -> least beta.theta + gamma.phi + k (t3^2 + t4^2) over a box, relaxed, and where it is attained
+# (beta, gamma, lower, upper) -> least beta.theta + gamma.phi + k (t3^2 + t4^2) over the box, relaxed, and
+# the theta where it is attained
 LeastOverBox = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[float, np.ndarray]]
 
 

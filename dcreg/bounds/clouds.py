@@ -29,11 +29,10 @@ class CloudBound(SpaceBound[S]):
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
     ) -> Evaluation:
         bounds, values = np.empty(len(lower)), np.empty(len(lower))
-        reach = np.inf if thorough else cutoff
 
         def work(part: slice) -> int:
             return self.bound_boxes(
-                lower[part], upper[part], reach, self.space.clouds, bounds[part], values[part]
+                lower[part], upper[part], cutoff, self.space.clouds, bounds[part], values[part]
             )
 
         self._run(work, len(lower))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dcreg.names import BOUND_ALIASES, BOUND_NAMES, bound_names
-from dcreg.problem.errors import InputError
+from dcreg.problem.errors import InputError, suggestion
 
 
 def bound_parts(name: str) -> list[str]:
@@ -14,10 +14,11 @@ def bound_parts(name: str) -> list[str]:
     InputError
         For an unknown name, listing the known ones.
     """
-    parts = BOUND_ALIASES.get(name, name).split("+")
+    parts = [part for word in name.split("+") for part in BOUND_ALIASES.get(word, word).split("+")]
     unknown = [part for part in parts if part not in BOUND_NAMES]
     if unknown:
         raise InputError(
-            f"bound: {unknown[0]!r} is unknown; choose from {bound_names()} or join some with '+'"
+            f"bound: {unknown[0]!r} is unknown{suggestion(unknown[0], bound_names())}; some may be "
+            "joined with '+'"
         )
     return parts

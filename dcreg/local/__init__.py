@@ -2,6 +2,6 @@
 
 from dcreg.local.assignment import k_assignment, pairs_of
 from dcreg.local.fit import fit_pose
-from dcreg.local.polish import objective, polish
+from dcreg.local.polish import follow_nearest, objective, polish
 
-__all__ = ["fit_pose", "k_assignment", "objective", "pairs_of", "polish"]
+__all__ = ["fit_pose", "follow_nearest", "k_assignment", "objective", "pairs_of", "polish"]

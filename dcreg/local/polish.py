@@ -115,7 +115,7 @@ def _polish_large(
     spent = 1
     if budget.is_over:
         return T, value, pairs, spent
-    trial = _nearest_polish(source, target, T, n_inliers, scale_range)
+    trial, _ = follow_nearest(source, cKDTree(target), T, n_inliers, scale_range)
     for _ in range(_MAX_LARGE_ROUNDS):
         if budget.is_over:
             return T, value, pairs, spent
@@ -131,21 +131,24 @@ def _polish_large(
     return T, value, pairs, spent + 1
 
 
-def _nearest_polish(
+def follow_nearest(
     source: np.ndarray,
-    target: np.ndarray,
+    tree: cKDTree,
     T: np.ndarray,
-    n_inliers: int,
+    k: int,
     scale_range: tuple[float, float],
-) -> np.ndarray:
-    """Alternate nearest neighbours and least-squares pose while the distance falls."""
+) -> tuple[np.ndarray, float]:
+    """Alternate the k nearest neighbours and the least-squares pose while their distance falls.
+
+    The pose it ends at, and the sum of squared distances of its pairs, which are not one-to-one. `tree`
+    holds the target.
+    """
     d = source.shape[1]
-    tree = cKDTree(target)
     best, least = T, np.inf
     for _ in range(_MAX_ROUNDS):
-        pairs, value = nearest_pairs(source @ T[:d, :d].T + T[:d, d], tree, n_inliers)
+        pairs, value = nearest_pairs(source @ T[:d, :d].T + T[:d, d], tree, k)
         if value >= least * (1.0 - 1e-3):
             break
         best, least = T, value
-        T = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
-    return best
+        T = fit_pose(source[pairs[:, 0]], tree.data[pairs[:, 1]], scale_range)
+    return best, least

@@ -10,7 +10,7 @@ nor that the best pose is the best of all.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -88,7 +88,7 @@ class MultiAnswer(Answer):
     """
 
     value: float = np.inf
-    basins: list[Basin] = None  # type: ignore[assignment]
+    basins: list[Basin] = field(default_factory=list)
     complete: bool = False
 
 

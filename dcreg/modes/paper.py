@@ -9,8 +9,8 @@ import numpy as np
 
 from dcreg.bounds import RotationBound, make_bound
 from dcreg.bounds.base import MakeBound
-from dcreg.local.sampled_rotation import search_sampled_rotation
 from dcreg.local.sparse import is_large
+from dcreg.modes.sampled_rotation import search_sampled_rotation
 from dcreg.modes.task import Answer, Task
 from dcreg.search import Budget, Outcome, minimise
 from dcreg.spaces import FeatureSpace, Rotation3D, Similarity2D, Translation3D

@@ -4,7 +4,7 @@ from dcreg.problem.advice import advice
 from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.frame import Frame
 from dcreg.problem.pairs import Candidates
-from dcreg.problem.pose import nearest_rotation, scale_of
+from dcreg.problem.pose import nearest_rotation, rotation_angle_deg, scale_of
 from dcreg.problem.problem import MODEL_DIM, ModelName, Problem
 from dcreg.problem.tolerance import default_gap_tol, rms_radius, unit_length
 
@@ -19,6 +19,7 @@ __all__ = [
     "default_gap_tol",
     "nearest_rotation",
     "rms_radius",
+    "rotation_angle_deg",
     "scale_of",
     "suggestion",
     "unit_length",

@@ -27,10 +27,6 @@ class FeasiblePairs:
 
     mask: np.ndarray | None = None
 
-    def swapped(self) -> FeasiblePairs:
-        """The same pairs with source and target exchanged."""
-        return self if self.mask is None else FeasiblePairs(self.mask.T)
-
     def prices(self, n_inliers: int, reach: float) -> np.ndarray:
         """What each pair costs beyond its residual: 0, or more than any feasible matching.
 

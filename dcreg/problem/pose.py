@@ -1,6 +1,8 @@
-"""What a homogeneous matrix says of its linear part: the scale, and the rotation nearest to it."""
+"""What a homogeneous matrix says of its linear part: the scale, the rotation nearest to it, its angle."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -20,3 +22,15 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     sign = np.ones(len(u))
     sign[-1] = np.sign(np.linalg.det(u @ vt))
     return (u * sign) @ vt
+
+
+def rotation_angle_deg(rotation: np.ndarray) -> float:
+    """Angle of a (d, d) rotation in degrees: signed in the plane, about the axis in space.
+
+    The arc tangent of sine and cosine keeps digits where the arc cosine has none, near 0 and 180 degrees.
+    """
+    if len(rotation) == 2:
+        return math.degrees(math.atan2(rotation[1, 0], rotation[0, 0]))
+    skew = rotation - rotation.T
+    sine = math.sqrt(skew[0, 1] ** 2 + skew[0, 2] ** 2 + skew[1, 2] ** 2) / 2
+    return math.degrees(math.atan2(sine, (np.trace(rotation) - 1) / 2))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from dcreg.files import write_text
+from dcreg.files import plain, write_text
 
 
 @dataclass(frozen=True)
@@ -73,5 +73,8 @@ class Trace:
         return [asdict(event) for event in self.events]
 
     def write_jsonl(self, path: str | Path) -> None:
-        """One JSON object per line; the last one has kind ``end`` and the status."""
-        write_text(path, "".join(json.dumps(row) + "\n" for row in self.rows()))
+        """One JSON object per line; the last one has kind ``end`` and the status.
+
+        An infinite bound becomes null.
+        """
+        write_text(path, "".join(json.dumps(plain(row)) + "\n" for row in self.rows()))

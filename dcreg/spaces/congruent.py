@@ -13,18 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from dcreg.kernels.space import congruent as kernels
+from dcreg.local import follow_nearest
+from dcreg.problem import rms_radius
 
 MAX_TARGETS = 300  # target points that triples are made of
 MAX_LOOKED = 150  # source points that score
-FAILURE = (
-    1e-9  # wished probability that no triple consists of true pairs; congruent clutter hides some
-)
+# Wished probability that no triple consists of true pairs; congruent clutter hides some.
+FAILURE = 1e-9
 MIN_TRIPLES, MAX_TRIPLES = 60, 200  # a round
 MAX_ROUNDS = 8
-MAX_SAMPLE, MAX_STEPS = 300, 30  # of descents by nearest neighbours
+MAX_SAMPLE = 300  # source points that follow their nearest neighbours
 SHORTEST = 0.6  # side of a source triple, in RMS radii; short ones fix a rotation badly
 KEPT_PER_TRIPLE = 6
 MAX_CELLS = 256  # of the field of nearness along the longest side: about 150 MB
@@ -79,7 +79,7 @@ def congruent_poses(
     (P, 4, 4) array
         Proper rigid poses; none where no triples agree.
     """
-    unit = float(np.sqrt(((target - target.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    unit = rms_radius(target)
     if len(source) < 3 or len(target) < 3 or unit == 0.0:
         return np.empty((0, 4, 4))
     rng = np.random.default_rng(seed)
@@ -102,9 +102,8 @@ def congruent_poses(
     some = y[columns]
     first, second, lengths = _pairs_by_length(some)
     sides = _sides(x, triples)
-    telling = (
-        sides.min(axis=1) > 2.0 * scale.tolerance
-    )  # else nearly every target triple would agree
+    # with a shorter side nearly every target triple would agree
+    telling = sides.min(axis=1) > 2.0 * scale.tolerance
     triples, sides = triples[telling], sides[telling]
     ends = [
         np.searchsorted(lengths, sides[:, 0] + by) for by in (-scale.tolerance, scale.tolerance)
@@ -145,33 +144,9 @@ def best_descents(
     sample = source[np.sort(rng.permutation(len(source))[:MAX_SAMPLE])]
     k = max(3, round(n_inliers * len(sample) / len(source)))
     tree = cKDTree(target)
-    ends = [_follow_nearest(T, sample, target, tree, k) for T in poses]
-    ends.sort(key=lambda end: end[0])
-    return np.array([T for _, T in ends[:count]]).reshape(-1, 4, 4)
-
-
-def _follow_nearest(
-    T: np.ndarray, sample: np.ndarray, target: np.ndarray, tree: cKDTree, k: int
-) -> tuple[float, np.ndarray]:
-    best, least = T, np.inf
-    for _ in range(MAX_STEPS):
-        distances, columns = tree.query(sample @ T[:3, :3].T + T[:3, 3])
-        rows = np.argpartition(distances, k - 1)[:k]
-        value = float((distances[rows] ** 2).sum())
-        if value >= least * (1.0 - 1e-3):
-            break
-        best, least = T, value
-        T = _fitted(sample[rows], target[columns[rows]])
-    return least, best
-
-
-def _fitted(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Least-squares rigid pose of paired points."""
-    x, y = source.mean(axis=0), target.mean(axis=0)
-    turn = Rotation.align_vectors(target - y, source - x)[0].as_matrix()
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = turn, y - turn @ x
-    return T
+    ends = [follow_nearest(sample, tree, T, k, (1.0, 1.0)) for T in poses]
+    ends.sort(key=lambda end: end[1])
+    return np.array([T for T, _ in ends[:count]]).reshape(-1, 4, 4)
 
 
 def _long_triples(points: np.ndarray, n_inliers: int, rng: np.random.Generator) -> np.ndarray:

@@ -69,9 +69,15 @@ def methods() -> str:
         )
         what = card.get("certifies", "nothing") if card.get("provides_bounds") else ""
         given = card.get("input", "raw point sets")
-        return f"`{card['folder']}`", card["display_name"], models, card["provenance"], given, what
+        facts = ("needs_initial_pose", "uses_n_inliers", "one_to_one")
+        marks = ("yes" if card.get(fact) else "" for fact in facts)
+        name = f"`{card['folder']}`", card["display_name"], models, card["provenance"]
+        return *name, given, *marks, what
 
-    head = ("folder", "method", "models", "provenance", "input", "its bounds speak of")
+    head = (
+        *("folder", "method", "models", "provenance", "input", "needs a start"),
+        *("uses `n_inliers`", "one-to-one", "its bounds speak of"),
+    )
     return table(head, map(row, cards("baselines")))
 
 

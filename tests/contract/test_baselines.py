@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,16 +71,27 @@ def assert_tells_the_remedy(method: Baseline, reason: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def solutions() -> dict[tuple[str, str], Solution]:
+def solutions() -> dict[tuple[str, ...], Any]:
     """One run per method and model, shared by the tests that only look at it."""
     return {}
+
+
+class Watched(Instance):
+    """An instance that remembers which of its fields were read."""
+
+    def __getattribute__(self, name: str) -> Any:
+        if not name.startswith("_"):
+            self.__dict__.setdefault("_read", set()).add(name)
+        return super().__getattribute__(name)
 
 
 def solved(solutions: dict, name: str, model: str) -> Solution:
     if (name, model) not in solutions:
         method = runnable(name)
         method.warm_up(easy_instance(model))
-        solutions[name, model] = method.solve(easy_instance(model), LIMITS)
+        instance = Watched(**vars(easy_instance(model)))
+        solutions[name, model] = method.solve(instance, LIMITS)
+        solutions[name, model, "read"] = instance.__dict__["_read"]
     return solutions[name, model]
 
 
@@ -130,6 +142,13 @@ class TestFolder:
 
 @pytest.mark.parametrize(("name", "model"), PAIRS)
 class TestSolve:
+    def test_card_tells_whether_the_number_of_pairs_is_used(
+        self, solutions: dict, name: str, model: str
+    ) -> None:
+        solved(solutions, name, model)
+        read = solutions[name, model, "read"]
+        assert ("n_inliers" in read) == registry.read_card(name).uses_n_inliers
+
     def test_pose_is_proper(self, solutions: dict, name: str, model: str) -> None:
         solution = solved(solutions, name, model)
         instance = easy_instance(model)

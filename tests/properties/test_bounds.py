@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcreg.bounds import BOUNDS, make_bound
+from dcreg.bounds import BOUNDS, bound_parts, make_bound
 from dcreg.search import Box, LongestEdge
 from dcreg.spaces import Similarity2D, Translation3D
 from tests.oracles import kernels as reference
@@ -253,3 +253,7 @@ def test_unknown_bound_is_refused_with_the_known_names():
     model = Similarity2D(np.eye(2), np.eye(2), 1, (0.5, 1.5))
     with pytest.raises(InputError, match=r"'papr' is unknown.*paper"):
         make_bound("papr", model)
+
+
+def test_names_joined_may_stand_for_several_bounds():
+    assert bound_parts("termwise+edges") == ["termwise-r1", "termwise-r2", "edges"]

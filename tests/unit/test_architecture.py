@@ -51,7 +51,8 @@ MAY_IMPORT = {
     "dcreg.io": ("dcreg.problem",),
     # no geometry: of the kernels only the heap
     "dcreg.search": ("dcreg.kernels", "dcreg.kernels.heap", "dcreg.status", "dcreg.files"),
-    "dcreg.spaces": ("dcreg.search*", "dcreg.kernels*", "dcreg.problem*"),
+    "dcreg.local": ("dcreg.search", "dcreg.kernels*"),
+    "dcreg.spaces": ("dcreg.search*", "dcreg.kernels*", "dcreg.problem*", "dcreg.local*"),
     # whatever the command line does is done by public names
     "dcreg.cli": ("dcreg", "dcreg.names"),
 }

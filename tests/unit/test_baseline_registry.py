@@ -50,7 +50,7 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("icp", {"max_iterations": True}, "is a bool"),
         ("icp", {"trim": 1}, "is a int; give a bool"),
         ("cpd", {"w": 1.5}, r"w = 1\.5"),
-        ("dcreg", {"bound": "papper"}, r"bound: 'papper' is unknown; choose from \['tight'"),
+        ("dcreg", {"bound": "papper"}, r"bound: 'papper' is unknown; did you mean 'paper'\?"),
         ("dcreg", {"bound": 3}, r"bound: '3' is unknown"),
         ("dcreg", {"mode": "quick"}, r"mode = 'quick'; known: auto, full, multi, paper"),
         ("dcreg", {"mode": "full", "bound": "paper"}, r"mode 'full' has bounds of its own"),

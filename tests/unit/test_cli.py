@@ -566,7 +566,7 @@ def hard_case(folder):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_process_keeps_the_pose(tmp_path, number):
-    command = [sys.executable, "-m", "dcreg.cli", *map(str, hard_case(tmp_path))]
+    command = [sys.executable, "-m", "dcreg", *map(str, hard_case(tmp_path))]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     watchdog = threading.Timer(180, process.kill)
     watchdog.start()

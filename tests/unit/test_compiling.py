@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 
 import dcreg
+from dcreg.bounds import bound_parts
+from dcreg.names import BOUND_NAMES, DEFAULT_BOUND, MODEL_DIM
+from dcreg.warm_up import _works
 
 LIBRARY = Path(dcreg.__file__).parent
 SUM = "from dcreg.kernels.assignment.selection import total\nimport numpy as np\n"
@@ -162,3 +165,16 @@ def test_a_cold_cache_is_told_of_and_a_warm_one_is_not(copy):
     code = code.replace("force=True", "force=True, stream=sys.stdout")
     assert run(code, copy).splitlines()[0].startswith("compiling")
     assert run(code, copy) == "[]"
+
+
+def test_the_whole_warm_up_meets_every_bound():
+    """The joint programme aside: its kernels are those of the other term-wise bounds."""
+    for model in MODEL_DIM:
+        met = {
+            part
+            for work in _works()
+            if work.args[0] == model and len(work.args[2]) > 1
+            for bound in work.args[2]
+            for part in bound_parts(bound or DEFAULT_BOUND)
+        }
+        assert met == set(BOUND_NAMES) - {"termwise-r3"}

@@ -31,6 +31,8 @@ from data.sampling import (
 from data.threedmatch import loader as threedmatch
 from data.threedmatch.select_pairs import select
 from dcreg.local import fit_pose
+from docs.architecture import read_imports
+from workflows.stages import generate
 
 NOWHERE = "http://127.0.0.1:9/none"  # refuses connections at once
 MIRROR = os.environ.get("DCREG_DATA_MIRROR", "")
@@ -484,3 +486,20 @@ def test_official_pose_brings_the_scans_together(level):
     inverse = mutual_nearest(transform(np.linalg.inv(made.T_true), made.source), made.target, 0.15)
     assert len(made.pairs) > 2 * len(inverse)  # the direction is source to target
     np.testing.assert_allclose(made.T_true[:3, :3] @ made.T_true[:3, :3].T, np.eye(3), atol=1e-12)
+
+
+def test_what_makes_an_instance_is_in_its_digest(monkeypatch):
+    """All that loaders import, but for the fetching, whose files have checksums of their own."""
+    counted = []
+    monkeypatch.setattr(generate, "digest_files", lambda _, entries: counted.extend(entries))
+    generate.sources_digest([])
+    imports = read_imports("data")
+    needed, waiting = set(), [name for name in imports if name.endswith(("loader", "loaders"))]
+    while waiting:
+        name = waiting.pop()
+        if name not in needed | {"data.fetch"}:
+            needed.add(name)
+            waiting += imports[name]
+    shared = {f"{name.replace('.', '/')}.py" for name in needed if name.count(".") == 1}
+    assert shared <= set(counted)
+    assert len(shared) > 3

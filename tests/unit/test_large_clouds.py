@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from dcreg.local import sparse
 from dcreg.local.assignment import k_assignment
-from dcreg.local.sampled_rotation import search_sampled_rotation
+from dcreg.modes.sampled_rotation import search_sampled_rotation
 from dcreg.problem import InputError
 from dcreg.search import Budget
 from dcreg.spaces import Rotation3D

@@ -125,6 +125,17 @@ def test_json_has_every_key_and_null_for_what_is_unknown(tmp_path):
     assert content["T_target_source"] == unknown.T_target_source.tolist()
 
 
+def test_a_trace_without_a_pose_is_still_json(tmp_path):
+    before = dcreg.Event("bound", "search", 0.1, 16, 16, 16, 0.0, math.inf)
+    dcreg.Trace([before]).write_jsonl(tmp_path / "trace.jsonl")
+    (line,) = (tmp_path / "trace.jsonl").read_text().splitlines()
+    row = json.loads(
+        line, parse_constant=pytest.fail
+    )  # called for Infinity, which JSON does not know
+    assert row["upper_bound"] is None
+    assert row["stage"] == "search"
+
+
 def test_a_certificate_is_written_if_one_was_kept(tmp_path):
     with pytest.raises(dcreg.InputError, match="certificate=True"):
         result().write_certificate(tmp_path / "a.npz")

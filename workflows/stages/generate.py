@@ -70,8 +70,9 @@ def noise_bound(raw: RawInstance) -> float:
 def sources_digest(datasets: list[str]) -> str:
     """Hash of all code and cards that decide the content of instances from these datasets."""
     shared = [
-        *("data/contract.py", "data/loaders.py", "data/sampling.py", "dcreg/local/fit.py"),
-        *("workflows/disturb.py", "workflows/instances.py", "workflows/stages/generate.py"),
+        *("data/contract.py", "data/loaders.py", "data/sampling.py", "data/scans.py"),
+        *("dcreg/local/fit.py", "workflows/disturb.py", "workflows/instances.py"),
+        "workflows/stages/generate.py",
     ]
     own = [f"data/{name}" for name in datasets]
     return digest_files(CHECKOUT, [*shared, *own])

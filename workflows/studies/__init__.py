@@ -1,1 +1,1 @@
-"""Comparisons beside the workflow: bounds on the same boxes, ports beside recorded official outputs."""
+"""Comparisons beside the workflow: bounds on the same boxes, our solvers beside recorded others."""

@@ -1,4 +1,4 @@
-"""Our ports beside recorded answers of the official implementations: ``results/golden``.
+"""Our solvers beside recorded answers of official implementations: ``results/golden``.
 
 ``python -m workflows.studies.golden [NAME ...] [--golden FOLDER] [--out FOLDER]`` solves every
 recorded case again and writes a table per comparison as CSV and Markdown. The cases are not part
@@ -22,6 +22,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+
+from dcreg.problem import rotation_angle_deg
 
 Case = dict[str, np.ndarray]
 REPEATS = 3  # the least time counts
@@ -55,11 +57,8 @@ def pose_difference(first: np.ndarray | None, second: np.ndarray) -> tuple[float
     """
     if first is None:
         return np.inf, np.inf
-    cosine = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1) / 2
-    # Exact for small angles too, where the arc cosine is not.
-    sine = np.linalg.norm(first[:3, :3] - second[:3, :3]) / (2 * np.sqrt(2))
-    angle = 2 * np.arcsin(min(1.0, sine)) if cosine > 0 else np.arccos(max(-1.0, cosine))
-    return float(np.degrees(angle)), float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
+    angle = rotation_angle_deg(first[:3, :3].T @ second[:3, :3])
+    return angle, float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
 
 
 # --- TEASER ------------------------------------------------------------------------------------
