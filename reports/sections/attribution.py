@@ -21,6 +21,7 @@ def context(page: Page) -> dict[str, Any]:
     return {
         "figure": page.add_figure(attribution.build(runs, page.styles)),
         "verdicts": VERDICTS,
+        "found": [name for name in VERDICTS if runs["verdict"].eq(name).any()],
         "counts": list(attribution.count(runs, methods).iterrows()),
         "by_test": [
             (

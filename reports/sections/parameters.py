@@ -9,7 +9,7 @@ import yaml
 from reports.page import Page
 
 ID = "parameters"
-TITLE = "Parameters of all methods"
+TITLE = "Parameters"
 
 
 def context(page: Page) -> dict[str, Any]:
@@ -21,7 +21,9 @@ def context(page: Page) -> dict[str, Any]:
         "rules": {
             name: rule["text"]
             for name in page.tables.methods
-            if (rule := page.tables.cards.get(name, {}).get("threshold_rule"))
+            if (card := page.tables.cards.get(name, {})).get("options", {}).get("threshold")
+            == "paper"
+            and (rule := card.get("threshold_rule"))
         },
         "bounds": [
             (model, test, level, *part["noise_bound"].quantile([0, 0.5, 1]))
