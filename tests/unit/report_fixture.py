@@ -158,7 +158,8 @@ def _provenance():
                 "display_name": name, "summary": "A made-up method.", "provenance": origin,
                 "certifies": scope, "provides_bounds": label in BOUNDING,
                 "citation": "Nobody, Nowhere, 2026", "licence": "MIT", "color": color,
-                "marker": marker, "options": {"made_up_weight": 0.25, "threshold": "paper"}, "unavailable": None,
+                "marker": marker, "options": {"made_up_weight": 0.25, "threshold": "paper"},
+                "unavailable": None,
                 "n_inliers_ratio": 1.0, "parameters": {"made_up_weight": 0.5},
                 "threshold_rule": {"text": "2 σ (nobody)", "confidence": 0.9},
             }
