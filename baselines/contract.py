@@ -21,6 +21,25 @@ if TYPE_CHECKING:
 
 ModelName = Literal["similarity2d", "rigid3d"]
 
+# `Instance.noise_bound` in root mean square residuals of the true pairs at the reference pose: within
+# it lie 98 % (2D) or 99 % (3D) of pairs with Gaussian noise.
+NOISE_FACTOR = 2.0
+
+
+class ThresholdRule(BaseModel):
+    """How a method's paper chooses its threshold: the quantile of the length of Gaussian noise."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    text: str  # the rule as stated, and where
+    confidence: float = Field(gt=0, lt=1)  # share of true pairs within the threshold
+
+    def sigmas(self, dim: int) -> float:
+        """The threshold in standard deviations per axis."""
+        from scipy.stats import chi2
+
+        return float(np.sqrt(chi2.ppf(self.confidence, dim)))
+
 
 class Card(BaseModel):
     """What a reader of a report must know of a method. Validated ``card.yaml``."""
@@ -50,6 +69,8 @@ class Card(BaseModel):
     marker: str = "o"
     # Parameters with their stated defaults, shown in the report.
     parameters: dict[str, Any] = {}
+    # Behind the option ``threshold: paper``, which only cards with a rule have.
+    threshold_rule: ThresholdRule | None = None
 
 
 @dataclass(frozen=True)
@@ -65,8 +86,9 @@ class Instance:
     scale_range : (low, high)
         Admissible scale; (1, 1) in 3D.
     noise_bound : float
-        Expected residual of a true pair in target units; methods that need an inlier threshold
-        use it, so that all get the same prior.
+        `NOISE_FACTOR` times the root mean square residual of the true pairs at the reference pose, in
+        target units, and not below 0.01 of the target's longest side. Methods that need an inlier
+        threshold use it, so that all get the same prior.
     seed : int
         For methods that draw random numbers.
     oracle_pairs : (k, 2) array, optional
@@ -143,6 +165,9 @@ class Baseline(abc.ABC):
             )
         self.card = card
         self.options = {**card.parameters, **options}
+        threshold = self.options.get("threshold", "told")
+        if threshold not in ("told", "paper"):
+            raise ValueError(f"option threshold = {threshold!r}; choose one of told, paper")
 
     def available(self) -> str | None:
         """None when the method can run here, otherwise the reason with how to get it."""
@@ -161,6 +186,18 @@ class Baseline(abc.ABC):
         if instance.model not in self.card.models:
             return f"{self.card.display_name} does not treat {instance.model}"
         return None
+
+    def inlier_distance(self, instance: Instance) -> float:
+        """Largest residual of a pair that counts as true, in target units.
+
+        The instance's noise bound times the option ``noise_factor``; with ``threshold: paper`` what the
+        card's rule makes of the standard deviation behind that bound.
+        """
+        rule = self.card.threshold_rule
+        if rule is not None and self.options["threshold"] == "paper":
+            sigma = instance.noise_bound / (NOISE_FACTOR * np.sqrt(instance.dim))
+            return float(rule.sigmas(instance.dim) * sigma)
+        return float(self.options["noise_factor"] * instance.noise_bound)
 
     def warm_up(self, instance: Instance) -> None:
         """Imports and JIT compilation for instances of this kind; timed apart from `solve`."""

@@ -88,7 +88,8 @@ class RawInstance:
     pairs : (k, 2) int array
         True pairs: ``source[pairs[:, 0]]`` belongs to ``target[pairs[:, 1]]``, one to one.
     T_true : (d+1, d+1) array
-        Homogeneous pose, ``target ≈ T_true @ [source, 1]`` at the true pairs.
+        Reference pose, homogeneous, ``target ≈ T_true @ [source, 1]`` at the true pairs: the fit to
+        them (`data.sampling.reference_pose`), or the published one of a benchmark that has its own.
     scale_range : (low, high)
         Admissible scale a solver is told; (1, 1) in 3D.
     info : dict

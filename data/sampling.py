@@ -45,6 +45,18 @@ def mutual_nearest(a: np.ndarray, b: np.ndarray, tolerance: float) -> np.ndarray
     return np.column_stack([i, j_of_i[i]])
 
 
+def reference_pose(
+    source: np.ndarray, target: np.ndarray, pairs: np.ndarray, scale_range: tuple[float, float]
+) -> np.ndarray:
+    """The admissible pose of least squares over the true pairs: what a pose is judged against.
+
+    Not the pose that was injected: warp and noise have a part that is a motion, and count as one.
+    """
+    from dcreg.local import fit_pose  # compiled code comes with it
+
+    return fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
+
+
 def transform(T: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Apply a homogeneous pose to the rows of `points`."""
     d = points.shape[1]

@@ -13,9 +13,6 @@ import pandas as pd
 from workflows import records
 from workflows.records import OUTCOMES
 
-# Scopes in which the certified objective is the very objective the harness evaluates at a pose.
-POSE_SCOPES = ("similarity pose", "rigid pose")
-
 
 class ReportError(ValueError):
     """The tables do not add up or a file is missing; the message names file and remedy."""

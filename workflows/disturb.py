@@ -6,7 +6,8 @@ shows its axes, but does not state them.
 
 A disturbance is a pure function ``(prototype, level, rng, **options) -> Disturbed`` with an entry
 in `DISTURBANCES`; a new one needs nothing else. `make_instance` serves every dataset, also the
-recorded ones.
+recorded ones. The pose of an instance is drawn, but the truth it is judged by is the
+`data.sampling.reference_pose`.
 
 Random numbers come from `seed_for`, a hash of the axes that a draw may depend on. The method is
 not among them, so all methods see the same instances. The pose depends on dataset, shape, test and
@@ -27,7 +28,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from data.contract import Dataset, PrototypeDataset, RawInstance, RecordedDataset
-from data.sampling import transform
+from data.sampling import reference_pose, transform
 from dcreg.problem import suggestion
 
 SCALE_RANGE_2D = (0.5, 1.5)
@@ -256,9 +257,10 @@ def make_instance(
     rng = np.random.default_rng(seed_for("disturbance", *axes, level, trial))
     rng_pose = np.random.default_rng(seed_for("pose", *axes, trial))
     clean = _disturbance(test)(prototype, level, rng, **options)
-    T_true = random_pose(prototype.shape[1], rng_pose)
-    target, pairs = shuffle_target(transform(T_true, clean.target), clean.pairs, rng_order)
+    moved = transform(random_pose(prototype.shape[1], rng_pose), clean.target)
+    target, pairs = shuffle_target(moved, clean.pairs, rng_order)
     scale_range = SCALE_RANGE_2D if prototype.shape[1] == 2 else (1.0, 1.0)
+    T_true = reference_pose(clean.source, target, pairs, scale_range)
     return RawInstance(clean.source, target, pairs, T_true, scale_range)
 
 

@@ -12,14 +12,16 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from data.sampling import transform
+from data.sampling import reference_pose, transform
 from dcreg.problem import nearest_rotation, rotation_angle_deg, scale_of
 
-# A run succeeds when its RMSE is below this share of the longest side of the bounding box of the
-# target's true inliers ...
+# A run succeeds when its error above the floor is below this share of the longest side of the
+# bounding box of the target's true inliers ...
 SUCCESS_SHARE = 0.05
-# ... or below this length where a benchmark has its own threshold (3DMatch: 0.2 m).
+# ... or its RMSE below this length where a benchmark has its own threshold (3DMatch: 0.2 m).
 SUCCESS_LENGTH = {"threedmatch": 0.2}
+# Rounding of a scale, and of a rotation's entries, at which a pose still counts as admissible.
+ADMISSIBLE_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Case:
     target: np.ndarray
     pairs: np.ndarray
     n_inliers: int
+    scale_range: tuple[float, float]
     dataset: str
     lower_bound: float = np.nan
 
@@ -45,9 +48,8 @@ class Case:
         return transform(self.T, self._inliers[0]) - self._inliers[1]
 
     @cached_property
-    def success_threshold(self) -> float:
-        longest = float(np.ptp(self._inliers[1], axis=0).max())
-        return SUCCESS_LENGTH.get(self.dataset, SUCCESS_SHARE * longest)
+    def longest_side(self) -> float:
+        return float(np.ptp(self._inliers[1], axis=0).max())
 
     @cached_property
     def objective(self) -> float:
@@ -85,14 +87,24 @@ def rmse_true(case: Case) -> float:
 
 
 def rmse_floor(case: Case) -> float:
-    from dcreg.local import fit_pose
-
-    source, target = case._inliers
-    if len(source) < case.dim:
+    if len(case.pairs) < case.dim:
         return float("nan")
-    scale_range = (1.0, 1.0) if case.dim == 3 else (0.0, np.inf)
-    best = fit_pose(source, target, scale_range)
+    best = reference_pose(case.source, case.target, case.pairs, case.scale_range)
+    source, target = case._inliers
     return _rms(transform(best, source) - target)
+
+
+def rmse_excess(case: Case) -> float:
+    # A pose outside the scale range can lie below the floor.
+    return float(np.sqrt(max(0.0, rmse(case) ** 2 - rmse_floor(case) ** 2)))
+
+
+def admissible(case: Case) -> bool:
+    linear, (low, high) = case.T[: case.dim, : case.dim], case.scale_range
+    scale, slack = scale_of(case.T), ADMISSIBLE_ROUNDING
+    if not low * (1 - slack) <= scale <= high * (1 + slack):
+        return False
+    return bool(np.abs(linear - scale * nearest_rotation(linear)).max() <= slack * scale)
 
 
 def rotation_error_deg(case: Case) -> float:
@@ -111,7 +123,9 @@ def scale_error(case: Case) -> float:
 
 
 def success(case: Case) -> bool:
-    return rmse(case) < case.success_threshold
+    if case.dataset in SUCCESS_LENGTH:
+        return rmse(case) < SUCCESS_LENGTH[case.dataset]
+    return rmse_excess(case) < SUCCESS_SHARE * case.longest_side
 
 
 def bound_violation(case: Case) -> float:
@@ -126,18 +140,22 @@ METRICS: dict[str, Metric] = {
         "target unit", "lower", np.inf, "RMS distance of moved true inliers to their partners", rmse
     ),
     "rmse_over_scale": Metric(
-        "source unit", "lower", np.inf, "rmse divided by the true scale", rmse_over_scale
+        "source unit", "lower", np.inf, "rmse divided by the reference scale", rmse_over_scale
     ),
     "rotation_error_deg": Metric(
-        "degree", "lower", 180.0, "angle between found and true orientation", rotation_error_deg
+        "degree", "lower", 180.0, "angle between found and reference orientation", rotation_error_deg
     ),
     "translation_error": Metric(
-        "target unit", "lower", np.inf, "length of t - t_true", translation_error
+        "target unit", "lower", np.inf, "length of t - t_reference", translation_error
     ),
-    "scale_error": Metric("1", "lower", np.inf, "|scale / true scale - 1|", scale_error),
+    "scale_error": Metric("1", "lower", np.inf, "|scale / reference scale - 1|", scale_error),
     "success": Metric(
-        "yes/no", "higher", 0.0, "rmse below 0.05 longest side of the target (3DMatch: 0.2 m)",
+        "yes/no", "higher", 0.0,
+        "rmse_excess below 0.05 longest side of the target's true inliers (3DMatch: rmse below 0.2 m)",
         success,
+    ),
+    "admissible": Metric(
+        "yes/no", "higher", 0.0, "the pose is of the model and its scale in the told range", admissible
     ),
     "objective": Metric(
         "target unit²", "lower", np.inf,
@@ -145,20 +163,25 @@ METRICS: dict[str, Metric] = {
         lambda case: case.objective,
     ),
     "objective_true": Metric(
-        "target unit²", "none", np.nan, "the same sum at the true pose",
+        "target unit²", "none", np.nan, "the same sum at the reference pose",
         lambda case: case.objective_true,
     ),
     "objective_best": Metric(
         "target unit²", "none", np.nan,
-        "least sum at any pose known for the instance and n_inliers: all methods' and the true one",
+        "least sum at any admissible pose known for the instance and n_inliers: all methods' and the "
+        "reference",
         None,
     ),
     "objective_regret": Metric(
-        "target unit²", "lower", np.inf, "objective - objective_best", None
+        "target unit²", "lower", np.inf, "objective - objective_best; empty if not admissible", None
     ),
-    "rmse_true": Metric("target unit", "none", np.nan, "RMSE of the true pose", rmse_true),
+    "rmse_true": Metric("target unit", "none", np.nan, "RMSE of the reference pose", rmse_true),
     "rmse_floor": Metric(
-        "target unit", "none", np.nan, "RMSE of the pose fitted to the true pairs", rmse_floor
+        "target unit", "none", np.nan, "least RMSE of an admissible pose: fitted to the true pairs",
+        rmse_floor,
+    ),
+    "rmse_excess": Metric(
+        "target unit", "lower", np.inf, "error above the floor: sqrt(rmse² - rmse_floor²)", rmse_excess
     ),
     "bound_violation": Metric(
         "target unit²", "lower", np.nan,

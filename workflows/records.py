@@ -17,7 +17,9 @@ from dcreg.files import whole_file
 from dcreg.status import Status
 from workflows import UserError
 
-SCHEMA_VERSION = 2  # 2: without n_bound_evals, which always equalled n_nodes
+# 2: without n_bound_evals, which always equalled n_nodes. 3: success above the floor; errors of the
+# pose and objective_true against the fit to the true pairs, no longer the pose before the warp.
+SCHEMA_VERSION = 3
 
 
 class Column(NamedTuple):
@@ -91,6 +93,7 @@ RAW_TRACES = {name: column for name, column in TRACES.items() if name != "method
 
 def runs_columns() -> dict[str, Column]:
     """Columns of ``tables/runs``: the plan, the raw results, and the metrics."""
+    from workflows.attribution import COLUMNS
     from workflows.metrics import METRICS
 
     identity = {
@@ -101,13 +104,19 @@ def runs_columns() -> dict[str, Column]:
         "n_inliers_ratio": Column(float, "share of the true pairs the solver was told"),
         "n_inliers_true": Column(int, "true pairs (never seen by a solver)"),
         "dim": Column(int, "2 or 3"),
+        "noise_bound": Column(
+            float,
+            "inlier threshold told to all methods: 2 RMS residuals of the reference, or a floor",
+        ),
+        "T_reference": Column(str, "JSON of the reference pose: the fit to the true pairs"),
         "outcome": Column(str, "finished, limited, failed, unsupported or unavailable"),
     }
     metrics = {
         name: Column(bool if metric.unit == "yes/no" else float, metric.meaning)
         for name, metric in METRICS.items()
     }
-    return {**identity, **PLAN, **RAW, **metrics}
+    attribution = {name: Column(*column) for name, column in COLUMNS.items()}
+    return {**identity, **PLAN, **RAW, **metrics, **attribution}
 
 
 OUTCOMES = ("finished", "limited", "failed", "unsupported", "unavailable")

@@ -17,7 +17,7 @@ class Adapter(CorrespondenceMethod):
 
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
-        tolerance = 2 * self.options["noise_factor"] * instance.noise_bound
+        tolerance = 2 * self.inlier_distance(instance)
         scale = vote_scale(source, target, tolerance, instance.scale_range)
         differences = length_differences(scale * source, target)
         consistent = (differences <= tolerance) & ~sharing(pairs)

@@ -26,7 +26,7 @@ class Adapter(CorrespondenceMethod):
             open3d_clouds.cloud(instance.source),
             open3d_clouds.cloud(instance.target),
             open3d.utility.Vector2iVector(pairs.astype(np.int32)),
-            self.options["noise_factor"] * instance.noise_bound,
+            self.inlier_distance(instance),
             ransac_n=3,
             checkers=[registration.CorrespondenceCheckerBasedOnEdgeLength(0.9)],
             criteria=registration.RANSACConvergenceCriteria(

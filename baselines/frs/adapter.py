@@ -24,7 +24,7 @@ class Adapter(Baseline):
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         budget = limits.budget()
-        radius = self.options["noise_factor"] * instance.noise_bound
+        radius = self.inlier_distance(instance)
         problem = Consensus(instance, radius)
         incumbent = Incumbent()
         for pose, count in problem.starts(self.options["start_rotations"], budget):

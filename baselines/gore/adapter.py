@@ -24,7 +24,7 @@ class Adapter(CorrespondenceMethod):
 
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
-        bound = self.options["noise_factor"] * instance.noise_bound
+        bound = self.inlier_distance(instance)
         removal = remove_outliers(
             source,
             target,

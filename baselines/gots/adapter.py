@@ -36,7 +36,7 @@ class Adapter(Baseline):
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         budget = limits.budget()
         translating = budget.part(_TRANSLATION_TIME)
-        eps = self.options["noise_factor"] * instance.noise_bound
+        eps = self.inlier_distance(instance)
         problem = Consensus(instance, eps)
         incumbent = Incumbent()
         cubes = TranslationCubes(problem.source, problem.target, eps, incumbent, translating)

@@ -28,7 +28,7 @@ class Adapter(Baseline):
         source, target = open3d_clouds.cloud(instance.source), open3d_clouds.cloud(instance.target)
         criteria = registration.ICPConvergenceCriteria(max_iteration=self.options["max_iterations"])
         radii = unit_of(instance) * np.array(self.options["coarse_distances"])
-        distances = [*radii, self.options["noise_factor"] * instance.noise_bound]
+        distances = [*radii, self.inlier_distance(instance)]
 
         def refine(pose: np.ndarray, budget: Budget) -> np.ndarray | None:
             for distance in distances:

@@ -23,7 +23,7 @@ class Adapter(CorrespondenceMethod):
     ) -> np.ndarray | None:
         import kiss_matcher
 
-        unit = self.options["noise_factor"] * instance.noise_bound / VOXEL
+        unit = self.inlier_distance(instance) / VOXEL
         origin_source = instance.source.mean(axis=0)  # single precision inside: stay near zero
         origin_target = instance.target.mean(axis=0)
         source = (instance.source[pairs[:, 0]] - origin_source) / unit

@@ -23,7 +23,7 @@ class Adapter(CorrespondenceMethod):
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         for_graph, for_cliques = budget.part(SHARE_FOR_GRAPH), budget.part(SHARE_FOR_CLIQUES)
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
-        bound = self.options["noise_factor"] * instance.noise_bound
+        bound = self.inlier_distance(instance)
         scale = vote_scale(source, target, 2 * bound, instance.scale_range)
         weights = second_order_graph(scale * source, target, pairs, 2 * bound, for_graph)
         order = np.argsort(-weights.sum(axis=1), kind="stable")

@@ -17,7 +17,7 @@ class Adapter(CorrespondenceMethod):
         pose, n_samples, finished = ransac(
             instance.source[pairs[:, 0]],
             instance.target[pairs[:, 1]],
-            self.options["noise_factor"] * instance.noise_bound,
+            self.inlier_distance(instance),
             instance.scale_range,
             seed=instance.seed,
             max_samples=self.options["max_samples"],

@@ -18,7 +18,7 @@ class Adapter(CorrespondenceMethod):
 
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
-        bound = self.options["noise_factor"] * instance.noise_bound
+        bound = self.inlier_distance(instance)
         scale = vote_scale(source, target, 2 * bound, instance.scale_range)
         source = scale * source  # rigid from here on
         rows = consistency_graph(source, target, pairs, 2 * bound, 1.0)

@@ -23,7 +23,7 @@ class Adapter(CorrespondenceMethod):
             instance.source[pairs[:, 0]],
             instance.target[pairs[:, 1]],
             pairs,
-            self.options["noise_factor"] * instance.noise_bound,
+            self.inlier_distance(instance),
             instance.scale_range,
             budget,
         )

@@ -21,7 +21,7 @@ class Adapter(CorrespondenceMethod):
 
         settings = Solver.Params()
         settings.cbar2 = 1.0
-        settings.noise_bound = self.options["noise_factor"] * instance.noise_bound
+        settings.noise_bound = self.inlier_distance(instance)
         settings.estimate_scaling = False
         settings.rotation_estimation_algorithm = Solver.ROTATION_ESTIMATION_ALGORITHM.GNC_TLS
         settings.rotation_gnc_factor = 1.4

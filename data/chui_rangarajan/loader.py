@@ -14,6 +14,7 @@ from scipy.io import loadmat
 
 from data.contract import Axis, DataError, File, RawInstance, RecordedDataset
 from data.fetch import fetch
+from data.sampling import reference_pose
 
 # The originals' word for the character.
 FILE_WORD = {"fish": "fish", "character": "chinese"}
@@ -76,17 +77,17 @@ class Loader(RecordedDataset):
         (path,) = self.files(shape, test, level, trial)
         read = _from_pack if path.suffix == ".npz" else _from_original
         source, target, n_pairs = read(path, int(level), trial)
-        rows = np.arange(n_pairs)
-        from dcreg.local import fit_pose
         from dcreg.problem import scale_of
 
-        T_true = fit_pose(source[:n_pairs], target[:n_pairs], (0.0, np.inf))
+        pairs = np.column_stack([np.arange(n_pairs)] * 2)
+        scale_range = tuple(self.card.parameters["scale_range"])
+        T_true = reference_pose(source, target, pairs, scale_range)
         return RawInstance(
             source,
             target,
-            np.column_stack([rows, rows]),
+            pairs,
             T_true,
-            tuple(self.card.parameters["scale_range"]),
+            scale_range,
             {"scale_true": scale_of(T_true)},
         )
 

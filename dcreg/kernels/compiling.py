@@ -145,8 +145,9 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wra
 
 def _compiled(**options: Any) -> Any:
     def decorate(function: Any) -> Any:
-        private = function.__name__.startswith("_")
-        kernel: Any = nb.njit(no_cpython_wrapper=private, **_OPTIONS, **options)(function)
+        # a private one is called by other kernels alone and needs no entry from Python
+        inner: dict[str, Any] = {"no_cpython_wrapper": function.__name__.startswith("_")}
+        kernel: Any = nb.njit(**inner, **_OPTIONS, **options)(function)
         if cache_folder(Path(function.__code__.co_filename)) is not None:
             kernel._cache = _Cache(function)
         return kernel

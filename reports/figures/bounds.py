@@ -8,8 +8,9 @@ import pandas as pd
 
 from reports.figures.grid import Grid, Panel
 from reports.page import Figure
-from reports.tables import POSE_SCOPES, Tables, row_names, thin_trace
+from reports.tables import Tables, row_names, thin_trace
 from reports.theme import Style, words
+from workflows.attribution import POSE_SCOPES
 
 MOST_EVENTS = 60_000  # what one page carries; the rest is in the downloadable table
 

@@ -10,7 +10,18 @@ from reports.sections import (
     gallery,
     levels,
     overview,
+    parameters,
     provenance,
 )
 
-ORDER = (overview, levels, bounds, gallery, failures, attribution, provenance, downloads)
+ORDER = (
+    overview,
+    levels,
+    bounds,
+    gallery,
+    failures,
+    attribution,
+    parameters,
+    provenance,
+    downloads,
+)

@@ -1,4 +1,4 @@
-"""Search error or model error, by objective regret."""
+"""Search error or model error, by objective regret, with certified intervals of it."""
 
 from __future__ import annotations
 
@@ -6,20 +6,35 @@ from typing import Any
 
 from reports.figures import attribution
 from reports.page import Page
+from workflows.attribution import VERDICTS
 
 ID = "attribution"
-TITLE = "Objective regret"
+TITLE = "Attribution of errors"
 
 
 def context(page: Page) -> dict[str, Any]:
-    judged = attribution.judge(page.tables.runs)
-    if judged.empty:
+    runs, methods = page.tables.runs, page.tables.methods
+    if runs["objective"].isna().all():
         return {"figure": None}
-    counts = attribution.count(judged, page.tables.methods)
+    tests = list(dict.fromkeys(zip(runs["model"], runs["test"], strict=True)))
+    bounded = runs["optimum_at_least"].notna()
     return {
-        "figure": page.add_figure(attribution.build(page.tables, page.styles, judged)),
-        "verdicts": attribution.VERDICTS,
-        "counts": [(method, row) for method, row in counts.iterrows()],
-        "certified": int(judged.loc[judged["certified"], "instance_id"].nunique()),
-        "instances": int(judged["instance_id"].nunique()),
+        "figure": page.add_figure(attribution.build(runs, page.styles)),
+        "verdicts": VERDICTS,
+        "found": [name for name in VERDICTS if runs["verdict"].eq(name).any()],
+        "counts": list(attribution.count(runs, methods).iterrows()),
+        "by_test": [
+            (
+                model,
+                test,
+                list(
+                    attribution.count(
+                        runs[runs["model"].eq(model) & runs["test"].eq(test)], methods
+                    ).iterrows()
+                ),
+            )
+            for model, test in tests
+        ],
+        "certified": runs.loc[bounded].groupby(["instance_id", "n_inliers"]).ngroups,
+        "problems": runs.groupby(["instance_id", "n_inliers"]).ngroups,
     }

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from workflows import records
+from workflows import attribution, records
 from workflows.stages.aggregate import accounting
 
 CARDS = {
@@ -51,6 +51,7 @@ def write_tables(folder: Path) -> Path:
     table["objective_best"] = best
     table["objective_regret"] = table["objective"] - best
     table["outcome"] = table["status"].map(records.outcome)
+    table = attribution.attribute(table)
     table = records.frame(table.to_dict("records"), records.runs_columns())
     records.write(table, folder / "runs.parquet", csv=True)
     records.write(records.frame(traces, records.TRACES), folder / "traces.parquet", csv=True)
@@ -98,6 +99,8 @@ def _run(method, model, dataset, shape, test, level, trial, instance):
         "success": bool(posed and rmse < 0.1), "objective": number(objective),
         "objective_true": number(truth), "n_inliers_ratio": n_inliers / 98,
         "rmse_floor": number(0.009 + level), "rmse_true": number(0.01 + level),
+        "rmse_excess": number((rmse**2 - (0.009 + level) ** 2) ** 0.5), "admissible": posed,
+        "noise_bound": 2 * (0.009 + level), "T_reference": "[]",
         "bound_violation": 0.0 if bounds else float("nan"), "parallel_jobs": 1.0, "extra": "{}",
     }  # fmt: skip
     return run, _events(run) if bounds else []
@@ -155,7 +158,10 @@ def _provenance():
                 "display_name": name, "summary": "A made-up method.", "provenance": origin,
                 "certifies": scope, "provides_bounds": label in BOUNDING,
                 "citation": "Nobody, Nowhere, 2026", "licence": "MIT", "color": color,
-                "marker": marker, "options": {"n_inliers": 1.0}, "unavailable": None,
+                "marker": marker, "options": {"made_up_weight": 0.25, "threshold": "paper"},
+                "unavailable": None,
+                "n_inliers_ratio": 1.0, "parameters": {"made_up_weight": 0.5},
+                "threshold_rule": {"text": "2 σ (nobody)", "confidence": 0.9},
             }
             for label, (name, origin, scope, color, marker) in CARDS.items()
         },

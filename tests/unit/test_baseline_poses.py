@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -200,6 +201,18 @@ class TestCpd:
         )
         found = registry.load("cpd").solve(narrow, Limits(time_s=20.0))
         assert np.linalg.det(found.T_target_source[:2, :2]) == pytest.approx(1.1**2)
+
+    def test_more_starts_find_what_one_misses(self, exact: tuple[Instance, np.ndarray]) -> None:
+        instance, _ = exact
+        turn = homogeneous(1.0, np.array([[-0.8, -0.6], [0.6, -0.8]]), np.zeros(2))
+        far = replace(instance, target=apply(turn, instance.source))
+        limits = Limits(time_s=60.0)
+        one, many = (
+            registry.load("cpd", starts=starts).solve(far, limits)
+            for starts in ("identity", "multi")
+        )
+        assert np.abs(one.T_target_source - turn).max() > 0.5
+        np.testing.assert_allclose(many.T_target_source, turn, atol=0.02)
 
     def test_does_not_depend_on_the_unit(self, exact: tuple[Instance, np.ndarray]) -> None:
         instance, _ = exact

@@ -7,10 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from baselines import registry
+from baselines.contract import NOISE_FACTOR, Instance
 from baselines.dependencies import files_behind
 from baselines.registry import BaselineError
 
@@ -56,6 +58,8 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("dcreg", {"mode": "full", "bound": "paper"}, r"mode 'full' has bounds of its own"),
         ("rpm_htb", {"bound": "paper"}, r"known: termwise, termwise-r1"),
         ("rpm_htb", {"bound": None}, r"null is the library's own bound"),
+        ("teaser", {"threshold": "mine"}, "threshold = 'mine'; choose one of told, paper"),
+        ("gore", {"threshold": "paper"}, "gore: unknown option 'threshold'"),
         ("kiss_matcher", {"front_end": "sift"}, "fpfh-mutual, norm-signature, all-pairs, oracle"),
     ],
 )
@@ -63,6 +67,28 @@ def test_bad_option_value_is_explained(name: str, options: dict, words: str) -> 
     with pytest.raises(BaselineError, match=words) as error:
         registry.load(name, **options)
     assert str(error.value).startswith(name)
+
+
+@pytest.mark.parametrize("name", registry.names())
+def test_a_threshold_of_the_paper_needs_a_stated_rule(name: str) -> None:
+    card = registry.read_card(name)
+    assert ("threshold" in card.parameters) == (card.threshold_rule is not None)
+
+
+@pytest.mark.parametrize(
+    ("name", "dim", "sigmas"),
+    [("teaser", 3, 5.54), ("teaser", 2, 5.26), ("ransac", 2, 5.99**0.5), ("ransac", 3, 7.81**0.5)],
+)
+def test_a_tuned_threshold_is_the_papers_multiple_of_the_deviation(
+    name: str, dim: int, sigmas: float
+) -> None:
+    model = "rigid3d" if dim == 3 else "similarity2d"
+    points, deviation = np.eye(dim), 0.01
+    bound = NOISE_FACTOR * deviation * np.sqrt(dim)  # of noise with this deviation per axis
+    instance = Instance("i", points, points, model, dim, (1.0, 1.0), bound, 0)
+    tuned = registry.load(name, threshold="paper").inlier_distance(instance)
+    assert tuned == pytest.approx(sigmas * deviation, rel=1e-3)
+    assert registry.load(name).inlier_distance(instance) == bound
 
 
 @pytest.mark.parametrize("mode", ["full", "multi", "auto", None])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import fractional_matrix_power
 from scipy.optimize import linprog
 
 from data.registry import dataset
@@ -26,6 +27,7 @@ from workflows.disturb import (
     shuffle_target,
     warp,
 )
+from workflows.stages.generate import noise_bound
 
 SHAPES = ["fish", "glyph", "pony", "saurian"]
 EMBEDDED = dataset("embedded")
@@ -180,6 +182,49 @@ def test_the_injected_pose_maps_source_to_target(shape):
     assert not np.array_equal(made.pairs[:, 0], made.pairs[:, 1])  # the target is shuffled
 
 
+@pytest.mark.parametrize("shape", ["fish", "pony"])
+@pytest.mark.parametrize("test", ["deformation", "mixed_outliers", "occlusion_outliers"])
+def test_the_reference_is_the_best_admissible_pose_of_the_true_pairs(shape, test):
+    made = make_instance(EMBEDDED, shape, test, 0.3 if "outliers" in test else 0.03, 2)
+    source, target = at_pairs(made)
+
+    def cost(T):
+        return ((transform(T, source) - target) ** 2).sum()
+
+    d = source.shape[1]
+    least = cost(made.T_true)
+    assert least < 0.5 * cost(injected_pose(shape, test, d))  # the warp is partly a motion
+    low, high = made.scale_range
+    scale = np.linalg.det(made.T_true[:d, :d]) ** (1 / d)
+    assert low - 1e-9 <= scale <= high + 1e-9
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        step = random_pose(d, rng)
+        near = made.T_true @ np.real(fractional_matrix_power(step, 1e-3))
+        if low <= np.linalg.det(near[:d, :d]) ** (1 / d) <= high:
+            assert cost(near) >= least - 1e-12
+
+
+def injected_pose(shape, test, dim, trial=2):
+    """What the harness drew, which the reference replaces."""
+    return random_pose(dim, np.random.default_rng(seed_for("pose", "embedded", shape, test, trial)))
+
+
+@pytest.mark.parametrize("test", ["deformation", "noise", "mixed_outliers", "occlusion_outliers"])
+def test_the_noise_bound_is_twice_the_residual_of_the_best_fit(test):
+    level = 0.3 if "outliers" in test else 0.05
+    made = make_instance(EMBEDDED, "pony", test, level, 2)
+    source, target = at_pairs(made)
+    best = fit_pose(source, target, (1.0, 1.0))
+    rms = np.sqrt(((transform(best, source) - target) ** 2).sum(axis=1).mean())
+    assert noise_bound(made) == pytest.approx(2 * rms)
+
+
+def test_without_noise_the_noise_bound_has_a_floor():
+    made = make_instance(EMBEDDED, "pony", "noise", 0.0, 2)
+    assert noise_bound(made) == pytest.approx(0.01 * np.ptp(made.target, axis=0).max())
+
+
 def test_noise_is_defined_before_the_scale():
     made = make_instance(EMBEDDED, "fish", "noise", 0.05, 1, n_points=600)
     source, target = at_pairs(made)
@@ -200,7 +245,10 @@ def test_same_axes_give_the_same_arrays_and_any_other_axis_others():
 
 def test_levels_of_a_trial_share_the_pose_but_not_the_noise():
     a, b = (make_instance(EMBEDDED, "fish", "noise", level, 3) for level in (0.02, 0.04))
-    np.testing.assert_array_equal(a.T_true, b.T_true)
+    # Of one injected pose; the references differ by what the noise moves.
+    injected = injected_pose("fish", "noise", 2, trial=3)
+    for made in (a, b):
+        np.testing.assert_allclose(made.T_true, injected, atol=0.05)
     noise_a, noise_b = (
         at_pairs(made)[1][np.argsort(made.pairs[:, 0])] - transform(made.T_true, made.source)
         for made in (a, b)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from data.sampling import reference_pose
 from workflows.instances import Problem, Truth
-from workflows.metrics import METRICS, Case, rmse, rmse_floor, rotation_error_deg
+from workflows.metrics import METRICS, Case, rmse, rmse_excess, rmse_floor, rotation_error_deg
 from workflows.stages.evaluate import judge, relate
 
 
@@ -27,7 +30,8 @@ def case(T: np.ndarray, T_true: np.ndarray, rng, n: int = 8, outliers: int = 3, 
     source = np.vstack([inliers, 5 + rng.random((outliers, d))])
     target = np.vstack([inliers @ T_true[:d, :d].T + T_true[:d, d], -5 - rng.random((outliers, d))])
     rows = np.arange(n)
-    fields = {"n_inliers": n, "dataset": "embedded", **more}
+    scale_range = (0.0, np.inf) if d == 2 else (1.0, 1.0)
+    fields = {"n_inliers": n, "scale_range": scale_range, "dataset": "embedded", **more}
     return Case(T, T_true, source, target, np.column_stack([rows, rows]), **fields)
 
 
@@ -99,22 +103,63 @@ def test_the_floor_is_below_every_pose(rng):
     judged = case(T_true, T_true, rng)
     noisy = Case(
         T_true, T_true, judged.source, judged.target + 0.05 * rng.standard_normal((11, 3)),
-        judged.pairs, 8, "embedded",
+        judged.pairs, 8, (1.0, 1.0), "embedded",
     )  # fmt: skip
     assert 0 < rmse_floor(noisy) <= rmse(noisy)
+
+
+def warped(rng, T_found: np.ndarray, dataset: str = "embedded") -> Case:
+    """A pose where the true pairs are so deformed that no similarity reaches an RMSE of 0.1."""
+    points, rows = rng.random((40, 2)), np.arange(40)
+    bent = points + 0.2 * rng.standard_normal((40, 2))
+    pairs = np.column_stack([rows, rows])
+    best = reference_pose(points, bent, pairs, (0.5, 1.5))
+    return Case(T_found @ best, best, points, bent, pairs, 40, (0.5, 1.5), dataset)
+
+
+def test_success_does_not_punish_the_deformation_itself(rng):
+    at_best = warped(rng, np.eye(3))
+    assert rmse(at_best) == pytest.approx(rmse_floor(at_best))
+    assert rmse(at_best) > 0.1
+    assert rmse_excess(at_best) == pytest.approx(0, abs=1e-7)
+    assert METRICS["success"].compute(at_best)
+    near, far = (warped(rng, similarity(0, 1, (shift, 0))) for shift in (0.02, 0.2))
+    assert rmse_excess(near) == pytest.approx(0.02)
+    assert rmse_excess(far) == pytest.approx(0.2)
+    assert METRICS["success"].compute(near)
+    assert not METRICS["success"].compute(far)
+
+
+def test_a_published_threshold_is_kept_without_the_floor(rng):
+    assert not METRICS["success"].compute(warped(rng, np.eye(3), "threedmatch"))
+
+
+def test_poses_outside_the_told_range_are_not_admissible(rng):
+    def allowed(T, scale_range):
+        return METRICS["admissible"].compute(case(T, T, rng, scale_range=scale_range))
+
+    T = similarity(40, 1.5, (0, 0))
+    assert allowed(T, (0.5, 1.5))
+    assert not allowed(T, (0.5, 1.4))
+    assert not allowed(np.diag([1.2, 0.9, 1.0]), (0.5, 1.5))  # no similarity
+    assert not allowed(np.diag([1.0, -1.0, 1.0]), (0.5, 1.5))  # a reflection
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    assert allowed(turn, (1.0, 1.0))
 
 
 def test_the_floor_in_space_is_that_of_rigid_poses_in_the_plane_of_similarities(rng):
     def floor(dim, linear):
         points, pairs = rng.random((6, dim)), np.column_stack([np.arange(6), np.arange(6)])
-        T = np.eye(dim + 1)
-        return rmse_floor(Case(T, T, points, points @ linear.T + 3.0, pairs, 6, "embedded"))
+        T, scales = np.eye(dim + 1), (1.0, 1.0) if dim == 3 else (0.5, 1.5)
+        return rmse_floor(Case(T, T, points, points @ linear.T + 3.0, pairs, 6, scales, "embedded"))
 
     turn = Rotation.random(rng=rng).as_matrix()
     assert floor(3, turn) < 1e-12
     assert floor(3, 1.2 * turn) > 0.01
     assert floor(2, 1.2 * np.array([[0.6, -0.8], [0.8, 0.6]])) < 1e-12
     assert floor(2, np.diag([1.0, -1.0])) > 0.01  # no reflection
+    assert floor(2, 1.8 * np.eye(2)) > 0.01  # the scale stays in the told range
 
 
 def test_a_run_without_pose_has_no_metrics_and_no_success(rng):
@@ -130,6 +175,9 @@ def test_a_run_without_pose_has_no_metrics_and_no_success(rng):
     row = judge(run, problem, Truth("i", np.eye(3), judged.pairs), "embedded")
     assert np.isnan(row["rmse"])
     assert row["success"] is False
+    assert row["admissible"] is False
+    assert row["noise_bound"] == 0.1
+    assert json.loads(row["T_reference"]) == np.eye(3).tolist()
     assert row["objective_true"] == pytest.approx(0, abs=1e-12)  # known without any pose
 
 
@@ -140,12 +188,29 @@ def test_regret_is_against_every_known_pose_of_the_same_prior():
             "n_inliers": [5, 5, 2, 5],
             "objective": [3.0, 1.0, 0.5, np.nan],
             "objective_true": [2.0, 2.0, 0.1, 2.0],
+            "admissible": [True, True, True, False],
         }
     )
     related = relate(table)
     assert list(related["objective_best"]) == [1.0, 1.0, 0.1, 2.0]
     assert list(related["objective_regret"][:3]) == [2.0, 0.0, 0.4]
     assert np.isnan(related["objective_regret"][3])
+
+
+def test_an_inadmissible_pose_is_no_best_known_one_and_has_no_regret():
+    table = pd.DataFrame(
+        {
+            "instance_id": ["a", "a"],
+            "n_inliers": [5, 5],
+            "objective": [3.0, 1.0],
+            "objective_true": [4.0, 4.0],
+            "admissible": [True, False],
+        }
+    )
+    related = relate(table)
+    assert list(related["objective_best"]) == [3.0, 3.0]
+    assert related["objective_regret"][0] == 0
+    assert np.isnan(related["objective_regret"][1])
 
 
 def test_every_metric_is_documented_and_has_a_worst_value():

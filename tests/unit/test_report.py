@@ -21,7 +21,8 @@ from reports import theme
 from reports.build import build
 from reports.figures import attribution, levels
 from reports.page import pack_json
-from reports.tables import ReportError, Tables, row_names, thin_trace
+from reports.tables import ReportError, Tables, attempted, row_names, thin_trace
+from workflows.attribution import VERDICTS
 from workflows.records import SchemaError
 
 
@@ -164,51 +165,27 @@ def test_rows_of_a_figure_are_shapes_or_data_sets_when_shapes_are_many():
     assert list(row_names(many)) == ["a"] * 6 + ["b · x"]
 
 
-def judged(**changes) -> pd.Series:
-    """Verdict on a run whose instance has a certified optimum of 1.0 (tolerance 0.1)."""
-    base = {
-        "instance_id": "i", "n_inliers": 10, "status": "converged", "certificate_scope": "",
-        "upper_bound": np.nan, "gap_tol": np.nan, "rmse": 1.0, "success": False,
-        "objective": 1.0, "objective_true": 1.5, "objective_best": 1.0,
-    }  # fmt: skip
-    proof = {
-        **base, "status": "optimal", "certificate_scope": "similarity pose", "success": True,
-        "upper_bound": 1.0, "gap_tol": 0.1,
-    }  # fmt: skip
-    return attribution.judge(pd.DataFrame([proof, base | changes])).iloc[1]
+def test_every_started_run_is_counted_under_one_verdict(tables):
+    counts = attribution.count(tables.runs, tables.methods)
+    assert (counts[list(VERDICTS)].sum(axis=1) == counts["started"]).all()
+    assert counts["started"].sum() == len(attempted(tables.runs))
+    assert counts.loc["fgr", "no_pose"] == 1 + 1  # one crash in each model
 
 
-@pytest.mark.parametrize(
-    ("changes", "verdict"),
-    [
-        ({"success": True, "objective": 1.05}, "right"),
-        ({"success": True, "objective": 1.2}, "right_not_optimal"),
-        ({"objective": 1.2}, "search_error"),
-        ({"objective": 9.0}, "search_error"),
-        ({"objective": 1.05}, "model_error"),
-        ({"objective": 1.05, "objective_true": 1.02}, "undecided"),
-    ],
-)
-def test_errors_are_attributed(changes, verdict):
-    assert judged(**changes)["verdict"] == verdict
+def test_certified_intervals_reach_methods_without_bounds_and_keep_to_their_scope(tables):
+    flat = tables.runs[tables.runs["model"] == "similarity2d"]
+    counts = attribution.count(flat, tables.methods)
+    assert counts.loc["icp", "certified"] == counts.loc["icp", "started"]
+    assert counts.loc["icp", "proven"] < counts.loc["dcreg-full", "proven"]
+    assert (counts["objective_regret"] <= counts["regret_at_most"]).loc[["icp", "dcreg-full"]].all()
+    solid = tables.runs[tables.runs["model"] == "rigid3d"]  # bounds are of another scope there
+    assert not attribution.count(solid, tables.methods)["certified"].any()
 
 
-def test_certificate_of_another_scope_proves_nothing():
-    run = {
-        "instance_id": "i", "n_inliers": 10, "status": "optimal", "upper_bound": 0.1,
-        "certificate_scope": "translation in norm space", "gap_tol": 0.01, "rmse": 0.0,
-        "success": True, "objective": 1.0, "objective_true": 1.0, "objective_best": 1.0,
-    }  # fmt: skip
-    result = attribution.judge(pd.DataFrame([run])).iloc[0]
-    assert result["verdict"] == "right"  # the norm-space bound 0.1 is no value of this objective
-    assert not result["certified"]
-
-
-def test_every_posed_run_has_one_verdict(tables):
-    verdicts = attribution.judge(tables.runs)
-    counts = attribution.count(verdicts, tables.methods)
-    assert (counts[list(attribution.VERDICTS)].sum(axis=1) == counts["posed"]).all()
-    assert counts["posed"].sum() == tables.runs["rmse"].notna().sum()
+def test_page_prints_every_parameter(html):
+    shown = re.sub(r"<[^>]*>|\s+", " ", html.split('id="parameters"')[1].split("</section>")[0])
+    for text in ("made_up_weight", "0.25", "0.5", "2 σ (nobody)"):
+        assert text in shown
 
 
 def test_level_figure_shows_the_numbers_of_the_table(tables):

@@ -12,6 +12,8 @@ rule aggregate:
     params:
         config=digest(EXPERIMENT.model_dump()),
         cards=digest([methods.card(method.baseline).model_dump() for method in PLAN.methods]),
-        sources=sources("workflows/stages/aggregate.py", "workflows/records.py"),
+        sources=sources(
+            "workflows/stages/aggregate.py", "workflows/attribution.py", "workflows/records.py"
+        ),
     shell:
         "{STAGE} aggregate {CHOICE} {OUT}"

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from dcreg.files import whole_file
-from workflows import methods, provenance, records
+from workflows import attribution, methods, provenance, records
 from workflows.config import MethodSettings
 from workflows.instances import read_problems
 from workflows.stages.plan import Plan, plan_table
@@ -59,6 +59,7 @@ def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
         n_inliers_ratio=runs["method"].map(lambda name: by_name[name].n_inliers_ratio),
         outcome=runs["status"].map(records.outcome),
     )
+    runs = attribution.attribute(runs)
     return records.conform(runs, records.runs_columns(), str(folder / "tables" / "runs.parquet"))
 
 

@@ -35,13 +35,15 @@ def evaluate(folder: Path) -> pd.DataFrame:
 
 
 def judge(run: Mapping[Any, Any], problem: Problem, truth: Truth, dataset: str) -> dict[str, Any]:
-    """Metrics of one run. Without a pose all of them are empty, except ``success``, which is no."""
+    """Metrics of one run. Without a pose all of them are empty, and those of yes or no are no."""
     row: dict[str, Any] = {
         "run_id": run["run_id"],
         "instance_id": run["instance_id"],
         "n_inliers": run["n_inliers"],
         "n_inliers_true": len(truth.pairs),
         "dim": problem.source.shape[1],
+        "noise_bound": problem.noise_bound,
+        "T_reference": json.dumps(truth.T_true.tolist()),
     }
     found = json.loads(run["T_target_source"]) if run["T_target_source"] else None
     case = Case(
@@ -51,6 +53,7 @@ def judge(run: Mapping[Any, Any], problem: Problem, truth: Truth, dataset: str) 
         target=problem.target,
         pairs=truth.pairs,
         n_inliers=run["n_inliers"],
+        scale_range=problem.scale_range,
         dataset=dataset,
         lower_bound=run["lower_bound"],
     )
@@ -58,12 +61,14 @@ def judge(run: Mapping[Any, Any], problem: Problem, truth: Truth, dataset: str) 
         # Metrics of the truth alone have a value also where the method found no pose.
         known = found is not None or metric.better == "none"
         row[name] = metric.compute(case) if metric.compute and known else np.nan
-    row["success"] = found is not None and bool(row["success"])
+        if metric.unit == "yes/no":
+            row[name] = found is not None and bool(row[name])
     return row
 
 
 def relate(metrics: pd.DataFrame) -> pd.DataFrame:
     """Add the metrics that compare a run with the others on its instance and prior."""
-    alike = metrics.groupby(["instance_id", "n_inliers"])["objective"]
+    attained = metrics["objective"].where(metrics["admissible"])
+    alike = attained.groupby([metrics["instance_id"], metrics["n_inliers"]])
     best = np.fmin(alike.transform("min"), metrics["objective_true"])
-    return metrics.assign(objective_best=best, objective_regret=metrics["objective"] - best)
+    return metrics.assign(objective_best=best, objective_regret=attained - best)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from baselines.contract import Instance
+from baselines.contract import NOISE_FACTOR, Instance
 from data import registry
 from data.contract import RawInstance
 from data.sampling import transform
@@ -60,18 +60,18 @@ def truth_of(spec: InstanceSpec, raw: RawInstance) -> Truth:
 
 
 def noise_bound(raw: RawInstance) -> float:
-    """Root mean square residual of the true pairs at the true pose, but not below a floor."""
+    """`NOISE_FACTOR` times the RMS residual of the true pairs at the reference pose, or a floor."""
     source, target = raw.source[raw.pairs[:, 0]], raw.target[raw.pairs[:, 1]]
     residuals = transform(raw.T_true, source) - target
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
-    return max(rms, LEAST_NOISE_BOUND * float(np.ptp(raw.target, axis=0).max()))
+    return max(NOISE_FACTOR * rms, LEAST_NOISE_BOUND * float(np.ptp(raw.target, axis=0).max()))
 
 
 def sources_digest(datasets: list[str]) -> str:
     """Hash of all code and cards that decide the content of instances from these datasets."""
     shared = [
-        *("data/contract.py", "data/loaders.py", "data/sampling.py", "data/scans.py"),
-        *("dcreg/local/fit.py", "workflows/disturb.py", "workflows/instances.py"),
+        *("baselines/contract.py", "data/contract.py", "data/loaders.py", "data/sampling.py"),
+        *("data/scans.py", "dcreg/local/fit.py", "workflows/disturb.py", "workflows/instances.py"),
         "workflows/stages/generate.py",
     ]
     own = [f"data/{name}" for name in datasets]

@@ -1,0 +1,48 @@
+"""Every method's parameters: what ran, and the default where the experiment changed it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import yaml
+
+from reports.page import Page
+
+ID = "parameters"
+TITLE = "Parameters"
+
+
+def context(page: Page) -> dict[str, Any]:
+    runs = page.tables.runs
+    return {
+        "methods": [
+            (name, parameters(page.tables.cards.get(name, {}))) for name in page.tables.methods
+        ],
+        "rules": {
+            name: rule["text"]
+            for name in page.tables.methods
+            if (card := page.tables.cards.get(name, {})).get("options", {}).get("threshold")
+            == "paper"
+            and (rule := card.get("threshold_rule"))
+        },
+        "bounds": [
+            (model, test, level, *part["noise_bound"].quantile([0, 0.5, 1]))
+            for (model, test, level), part in runs.drop_duplicates("instance_id").groupby(
+                ["model", "test", "level"], sort=False
+            )
+        ],
+    }
+
+
+def parameters(card: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Name, value and, where it differs, the default; the told share of the true pairs first."""
+    defaults, options = card.get("parameters", {}), card.get("options", {})
+    rows = [("n_inliers", f"{card.get('n_inliers_ratio', 1):g} × true pairs", "")]
+    for name, default in {**options, **defaults}.items():
+        value = options.get(name, default)
+        rows.append((name, _plain(value), "" if value == default else _plain(default)))
+    return rows
+
+
+def _plain(value: Any) -> str:
+    return yaml.safe_dump(value, default_flow_style=True, width=1000).removesuffix("...\n").strip()
