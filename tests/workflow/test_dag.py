@@ -217,8 +217,8 @@ def test_planted_faults_cost_their_runs_and_nothing_else(checkout):
     fine = {"noise": "converged/converged"}
     assert ended == {
         "raises": {**fine, "deformation": "failed"},
-        "hangs": {**fine, "deformation": "time_limit"},
-        "grows": {**fine, "deformation": "memory_limit"},
+        "hangs": {**fine, "deformation": "failed"},
+        "grows": {**fine, "deformation": "failed"},
         "is_killed": {**fine, "deformation": "failed"},
     }
     counts = pd.read_csv(checkout.root / "results/tiny/tables/accounting.csv", index_col="method")
