@@ -177,7 +177,7 @@ def judge_method(
     """Verdicts on one method, over the runs that both versions made of the same content."""
     keys = ["instance_id", "instance_digest", "n_inliers"]
     pairs = base.merge(head, on=keys, suffixes=("_base", "_head"), validate="one_to_one")
-    absent = pairs[["status_base", "status_head"]].eq("unavailable").any(axis=1)
+    absent = pairs[["status_base", "status_head"]].isin(["unavailable"]).any(axis=1)
     pairs = pairs[~absent]
     alone = len(base) + len(head) - 2 * len(pairs)
     left_out = f"{alone} runs without counterpart" if alone else ""

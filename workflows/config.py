@@ -113,6 +113,12 @@ def find(experiment: str) -> Path:
     raise ConfigError(f"no experiment {experiment!r}{suggestion(experiment, known)}")
 
 
+def origin(experiment: str) -> str:
+    """Name of a config of the checkout, or path of another one: what finds it again."""
+    path = find(experiment).resolve()
+    return path.stem if path.parent == CONFIGS else _shown(path)
+
+
 def load(experiment: str) -> Experiment:
     """Read an experiment by name or path and check all of it against cards and datasets.
 

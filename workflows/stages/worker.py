@@ -136,7 +136,7 @@ def _when_compiling(tell: Callable[[], None]) -> AbstractContextManager[None]:
         return nullcontext()
     from numba.core import event
 
-    class Listener(event.Listener):  # type: ignore[misc, no-any-unimported]
+    class Listener(event.Listener):
         told = False
 
         def on_start(self, event: Any) -> None:
