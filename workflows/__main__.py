@@ -88,13 +88,17 @@ def run(
         "trials": trials,
     }
     select = [f"{axis}={values}" for axis, values in axes.items() if values]
+    if cores != "all" and not (cores.isdecimal() and int(cores)):
+        raise UserError(f"--cores {cores}: give a number from 1, or all")
     plan = _plan(experiment, select)
     name = plan.experiment.name
     folder = directory / "results" / name
     if dry_run:
         from workflows.summary import print_plan
 
-        print_plan(plan, folder, 1 if timing else _cores(cores))
+        print_plan(
+            plan, folder, 1 if timing else os.cpu_count() or 1 if cores == "all" else int(cores)
+        )
         return
     print(
         f"plan      {name}: {len(list(plan.runs()))} runs of "
@@ -113,7 +117,11 @@ def run(
         *("--config", f"experiment={experiment}", f"select={' '.join(select)}"),
     ]
     if code := run_snakemake(directory, name, arguments):
-        what = "stopped" if code == INTERRUPTED else "not all stages came through; their messages are above"
+        what = (
+            "stopped"
+            if code == INTERRUPTED
+            else "not all stages came through; their messages are above"
+        )
         print(
             f"error: {what}. Runs that finished are kept: the same command goes on from here.",
             file=sys.stderr,
@@ -325,10 +333,6 @@ def _plan(experiment: str, select: list[str] | None = None) -> Plan:
     from workflows.stages.plan import expand
 
     return expand(load(experiment), parse_selection(select or []), origin(experiment))
-
-
-def _cores(text: str) -> int:
-    return int(text) if text.isdecimal() else os.cpu_count() or 1
 
 
 def _say(text: str) -> None:

@@ -15,6 +15,7 @@ from dcreg.status import Status
 
 UNLUCKY = 13
 LONG_S = 3.0
+NAP_S = 1.0
 
 
 class Adapter(Baseline):
@@ -25,6 +26,8 @@ class Adapter(Baseline):
             import numba  # noqa: F401
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
+        if self.options["fault"] == "naps":  # on every instance
+            time.sleep(NAP_S)
         solution = Solution(Status.CONVERGED, np.eye(instance.dim + 1))
         if len(instance.source) == UNLUCKY:
             return getattr(self, f"_{self.options['fault']}")(solution) or solution
