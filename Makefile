@@ -5,6 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORES ?= 2
 CONFIG ?= demo
+PART = $(if $(METHODS),--methods $(METHODS)) $(if $(DATASETS),--datasets $(DATASETS)) $(if $(TESTS),--tests $(TESTS))
 SYSTEM_PACKAGES := libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6
 BROWSER_PACKAGES := chromium chromium-driver
 
@@ -26,14 +27,12 @@ test: dev browser
 ## run: run the experiment CONFIG=demo|real2d (METHODS=a,b DATASETS=… TESTS=… select a part)
 .PHONY: run
 run: setup
-	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) \
-	  $(if $(METHODS),--methods $(METHODS)) $(if $(DATASETS),--datasets $(DATASETS)) \
-	  $(if $(TESTS),--tests $(TESTS))
+	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART)
 
-## plan: print what CONFIG would run, without running it
+## plan: print what the same would run and how long it takes, without running it
 .PHONY: plan
 plan: setup
-	@$(BIN)/python -m workflows run $(CONFIG) --dry-run
+	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART) --dry-run
 
 ## baselines: table of all methods: available or why not, version, capabilities, citation
 .PHONY: baselines

@@ -2,6 +2,7 @@
 # (`python -m workflows run demo` does the same, checks first, and ends with a summary.)
 #
 # results/<experiment>/   plan/ instances/ truth/ runs/ metrics/ tables/ report/
+#   parts/<selection>/    plan/ metrics/ tables/ report/ of a part; instances and runs are shared
 # The same as tables and in words: workflows/records.py
 
 from snakemake.utils import min_version
@@ -12,7 +13,7 @@ include: "workflows/rules/common.smk"
 
 rule all:
     input:
-        f"{OUT}/report/index.html",
+        f"{VIEW}/report/index.html",
 
 include: "workflows/rules/plan.smk"
 include: "workflows/rules/fetch.smk"

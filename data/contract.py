@@ -57,11 +57,11 @@ class Card(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
-    title: str
+    title: str = ""
     dim: Dim | dict[str, Dim]  # of all shapes, or per shape
     files: tuple[File, ...] = ()
-    licence: str
-    citation: str
+    licence: str = "not stated"
+    citation: str = "none"
     notes: str = ""
     loader: str  # a stock loader of data/loaders.py, or "own" for loader.py in the same folder
     parameters: dict[str, Any] = {}  # for the loader
@@ -70,7 +70,14 @@ class Card(BaseModel):
     @classmethod
     def _name_the_owner(cls, values: dict[str, Any]) -> dict[str, Any]:
         files = [{"dataset": values.get("name", ""), **file} for file in values.get("files", [])]
-        return {**values, "files": files}
+        return {"title": values.get("name", ""), **values, "files": files}
+
+    @model_validator(mode="after")
+    def _states_the_terms_of_files(self) -> Card:
+        for term in ("licence", "citation") if self.files else ():
+            if term not in self.model_fields_set:
+                raise ValueError(f"{term}: missing; files of others come on terms, state them")
+        return self
 
     def file(self, path: str) -> File:
         """The file with this mirror path."""
@@ -152,6 +159,10 @@ class Dataset(abc.ABC):
         """Recorded tests by name; empty for prototypes, which are disturbed by our own code."""
         return {}
 
+    def local_files(self) -> list[Path]:
+        """Files outside of the data set's folder and the cache that decide its instances."""
+        return []
+
     def _known(self, what: str, value: Any, choices: Iterable[Any]) -> None:
         """Raise unless `value` is one of `choices`."""
         choices = list(choices)
@@ -195,7 +206,15 @@ class PrototypeDataset(Dataset):
 
 
 class RecordedDataset(Dataset):
-    """Recorded instances: source and target come from files, with known truth."""
+    """Recorded instances: source and target come from files, with known truth.
+
+    Attributes
+    ----------
+    fixed_size : bool
+        Whether the number of points is that of the record, and n_points is refused.
+    """
+
+    fixed_size = False
 
     @abc.abstractmethod
     def tests(self) -> dict[str, Axis]:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data.contract import Axis, Dataset, PrototypeDataset, RawInstance, RecordedDataset
+from data.contract import Axis, DataError, Dataset, PrototypeDataset, RawInstance, RecordedDataset
 from data.fetch import fetch
+from data.pairs import CloudPairs
 from data.sampling import farthest_points
 from data.scans import scan_instance
 from dcreg.io import read_points
@@ -40,6 +41,11 @@ class PointFiles(PrototypeDataset):
         points = _read(self.fetch(shape)[0], skip_rows)
         if n_points is None:
             n_points = len(points) if self.dim(shape) == 2 else DEFAULT_POINTS_3D
+        if n_points > len(points):
+            raise DataError(
+                f"dataset {self.name}: shape {shape} has {len(points)} points; "
+                f"n_points={n_points}, give at most that"
+            )
         if n_points == len(points):
             return points.copy()
         return points[farthest_points(points, n_points)]
@@ -78,4 +84,8 @@ class ScanPair(RecordedDataset):
         )
 
 
-STOCK: dict[str, type[Dataset]] = {"points": PointFiles, "scan_pair": ScanPair}
+STOCK: dict[str, type[Dataset]] = {
+    "points": PointFiles,
+    "scan_pair": ScanPair,
+    "pairs": CloudPairs,
+}

@@ -6,7 +6,8 @@ Modules are imported inside the commands: a stage should not wait for what anoth
 from __future__ import annotations
 
 import json
-import subprocess
+import os
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -70,11 +71,14 @@ def run(
     trials: Axis = "",
     cores: Annotated[str, typer.Option(help="Number of cores, or all.")] = "all",
     directory: Annotated[Path, typer.Option(help="Where results/ lies.")] = CHECKOUT,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what is to do.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would run.")] = False,
     timing: Annotated[bool, typer.Option("--timing", help="One solve job at a time.")] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="End with the tables.")] = False,
 ) -> None:
-    """Run an experiment, or a selected part of it, and print the summary."""
+    """Run an experiment, or a selected part of it, and print the summary.
+
+    A part has tables and a report of its own, in results/NAME/parts.
+    """
     axes = {
         "methods": methods,
         "datasets": datasets,
@@ -84,33 +88,47 @@ def run(
         "trials": trials,
     }
     select = [f"{axis}={values}" for axis, values in axes.items() if values]
+    if cores != "all" and not (cores.isdecimal() and int(cores)):
+        raise UserError(f"--cores {cores}: give a number from 1, or all")
     plan = _plan(experiment, select)
+    name = plan.experiment.name
+    folder = directory / "results" / name
+    if dry_run:
+        from workflows.summary import print_plan
+
+        print_plan(
+            plan, folder, 1 if timing else os.cpu_count() or 1 if cores == "all" else int(cores)
+        )
+        return
     print(
-        f"plan      {plan.experiment.name}: {len(list(plan.runs()))} runs of "
+        f"plan      {name}: {len(list(plan.runs()))} runs of "
         f"{sum(len(chunk.instances) for chunk in plan.chunks)} instances "
-        f"and {len(plan.methods)} methods"
+        f"and {len(plan.methods)} methods",
+        flush=True,
     )
     if Path(experiment).is_file():
         experiment = str(Path(experiment).resolve())
-    command = [
-        *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
-        *("--workflow-profile", str(CHECKOUT / "workflows" / "profiles" / "default")),
+    from workflows.running import INTERRUPTED, run_snakemake
+
+    arguments = [
         *(["tables"] if no_report else []),
-        *("--directory", str(directory), "--cores", cores),
-        *(["--resources", "timing=1"] if timing else []),
-        *(["--dry-run", "--quiet", "host", "reason"] if dry_run else []),
+        *("--cores", cores),
+        *("--resources", "fetching=1", *(["timing=1"] if timing else [])),
         *("--config", f"experiment={experiment}", f"select={' '.join(select)}"),
     ]
-    if code := subprocess.run(command).returncode:
+    if code := run_snakemake(directory, name, arguments):
+        what = (
+            "stopped"
+            if code == INTERRUPTED
+            else "not all stages came through; their messages are above"
+        )
         print(
-            "error: not all stages came through; their messages are above. Runs that finished are "
-            "kept: the same command goes on from here.",
+            f"error: {what}. Runs that finished are kept: the same command goes on from here.",
             file=sys.stderr,
         )
         raise typer.Exit(code)
-    if not dry_run:
-        _say("all stages")
-        summary(directory / "results" / plan.experiment.name)
+    _say("all stages")
+    summary(folder / plan.view)
 
 
 @app.command()
@@ -181,7 +199,7 @@ def forget(
 
     dropped = drop(folder / "runs", set(status.split(",")))
     if dropped:  # Snakemake repeats no job while everything made from its output is there
-        for made_from_runs in ("metrics", "tables", "report"):
+        for made_from_runs in ("metrics", "tables", "report", "parts"):
             shutil.rmtree(folder / made_from_runs, ignore_errors=True)
     print(f"forgot {dropped} runs")
 
@@ -221,15 +239,16 @@ def plan(experiment: Experiment, out: Out, select: Select = None) -> None:
 @user_errors
 def fetch(
     experiment: Experiment,
-    dataset: Annotated[str, typer.Option()],
+    chunk: Annotated[str, typer.Option()],
     out: Out,
     select: Select = None,
 ) -> None:
-    """Fetch and verify the files of a dataset that the experiment needs."""
-    from workflows.stages.fetch import fetch as fetch_dataset
+    """Fetch and verify the files that the instances of a chunk need."""
+    from workflows.stages.fetch import fetch as fetch_files
 
-    fetch_dataset(_plan(experiment, select), dataset, out)
-    _say(f"fetch     {dataset}")
+    needed = _plan(experiment, select).chunk(chunk)
+    fetch_files(needed, out)
+    _say(f"fetch     {', '.join(needed.datasets)} for {chunk}")
 
 
 @app.command(hidden=True)
@@ -260,6 +279,8 @@ def solve(
     select: Select = None,
 ) -> None:
     """Run a method on a chunk of instances."""
+    # As an exception, so that workers and their children are ended too.
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     from workflows.config import load
     from workflows.stages.solve import solve as solve_chunk
 
@@ -276,12 +297,12 @@ def solve(
 
 @app.command(hidden=True)
 @user_errors
-def evaluate(folder: Folder, out: Out) -> None:
+def evaluate(folder: Folder, plan: Annotated[Path, typer.Option()], out: Out) -> None:
     """Compute all metrics."""
     from workflows import records
     from workflows.stages.evaluate import evaluate as judge
 
-    metrics = judge(folder)
+    metrics = judge(folder, plan)
     records.write(metrics, out)
     _say(f"evaluate  {len(metrics)} runs")
 
@@ -292,8 +313,9 @@ def aggregate(experiment: Experiment, folder: Folder, select: Select = None) -> 
     """Write the tables."""
     from workflows.stages.aggregate import aggregate as join
 
-    join(_plan(experiment, select), folder)
-    _say(f"aggregate {folder / 'tables'}")
+    planned = _plan(experiment, select)
+    join(planned, folder)
+    _say(f"aggregate {folder / planned.view / 'tables'}")
 
 
 @app.command(hidden=True)
@@ -307,10 +329,10 @@ def report(tables: Path, out: Path) -> None:
 
 
 def _plan(experiment: str, select: list[str] | None = None) -> Plan:
-    from workflows.config import load, parse_selection
+    from workflows.config import load, origin, parse_selection
     from workflows.stages.plan import expand
 
-    return expand(load(experiment), parse_selection(select or []))
+    return expand(load(experiment), parse_selection(select or []), origin(experiment))
 
 
 def _say(text: str) -> None:

@@ -3,10 +3,12 @@
 Verdicts, per experiment, method and metric:
 
 - Work counters are integers that no machine changes: a single differing run is a real change.
+- A pose that is lost is a regression, whatever took it.
 - Quality (RMSE, objective, success) is paired over the same instances and judged by a sign test;
   a difference the test cannot tell from chance is shown as ``unclear``, not hidden.
-- Runs that the clock ended are left out of both, as they differ from one execution to the next;
-  they count in the certified share.
+- Runs that the clock ended are left out of counters, RMSE and objective, as they differ from one
+  execution to the next; they count in poses, success and the certified share.
+- Runs of a method that is not installed on one side are left out.
 - Times are compared within one machine only, and never fail a comparison.
 
 ``worse`` is a regression; every other verdict is not.
@@ -175,6 +177,8 @@ def judge_method(
     """Verdicts on one method, over the runs that both versions made of the same content."""
     keys = ["instance_id", "instance_digest", "n_inliers"]
     pairs = base.merge(head, on=keys, suffixes=("_base", "_head"), validate="one_to_one")
+    absent = pairs[["status_base", "status_head"]].isin(["unavailable"]).any(axis=1)
+    pairs = pairs[~absent]
     alone = len(base) + len(head) - 2 * len(pairs)
     left_out = f"{alone} runs without counterpart" if alone else ""
 
@@ -189,22 +193,24 @@ def judge_method(
     if pairs.empty:
         yield verdict("runs", "runs", "none", len(base), len(head), "not compared", "")
         return
-    yield verdict("failed", "runs", "lower", *_failures(pairs))
+    yield verdict("without pose", "runs", "lower", *_poses(pairs))
     yield verdict("wrong bounds", "runs", "lower", *_wrong_bounds(pairs))
     if pairs[["gap_base", "gap_head"]].notna().any(axis=None):
         yield verdict("certified", "runs", "higher", *_certified(pairs))
+
+    old, new, word, why = _success(pairs)
+    yield verdict("success", "runs", "higher", old, new, word, why)
 
     clocked = pairs[["status_base", "status_head"]].isin(["time_limit", "memory_limit"]).any(axis=1)
     steady = pairs[~clocked]
     note = f"{clocked.sum()} runs ended by the clock left out" if clocked.any() else ""
     for counter in COUNTERS:
-        if steady[f"{counter}_base"].notna().any():
-            old, new, word, why = _counter(steady, counter)
+        counted = steady[steady[[f"{counter}_base", f"{counter}_head"]].notna().all(axis=1)]
+        if len(counted):
+            old, new, word, why = _counter(counted, counter)
             yield verdict(counter, "count", "lower", old, new, word, _joined(why, note))
     if steady.empty:
         return
-    old, new, word, why = _success(steady)
-    yield verdict("success", "runs", "higher", old, new, word, _joined(why, note))
     for metric in QUALITY:
         old, new, word, why = _quality(steady, metric)
         unit = METRICS[metric].unit
@@ -226,11 +232,16 @@ def sign_test(better: int, worse: int) -> str:
 Judged = tuple[float, float, str, str]  # value in base, value in head, verdict, detail
 
 
-def _failures(pairs: pd.DataFrame) -> Judged:
-    old, new = (pairs[f"status_{side}"].eq("failed") for side in ("base", "head"))
-    added, mended = int((new & ~old).sum()), int((old & ~new).sum())
-    word = "worse" if added else "better" if mended else "same"
-    return old.sum(), new.sum(), word, f"{added} new, {mended} mended" if added or mended else ""
+def _poses(pairs: pd.DataFrame) -> Judged:
+    old, new = (pairs[f"rmse_{side}"].isna() for side in ("base", "head"))
+    lost, found = pairs[new & ~old], int((old & ~new).sum())
+    if lost.empty and not found:
+        return old.sum(), new.sum(), "same", ""
+    ended = ", ".join(
+        f"{count} {status}" for status, count in lost["status_head"].value_counts().items()
+    )
+    why = f"{len(lost)} poses lost{f' ({ended})' if ended else ''}, {found} found"
+    return old.sum(), new.sum(), "worse" if len(lost) else "better", why
 
 
 def _wrong_bounds(pairs: pd.DataFrame) -> Judged:
@@ -262,7 +273,7 @@ def _certified(pairs: pd.DataFrame) -> Judged:
 
 
 def _counter(pairs: pd.DataFrame, name: str) -> Judged:
-    old, new = pairs[f"{name}_base"].fillna(0), pairs[f"{name}_head"].fillna(0)
+    old, new = pairs[f"{name}_base"], pairs[f"{name}_head"]
     differing = int((old != new).sum())
     if not differing:
         return old.sum(), new.sum(), "same", ""

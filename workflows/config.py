@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
+import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from dcreg.problem import suggestion
 from workflows import CHECKOUT, UserError, methods
 
 CONFIGS = CHECKOUT / "workflows" / "configs"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$")]
-Positive = Annotated[float, Field(gt=0)]
+Seconds = Annotated[float, Field(gt=0, le=1e7)]
+Model = Literal["similarity2d", "rigid3d"]
+MAX_RUNS = 1_000_000  # of an experiment; a plan holds all of them in memory
+MAX_LEVEL = 10.0  # of our own tests: lengths in sides of the shape, or points per point
 
 
 class ConfigError(UserError):
@@ -24,15 +36,25 @@ class ConfigError(UserError):
 class Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_flags(cls, values: Any) -> Any:
+        if isinstance(values, dict):
+            for key, value in values.items():
+                if isinstance(value, bool):  # which would pass for 0 or 1
+                    raise ValueError(f"{key} is {str(value).lower()}; give a number or text")
+        return values
+
 
 class LimitSettings(Part):
     """What one run may use. A worker that has not answered well after ``time_s`` is killed."""
 
-    time_s: Positive = 10.0
-    memory_mb: Annotated[int, Field(gt=0)] = 2048  # of the whole worker, its libraries included
-    nodes: Annotated[int, Field(gt=0)] | None = None
-    threads: Annotated[int, Field(gt=0)] = 1
-    warm_up_s: Positive = 300.0  # imports and JIT compilation, once per worker
+    time_s: Seconds = 10.0
+    # Of the whole worker, its libraries included: with less than 100 none could start.
+    memory_mb: Annotated[int, Field(ge=100, le=10**8)] = 2048
+    nodes: Annotated[int, Field(gt=0, le=10**15)] | None = None
+    threads: Annotated[int, Field(gt=0, le=1024)] = 1
+    warm_up_s: Seconds = 300.0  # imports and JIT compilation, once per worker
 
     @property
     def kill_after_s(self) -> float:
@@ -44,10 +66,10 @@ class DatasetSettings(Part):
     """One dataset and the grid of tests × levels × trials drawn from it."""
 
     dataset: str
-    shapes: list[str] = []  # all of the dataset's, when empty
+    shapes: Annotated[list[str], Field(min_length=1)] | None = None  # all of the dataset's
     tests: Annotated[dict[str, list[float]], Field(min_length=1)]
     trials: Annotated[int, Field(gt=0)] = 1
-    n_points: Annotated[int, Field(ge=3)] | None = None
+    n_points: Annotated[int, Field(ge=3, le=100_000)] | None = None
 
     @field_validator("tests")
     @classmethod
@@ -55,7 +77,16 @@ class DatasetSettings(Part):
         for test, levels in tests.items():
             if not levels or len(set(levels)) < len(levels):
                 raise ValueError(f"{test}: give one or more different levels, not {levels}")
+            if wrong := [level for level in levels if not math.isfinite(level)]:
+                raise ValueError(f"{test}: level {wrong[0]} is no number; give a finite one")
         return tests
+
+    @field_validator("shapes")
+    @classmethod
+    def _shapes_differ(cls, shapes: list[str] | None) -> list[str] | None:
+        if shapes and len(set(shapes)) < len(shapes):
+            raise ValueError("a shape is given twice; name each once")
+        return shapes
 
 
 class MethodSettings(Part):
@@ -68,7 +99,7 @@ class MethodSettings(Part):
     # The solver is told round(ratio * true count) pairs, as in the paper, which derives the prior
     # from the truth: 1 and 0.5 there.
     n_inliers_ratio: Annotated[float, Field(gt=0, le=2)] = 1.0
-    models: list[Literal["similarity2d", "rigid3d"]] = []  # instances it is asked to treat; all
+    models: Annotated[list[Model], Field(min_length=1)] | None = None  # it is asked to treat; all
     limits: dict[str, float | None] = {}  # overrides of the experiment's limits
 
 
@@ -113,6 +144,12 @@ def find(experiment: str) -> Path:
     raise ConfigError(f"no experiment {experiment!r}{suggestion(experiment, known)}")
 
 
+def origin(experiment: str) -> str:
+    """Name of a config of the checkout, or path of another one: what finds it again."""
+    path = find(experiment).resolve()
+    return path.stem if path.parent == CONFIGS else _shown(path)
+
+
 def load(experiment: str) -> Experiment:
     """Read an experiment by name or path and check all of it against cards and datasets.
 
@@ -124,15 +161,20 @@ def load(experiment: str) -> Experiment:
     path = find(experiment)
     try:
         content = yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{_shown(path)}: not valid YAML: {error}") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(
+            f"{_shown(path)}: not valid YAML: {error}; correct it, see workflows/configs/demo.yaml"
+        ) from error
+    except OSError as error:
+        raise ConfigError(f"{_shown(path)}: {error.strerror}; make the file readable") from error
     if not isinstance(content, dict):
         raise ConfigError(f"{_shown(path)}: must be a mapping of keys to values")
     try:
-        settings = Experiment(**content)
+        settings = Experiment.model_validate(content)
     except ValidationError as error:
         raise _config_error(path, [_explain(problem) for problem in error.errors()]) from error
-    if problems := [*_check_methods(settings), *_check_datasets(settings)]:
+    problems = [*_check_name(settings, path), *_check_methods(settings), *_check_datasets(settings)]
+    if problems or (problems := list(_check_size(settings))):
         raise _config_error(path, problems)
     return settings
 
@@ -155,6 +197,13 @@ def parse_selection(texts: Iterable[str]) -> Selection:
         ) from error
 
 
+def _check_name(settings: Experiment, path: Path) -> Iterable[str]:
+    """Results are kept by name: no other config may have that of one of the checkout."""
+    namesake = CONFIGS / f"{settings.name}.yaml"
+    if namesake.is_file() and namesake != path.resolve():
+        yield f"name: {settings.name!r} is that of {_shown(namesake)}; give another name"
+
+
 def _check_methods(settings: Experiment) -> Iterable[str]:
     from baselines.registry import BaselineError
 
@@ -172,8 +221,11 @@ def _check_methods(settings: Experiment) -> Iterable[str]:
         except BaselineError as error:
             yield f"{key}.baseline: {error}"
             continue
-        for option in sorted(set(method.options) - set(parameters)):
+        unknown = sorted(set(method.options) - set(parameters))
+        for option in unknown:
             yield f"{key}.options.{option}: unknown option{suggestion(option, parameters)}"
+        if method.options and not unknown:
+            yield from _check_options(key, method)
         try:
             settings.limits_of(method)
         except ValidationError as error:
@@ -182,9 +234,24 @@ def _check_methods(settings: Experiment) -> Iterable[str]:
                 yield f"{key}.{_explain(problem)}"
 
 
+def _check_options(key: str, method: MethodSettings) -> Iterable[str]:
+    """Values that the method itself refuses, and numbers that are none."""
+    from baselines.registry import BaselineError
+
+    for option, value in method.options.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            yield f"{key}.options.{option}: {value} is no number; give a finite one"
+    try:
+        methods.load(method.baseline, method.options)
+    except BaselineError as error:
+        yield f"{key}.options: {error}"
+    except ImportError:
+        pass  # not installed here: its runs say so
+
+
 def _check_datasets(settings: Experiment) -> Iterable[str]:
     from data import registry
-    from data.contract import RecordedDataset
+    from data.contract import Axis, RecordedDataset
     from workflows.disturb import DISTURBANCES
 
     known = registry.datasets()
@@ -194,10 +261,14 @@ def _check_datasets(settings: Experiment) -> Iterable[str]:
             yield f"{key}.dataset: no dataset {entry.dataset!r}{suggestion(entry.dataset, known)}"
             continue
         dataset = known[entry.dataset]
-        for shape in entry.shapes:
+        for shape in entry.shapes or ():
             if shape not in dataset.shapes():
                 yield f"{key}.shapes: no shape {shape!r}{suggestion(shape, dataset.shapes())}"
-        recorded = dataset.tests() if isinstance(dataset, RecordedDataset) else {}
+        recorded: dict[str, Axis] = {}
+        if isinstance(dataset, RecordedDataset):
+            recorded = dataset.tests()
+            if dataset.fixed_size and entry.n_points is not None:
+                yield f"{key}.n_points: {entry.dataset} has a fixed number of points; leave it out"
         tests = recorded or DISTURBANCES
         for test, levels in entry.tests.items():
             if test not in tests:
@@ -207,7 +278,48 @@ def _check_datasets(settings: Experiment) -> Iterable[str]:
                 for level in sorted(set(levels) - set(axis.levels)):
                     yield f"{key}.tests.{test}: no level {level:g}; it has {list(axis.levels)}"
                 if entry.trials > axis.n_trials:
-                    yield f"{key}.trials: {test} has {axis.n_trials} trials, not {entry.trials}"
+                    yield (
+                        f"{key}.trials: {test} has {axis.n_trials} trials, not {entry.trials}; "
+                        "lower it"
+                    )
+            else:
+                for level in levels:
+                    yield from _check_level(f"{key}.tests.{test}", test, level, entry.n_points)
+
+
+def _check_level(key: str, test: str, level: float, n_points: int | None) -> Iterable[str]:
+    """Levels that the disturbance cannot have, or refuses for so many points."""
+    from workflows.disturb import DISTURBANCES
+
+    if not 0 <= level <= MAX_LEVEL:
+        yield f"{key}: level {level:g}; give one from 0 to {MAX_LEVEL:g}"
+        return
+    rng = np.random.default_rng(0)
+    try:
+        DISTURBANCES[test](rng.random((min(n_points or 100, 100), 2)), level, rng)
+    except ValueError as error:
+        yield f"{key}: {error}"
+
+
+def _check_size(settings: Experiment) -> Iterable[str]:
+    """Experiments that no one could plan, and methods that nothing is asked of."""
+    from data import registry
+
+    known = registry.datasets()
+    counts: dict[str, int] = {}
+    for entry in settings.datasets:
+        for shape in entry.shapes or known[entry.dataset].shapes():
+            model = known[entry.dataset].model(shape)
+            n_levels = sum(map(len, entry.tests.values()))
+            counts[model] = counts.get(model, 0) + n_levels * entry.trials
+    if (runs := sum(counts.values()) * len(settings.methods)) > MAX_RUNS:
+        yield f"datasets: {runs:,} runs, at most {MAX_RUNS:,}; lower trials, or split the experiment"
+    for index, method in enumerate(settings.methods):
+        if method.models and not set(method.models) & set(counts):
+            yield (
+                f"methods[{index}].models: no dataset has {' or '.join(method.models)}, only "
+                f"{' and '.join(counts)}; correct models, or leave the method out"
+            )
 
 
 def _config_error(path: Path, problems: Sequence[str]) -> ConfigError:
@@ -223,6 +335,10 @@ def _explain(problem: Any) -> str:
         return f"{key}: unknown key{suggestion(str(location[-1]), _keys_at(location[:-1]))}"
     if problem["type"] == "missing":
         return f"{key}: missing; add it"
+    if problem["type"] == "value_error":
+        return f"{key}: {problem['ctx']['error']}".removeprefix(": ")
+    if problem["type"] in ("too_short", "list_type") and key.endswith((".shapes", ".models")):
+        return f"{key}: is {problem['input']!r}; list at least one, or leave it out for all"
     return f"{key}: {problem['msg']}, is {problem['input']!r}"
 
 
@@ -254,6 +370,10 @@ class _StrictLoader(yaml.SafeLoader):
         seen = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, Hashable):
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key!r} is no name", key_node.start_mark
+                )
             if key in seen:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"key {key!r} is given twice", key_node.start_mark

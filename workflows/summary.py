@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from rich.table import Table
 
 from workflows import methods, records
 from workflows.metrics import METRICS
+from workflows.stages.plan import Plan, PlannedRun
+from workflows.stages.solve import journalled
 
 
 def summarise(runs: pd.DataFrame) -> pd.DataFrame:
@@ -59,24 +62,90 @@ def print_summary(folder: Path, console: Console | None = None) -> None:
         for (name, message), group in these.groupby(["display_name", "message"], sort=False):
             console.print(f"{outcome}: {name} ({len(group)} runs): {message}", markup=False)
     report = folder / "report" / "index.html"
+    if folder.parent.name == "parts":
+        console.print(f"a part; all of the experiment is in {os.path.relpath(folder.parents[1])}")
     shown = os.path.relpath(report)
     console.print(f"report: {shown}" if report.is_file() else f"no report yet at {shown}")
+
+
+def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = None) -> None:
+    """The table of planned runs with the time they need, and where their report will be."""
+    console = console or Console(width=None if os.isatty(1) else 120)
+    table = Table(title=f"{plan.experiment.name}", title_justify="left", title_style="bold")
+    for name in ("method", "model", "tests"):
+        table.add_column(name)
+    for name in ("runs", "finished", "time of the others"):
+        table.add_column(name, justify="right")
+    outlook = outlook_of(plan, folder)
+    for row in outlook:
+        time = _duration(row.seconds)
+        table.add_row(
+            *(row.method, row.model, ", ".join(row.tests)),
+            *(str(row.runs), str(row.finished), time if row.known else f"at most {time}"),
+        )
+    console.print(table)
+    seconds = sum(row.seconds for row in outlook)
+    at_most = "" if all(row.known for row in outlook) else "at most "
+    console.print(
+        f"{sum(row.runs for row in outlook)} runs, {sum(row.finished for row in outlook)} of them "
+        f"finished; the others take {at_most}about {_duration(seconds / cores)} on {cores} cores, "
+        "start and compilation of methods aside"
+    )
+    console.print(f"report: {os.path.relpath(folder / plan.view / 'report' / 'index.html')}")
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What runs of a method on one model are to be expected, and the seconds of those not finished.
+
+    ``known``: from runs of this method that finished; otherwise from its limit.
+    """
+
+    method: str
+    model: str
+    tests: list[str]
+    runs: int
+    finished: int
+    seconds: float
+    known: bool
+
+
+def outlook_of(plan: Plan, folder: Path) -> list[Outlook]:
+    """What is to be expected of each method and model of a plan, given the runs in `folder`."""
+    rows: dict[tuple[str, str], list[PlannedRun]] = {}
+    for run in plan.runs():
+        rows.setdefault((run.method.name, run.chunk.model), []).append(run)
+    outlook = []
+    for (name, model), runs in rows.items():
+        method = runs[0].method
+        fingerprint = methods.fingerprint(method.baseline)
+        ids = {run.run_id for run in runs}
+        kept = [row for row in journalled(folder / "runs" / name).values() if row["run_id"] in ids]
+        finished = len({row["run_id"] for row in kept if row["fingerprint"] == fingerprint})
+        times = [row["time_solve_s"] for row in kept if row.get("time_solve_s") is not None]
+        each = float(np.mean(times)) if times else plan.experiment.limits_of(method).time_s
+        tests = list(dict.fromkeys(run.instance.test for run in runs))
+        seconds = (len(runs) - finished) * each
+        known = bool(times) or finished == len(runs)
+        outlook.append(Outlook(name, model, tests, len(runs), finished, seconds, known))
+    return outlook
 
 
 def print_baselines(console: Console | None = None) -> None:
     """Table of all methods, those of extra folders included."""
     from baselines import registry
 
-    table = Table("method", "models", "version", "provenance", "certifies", "available")
+    table = Table("baseline", "method", "models", "version", "provenance", "certifies", "available")
     citations = []
     for root in methods.roots():
         for row in registry.availability(root):
             available = "yes" if row["available"] else f"no: {row['reason']}"
-            cells = [row[key] for key in ("method", "models", "version", "provenance", "bounds")]
-            table.add_row(*map(str, cells), available)
+            facts = ("name", "method", "models", "version", "provenance", "bounds")
+            table.add_row(*(str(row[key]) for key in facts), available)
             citations.append(f"{row['method']}: {row['citation']}")
     console = console or Console(width=None if os.isatty(1) else 180)
     console.print(table)
+    console.print("In a config: methods: [{name: any, baseline: BASELINE}]\n", highlight=False)
     console.print("\n".join(citations), highlight=False, markup=False)
 
 
@@ -106,6 +175,12 @@ def _number(value: float) -> str:
     if np.isnan(value):
         return "–"
     return "∞" if np.isinf(value) else f"{value:.4f}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def _seconds(value: float) -> str:

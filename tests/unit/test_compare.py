@@ -109,8 +109,36 @@ def test_a_pose_that_is_gone_counts_as_worst(base):
     head.loc[:9, ["rmse", "objective"]] = np.nan
     head.loc[:9, "status"] = "failed"
     found = verdicts(base, head)
-    assert found["failed"] == "worse"
+    assert found["without pose"] == "worse"
     assert found["median rmse"] == "worse"
+
+
+@pytest.mark.parametrize("status", ["failed", "time_limit", "memory_limit", "unsupported"])
+def test_one_lost_pose_is_a_regression_whatever_ended_the_run(base, status):
+    head = base.copy()
+    lost = {"status": status, "rmse": np.nan, "objective": np.nan, "n_nodes": np.nan}
+    head.loc[0, list(lost)] = list(lost.values())
+    found = verdicts(base, head)
+    assert found["without pose"] == "worse"
+    assert found["n_nodes"] == "same"  # less work on the way to no pose is not better
+    assert verdicts(head, base)["without pose"] == "better"
+
+
+def test_success_lost_to_the_clock_is_a_regression(base):
+    """12 of 12 in one version, 6 of 12 in the next, the other 6 ended by the clock."""
+    base = base.iloc[:12].assign(status="optimal")
+    head = base.copy()
+    head.loc[:5, ["status", "success"]] = ["time_limit", False]
+    (found,) = [v for v in judge_experiment("e", base, head) if v.metric == "success"]
+    assert (found.base, found.head, found.verdict) == (12, 6, "worse")
+
+
+def test_a_method_that_is_not_installed_on_one_side_is_not_compared(base):
+    lost = {"status": "unavailable", "rmse": np.nan, "success": False}
+    assert verdicts(base, base.assign(**lost)) == {"runs": "not compared"}
+    head = base.copy()
+    head.loc[0, list(lost)] = list(lost.values())
+    assert set(verdicts(base, head).values()) == {"same"}
 
 
 def test_a_bound_above_the_truth_is_a_regression(base):

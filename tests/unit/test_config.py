@@ -56,6 +56,103 @@ def test_a_small_config_gets_the_documented_defaults(write):
         (("methods", 0), "options", {"boun": 1}, "options.boun: unknown option; did you mean 'bo"),
         (("methods", 0), "limits", {"nods": 1}, "methods[0].limits.nods: unknown key; did you mea"),
         (("methods", 1), "name", "dcreg", "name 'dcreg' is used 2 times"),
+        ((), "name", "demo", "name: 'demo' is that of workflows/configs/demo.yaml; give another"),
+        ((), "chunk_size", True, "chunk_size is true; give a number"),
+        ((), 5, "x", "Keys should be strings"),
+        (
+            (),
+            "limits",
+            {"time_s": float("inf")},
+            "limits.time_s: Input should be less than or equal",
+        ),
+        ((), "limits", {"time_s": float("nan")}, "limits.time_s: Input should be less than or"),
+        ((), "limits", {"memory_mb": 1}, "limits.memory_mb: Input should be greater than or equal"),
+        (
+            (),
+            "limits",
+            {"nodes": 10**40},
+            "limits.nodes: Input should be less than or equal to 1000",
+        ),
+        ((), "limits", {"threads": 10**6}, "limits.threads: Input should be less than or equal to"),
+        (("datasets", 0), "tests", {"noise": [-1]}, "tests.noise: level -1; give one from 0 to 10"),
+        (
+            ("datasets", 0),
+            "tests",
+            {"noise": [float("nan")]},
+            "tests: noise: level nan is no number",
+        ),
+        (
+            ("datasets", 0),
+            "tests",
+            {"noise": [1e300]},
+            "noise: level 1e+300; give one from 0 to 10",
+        ),
+        (
+            ("datasets", 0),
+            "tests",
+            {"occlusion_outliers": [2.0]},
+            "leaves 0 of 100 true pairs; use at",
+        ),
+        (("datasets", 0), "tests", {"noise": []}, "noise: give one or more different levels"),
+        (("datasets", 0), "tests", {}, "datasets[0].tests: Dictionary should have at least 1 item"),
+        (
+            ("datasets", 0),
+            "shapes",
+            [],
+            "shapes: is []; list at least one, or leave it out for all",
+        ),
+        (
+            ("datasets", 0),
+            "shapes",
+            "fish",
+            "shapes: is 'fish'; list at least one, or leave it out",
+        ),
+        (("datasets", 0), "shapes", ["fish", "fish"], "a shape is given twice; name each once"),
+        (
+            ("datasets", 0),
+            "trials",
+            10**9,
+            "datasets: 4,000,000,000 runs, at most 1,000,000; lower",
+        ),
+        (("datasets", 0), "trials", 0, "datasets[0].trials: Input should be greater than 0"),
+        (
+            ("datasets", 0),
+            "n_points",
+            10**9,
+            "n_points: Input should be less than or equal to 100000",
+        ),
+        (("methods", 0), "models", [], "models: is []; list at least one, or leave it out for all"),
+        (
+            ("methods", 0),
+            "models",
+            ["rigid3d"],
+            "methods[0].models: no dataset has rigid3d, only simi",
+        ),
+        (
+            ("methods", 0),
+            "n_inliers_ratio",
+            float("nan"),
+            "n_inliers_ratio: Input should be less",
+        ),
+        (("methods", 0), "options", {"bound": "foo"}, "methods[0].options: dcreg: option bound"),
+        (
+            ("methods", 0),
+            "options",
+            {"mode": "fast"},
+            "methods[0].options: dcreg: option mode = 'fast'",
+        ),
+        (
+            ("methods", 0),
+            "options",
+            {"polish": 3},
+            "option polish = 3 is a int; give a bool such as",
+        ),
+        (
+            ("methods", 0),
+            "options",
+            {"gap_tol_factor": float("nan")},
+            "nan is no number; give a finite",
+        ),
     ],
 )
 def test_errors_name_the_file_the_key_and_a_remedy(write, place, key, value, expected):
@@ -90,11 +187,44 @@ def test_a_key_given_twice_is_an_error(write):
         config.load(write("name: a\nname: b\n"))
 
 
-def test_text_that_is_no_config_is_refused(write):
-    with pytest.raises(ConfigError, match="must be a mapping"):
-        config.load(write("- 1"))
-    with pytest.raises(ConfigError, match="not valid YAML"):
-        config.load(write("a: ["))
+def test_a_fixed_number_of_points_cannot_be_chosen(write):
+    content = copy.deepcopy(GOOD)
+    entry = {"dataset": "chui_rangarajan", "tests": {"def": [1]}, "n_points": 50}
+    content["datasets"] = [entry]
+    with pytest.raises(ConfigError, match=r"datasets\[0\]\.n_points: .* leave it out"):
+        config.load(write(content))
+
+
+def test_the_same_config_elsewhere_may_not_write_into_the_results_of_the_first(write):
+    text = (config.CONFIGS / "demo.yaml").read_text(encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"small\.yaml: name: 'demo' is that of"):
+        config.load(write(text))
+    assert config.load(write(text.replace("name: demo\n", "name: mine\n"))).name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "must be a mapping"),
+        ("- 1", "must be a mapping"),
+        ("a: [", "not valid YAML"),
+        ("[1, 2]: 3", "not valid YAML"),
+        ("name: 2020-99-99", "not valid YAML"),
+        (f"seed: {'9' * 5000}", "not valid YAML"),
+        ("[" * 3000, "not valid YAML"),
+        ("name: !!python/object:os.system x", "not valid YAML"),
+    ],
+)
+def test_text_that_is_no_config_is_refused(write, text, expected):
+    with pytest.raises(ConfigError, match=expected):
+        config.load(write(text))
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path):
+    path = tmp_path / "small.yaml"
+    path.write_bytes(b"\xff\xfe\x00name: x")
+    with pytest.raises(ConfigError, match=r"small\.yaml: not valid YAML"):
+        config.load(str(path))
 
 
 def test_an_unknown_experiment_is_named_with_a_suggestion():

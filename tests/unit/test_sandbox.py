@@ -11,7 +11,7 @@ import pytest
 
 from baselines.contract import Instance
 from workflows.config import LimitSettings, MethodSettings
-from workflows.stages.sandbox import Sandbox, Worker
+from workflows.stages.sandbox import MAX_REPEATS, Sandbox, Worker
 
 FAULTS = Path(__file__).parents[1] / "workflow" / "baselines"
 LIMITS = LimitSettings(time_s=0.3, memory_mb=600, warm_up_s=30)
@@ -41,13 +41,14 @@ def three_runs(fault: str, log: Path) -> list[dict]:
     [
         ("none", "converged", ""),
         ("raises", "failed", "ZeroDivisionError: planted (adapter.py:"),
-        ("hangs", "time_limit", "the limit is 0.3 s"),
-        ("grows", "memory_limit", "the limit is 600 MB"),
-        ("bursts", "memory_limit", "MemoryError"),
+        ("hangs", "failed", "the limit is 0.3 s"),
+        ("grows", "failed", "the limit is 600 MB"),
+        ("bursts", "failed", "MemoryError"),
         ("exits", "failed", "worker ended with exit code 3"),
         ("is_killed", "failed", "worker died of SIGKILL"),
         ("crashes", "failed", "worker died of SIGSEGV"),
-        ("gives_no_pose", "failed", "gave no pose"),
+        ("gives_no_pose", "failed", "said optimal but gave no pose"),
+        ("gives_up", "failed", "said time_limit but gave no pose"),
         ("gives_nan", "failed", "not finite"),
     ],
 )
@@ -57,6 +58,21 @@ def test_a_fault_becomes_its_status_and_the_rest_completes(fault, status, messag
     assert message in unlucky["message"]
     assert before["status"] == after["status"] == "converged"
     assert (unlucky.get("T_target_source") is None) == (fault != "none")
+
+
+def test_a_run_that_compiled_is_repeated_and_not_timed(tmp_path):
+    before, unlucky, after = three_runs("compiles", tmp_path / "log")
+    assert [run["status"] for run in (before, unlucky, after)] == ["converged"] * 3
+    assert unlucky["time_solve_s"] < 0.3
+    assert unlucky["time_warmup_s"] > before["time_warmup_s"] + 3.0  # where the time went
+    assert after["time_warmup_s"] == unlucky["time_warmup_s"]  # one worker all along
+    assert (tmp_path / "log").read_text().count("repeated, since it compiled code") == 1
+
+
+def test_a_method_that_always_compiles_is_timed_in_the_end(tmp_path):
+    _, unlucky, _ = three_runs("always_compiles", tmp_path / "log")
+    assert unlucky["status"] == "converged"
+    assert (tmp_path / "log").read_text().count("repeated") == MAX_REPEATS
 
 
 def test_a_hang_ends_soon_after_its_limit_with_all_its_children(tmp_path):

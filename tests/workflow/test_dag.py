@@ -7,12 +7,17 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+import psutil
 import pytest
 
 CHECKOUT = Path(__file__).parents[2]
@@ -28,6 +33,14 @@ datasets:
 methods:
   - {name: dcreg, baseline: dcreg}
   - {name: icp, baseline: icp}
+"""
+SLOW = """
+name: slow
+limits: {time_s: 5, memory_mb: 600}
+datasets:
+  - {dataset: embedded, shapes: [fish], n_points: 12, tests: {noise: [0, 0.01, 0.02, 0.03, 0.04, 0.05]}}
+methods:
+  - {name: naps, baseline: fault, options: {fault: naps}}
 """
 # With limits so that memory runs out before the time does, also on a busy machine.
 FAULTS = {"raises": "", "hangs": "", "grows": "time_s: 20", "is_killed": ""}
@@ -66,8 +79,8 @@ class Checkout:
     def write(self, config: str) -> None:
         (self.root / "workflows" / "configs" / "tiny.yaml").write_text(config)
 
-    def command(self, *arguments: str, ok: bool = True) -> str:
-        done = subprocess.run(
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
             [sys.executable, "-m", "workflows", *arguments],
             cwd=self.root,
             env={
@@ -75,12 +88,15 @@ class Checkout:
                 "PYTHONPATH": str(self.root),
                 "DCREG_BASELINES_PATH": str(CHECKOUT / "tests" / "workflow" / "baselines"),
             },
-            capture_output=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
             text=True,
-            timeout=300,
         )
-        output = done.stdout + done.stderr
-        assert (done.returncode == 0) == ok, output
+
+    def command(self, *arguments: str, ok: bool = True) -> str:
+        process = self.start(*arguments)
+        output, _ = process.communicate(timeout=300)
+        assert (process.returncode == 0) == ok, output
         return output
 
     def run(self, *arguments: str) -> list[str]:
@@ -217,8 +233,8 @@ def test_planted_faults_cost_their_runs_and_nothing_else(checkout):
     fine = {"noise": "converged/converged"}
     assert ended == {
         "raises": {**fine, "deformation": "failed"},
-        "hangs": {**fine, "deformation": "time_limit"},
-        "grows": {**fine, "deformation": "memory_limit"},
+        "hangs": {**fine, "deformation": "failed"},
+        "grows": {**fine, "deformation": "failed"},
         "is_killed": {**fine, "deformation": "failed"},
     }
     counts = pd.read_csv(checkout.root / "results/tiny/tables/accounting.csv", index_col="method")
@@ -227,15 +243,158 @@ def test_planted_faults_cost_their_runs_and_nothing_else(checkout):
     assert list(runs.loc["dcreg", "status"]) == ["optimal"] * 3
 
 
-def test_a_selection_takes_finished_runs_from_the_whole(checkout):
+def test_a_part_has_tables_of_its_own_with_the_runs_of_the_whole(checkout):
     before = checkout.runs().set_index("run_id")
     assert "solve icp" not in checkout.run("--tests", "noise", "--methods", "dcreg", "--no-report")
-    part = checkout.runs().set_index("run_id")
+    folder = checkout.root / "results/tiny/parts/methods-dcreg_tests-noise"
+    part = pd.read_parquet(folder / "tables/runs.parquet").set_index("run_id")
     assert len(part) == 2
     # The very same runs, with their times, not new ones.
     assert part["time_solve_s"].equals(before.loc[part.index, "time_solve_s"])
-    refused = checkout.command("record", "results/tiny", "--version", "x", ok=False)
+    assert checkout.runs().set_index("run_id").equals(before)
+    assert checkout.run("--no-report") == []  # the whole is untouched
+    refused = checkout.command("record", str(folder), "--version", "x", ok=False)
     assert "selection" in refused
+
+
+def test_a_plan_is_printed_as_a_table_and_makes_nothing(checkout):
+    files = sorted(checkout.root.glob("results/**/*"))
+    output = checkout.command("run", "tiny", "--dry-run", "--cores", "2", "--methods", "icp")
+    assert "icp" in output
+    assert "dcreg" not in output
+    assert "3 runs, 3 of them finished; the others take about 0 s on 2 cores" in output
+    checkout.write(CONFIG + "  - {name: more, baseline: icp, n_inliers_ratio: 0.7}\n")
+    output = checkout.command("run", "tiny", "--dry-run", "--cores", "2", "--methods", "more")
+    assert "3 runs, 0 of them finished; the others take at most about 2 s on 2 cores" in output
+    assert sorted(checkout.root.glob("results/**/*")) == files
+    checkout.write(CONFIG)
+
+
+@pytest.fixture
+def slow(checkout) -> Path:
+    """A config elsewhere, of six runs of a second each, and without results."""
+    shutil.rmtree(checkout.root / "results/slow", ignore_errors=True)
+    path = checkout.root / "elsewhere" / "slow.yaml"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(SLOW)
+    return path
+
+
+def wait_for_runs(checkout: Checkout, count: int) -> list[str]:
+    """Lines of the journal of the slow experiment, once there are so many."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        journals = list(checkout.root.glob("results/slow/runs/naps/*.journal.jsonl"))
+        lines = [line for path in journals for line in _lines(path)]
+        if len(lines) >= count:
+            return lines
+        time.sleep(0.05)
+    raise AssertionError("no runs within a minute")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_ends_in_order_and_goes_on_from_there(checkout, slow, number):
+    run = ["run", str(slow), "--cores", "1", "--no-report"]
+    first = checkout.start(*run)
+    wait_for_runs(checkout, 2)
+    family = psutil.Process(first.pid).children(recursive=True)
+    assert len(family) >= 3  # Snakemake, the job, its worker
+    first.send_signal(number)
+    output, _ = first.communicate(timeout=30)
+    assert first.returncode == 130
+    assert "stopped. Runs that finished are kept" in output
+    assert "Traceback" not in output
+    _, alive = psutil.wait_procs(family, timeout=5)
+    assert not alive
+    kept = wait_for_runs(checkout, 2)
+    assert len(kept) < 6
+    checkout.command(*run)
+    assert wait_for_runs(checkout, 6)[: len(kept)] == kept
+    runs = pd.read_parquet(checkout.root / "results/slow/tables/runs.parquet")
+    assert list(runs["status"]) == ["converged"] * 6
+
+
+def test_a_second_run_at_once_names_the_first_and_leaves_it_alone(checkout, slow):
+    run = ["run", str(slow), "--cores", "1", "--no-report"]
+    first = checkout.start(*run)
+    wait_for_runs(checkout, 1)
+    refused = checkout.command(*run, ok=False)
+    assert f"another run works on these results, process {first.pid} " in refused
+    output, _ = first.communicate(timeout=60)
+    assert first.returncode == 0, output
+
+
+def test_a_run_whose_process_was_killed_is_named_until_its_snakemake_ends(checkout, slow):
+    run = ["run", str(slow), "--cores", "1", "--no-report"]
+    first = checkout.start(*run)
+    wait_for_runs(checkout, 1)
+    (snakemake, *_) = psutil.Process(first.pid).children()
+    first.kill()
+    assert f"its Snakemake is process {snakemake.pid}" in checkout.command(*run, ok=False)
+    snakemake.wait(timeout=60)
+    checkout.command(*run)
+
+
+def test_a_lock_of_a_snakemake_started_by_hand_is_named_with_a_remedy(checkout, slow):
+    locks = checkout.root / ".snakemake" / "locks"
+    locks.mkdir(parents=True, exist_ok=True)
+    (locks / "0.output.lock").write_text("results/slow/plan/plan.parquet\n")
+    refused = checkout.command("run", str(slow), "--cores", "1", ok=False)
+    assert "a Snakemake that was started by hand has locked these results" in refused
+    assert "--unlock" in refused
+    (locks / "0.output.lock").write_text("results/another/plan/plan.parquet\n")
+    checkout.command("run", str(slow), "--cores", "1", "--no-report")
+    (locks / "0.output.lock").unlink()
+
+
+def test_an_error_of_snakemake_itself_is_shown(checkout, slow):
+    (checkout.root / "results/slow").mkdir()
+    (checkout.root / "results/slow/plan").write_text("a file where a folder should be")
+    output = checkout.command("run", str(slow), "--cores", "1", ok=False)
+    assert "results/slow/plan" in output.partition("error:")[0]
+
+
+def test_the_replay_command_of_a_config_given_by_path_works(checkout, slow):
+    checkout.command("run", str(slow), "--cores", "1", "--no-report")
+    overlays = json.loads((checkout.root / "results/slow/tables/overlays.json").read_text())
+    assert overlays
+    words = shlex.split(overlays[0]["replay"])
+    assert words[:3] == ["python", "-m", "workflows"]
+    assert json.loads(checkout.command(*words[3:]))["status"] == "converged"
+
+
+def test_pairs_of_clouds_of_ones_own_need_a_card_and_a_config_of_a_few_lines(checkout):
+    """As in the manual: seven lines, and no other file is edited."""
+    rng = np.random.default_rng(1)
+    T = np.eye(4)
+    T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    for name in ("one", "two"):
+        place = checkout.root / "my clouds" / name
+        place.mkdir(parents=True)
+        source = rng.random((15, 3))
+        np.savetxt(place / "source.txt", source)
+        np.savetxt(place / "target.csv", source @ T[:3, :3].T, delimiter=",")
+        np.savetxt(place / "pose.txt", T)
+    card = checkout.root / "data" / "my_clouds" / "card.yaml"
+    card.parent.mkdir()
+    card.write_text(
+        "name: my_clouds\ndim: 3\nloader: pairs\n"
+        f"parameters: {{folder: {checkout.root / 'my clouds'}, tolerance: 0.001}}\n"
+    )
+    config = checkout.root / "mine.yaml"
+    config.write_text(
+        "name: mine\n"
+        "datasets: [{dataset: my_clouds, tests: {pair: [0]}}]\n"
+        "methods: [{name: dcreg, baseline: dcreg}, {name: icp, baseline: icp}]\n"
+    )
+    checkout.command("run", str(config), "--no-report", "--cores", "2")
+    runs = pd.read_parquet(checkout.root / "results/mine/tables/runs.parquet")
+    assert sorted(runs["shape"]) == ["one", "one", "two", "two"]
+    assert runs.loc[runs["method"] == "dcreg", "success"].all()
+    # An edited pair, and it alone, is solved anew.
+    np.savetxt(checkout.root / "my clouds/one/pose.txt", np.eye(4))
+    failed = checkout.command("run", str(config), "--no-report", "--cores", "2", ok=False)
+    assert "one/pose.txt: only " in failed
 
 
 def test_a_wrong_config_stops_before_anything_runs(tmp_path):
@@ -256,8 +415,8 @@ def test_a_wrong_config_stops_before_anything_runs(tmp_path):
 @pytest.mark.parametrize("experiment", ["demo", "real2d"])
 def test_the_dag_of_every_experiment_can_be_planned(experiment, tmp_path):
     done = subprocess.run(
-        [sys.executable, "-m", "workflows", "run", experiment, "--dry-run",
-         "--directory", str(tmp_path)],
+        [sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile"), "--dry-run",
+         "--directory", str(tmp_path), "--config", f"experiment={experiment}"],
         cwd=CHECKOUT,
         capture_output=True,
         text=True,

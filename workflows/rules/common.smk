@@ -1,5 +1,6 @@
 # What all stages share. The experiment and the selection are checked here, before anything runs.
 
+import logging
 import os
 import sys
 from pathlib import Path
@@ -7,22 +8,30 @@ from pathlib import Path
 sys.path.insert(0, workflow.basedir)
 
 from snakemake.exceptions import WorkflowError
+from snakemake.logging import logger
 
 from workflows import methods
-from workflows.config import ConfigError, load, parse_selection
+from workflows.config import ConfigError, load, origin, parse_selection
 from workflows.hashing import digest, digest_files
 from workflows.stages.plan import expand, method_identity
 
 CONFIG = str(config.get("experiment", "demo"))
 SELECT = str(config.get("select") or "").split()  # as in "methods=icp,cpd tests=noise"
 
+# Snakemake shows all of its messages or none. A run of ours shows none, and the errors if it fails.
+if "errors" in config:
+    to_file = logging.FileHandler(config["errors"], encoding="utf-8")
+    to_file.setLevel(logging.ERROR)
+    logger.addHandler(to_file)
+
 try:
-    PLAN = expand(load(CONFIG), parse_selection(SELECT))
+    PLAN = expand(load(CONFIG), parse_selection(SELECT), origin(CONFIG))
 except ConfigError as error:
     raise WorkflowError(str(error))
 
 EXPERIMENT = PLAN.experiment
-OUT = f"results/{EXPERIMENT.name}"
+OUT = f"results/{EXPERIMENT.name}"  # instances and runs
+VIEW = str(Path(OUT) / PLAN.view)  # plan, metrics, tables and report: of the whole, or of a part
 JOBS = [(method.name, chunk.name) for method, chunk in PLAN.jobs()]
 
 # Every stage is `{STAGE} <name> {CHOICE} ...` in a process of its own.

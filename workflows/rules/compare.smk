@@ -5,4 +5,4 @@ rule record:
     params:
         version=f"--version '{config['version']}'" if config.get("version") else "",
     shell:
-        "{STAGE} record {OUT} {params.version}"
+        "{STAGE} record {VIEW} {params.version}"

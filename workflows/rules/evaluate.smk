@@ -1,12 +1,12 @@
 # Metrics from pose and truth: a new metric repeats no run.
 rule evaluate:
     input:
-        f"{OUT}/plan/plan.parquet",
+        f"{VIEW}/plan/plan.parquet",
         [f"{OUT}/runs/{method}/{chunk}.parquet" for method, chunk in JOBS],
         [f"{OUT}/{kind}/{chunk.name}.npz" for chunk in PLAN.chunks for kind in ("instances", "truth")],
     output:
-        f"{OUT}/metrics/metrics.parquet",
+        f"{VIEW}/metrics/metrics.parquet",
     params:
         sources=sources("workflows/stages/evaluate.py", "workflows/metrics.py"),
     shell:
-        "{STAGE} evaluate {OUT} --out {output}"
+        "{STAGE} evaluate {OUT} --plan {VIEW}/plan/plan.parquet --out {output}"

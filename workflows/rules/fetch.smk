@@ -1,13 +1,14 @@
-# Brings in the files of a dataset that this experiment needs, verified.
+# Brings in the files that the instances of a chunk need, verified; one at a time, as chunks share files.
 def fetch_cards(wildcards):
-    return sources(f"data/{wildcards.dataset}")
+    return sources(*(f"data/{name}" for name in PLAN.chunk(wildcards.chunk).datasets))
 
 
 rule fetch:
     output:
-        f"{OUT}/fetched/{{dataset}}.json",
+        f"{OUT}/fetched/{{chunk}}.json",
     params:
         cards=fetch_cards,
-        chunks=[chunk.name for chunk in PLAN.chunks],
+    resources:
+        fetching=1,
     shell:
-        "{STAGE} fetch {CHOICE} --dataset {wildcards.dataset} --out {output}"
+        "{STAGE} fetch {CHOICE} --chunk {wildcards.chunk} --out {output}"

@@ -1,9 +1,5 @@
 # Instances, and apart from them their truth, which no solve job has among its inputs,
 # but those of methods with the front end `oracle`.
-def fetched(wildcards):
-    return [f"{OUT}/fetched/{name}.json" for name in PLAN.chunk(wildcards.chunk).datasets]
-
-
 def generate_sources(wildcards):
     from workflows.stages.generate import sources_digest
 
@@ -12,7 +8,7 @@ def generate_sources(wildcards):
 
 rule generate:
     input:
-        fetched,
+        f"{OUT}/fetched/{{chunk}}.json",
     output:
         instances=f"{OUT}/instances/{{chunk}}.npz",
         truth=f"{OUT}/truth/{{chunk}}.npz",

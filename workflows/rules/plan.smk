@@ -1,6 +1,6 @@
 rule plan:
     output:
-        f"{OUT}/plan/plan.parquet",
+        f"{VIEW}/plan/plan.parquet",
     params:
         plan=digest([EXPERIMENT.model_dump(), PLAN.selection.model_dump()]),
         sources=sources("workflows/stages/plan.py", "workflows/records.py"),

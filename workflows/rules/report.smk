@@ -3,8 +3,8 @@ rule report:
     input:
         rules.aggregate.output,
     output:
-        f"{OUT}/report/index.html",
+        f"{VIEW}/report/index.html",
     params:
         sources=sources("reports"),
     shell:
-        "{STAGE} report {OUT}/tables {output}"
+        "{STAGE} report {VIEW}/tables {output}"

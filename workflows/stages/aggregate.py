@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ MAX_OVERLAY_POINTS = 400  # per set
 
 
 def aggregate(plan: Plan, folder: Path) -> None:
-    """Join plan, raw results and metrics, and write ``tables/``."""
-    out = folder / "tables"
+    """Join plan, raw results and metrics, and write ``tables/`` of the plan's view."""
+    out = folder / plan.view / "tables"
     runs = join_runs(plan, folder)
     records.write(runs, out / "runs.parquet", csv=True)
     records.write(join_traces(plan, folder, runs), out / "traces.parquet", csv=True)
@@ -34,7 +35,7 @@ def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
     """Exactly one row per planned run, in the documented columns."""
     planned = plan_table(plan)
     raw = _raw(plan, folder, "", records.RAW)
-    metrics = pd.read_parquet(folder / "metrics" / "metrics.parquet")
+    metrics = pd.read_parquet(folder / plan.view / "metrics" / "metrics.parquet")
     runs = planned.merge(
         raw.drop(columns="instance_id"), on="run_id", how="left", validate="one_to_one"
     ).merge(
@@ -60,7 +61,7 @@ def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
         outcome=runs["status"].map(records.outcome),
     )
     runs = attribution.attribute(runs)
-    return records.conform(runs, records.runs_columns(), str(folder / "tables" / "runs.parquet"))
+    return records.conform(runs, records.runs_columns(), "tables/runs.parquet")
 
 
 def display_name(method: MethodSettings) -> str:
@@ -132,14 +133,17 @@ def _picks(count: int) -> dict[str, int]:
 
 def run_command(plan: Plan) -> str:
     """The command line that makes these tables."""
-    chosen = plan.selection.model_dump().items()
-    parts = [f"--select {axis}={','.join(map(str, values))}" for axis, values in chosen if values]
-    return " ".join(["python -m workflows run", plan.experiment.name, *parts])
+    parts = [
+        f"--{axis} {shlex.quote(','.join(map(str, values)))}"
+        for axis, values in plan.selection
+        if values
+    ]
+    return " ".join(["python -m workflows run", shlex.quote(plan.config), *parts])
 
 
 def replay_command(plan: Plan, run_id: str) -> str:
     """A command line that repeats exactly this run and shows it."""
-    return f"python -m workflows replay {plan.experiment.name} {run_id}"
+    return f"python -m workflows replay {shlex.quote(plan.config)} {run_id}"
 
 
 def _points(points: np.ndarray) -> list[list[float]]:

@@ -15,9 +15,9 @@ from workflows.instances import Problem, Truth, read_problems, read_truths
 from workflows.metrics import METRICS, Case
 
 
-def evaluate(folder: Path) -> pd.DataFrame:
-    """One row of metrics for every planned run of the experiment in `folder`."""
-    plan = records.read(folder / "plan" / "plan.parquet", records.PLAN)
+def evaluate(folder: Path, plan_path: Path) -> pd.DataFrame:
+    """One row of metrics for every planned run, from the instances and runs in `folder`."""
+    plan = records.read(plan_path, records.PLAN)
     tables = []
     for chunk_id, planned in plan.groupby("chunk_id", sort=False):
         problems = {p.instance_id: p for p in read_problems(folder / f"instances/{chunk_id}.npz")}

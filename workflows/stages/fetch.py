@@ -1,4 +1,4 @@
-"""Brings in the files of a dataset that an experiment needs."""
+"""Brings in the files that the instances of a chunk need."""
 
 from __future__ import annotations
 
@@ -8,24 +8,19 @@ from pathlib import Path
 from data import registry
 from dcreg.files import whole_file
 from workflows.stages.generate import raw_instance
-from workflows.stages.plan import Plan
+from workflows.stages.plan import Chunk
 
 
-def fetch(plan: Plan, dataset_name: str, out: Path) -> None:
-    """Fetch and verify what the plan needs of a dataset, and note in `out` the terms it comes on."""
-    specs = [
-        spec for chunk in plan.chunks for spec in chunk.instances if spec.dataset == dataset_name
-    ]
-    card = registry.dataset(dataset_name).card
-    if card.files:
-        for spec in specs:
+def fetch(chunk: Chunk, out: Path) -> None:
+    """Fetch and verify what a chunk needs, and note in `out` the terms on which it comes."""
+    cards = {name: registry.dataset(name).card for name in chunk.datasets}
+    for spec in chunk.instances:
+        if cards[spec.dataset].files:
             raw_instance(spec)
-    note = {
-        "dataset": dataset_name,
-        "instances": len(specs),
-        "licence": card.licence,
-        "citation": card.citation,
-    }
+    note = [
+        {"dataset": name, "licence": card.licence, "citation": card.citation}
+        for name, card in cards.items()
+    ]
     out.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(out) as part:
         part.write_text(json.dumps(note, indent=1), encoding="utf-8")

@@ -12,7 +12,7 @@ from data.contract import RawInstance
 from data.sampling import transform
 from workflows import CHECKOUT
 from workflows.disturb import make_instance
-from workflows.hashing import digest_files
+from workflows.hashing import digest, digest_files
 from workflows.instances import Problem, Truth, with_oracle, write_problems, write_truths
 from workflows.stages.plan import Chunk, InstanceSpec
 
@@ -70,12 +70,14 @@ def noise_bound(raw: RawInstance) -> float:
 def sources_digest(datasets: list[str]) -> str:
     """Hash of all code and cards that decide the content of instances from these datasets."""
     shared = [
-        *("baselines/contract.py", "data/contract.py", "data/loaders.py", "data/sampling.py"),
-        *("data/scans.py", "dcreg/local/fit.py", "workflows/disturb.py", "workflows/instances.py"),
-        "workflows/stages/generate.py",
+        *("baselines/contract.py", "data/contract.py", "data/loaders.py", "data/pairs.py"),
+        *("data/sampling.py", "data/scans.py", "dcreg/local/fit.py"),
+        *("workflows/disturb.py", "workflows/instances.py", "workflows/stages/generate.py"),
     ]
     own = [f"data/{name}" for name in datasets]
-    return digest_files(CHECKOUT, [*shared, *own])
+    local = [path for name in datasets for path in registry.dataset(name).local_files()]
+    states = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in local]
+    return digest([digest_files(CHECKOUT, [*shared, *own]), states])
 
 
 def raw_instance(spec: InstanceSpec) -> RawInstance:

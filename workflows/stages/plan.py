@@ -8,10 +8,12 @@ partial selection never overwrites the results of the whole.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -28,6 +30,7 @@ from workflows.config import (
 )
 from workflows.hashing import digest
 
+MAX_NAME = 100  # letters of a folder's name
 SHORT = {"similarity2d": "2d", "rigid3d": "3d"}
 
 
@@ -73,6 +76,9 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class Plan:
+    """What is to run. ``config`` is the name or path under which the experiment is found again."""
+
+    config: str
     experiment: Experiment
     selection: Selection
     chunks: tuple[Chunk, ...]
@@ -89,6 +95,20 @@ class Plan:
             for instance in chunk.instances:
                 run_id = run_identity(self.experiment, method, instance.instance_id)
                 yield PlannedRun(run_id, chunk, method, instance)
+
+    @property
+    def view(self) -> Path:
+        """Where plan, metrics, tables and report lie, below the experiment's folder of results.
+
+        A part has a folder of its own, so that it never replaces tables of the whole. Instances and
+        runs are shared.
+        """
+        chosen = {axis: values for axis, values in self.selection if values}
+        if not chosen:
+            return Path()
+        words = [f"{axis}-{'+'.join(sorted(map(str, values)))}" for axis, values in chosen.items()]
+        name = re.sub(r"[^A-Za-z0-9._+-]", "-", "_".join(words))
+        return Path("parts", name if len(name) <= MAX_NAME else f"{name[:60]}-{digest(name)}")
 
     def chunk(self, name: str) -> Chunk:
         return next(chunk for chunk in self.chunks if chunk.name == name)
@@ -111,7 +131,7 @@ def method_identity(experiment: Experiment, method: MethodSettings) -> dict[str,
     }
 
 
-def expand(experiment: Experiment, selection: Selection | None = None) -> Plan:
+def expand(experiment: Experiment, selection: Selection | None = None, config: str = "") -> Plan:
     """All instances and runs of the selected part of an experiment.
 
     Raises
@@ -128,9 +148,8 @@ def expand(experiment: Experiment, selection: Selection | None = None) -> Plan:
         for method in experiment.methods
         if not selection.methods or method.name in selection.methods
     )
-    plan = Plan(
-        experiment, selection, tuple(_chunks(chosen, experiment.chunk_size)), chosen_methods
-    )
+    chunks = tuple(_chunks(chosen, experiment.chunk_size))
+    plan = Plan(config or experiment.name, experiment, selection, chunks, chosen_methods)
     run_ids = [run.run_id for run in plan.runs()]
     if not run_ids:
         raise ConfigError(

@@ -2,7 +2,8 @@
 
 The worker lives through many instances, so that imports and JIT compilation are paid once. It is
 killed, with all its children, at the hard time limit or the memory limit, and replaced for the
-next instance; a crash is noticed as the end of the pipe. Each of these costs one run its status.
+next instance; a crash is noticed as the end of the pipe. Each of these costs one run its pose: it is
+`failed`. A run in which code was compiled is not timed but repeated.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ from baselines.contract import Instance, Limits
 from dcreg.status import Status
 from workflows import CHECKOUT
 from workflows.config import LimitSettings, MethodSettings
+from workflows.stages.worker import COMPILING
 
 WATCH_S = 0.05  # a busy worker's memory is measured this often
 FAMILY_S = 1.0  # its child processes are listed this often
+MAX_REPEATS = 5  # of a run that compiled code; a method that always does is timed all the same
 MB = 2**20
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -39,12 +42,7 @@ THREAD_VARIABLES = (
 
 
 class WorkerLostError(Exception):
-    """The worker was killed or died; `status` is what the run becomes."""
-
-    def __init__(self, status: Status, message: str) -> None:
-        super().__init__(message)
-        self.status = status
-        self.message = message
+    """The worker was killed or died, and with it the pose; the message says how."""
 
 
 class Worker:
@@ -52,6 +50,7 @@ class Worker:
 
     def __init__(self, threads: int, memory_mb: int, log: Path) -> None:
         self.memory_mb = memory_mb
+        self.compiled = False  # whether code was compiled within the last request
         self._alive = True
         self._family: list[psutil.Process] = []
         self._family_until = 0.0
@@ -75,35 +74,47 @@ class Worker:
                 start_new_session=True,  # its own group, so that its children die with it
             )
 
-    def ask(self, command: str, *arguments: Any, timeout_s: float, limit: str) -> dict[str, Any]:
-        """The worker's answer to a request.
+    def ask(
+        self,
+        command: str,
+        *arguments: Any,
+        timeout_s: float,
+        limit: str,
+        compile_s: float = 0.0,
+    ) -> dict[str, Any]:
+        """The worker's answer to a request, within `timeout_s`, or `compile_s` more if it compiles.
 
         Raises
         ------
         WorkerLostError
             At the time or memory limit, or when the worker dies. It is gone then.
         """
-        deadline = time.monotonic() + timeout_s
-        peak_mb = 0.0
+        self.compiled = False
         try:
             self.connection.send((command, arguments))
-            while not self.connection.poll(max(0.0, min(WATCH_S, deadline - time.monotonic()))):
-                peak_mb = max(peak_mb, self._memory_mb())
-                if peak_mb > self.memory_mb:
-                    self.kill()
-                    raise WorkerLostError(
-                        Status.MEMORY_LIMIT,
-                        f"killed at {peak_mb:.0f} MB; the limit is {self.memory_mb} MB",
-                    )
-                if time.monotonic() >= deadline:
-                    self.kill()
-                    raise WorkerLostError(
-                        Status.TIME_LIMIT, f"killed after {timeout_s:.1f} s without answer; {limit}"
-                    )
-            return self.connection.recv()
+            answer = self._received(timeout_s, limit)
+            if answer == COMPILING:
+                self.compiled = True
+                answer = self._received(timeout_s + compile_s, f"{limit}, and it compiled code")
+            return answer
         except (EOFError, OSError) as error:
             self.kill(patience_s=2.0)  # let it exit by itself: its exit code is the diagnosis
-            raise WorkerLostError(Status.FAILED, f"worker {self._end()}") from error
+            raise WorkerLostError(f"worker {self._end()}") from error
+
+    def _received(self, timeout_s: float, limit: str) -> Any:
+        """What the worker sends next; until then its time and memory are watched."""
+        deadline = time.monotonic() + timeout_s
+        while not self.connection.poll(max(0.0, min(WATCH_S, deadline - time.monotonic()))):
+            used_mb = self._memory_mb()
+            if used_mb > self.memory_mb:
+                self.kill()
+                raise WorkerLostError(
+                    f"killed at {used_mb:.0f} MB; the limit is {self.memory_mb} MB"
+                )
+            if time.monotonic() >= deadline:
+                self.kill()
+                raise WorkerLostError(f"killed after {timeout_s:.1f} s without answer; {limit}")
+        return self.connection.recv()
 
     def kill(self, patience_s: float = 0.0) -> None:
         """End the worker and all its children; with patience, one that is ending ends by itself."""
@@ -149,13 +160,15 @@ class Sandbox:
         self.method = method
         self.limits = limits
         self.log = log
-        self.time_warmup_s = float("nan")  # time the present worker took to start
-        self.time_started_s = 0.0  # the same, summed over all workers
+        # Time the present worker took to start and to compile, and the same summed over all workers.
+        self.time_warmup_s = float("nan")
+        self.time_started_s = 0.0
         self._worker: Worker | None = None
         self._verdict: tuple[Status, str] | None = (
             None  # where the method cannot run here: the answer for all runs
         )
         self._warm_up = True
+        self._since = 0.0  # when the present run began
 
     def __enter__(self) -> Sandbox:
         return self
@@ -214,32 +227,43 @@ class Sandbox:
 
     def solve(self, instance: Instance) -> dict[str, Any]:
         """The worker's answer or, where it was lost, the status of the run; a run never raises."""
-        waiting_since = time.perf_counter()
+        self._since = time.perf_counter()
         try:
             self.prepare(instance)
-            waiting_since = time.perf_counter()
-            return {**self._answer(instance), "time_warmup_s": self.time_warmup_s}
+            if self._worker is None:
+                assert self._verdict is not None
+                status, message = self._verdict
+                return {"status": status, "message": message}
+            answer = self._answer(self._worker, instance)
+            if "error" in answer:
+                answer = {"status": Status.FAILED, "message": answer["error"]}
+            return {**answer, "time_warmup_s": self.time_warmup_s}
         except WorkerLostError as loss:
             self._worker = None
             return {
-                "status": loss.status,
-                "message": loss.message,
-                "time_solve_s": time.perf_counter() - waiting_since,
+                "status": Status.FAILED,
+                "message": str(loss),
+                "time_solve_s": time.perf_counter() - self._since,
             }
 
-    def _answer(self, instance: Instance) -> dict[str, Any]:
-        if self._worker is None:
-            assert self._verdict is not None
-            status, message = self._verdict
-            return {"status": status, "message": message}
+    def _answer(self, worker: Worker, instance: Instance) -> dict[str, Any]:
+        """The answer of the first run in which nothing is compiled."""
         limits = self.limits
-        answer = self._worker.ask(
-            "solve",
-            instance,
-            Limits(limits.time_s, limits.nodes, limits.memory_mb, limits.threads),
-            timeout_s=limits.kill_after_s,
-            limit=f"the limit is {limits.time_s:g} s",
-        )
-        if "error" in answer:
-            return {"status": Status.FAILED, "message": answer["error"]}
+        for compile_s in (*[limits.warm_up_s] * MAX_REPEATS, 0.0):
+            self._since = time.perf_counter()
+            answer = worker.ask(
+                "solve",
+                instance,
+                Limits(limits.time_s, limits.nodes, limits.memory_mb, limits.threads),
+                timeout_s=limits.kill_after_s,
+                limit=f"the limit is {limits.time_s:g} s",
+                compile_s=compile_s,
+            )
+            if not worker.compiled or not compile_s:
+                break
+            lost = time.perf_counter() - self._since
+            self.time_warmup_s += lost
+            self.time_started_s += lost
+            with self.log.open("a") as stream:
+                print(f"{instance.instance_id}: repeated, since it compiled code", file=stream)
         return answer

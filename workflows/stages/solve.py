@@ -98,7 +98,7 @@ def _rows(
         "machine_id": provenance.machine_card()["machine_id"],
         "parallel_jobs": float(os.environ.get("DCREG_PARALLEL_JOBS", 1)),
     }
-    finished = _journalled(runs_path.parent)
+    finished = journalled(runs_path.parent)
     log = runs_path.with_suffix(".log")
     journal_path = runs_path.with_suffix(".journal.jsonl")
     limits = experiment.limits_of(method)
@@ -150,8 +150,8 @@ def _key(row: dict[str, Any]) -> tuple[str, str, str]:
     return row["run_id"], row["instance_digest"], row["fingerprint"]
 
 
-def _journalled(folder: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
-    """Finished runs of all journals of a method; the last line of a run counts."""
+def journalled(folder: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
+    """Finished runs of all journals of a method, by run_id, content and fingerprint; the last counts."""
     rows = {}
     for path in sorted(folder.glob("*.journal.jsonl")):
         for line in path.read_text(encoding="utf-8").splitlines():

@@ -1,7 +1,8 @@
 """The process in which a method runs. It gets instances through a pipe, and never any truth.
 
 ``python -m workflows.stages.worker FD`` serves requests on the inherited connection FD until it closes.
-Every request is answered with a dict, or the process dies; the parent (`sandbox`) copes with both.
+Every request is answered with a dict, or the process dies; the parent (`sandbox`) copes with both. Before
+the answer may come `COMPILING`: code is compiled within the request, whose time therefore says nothing.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import signal
 import sys
 import time
 import traceback
-from contextlib import suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -25,12 +27,19 @@ from dcreg.status import Status
 MAX_TRACE = 500  # events kept of one run
 COUNTERS = ("n_nodes", "n_assignments")
 MB = 2**20
+COMPILING = "compiling"
 
 
 class Server:
-    """Answers the parent's requests; one method, opened once."""
+    """Answers the parent's requests; one method, opened once.
+
+    `tell` sends the parent a word before the answer.
+    """
 
     method: Baseline
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self.tell = tell
 
     def open(self, baseline: str, options: dict[str, Any], threads: int) -> dict[str, Any]:
         """Import and configure the method; ``reason`` says why it cannot run here."""
@@ -57,13 +66,14 @@ class Server:
         _reset_peak()
         start = time.perf_counter()
         try:
-            solution = self.method.solve(instance, limits)
+            with _when_compiling(lambda: self.tell(COMPILING)):
+                solution = self.method.solve(instance, limits)
             time_solve_s = time.perf_counter() - start
             answer = _checked(solution, instance.dim)
         except MemoryError as error:
             time_solve_s = time.perf_counter() - start
             message = f"MemoryError: {error}; the limit is {limits.memory_mb} MB"
-            answer = {"status": Status.MEMORY_LIMIT, "message": message}
+            answer = {"status": Status.FAILED, "message": message}
         except Exception as error:
             time_solve_s = time.perf_counter() - start
             traceback.print_exc()
@@ -73,7 +83,7 @@ class Server:
 
 def serve(connection: Connection) -> None:
     """Answer requests ``(command, arguments)`` until the parent hangs up."""
-    server = Server()
+    server = Server(connection.send)
     while True:
         try:
             command, arguments = connection.recv()
@@ -95,11 +105,11 @@ def _checked(solution: Solution, dim: int) -> dict[str, Any]:
         return {"status": status, "message": message}
     if status is not Status.FAILED:
         shape = (dim + 1, dim + 1)
-        if pose is None and not status.is_limit:
+        if pose is None:
             message, status = f"said {status} but gave no pose", Status.FAILED
-        elif pose is not None and np.shape(pose) != shape:
+        elif np.shape(pose) != shape:
             message, status = f"gave a pose of shape {np.shape(pose)}, not {shape}", Status.FAILED
-        elif pose is not None and not np.isfinite(pose).all():
+        elif not np.isfinite(pose).all():
             message, status = "gave a pose that is not finite", Status.FAILED
     if status is Status.FAILED:
         pose = None
@@ -115,6 +125,29 @@ def _checked(solution: Solution, dim: int) -> dict[str, Any]:
         "extra": dict(solution.extra),
         "trace": _thinned(solution.trace),
     }
+
+
+def _when_compiling(tell: Callable[[], None]) -> AbstractContextManager[None]:
+    """A context in which `tell` is called once, before Numba compiles (not: loads) the first function.
+
+    A process that has not loaded Numba by the end of its warm-up is left without it.
+    """
+    if "numba" not in sys.modules:
+        return nullcontext()
+    from numba.core import event
+
+    class Listener(event.Listener):
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            if not self.told:
+                self.told = True
+                tell()
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    return event.install_listener("numba:compile", Listener())
 
 
 def _thinned(events: list[Any]) -> list[Any]:

@@ -14,10 +14,20 @@ from baselines.contract import Baseline, Instance, Limits, Solution
 from dcreg.status import Status
 
 UNLUCKY = 13
+LONG_S = 3.0
+NAP_S = 1.0
 
 
 class Adapter(Baseline):
+    _compiled = False
+
+    def warm_up(self, instance: Instance) -> None:
+        if "compiles" in self.options["fault"]:
+            import numba  # noqa: F401
+
     def solve(self, instance: Instance, limits: Limits) -> Solution:
+        if self.options["fault"] == "naps":  # on every instance
+            time.sleep(NAP_S)
         solution = Solution(Status.CONVERGED, np.eye(instance.dim + 1))
         if len(instance.source) == UNLUCKY:
             return getattr(self, f"_{self.options['fault']}")(solution) or solution
@@ -47,6 +57,18 @@ class Adapter(Baseline):
     def _bursts(self, solution: Solution) -> None:
         np.empty(2**37)  # 1 TB at once, more than any machine gives
 
+    def _compiles(self, solution: Solution) -> None:
+        """What the warm-up has forgotten, once, and for longer than the limit."""
+        if not self._compiled:
+            self._compiled = True
+            self._always_compiles(solution)
+            time.sleep(LONG_S)
+
+    def _always_compiles(self, solution: Solution) -> None:
+        import numba
+
+        numba.njit(lambda: 1)()
+
     def _exits(self, solution: Solution) -> None:
         os._exit(3)
 
@@ -58,6 +80,9 @@ class Adapter(Baseline):
 
     def _gives_no_pose(self, solution: Solution) -> Solution:
         return Solution(Status.OPTIMAL, None)
+
+    def _gives_up(self, solution: Solution) -> Solution:
+        return Solution(Status.TIME_LIMIT, None)
 
     def _gives_nan(self, solution: Solution) -> Solution:
         return Solution(Status.CONVERGED, solution.T_target_source * np.nan)

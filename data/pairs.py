@@ -1,0 +1,156 @@
+"""Pairs of clouds of one's own: a folder for each pair, with the two clouds and the pose between them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from data.contract import Axis, Card, DataError, RawInstance, RecordedDataset
+from data.sampling import farthest_points, mutual_nearest, transform
+from dcreg.io import read_points
+from dcreg.problem import InputError
+
+MAX_POINTS = 200  # of a cloud, by default
+SCALE_RANGE_2D = (0.5, 1.5)  # the default
+RIGID = 1e-3  # how far the rotation of a pose may be from one
+REQUIRED, OPTIONAL = {"folder", "tolerance"}, {"n_points", "scale_range"}
+
+
+class CloudPairs(RecordedDataset):
+    """One shape per folder ``<pair>/`` with ``source.*``, ``target.*``, ``pose.txt``; one test, ``pair``.
+
+    The clouds are in any format that ``dcreg register`` reads. The pose maps source to target, as rows
+    of its homogeneous matrix; it is a similarity in the plane and rigid in space. True pairs are the
+    points that are each other's nearest neighbour at the pose, at most ``tolerance`` apart.
+
+    Card parameters: ``folder`` (of the pairs; from the card's own, if relative), ``tolerance`` in the
+    clouds' unit; optionally ``n_points`` (a cloud with more is thinned to so many; default 200) and, in
+    the plane, ``scale_range`` (default 0.5 to 1.5).
+    """
+
+    def __init__(self, card: Card) -> None:
+        super().__init__(card)
+        self.where = f"data/{card.name}/card.yaml"
+        given = card.parameters
+        if isinstance(card.dim, dict):
+            raise DataError(f"{self.where}: dim: {card.dim!r}; give 2 or 3, the same for all pairs")
+        if wrong := sorted((REQUIRED - set(given)) | (set(given) - REQUIRED - OPTIONAL)):
+            raise DataError(
+                f"{self.where}: parameters.{wrong[0]}: missing or unknown; it has folder and "
+                "tolerance, and may have n_points and scale_range"
+            )
+        self.folder = Path(__file__).parent / card.name / Path(str(given["folder"])).expanduser()
+        self.tolerance = self._number("tolerance", 0.0)
+        self.n_points = int(self._number("n_points", 3, MAX_POINTS))
+
+    def shapes(self) -> list[str]:
+        if not self.folder.is_dir():
+            raise DataError(
+                f"{self.where}: parameters.folder: {self.folder} is no folder; correct it"
+            )
+        names = sorted(path.parent.name for path in self.folder.glob("*/pose.txt"))
+        if not names:
+            raise DataError(
+                f"{self.folder}: no pair; each is a folder with source.*, target.* and pose.txt"
+            )
+        return names
+
+    def tests(self) -> dict[str, Axis]:
+        return {"pair": Axis(levels=(0.0,), values=(0.0,), label="-", n_trials=1)}
+
+    def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
+        """The clouds of source and target, and the pose."""
+        place = self.folder / shape
+        found = []
+        for role in ("source", "target"):
+            paths = [path for path in sorted(place.glob(f"{role}.*")) if path.is_file()]
+            if len(paths) != 1:
+                raise DataError(f"{place}: {len(paths)} files {role}.*; keep exactly one")
+            found += paths
+        return [*found, place / "pose.txt"]
+
+    def local_files(self) -> list[Path]:
+        return sorted(path for path in self.folder.glob("*/*") if path.is_file())
+
+    def load(
+        self, shape: str, test: str, level: float, trial: int, n_points: int | None
+    ) -> RawInstance:
+        *paths, pose_path = self.files(shape, test, level, trial)
+        source, target = (self._cloud(path, n_points or self.n_points) for path in paths)
+        T_true, scale_range = self._pose(pose_path)
+        pairs = mutual_nearest(transform(T_true, source), target, self.tolerance)
+        if len(pairs) <= self.dim(shape):
+            distance, _ = cKDTree(target).query(transform(T_true, source))
+            raise DataError(
+                f"{pose_path}: only {len(pairs)} points of the {len(source)} and {len(target)} lie "
+                f"within tolerance {self.tolerance:g} of each other at this pose (median distance "
+                f"{np.median(distance):.3g}). It must map source to target; else raise tolerance in "
+                f"{self.where}, or n_points"
+            )
+        return RawInstance(source, target, pairs, T_true, scale_range)
+
+    def _cloud(self, path: Path, n_points: int) -> np.ndarray:
+        try:
+            points = read_points(path)
+        except (InputError, OSError) as error:
+            raise DataError(f"{path}: {error}") from error
+        if points.shape[1] != self.card.dim:
+            raise DataError(
+                f"{path}: points have {points.shape[1]} coordinates, but dim is {self.card.dim} in "
+                f"{self.where}; correct one of them"
+            )
+        return points[farthest_points(points, min(n_points, len(points)))]
+
+    def _pose(self, path: Path) -> tuple[np.ndarray, tuple[float, float]]:
+        """The pose, checked, and the range of scales a solver is told."""
+        d = self.dim("")
+        try:
+            T = np.loadtxt(path, ndmin=2)
+        except (ValueError, OSError) as error:
+            raise DataError(f"{path}: not a matrix of numbers ({error}); correct it") from error
+        shape = (d + 1, d + 1)
+        if T.shape != shape or not np.isfinite(T).all() or not np.allclose(T[d], np.eye(d + 1)[d]):
+            raise DataError(
+                f"{path}: must be a homogeneous matrix of shape {shape} with the last row "
+                f"{'0 ' * d}1, but has shape {T.shape}; correct it"
+            )
+        linear = T[:d, :d]
+        scale = abs(np.linalg.det(linear)) ** (1 / d)
+        low, high = (1.0, 1.0) if d == 3 else self._scale_range()
+        if not np.allclose(
+            linear @ linear.T, scale**2 * np.eye(d), atol=RIGID * max(1.0, scale**2)
+        ):
+            raise DataError(f"{path}: its {d} x {d} part is no rotation times a scale; correct it")
+        if np.linalg.det(linear) < 0:
+            raise DataError(f"{path}: it mirrors; give a pose without a reflection")
+        if not low - RIGID <= scale <= high + RIGID:
+            remedy = (
+                "rescale a cloud" if d == 3 else f"widen parameters.scale_range in {self.where}"
+            )
+            raise DataError(f"{path}: its scale is {scale:.4g}, not {low:g} to {high:g}; {remedy}")
+        return T, (low, high)
+
+    def _scale_range(self) -> tuple[float, float]:
+        given: Any = self.card.parameters.get("scale_range", SCALE_RANGE_2D)
+        try:
+            low, high = map(float, given)
+        except (TypeError, ValueError):
+            low = high = np.nan
+        if not 0 < low <= high < np.inf:
+            raise DataError(
+                f"{self.where}: parameters.scale_range: {given!r}; give two numbers, 0 < low <= high"
+            )
+        return low, high
+
+    def _number(self, name: str, least: float, default: float | None = None) -> float:
+        value: Any = self.card.parameters.get(name, default)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not number or not least <= value < np.inf or value == 0:
+            raise DataError(
+                f"{self.where}: parameters.{name}: {value!r}; give a number "
+                f"{'above 0' if least == 0 else f'from {least:g}'}"
+            )
+        return float(value)

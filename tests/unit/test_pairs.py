@@ -1,0 +1,159 @@
+"""Pairs of clouds of one's own: a card of four lines, no checksum, no mirror."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.contract import Card, DataError
+from data.loaders import STOCK
+from data.registry import read_card
+from data.sampling import transform
+from workflows.disturb import make_instance
+
+CARD = "name: mine\ndim: {dim}\nloader: pairs\nparameters: {{folder: {folder}, tolerance: 0.01}}\n"
+
+
+def pose(dim: int) -> np.ndarray:
+    T = np.eye(dim + 1)
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    T[:2, :2] = turn if dim == 3 else 0.8 * turn
+    T[:dim, dim] = np.arange(1.0, dim + 1)
+    return T
+
+
+@pytest.fixture(params=[2, 3])
+def dim(request) -> int:
+    return request.param
+
+
+@pytest.fixture
+def folder(tmp_path, rng, dim):
+    """Two pairs of 30 points, the last ten without a partner, in two formats."""
+    for name, ending in (("first", "txt"), ("second", "csv")):
+        place = tmp_path / "pairs" / name
+        place.mkdir(parents=True)
+        source = rng.random((30, dim))
+        target = transform(pose(dim), source)
+        target[20:] += 50.0
+        for role, points in (("source", source), ("target", target)):
+            np.savetxt(
+                place / f"{role}.{ending}", points, delimiter="," if ending == "csv" else " "
+            )
+        np.savetxt(place / "pose.txt", pose(dim))
+    return tmp_path / "pairs"
+
+
+@pytest.fixture
+def mine(folder, dim):
+    path = folder.parent / "mine" / "card.yaml"
+    path.parent.mkdir()
+    path.write_text(CARD.format(dim=dim, folder=folder))
+    return STOCK["pairs"](read_card(path))
+
+
+def test_a_folder_of_pairs_becomes_instances_with_their_truth(mine, dim):
+    assert mine.shapes() == ["first", "second"]
+    for shape in mine.shapes():
+        made = make_instance(mine, shape, "pair", 0.0, 0)
+        assert len(made.source) == len(made.target) == 30
+        assert len(made.pairs) == 20
+        np.testing.assert_allclose(made.T_true, pose(dim))
+        moved = transform(made.T_true, made.source[made.pairs[:, 0]])
+        np.testing.assert_allclose(moved, made.target[made.pairs[:, 1]], atol=1e-9)
+        assert made.scale_range == ((0.5, 1.5) if dim == 2 else (1.0, 1.0))
+
+
+def test_large_clouds_are_thinned(mine):
+    made = make_instance(mine, "first", "pair", 0.0, 0, 25)
+    assert len(made.source) == 25
+
+
+def test_an_edited_cloud_is_noticed(mine, folder):
+    assert folder / "first" / "source.txt" in mine.local_files()
+    assert len(mine.local_files()) == 6
+
+
+SPOILT = {
+    "no pose": (lambda f: (f / "first/pose.txt").write_text("one two"), "not a matrix of numbers"),
+    "small pose": (lambda f: np.savetxt(f / "first/pose.txt", np.eye(2)), "homogeneous matrix of sh"),
+    "nan pose": (lambda f: np.savetxt(f / "first/pose.txt", np.eye(4) * np.nan), "homogeneous matri"),
+    "two sources": (lambda f: (f / "first/source.csv").touch(), "2 files source.*; keep exactly one"),
+    "no target": (lambda f: (f / "first/target.txt").unlink(), "0 files target.*; keep exactly one"),
+    "empty cloud": (lambda f: (f / "first/target.txt").write_text(""), "first/target.txt: "),
+    "wrong way": (
+        lambda f: np.savetxt(
+            f / "first/pose.txt", np.linalg.inv(np.loadtxt(f / "first/pose.txt"))
+        ),
+        "It must map source to target; else raise tolerance",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("spoilt", SPOILT)
+def test_what_is_wrong_with_a_pair_is_said_with_file_and_remedy(mine, folder, spoilt):
+    spoil, expected = SPOILT[spoilt]
+    spoil(folder)
+    with pytest.raises(DataError) as error:
+        make_instance(mine, "first", "pair", 0.0, 0)
+    assert "first" in str(error.value)
+    assert expected in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("linear", "expected"),
+    [
+        (np.diag([1.0, -1.0]), "it mirrors"),
+        (np.diag([1.0, 0.5]), "no rotation times a scale"),
+        (np.eye(2) * 3.0, "its scale is 3, not "),
+    ],
+)
+def test_poses_that_no_model_has_are_refused(mine, folder, dim, linear, expected):
+    T = np.eye(dim + 1)
+    T[:dim, :dim] = linear[0, 0] * np.eye(dim)
+    T[:2, :2] = linear
+    np.savetxt(folder / "first/pose.txt", T)
+    with pytest.raises(DataError, match=expected):
+        make_instance(mine, "first", "pair", 0.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({}, "parameters.folder: missing or unknown"),
+        ({"folder": ".", "tolerance": 0.1, "size": 1}, "parameters.size: missing or unknown"),
+        ({"folder": ".", "tolerance": 0}, "parameters.tolerance: 0; give a number above 0"),
+        ({"folder": ".", "tolerance": "small"}, "parameters.tolerance: 'small'; give a number"),
+        (
+            {"folder": ".", "tolerance": 1, "n_points": 1},
+            "parameters.n_points: 1; give a number fro",
+        ),
+    ],
+)
+def test_a_card_that_cannot_work_is_refused(parameters, expected):
+    card = Card(name="mine", dim=3, loader="pairs", parameters=parameters)
+    with pytest.raises(DataError) as error:
+        STOCK["pairs"](card)
+    assert f"data/mine/card.yaml: {expected}" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("folder", "expected"),
+    [("/no/such/folder", "is no folder; correct it"), ("empty", "no pair; each is a folder with")],
+)
+def test_a_folder_without_pairs_is_refused(tmp_path, folder, expected):
+    (tmp_path / "empty").mkdir()
+    card = Card(
+        name="mine",
+        dim=3,
+        loader="pairs",
+        parameters={"folder": str(tmp_path / folder), "tolerance": 1},
+    )
+    with pytest.raises(DataError, match=expected):
+        STOCK["pairs"](card).shapes()
+
+
+def test_files_of_others_need_their_terms():
+    files = [{"path": "a", "sha256": "0" * 64}]
+    with pytest.raises(ValueError, match="licence: missing"):
+        Card(name="theirs", dim=3, loader="points", files=files)

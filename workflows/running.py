@@ -1,0 +1,127 @@
+"""Runs Snakemake over an experiment: once at a time in a folder of results, and ended in order."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from types import FrameType
+from typing import IO
+
+from workflows import CHECKOUT, UserError, provenance
+
+INTERRUPTED = 130  # exit code, as of shells
+PATIENCE_S = 20.0  # in which Snakemake ends after it was told to
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class BusyError(UserError):
+    """Another run works on these results; the message says which."""
+
+
+def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
+    """Run Snakemake on experiment `name` below `directory`; the exit code, `INTERRUPTED` at Ctrl-C.
+
+    The arguments end with those of ``--config``.
+
+    Snakemake and its jobs are a process group of their own. At Ctrl-C, SIGTERM and SIGHUP they are told
+    to end (SIGTERM, at which Snakemake starts no new job) and waited for; at a second one, or after
+    `PATIENCE_S`, they are killed. Either costs the unfinished runs only.
+
+    Raises
+    ------
+    BusyError
+    """
+    command = [
+        *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
+        *("--keep-going", "--rerun-incomplete", "--quiet", "all"),
+        # Locked by `the_only_run`: Snakemake's own lock outlives a Snakemake that was killed.
+        *("--nolock", "--directory", str(directory), *arguments),
+    ]
+    deadline = float("inf")  # of Snakemake, once it is told to end
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal deadline
+        if deadline < float("inf"):
+            deadline = 0.0
+            return
+        deadline = time.monotonic() + PATIENCE_S
+        print("\nstopping … (once more: at once)", file=sys.stderr, flush=True)
+        os.killpg(process.pid, signal.SIGTERM)
+
+    with the_only_run(directory, name) as lock, NamedTemporaryFile("r", encoding="utf-8") as errors:
+        process = subprocess.Popen(
+            [*command, f"errors={errors.name}"],
+            stdin=subprocess.DEVNULL,
+            process_group=0,
+            pass_fds=[lock.fileno()],
+        )
+        _write(lock, f"process {os.getpid()} (its Snakemake is process {process.pid})")
+        before = {number: signal.signal(number, interrupt) for number in ENDING}
+        try:
+            while process.poll() is None:
+                if time.monotonic() > deadline:
+                    os.killpg(process.pid, signal.SIGKILL)
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(timeout=0.5)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        if process.returncode and deadline == float("inf"):
+            print(errors.read().rstrip(), file=sys.stderr)
+    return process.returncode if deadline == float("inf") else INTERRUPTED
+
+
+@contextmanager
+def the_only_run(directory: Path, name: str) -> Iterator[IO[str]]:
+    """The lock of an experiment's results, held. It goes with the last process that has it open.
+
+    Raises
+    ------
+    BusyError
+        Another process holds it, or a Snakemake that was started by hand works on the results.
+    """
+    folder = directory / "results" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "run.lock").open("a+", encoding="utf-8") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.seek(0)
+            holder = lock.read().strip() or "another process"
+            raise BusyError(
+                f"{folder}: another run works on these results, {holder}; wait for it, or stop it "
+                "(kill with that number)"
+            ) from None
+        if started_by_hand := _snakemake_locks(directory, name):
+            raise BusyError(
+                f"{folder}: a Snakemake that was started by hand has locked these results "
+                f"({started_by_hand[0]}). Wait for it; if it runs no more, remove its lock with "
+                f"`{Path(sys.executable).name} -m snakemake --unlock --directory {directory} "
+                f"--config experiment={name}`"
+            )
+        _write(lock, f"process {os.getpid()}")
+        yield lock
+
+
+def _write(lock: IO[str], holder: str) -> None:
+    lock.truncate(0)
+    lock.write(f"{holder}, since {provenance.now()}\n")
+    lock.flush()
+
+
+def _snakemake_locks(directory: Path, name: str) -> list[Path]:
+    """Locks of Snakemake's own on files of this experiment; runs of ours leave none."""
+    ours = f"results/{name}/"
+    return [
+        path
+        for path in sorted((directory / ".snakemake" / "locks").glob("*.lock"))
+        if any(line.startswith(ours) for line in path.read_text(encoding="utf-8").splitlines())
+    ]
