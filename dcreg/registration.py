@@ -124,13 +124,14 @@ def register(
     time_setup = time.perf_counter() - began
 
     frame = Frame.of(problem)
-    budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(listener, frame.area))
-    task = task_of(
-        problem, way, bound, gap_tol, threads, budget, reduced_box=start_box == "reduced",
-        leaves=Leaves() if certificate else None,
-    )  # fmt: skip
-    answer = way.run(task)
-    return result_of(problem, way, task, answer, polish=polish, time_setup_s=time_setup)
+    told = in_file_units(listener, frame.area)
+    with Budget(time_limit, node_limit, memory_limit_mb, told) as budget:
+        task = task_of(
+            problem, way, bound, gap_tol, threads, budget, reduced_box=start_box == "reduced",
+            leaves=Leaves() if certificate else None,
+        )  # fmt: skip
+        answer = way.run(task)
+        return result_of(problem, way, task, answer, polish=polish, time_setup_s=time_setup)
 
 
 def task_of(
@@ -190,16 +191,18 @@ def result_of(
     area = frame.area
     T = T_certified = frame.pose(answer.T)
     value, pairs = objective(
-        problem.source, problem.target, T, problem.n_inliers, problem.candidates, prove=not polish
-    )
+        problem.source, problem.target, T, problem.n_inliers, problem.candidates,
+        prove=not (polish or budget.is_over), stop=budget.closed,
+    )  # fmt: skip
     final = value
     stages = [stage.scaled(area) for stage in answer.stages]
     if polish:
-        polishing = budget.elapsed()
-        T, final, pairs, spent = polish_pose(
-            problem.source, problem.target, T_certified, problem.n_inliers, problem.scale_range,
-            problem.candidates, budget,
-        )  # fmt: skip
+        polishing, spent = budget.elapsed(), 0
+        if not budget.is_over:
+            T, final, pairs, spent = polish_pose(
+                problem.source, problem.target, T_certified, problem.n_inliers,
+                problem.scale_range, problem.candidates, budget,
+            )  # fmt: skip
         stages.append(
             Stage(
                 "polish", budget.elapsed() - polishing, n_assignments=spent,

@@ -33,7 +33,7 @@ from dcreg.modes.paper import TRANSLATION_SHARE, place, space_of
 from dcreg.problem import Candidates, Frame, InputError, Problem, default_gap_tol
 from dcreg.registration import check_settings, in_file_units, result_of, task_of
 from dcreg.result import Result, Stage
-from dcreg.search import Budget, Event, Listener, Outcome, minimise
+from dcreg.search import Budget, Event, Interrupted, Listener, Outcome, minimise
 from dcreg.spaces import FeatureSpace
 from dcreg.status import Status
 from dcreg.sweep_result import SweepResult
@@ -119,16 +119,16 @@ def sweep(
     time_setup = time.perf_counter() - began
     area = Frame.of(problems[0]).area
     budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(listener, area))
-    solve = _Sweep(
-        [_Level.of(problem, mode, bound, gap_tol, threads, budget) for problem in problems],
-        mode,
-        budget,
-    )
-    solve.incumbents()
-    solve.bounds()
-    return SweepResult(
-        solve.results(polish, time_setup), [level.proven_by for level in solve.levels]
-    )
+    with budget:
+        solve = _Sweep(
+            [_Level.of(problem, mode, bound, gap_tol, threads, budget) for problem in problems],
+            mode,
+            budget,
+        )
+        solve.incumbents()
+        solve.bounds()
+        results = solve.results(polish, time_setup)
+    return SweepResult(results, [level.proven_by for level in solve.levels])
 
 
 def _problems(
@@ -232,6 +232,7 @@ class _Sweep:
         """A pose for every cardinality, from descents of its own and from its neighbours'."""
         for level in self.levels:
             began = self.budget.elapsed()
+            level.space.heed(self.budget.stop)
             level.take(*level.space.start(self.budget))
             level.descending_s += self.budget.elapsed() - began
         self._exchange()
@@ -244,7 +245,10 @@ class _Sweep:
             if self.budget.is_over:
                 return
             began = self.budget.elapsed()
-            taker.take(*taker.space.refine(giver.theta))
+            try:
+                taker.take(*taker.space.refine(giver.theta))
+            except Interrupted:
+                return
             taker.descending_s += self.budget.elapsed() - began
 
     def bounds(self) -> None:

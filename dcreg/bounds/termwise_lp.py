@@ -60,7 +60,7 @@ class TermwiseR3(TermwiseBound):
         """Least total of `cost` over all matchings, and the aggregates of a matching attaining it."""
         shape = self.features.shape[1:]
         value, col_of, _ = cheapest_pairs(
-            np.ascontiguousarray(cost.reshape(shape)), self.space.n_inliers
+            np.ascontiguousarray(cost.reshape(shape)), self.space.n_inliers, self.space.stop
         )
         self.n_assignments += 1
         rows = np.flatnonzero(col_of >= 0)
@@ -71,6 +71,7 @@ class TermwiseR3(TermwiseBound):
     ) -> Evaluation:
         found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
         for box in range(len(lower)):
+            self.space.check()
             found.lower_bounds[box], theta = self._solve(lower[box], upper[box], cutoff)
             found.thetas[box] = self._project(theta)
         self.n_assignments += self.space.objectives(found.thetas, found.values)

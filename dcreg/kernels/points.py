@@ -7,6 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 
+# For kernels that are never told to stop.
+NEVER = np.zeros(1, np.uint8)
+
+
 class Points(NamedTuple):
     """A problem over plane points, or over norms of points in space.
 
@@ -22,6 +26,8 @@ class Points(NamedTuple):
         What a pair costs beyond its residual: 0, or prohibitive.
     k : int
         Pairs to be matched.
+    stop : (1,) uint8 array
+        Set from outside once a kernel shall return at once, whatever it then returns.
     """
 
     source: np.ndarray
@@ -29,6 +35,7 @@ class Points(NamedTuple):
     target: np.ndarray
     prices: np.ndarray
     k: int
+    stop: np.ndarray
 
 
 class Clouds(NamedTuple):
@@ -42,9 +49,12 @@ class Clouds(NamedTuple):
         What a pair costs beyond its residual: 0, or prohibitive.
     k : int
         Pairs to be matched.
+    stop : (1,) uint8 array
+        Set from outside once a kernel shall return at once, whatever it then returns.
     """
 
     source: np.ndarray
     target: np.ndarray
     prices: np.ndarray
     k: int
+    stop: np.ndarray

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.kernels.assignment.dense import cheapest_pairs
+from dcreg.kernels.points import NEVER
 
 
-def k_assignment(cost: np.ndarray, k: int) -> tuple[float, np.ndarray]:
+def k_assignment(
+    cost: np.ndarray, k: int, stop: np.ndarray = NEVER
+) -> tuple[float, np.ndarray]:
     """Cheapest one-to-one choice of exactly k pairs in a dense cost matrix.
 
     Minimises ``sum_ij p_ij cost_ij`` over binary P with row and column sums at most one and total k.
@@ -17,6 +20,8 @@ def k_assignment(cost: np.ndarray, k: int) -> tuple[float, np.ndarray]:
     ----------
     cost : (n, m) array of finite numbers, of any sign
     k : int, 1 <= k <= min(n, m)
+    stop : (1,) uint8 array
+        Set from another thread, it ends the call early; what is returned is then of no use.
 
     Returns
     -------
@@ -34,7 +39,7 @@ def k_assignment(cost: np.ndarray, k: int) -> tuple[float, np.ndarray]:
         raise ValueError("cost must be a matrix of finite numbers")
     if not 1 <= k <= min(cost.shape):
         raise ValueError(f"k={k} pairs asked of a {cost.shape[0]} x {cost.shape[1]} cost matrix")
-    value, col_of, _ = cheapest_pairs(cost, int(k))
+    value, col_of, _ = cheapest_pairs(cost, int(k), stop)
     return float(value), col_of
 
 

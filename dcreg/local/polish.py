@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
 
+from dcreg.kernels.points import NEVER
 from dcreg.local.assignment import k_assignment, pairs_of
 from dcreg.local.fit import fit_pose
 from dcreg.local.sparse import is_large, nearest_pairs, sparse_matching
@@ -12,6 +15,8 @@ from dcreg.search import Budget
 
 _MAX_ROUNDS = 100
 _MAX_LARGE_ROUNDS = 10
+# Share of the objective by which a step has to lower it.
+_LEAST_GAIN, _LEAST_GAIN_LARGE = 1e-12, 1e-4
 
 
 def objective(
@@ -22,6 +27,7 @@ def objective(
     candidates: np.ndarray | None = None,
     *,
     prove: bool = True,
+    stop: np.ndarray = NEVER,
 ) -> tuple[float, np.ndarray]:
     """Least sum of squared residuals of `n_inliers` one-to-one pairs at a pose.
 
@@ -37,6 +43,8 @@ def objective(
         The feasible pairs.
     prove : bool
         For large clouds: False takes a quick upper bound instead.
+    stop : (1,) uint8 array
+        Set from another thread, it asks for an upper bound at once: near pairs, chosen greedily.
 
     Returns
     -------
@@ -46,13 +54,21 @@ def objective(
     d = source.shape[1]
     moved = source @ T_target_source[:d, :d].T + T_target_source[:d, d]
     if candidates is None and is_large(len(source), len(target)):
-        found = sparse_matching(moved, target, n_inliers, prove=prove)
+        found = sparse_matching(moved, target, n_inliers, prove=prove, stop=stop)
         return found.value, found.pairs
     cost = ((moved[:, None] - target[None]) ** 2).sum(axis=-1)
     if candidates is not None:
         cost[~candidates] = 1.0 + n_inliers * cost.max()
-    value, col_of = k_assignment(cost, n_inliers)
-    return value, pairs_of(col_of)
+    value, col_of = k_assignment(cost, n_inliers, stop)
+    if not stop[0]:
+        return value, pairs_of(col_of)
+    if candidates is None:
+        found = sparse_matching(moved, target, n_inliers, prove=False, stop=stop)
+        return found.value, found.pairs
+    pairs = pairs_of(maximum_bipartite_matching(csr_array(candidates), perm_type="column"))
+    own = cost[pairs[:, 0], pairs[:, 1]]
+    kept = np.sort(np.argsort(own, kind="stable")[:n_inliers])
+    return float(own[kept].sum()), pairs[kept]
 
 
 def polish(
@@ -80,55 +96,37 @@ def polish(
         Never worse than the pose given.
     """
     budget = budget or Budget()
-    if candidates is None and is_large(len(source), len(target)):
-        return _polish_large(source, target, T_target_source, n_inliers, scale_range, budget)
-    T = T_target_source
-    value, pairs = objective(source, target, T, n_inliers, candidates)
-    spent = 1
-    for _ in range(_MAX_ROUNDS):
-        if budget.is_over:
-            break
-        trial = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
-        trial_value, trial_pairs = objective(source, target, trial, n_inliers, candidates)
-        spent += 1
-        if trial_value >= value * (1.0 - 1e-12):
-            break
-        T, value, pairs = trial, trial_value, trial_pairs
-    return T, value, pairs, spent
-
-
-def _polish_large(
-    source: np.ndarray,
-    target: np.ndarray,
-    T_target_source: np.ndarray,
-    n_inliers: int,
-    scale_range: tuple[float, float],
-    budget: Budget,
-) -> tuple[np.ndarray, float, np.ndarray, int]:
-    """As `polish`: first by nearest neighbours, then by quick one-to-one matchings, then a proved one."""
+    large = candidates is None and is_large(len(source), len(target))
 
     def quick(T: np.ndarray) -> tuple[float, np.ndarray]:
-        return objective(source, target, T, n_inliers, prove=False)
+        return objective(
+            source, target, T, n_inliers, candidates, prove=not large, stop=budget.closed
+        )
 
     T = T_target_source
     value, pairs = quick(T)
     spent = 1
-    if budget.is_over:
-        return T, value, pairs, spent
-    trial, _ = follow_nearest(source, cKDTree(target), T, n_inliers, scale_range)
-    for _ in range(_MAX_LARGE_ROUNDS):
+    trial = None
+    for _ in range(_MAX_LARGE_ROUNDS if large else _MAX_ROUNDS):
         if budget.is_over:
             return T, value, pairs, spent
+        if trial is None and large:  # first by nearest neighbours, which takes no matching
+            trial, _ = follow_nearest(
+                source, cKDTree(target), T, n_inliers, scale_range, budget
+            )
+        else:
+            trial = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
         trial_value, trial_pairs = quick(trial)
         spent += 1
-        if trial_value >= value * (1.0 - 1e-4):
+        if trial_value >= value * (1.0 - (_LEAST_GAIN_LARGE if large else _LEAST_GAIN)):
             break
         T, value, pairs = trial, trial_value, trial_pairs
-        trial = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
-    proved_value, proved_pairs = objective(source, target, T, n_inliers)
-    if proved_value < value:
-        value, pairs = proved_value, proved_pairs
-    return T, value, pairs, spent + 1
+    if large and not budget.is_over:
+        proved_value, proved_pairs = objective(source, target, T, n_inliers, stop=budget.closed)
+        spent += 1
+        if proved_value < value:
+            value, pairs = proved_value, proved_pairs
+    return T, value, pairs, spent
 
 
 def follow_nearest(
@@ -137,6 +135,7 @@ def follow_nearest(
     T: np.ndarray,
     k: int,
     scale_range: tuple[float, float],
+    budget: Budget | None = None,
 ) -> tuple[np.ndarray, float]:
     """Alternate the k nearest neighbours and the least-squares pose while their distance falls.
 
@@ -147,7 +146,7 @@ def follow_nearest(
     best, least = T, np.inf
     for _ in range(_MAX_ROUNDS):
         pairs, value = nearest_pairs(source @ T[:d, :d].T + T[:d, d], tree, k)
-        if value >= least * (1.0 - 1e-3):
+        if value >= least * (1.0 - 1e-3) or (budget is not None and budget.is_over):
             break
         best, least = T, value
         T = fit_pose(source[pairs[:, 0]], tree.data[pairs[:, 1]], scale_range)

@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
 
 from dcreg.kernels.assignment.prices import assignment_prices
+from dcreg.kernels.assignment.sparse import greedy_matching, priced_matching
+from dcreg.kernels.points import NEVER
 
 # Up to here the pairs are held in a dense matrix; beyond, this many neighbour pairs are the most.
 DENSE_PAIRS = 4_000_000
@@ -49,7 +49,12 @@ def is_large(n: int, m: int) -> bool:
 
 
 def sparse_matching(
-    points: np.ndarray, target: np.ndarray, k: int, *, prove: bool = True
+    points: np.ndarray,
+    target: np.ndarray,
+    k: int,
+    *,
+    prove: bool = True,
+    stop: np.ndarray = NEVER,
 ) -> Matching:
     """Cheapest k one-to-one pairs by squared distance, without a dense matrix.
 
@@ -59,10 +64,11 @@ def sparse_matching(
     the neighbours leave over are paired in the order of their coordinate along the longest side.
 
     Without `prove`, the first 16 neighbours must do and the price of staying unmatched is found
-    roughly: a near-optimal matching in a fraction of the time, for the steps of a descent.
+    roughly: a near-optimal matching in a fraction of the time, for the steps of a descent. Where `stop`
+    is set meanwhile, nearest pairs are taken greedily instead.
     """
     if len(points) > len(target):
-        found = sparse_matching(target, points, k, prove=prove)
+        found = sparse_matching(target, points, k, prove=prove, stop=stop)
         pairs = found.pairs[:, ::-1]
         return Matching(
             found.value, pairs[np.argsort(pairs[:, 0])], found.exact, found.n_assignments
@@ -74,19 +80,21 @@ def sparse_matching(
     while True:
         distances, columns = tree.query(points, k=np.arange(1, neighbours + 1))
         costs, columns = distances**2, columns.astype(np.int64)
-        col_of, own, solved = _matching_of_size(columns, costs, m, k, prove)
+        col_of, own, solved = _matching_of_size(columns, costs, m, k, prove, stop)
+        if stop[0]:
+            col_of, own = _greedy(columns, costs, m, k), None
         spent += solved
         exact = prove and own is not None and _is_proved(points, tree, columns, costs, col_of, own)
         value, pairs = _completed(points, target, col_of, k)
         if best is None or exact or value < best.value:
             best = Matching(value, pairs, exact, spent)
-        if exact or not prove or neighbours == m or 4 * neighbours * n > DENSE_PAIRS:
+        if exact or not prove or stop[0] or neighbours == m or 4 * neighbours * n > DENSE_PAIRS:
             return Matching(best.value, best.pairs, best.exact, spent)
         neighbours = min(4 * neighbours, m)
 
 
 def _matching_of_size(
-    columns: np.ndarray, costs: np.ndarray, m: int, k: int, prove: bool
+    columns: np.ndarray, costs: np.ndarray, m: int, k: int, prove: bool, stop: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray | None, int]:
     """Columns of the cheapest k pairs among the candidates, what rows pay, assignments solved.
 
@@ -98,14 +106,14 @@ def _matching_of_size(
     n = len(columns)
     top = 4.0 * n * (costs.max() or 1.0)  # dearer than any matching: as many rows as possible
     if k == n:
-        col_of = _priced_matching(columns, costs, m, top)
+        col_of = _priced_matching(columns, costs, m, top, stop)
         complete = bool((col_of >= 0).all())
         return col_of, _own_costs(columns, costs, col_of, top) if complete else None, 1
     low, n_low, high, n_high = 0.0, 0, top, n + 1
     price = 2.0 * float(np.partition(costs[:, 0], k - 1)[k - 1]) or 1e-9 * top
     enough = None
     for solved in range(1, _MAX_PRICES + 1):
-        col_of = _priced_matching(columns, costs, m, price)
+        col_of = _priced_matching(columns, costs, m, price, stop)
         size = int((col_of >= 0).sum())
         if size == k:
             return col_of, _own_costs(columns, costs, col_of, price), solved
@@ -116,9 +124,10 @@ def _matching_of_size(
         else:
             low, n_low = price, size
         if enough is None:
-            price = min(4.0 * price, top)
-            if low == top:
+            # where all candidates count already, a dearer price hardly adds a pair
+            if low == top or stop[0] or (not prove and low > costs.max()):
                 break
+            price = min(4.0 * price, top)
         else:
             share = np.clip((k - n_low) / (n_high - n_low), 0.05, 0.95)
             price = low + float(share) * (high - low)
@@ -132,20 +141,20 @@ def _matching_of_size(
     return col_of, None, solved
 
 
-def _priced_matching(columns: np.ndarray, costs: np.ndarray, m: int, price: float) -> np.ndarray:
+def _priced_matching(
+    columns: np.ndarray, costs: np.ndarray, m: int, price: float, stop: np.ndarray
+) -> np.ndarray:
     """Column of each row (-1: none) in the cheapest matching where staying unmatched costs `price`."""
-    n = len(columns)
-    useful = costs < price
-    rows, _ = np.nonzero(useful)
-    own = np.arange(n)
-    shift = price  # the same for every row; the solver takes a zero for no edge
-    weights = np.concatenate([costs[useful], np.full(n, price)]) + shift
-    graph = csr_array(
-        (weights, (np.concatenate([rows, own]), np.concatenate([columns[useful], m + own]))),
-        shape=(n, m + n),
-    )
-    _, col_of = min_weight_full_bipartite_matching(graph)
-    return np.where(col_of < m, col_of, -1).astype(np.int64)
+    col_of = np.empty(len(columns), np.int64)
+    priced_matching(columns, costs, m, price, stop, col_of)
+    return col_of
+
+
+def _greedy(columns: np.ndarray, costs: np.ndarray, m: int, k: int) -> np.ndarray:
+    """Column of each row (-1: none): the nearest pairs whose points are both free, one after another."""
+    n, width = columns.shape
+    order = np.argsort(costs, axis=None, kind="stable")
+    return greedy_matching(order // width, columns.ravel()[order], n, m, k)
 
 
 def _own_costs(

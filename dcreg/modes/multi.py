@@ -18,7 +18,7 @@ from dcreg.bounds import RotationBound, make_bound
 from dcreg.modes.paper import pose_of
 from dcreg.modes.task import Answer, Task
 from dcreg.result import Stage
-from dcreg.search import Bound, Box, Budget, LongestEdge, Outcome, minimise
+from dcreg.search import Bound, Box, Budget, Interrupted, LongestEdge, Outcome, minimise
 from dcreg.spaces import Rigid3D, Rotation3D, Translation3D
 from dcreg.status import Status
 
@@ -98,10 +98,12 @@ def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
         task.source, task.target, task.n_inliers, task.reduced_box, task.candidates
     )
     rigid = Rigid3D.centred(task.source, task.target, task.n_inliers, candidates=task.candidates)
+    norms.heed(task.budget.stop)
+    rigid.heed(task.budget.stop)
     first, first_stage = _first_basin(norms, rigid, task.budget)
     descents = _Descents(norms)
     bound = make_bound(task.bound, norms, threads=task.threads)
-    theta, value, spent = descents.refine(norms.identity)
+    theta, value, spent = descents.first()
     found = minimise(
         norms, bound, task.budget.part(0.5), gap_tol=task.gap_tol, start=(theta, value),
         refine=descents.refine,
@@ -112,19 +114,39 @@ def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
         stages=[first_stage], basins=[first],
     )  # fmt: skip
     answer.add("search", found)
-    translations = _low_places(task, settings, bound, descents, found, answer)
-    for done, translation in enumerate(translations):
-        name = f"basin {done + 1} of {len(translations)}"
-        if task.budget.is_over:
-            answer.complete = False
-            if answer.status is Status.OPTIMAL:
-                answer.status = Status.STOPPED if task.budget.stopped else Status.TIME_LIMIT
-            break
-        budget = task.budget.part(1.0 / (len(translations) - done))
-        _try_basin(task, settings, norms, rigid, translation, budget, answer, name)
+    try:
+        in_time = _follow(task, settings, norms, rigid, bound, descents, found, answer)
+    except Interrupted:
+        in_time = answer.complete = False
+    if not in_time and answer.status is Status.OPTIMAL:
+        answer.status = Status.STOPPED if task.budget.stopped else Status.TIME_LIMIT
     answer.basins.sort(key=lambda basin: basin.value)
     answer.T, answer.value = answer.basins[0].T, answer.basins[0].value
     return answer
+
+
+def _follow(
+    task: Task,
+    settings: Settings,
+    norms: Translation3D,
+    rigid: Rigid3D,
+    bound: Bound,
+    descents: _Descents,
+    found: Outcome,
+    answer: MultiAnswer,
+) -> bool:
+    """A rotation search for every low place of the norm objective; whether there was time for all."""
+    looking = task.budget.part(0.5)
+    translations = _low_places(task, settings, bound, descents, found, answer, looking)
+    in_time = not looking.is_over
+    for done, translation in enumerate(translations):
+        if task.budget.is_over:
+            answer.complete = False
+            return False
+        budget = task.budget.part(1.0 / (len(translations) - done))
+        name = f"basin {done + 1} of {len(translations)}"
+        _try_basin(task, settings, norms, rigid, translation, budget, answer, name)
+    return in_time
 
 
 def _first_basin(norms: Translation3D, rigid: Rigid3D, budget: Budget) -> tuple[Basin, Stage]:
@@ -133,7 +155,11 @@ def _first_basin(norms: Translation3D, rigid: Rigid3D, budget: Budget) -> tuple[
     theta, value, spent = rigid.start(budget.part(0.25))
     T = rigid.pose(theta)
     translation = T[:3, :3].T @ T[:3, 3]
-    basin = Basin(translation, norms.objective(translation)[0], T, value)
+    try:
+        norm_value = norms.objective(translation)[0]
+    except Interrupted:
+        norm_value = np.inf
+    basin = Basin(translation, norm_value, T, value)
     return basin, Stage("start", time_s=budget.elapsed() - began, n_assignments=spent)
 
 
@@ -144,9 +170,10 @@ def _low_places(
     descents: _Descents,
     found: Outcome,
     answer: MultiAnswer,
+    budget: Budget,
 ) -> list[np.ndarray]:
     """Distinct translations with a low norm objective, and the one that joins the centroids."""
-    budget, began = task.budget.part(0.5), task.budget.elapsed()
+    began = task.budget.elapsed()
     assignments, spent = bound.n_assignments, descents.spent
     margin = task.gap_tol if settings.margin is None else settings.margin
     cutoff = found.upper_bound + margin
@@ -247,6 +274,13 @@ class _Descents:
         self.space = space
         self.ends: list[tuple[float, np.ndarray]] = []
         self.spent = 0
+
+    def first(self) -> tuple[np.ndarray, float, int]:
+        """The descent from the identity; the identity itself where no time is left for it."""
+        try:
+            return self.refine(self.space.identity)
+        except Interrupted:
+            return self.space.identity, np.inf, 0
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         theta, value, spent = self.space.refine(theta)

@@ -69,6 +69,7 @@ def run(task: Task, make: MakeBound | None = None, turn: Turn = turn) -> Answer:
         The rotation search that follows in space.
     """
     space = space_of(task)
+    space.heed(task.budget.stop)
     make = make or partial(make_bound, task.bound)
     bound = make(space, threads=task.threads)
     budget = task.budget if task.dim == 2 else task.budget.part(TRANSLATION_SHARE)

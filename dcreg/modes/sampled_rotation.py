@@ -59,25 +59,25 @@ def search_sampled_rotation(
     sparse_tree = cKDTree(target[spread_rows(target, _SCORED_TARGETS)])
     share = n_inliers / len(source_shifted)
     grid = Rotation3D.grid(_CELLS_PER_AXIS)
-    scores = [
-        nearest_pairs(
-            source_shifted[few] @ rotation_matrix(q).T, sparse_tree, _part(share, few.size)
-        )[1]
-        for q in grid
-    ]
+    scores = np.full(len(grid), np.inf)
+    for at, q in enumerate(grid):
+        if budget.is_over:
+            break
+        turned = source_shifted[few] @ rotation_matrix(q).T
+        scores[at] = nearest_pairs(turned, sparse_tree, _part(share, few.size))[1]
     sample = source_shifted[some]
     descents: list[tuple[float, np.ndarray]] = []
     for at in np.argsort(scores, kind="stable")[:_DESCENTS]:
-        theta = _descend(sample, target, tree, _part(share, some.size), grid[at])
+        theta = _descend(sample, target, tree, _part(share, some.size), grid[at], budget)
         descents.append((_two_sided(source_shifted, sample, target, tree, share, theta), theta))
         if budget.is_over:
             break
     descents.sort(key=lambda descent: descent[0])
     theta = descents[0][1]
     if not budget.is_over:
-        theta = _descend(source_shifted, target, tree, n_inliers, theta)
+        theta = _descend(source_shifted, target, tree, n_inliers, theta, budget)
     turned = source_shifted @ rotation_matrix(theta).T
-    matching = sparse_matching(turned, target, n_inliers, prove=False)
+    matching = sparse_matching(turned, target, n_inliers, prove=False, stop=budget.stop)
     lower, _ = match_on_line(
         np.linalg.norm(source_shifted, axis=1), np.linalg.norm(target, axis=1), n_inliers
     )
@@ -109,13 +109,18 @@ def _part(share: float, count: int) -> int:
 
 
 def _descend(
-    points: np.ndarray, target: np.ndarray, tree: cKDTree, k: int, theta: np.ndarray
+    points: np.ndarray,
+    target: np.ndarray,
+    tree: cKDTree,
+    k: int,
+    theta: np.ndarray,
+    budget: Budget,
 ) -> np.ndarray:
     """Alternate the k nearest neighbours and the best rotation while their distance falls."""
     best, least = theta, np.inf
     for _ in range(_MAX_ROUNDS):
         pairs, value = nearest_pairs(points @ rotation_matrix(theta).T, tree, k)
-        if value >= least * (1.0 - 1e-4):
+        if value >= least * (1.0 - 1e-4) or budget.is_over:
             break
         best, least = theta, value
         theta = best_rotation(points[pairs[:, 0]].T, target[pairs[:, 1]].T)

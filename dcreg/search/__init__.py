@@ -3,7 +3,7 @@
 from dcreg.search.bound import Bound, Evaluation
 from dcreg.search.box import Box, LongestEdge
 from dcreg.search.branch_and_bound import branch_and_bound
-from dcreg.search.budget import Budget, Listener
+from dcreg.search.budget import Budget, Interrupted, Listener
 from dcreg.search.leaves import Leaves
 from dcreg.search.minimise import minimise
 from dcreg.search.outcome import Outcome
@@ -15,6 +15,7 @@ __all__ = [
     "Budget",
     "Evaluation",
     "Event",
+    "Interrupted",
     "Leaves",
     "Listener",
     "LongestEdge",

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from dcreg.search.bound import Bound, Evaluation
-from dcreg.search.budget import Budget
+from dcreg.search.budget import Budget, Interrupted
 from dcreg.search.leaves import Leaves
 from dcreg.search.nodes import OpenNodes
 from dcreg.search.outcome import Outcome
@@ -77,7 +77,11 @@ def branch_and_bound(
     upper = np.array([box.upper for box in bound.roots])
     inherited = np.zeros(len(lower))  # the objective is a sum of squares
     while search.status is None:
-        found = bound.evaluate(lower, upper, search.cutoff)
+        try:
+            found = bound.evaluate(lower, upper, search.cutoff)
+        except Interrupted:
+            search.put_back(lower, upper, inherited)
+            break
         bounds = np.maximum(_settled(found.lower_bounds, gap_tol), inherited)
         search.update(found, refine)
         search.prune(lower, upper, bounds)
@@ -129,7 +133,11 @@ class _Search:
         self.is_over = self.budget.is_over
         if refine is not None and not self.is_over and value <= self.worth_refining:
             self.worth_refining = value
-            theta, value, spent = refine(found.thetas[best])
+            try:
+                theta, value, spent = refine(found.thetas[best])
+            except Interrupted:
+                self.is_over = True
+                return
             self.n_refining += spent
             self._take(theta, value)
         self.worth_refining *= REFINING_PATIENCE
@@ -147,6 +155,12 @@ class _Search:
             if self.leaves is not None:
                 self.leaves.add(lower[~keep], upper[~keep], bounds[~keep])
         self.nodes.push(lower[keep], upper[keep], bounds[keep])
+
+    def put_back(self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray) -> None:
+        """End with boxes open that there was no time to bound."""
+        self.nodes.push(lower, upper, bounds)
+        self.is_over = True
+        self.terminate()
 
     def terminate(self) -> None:
         """Set the status if the search has come to an end, and tell of the round."""

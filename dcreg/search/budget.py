@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
 
 from dcreg.search.trace import Event
 
 # Called with every event; returning True asks the solve to stop (status "stopped").
 Listener = Callable[[Event], bool | None]
 
+_GLANCE_S = 0.05  # between two looks at the clock while a kernel runs
+_SILENCE_S = 0.5  # without an event, before the last one is told once more
+# What follows a limit: the objective of the pose that was found, exactly or else roughly.
+_CLOSING_SHARE, _CLOSING_S = 0.05, 0.5
+
+
+class Interrupted(Exception):
+    """A kernel was told to stop before its end. Raised and caught within the library."""
+
 
 class Budget:
     """Clock, boxes and memory of a solve, handed down from stage to stage.
+
+    As a context it also keeps watch while kernels run, which look at no clock: at the limit it sets
+    `stop`, and where no event was told for half a second it tells the last one again, so that a caller
+    sees progress and can stop at any time. The listener is then called from another thread as well,
+    never twice at once.
 
     Parameters
     ----------
@@ -24,6 +43,13 @@ class Budget:
         Memory of the open boxes of a search.
     listener : callable, optional
         Told of every event; what it returns decides about `stopped`.
+
+    Attributes
+    ----------
+    stop : (1,) uint8 array
+        For kernels: set when the solve is over, wherever it stands. Only within the context.
+    closed : (1,) uint8 array
+        The same for what completes the result, which may take a little longer.
     """
 
     def __init__(
@@ -34,11 +60,45 @@ class Budget:
         listener: Listener | None = None,
     ) -> None:
         self.nodes, self.memory_mb = nodes, memory_mb
+        self.stop, self.closed = np.zeros(1, np.uint8), np.zeros(1, np.uint8)
         self._listener = listener
-        self._began = time.perf_counter()
+        self._began = self._told = time.perf_counter()
         self._deadline = None if time_s is None else self._began + time_s
+        self._closing_s = _CLOSING_S + _CLOSING_SHARE * (time_s or 0.0)
         self._root = self  # of all parts: the one that knows whether the caller asked to stop
         self._stopped = False
+        self._event = Event("tick", "start", 0.0, 0, 0, 0, 0.0, np.inf)
+        self._lock = threading.RLock()
+        self._ended = threading.Event()
+        self._watch: threading.Thread | None = None
+        self._error: BaseException | None = None
+
+    def __enter__(self) -> Self:
+        if self._deadline is not None or self._listener is not None:
+            self._watch = threading.Thread(target=self._keep_watch, daemon=True)
+            self._watch.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._ended.set()
+        if self._watch is not None:
+            self._watch.join()
+        if self._error is not None and error[0] is None:
+            raise self._error
+
+    def _keep_watch(self) -> None:
+        over_s: float | None = None
+        while not self._ended.wait(_GLANCE_S):
+            now = time.perf_counter()
+            try:
+                if now - self._told >= _SILENCE_S and over_s is None:
+                    self.tell(replace(self._event, kind="tick", time_s=self.elapsed(), status=""))
+            except BaseException as error:  # of the listener: raised where the solve was called
+                self._error, self._stopped = error, True
+            if over_s is None and self.is_over:
+                over_s, self.stop[0] = now, 1
+            if over_s is not None and now - over_s >= self._closing_s:
+                self.closed[0] = 1
 
     def elapsed(self) -> float:
         """Seconds since the solve began; the same clock in all parts."""
@@ -71,5 +131,8 @@ class Budget:
 
     def tell(self, event: Event) -> None:
         """Pass an event on to the listener."""
-        if self._listener is not None and self._listener(event):
-            self._root._stopped = True
+        root = self._root
+        with root._lock:
+            root._told, root._event = time.perf_counter(), event
+            if self._listener is not None and self._listener(event):
+                root._stopped = True

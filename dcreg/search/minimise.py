@@ -19,6 +19,10 @@ class Searchable(Protocol):
 
     axis_weights: np.ndarray
 
+    def heed(self, stop: np.ndarray) -> None:
+        """Look at ``stop[0]`` within all that takes long, and raise `Interrupted` once it is set."""
+        ...
+
     def start(self, budget: Budget) -> tuple[np.ndarray, float, int]:
         """A first incumbent: theta, its objective, assignments spent."""
         ...
@@ -63,6 +67,7 @@ def minimise(
     Outcome
     """
     began, spent = budget.elapsed(), 0
+    space.heed(budget.stop)
     if start is None:
         theta, value, spent = space.start(budget)
         start = theta, value

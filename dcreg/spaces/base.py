@@ -6,7 +6,8 @@ import abc
 
 import numpy as np
 
-from dcreg.search import Box, Budget
+from dcreg.kernels.points import NEVER
+from dcreg.search import Box, Budget, Interrupted
 
 
 class Space(abc.ABC):
@@ -21,12 +22,29 @@ class Space(abc.ABC):
         What a certificate over this space speaks of.
     n_descents : int
         Descents made for the first incumbent: enough for a good upper bound, cheap beside any search.
+    stop : (1,) uint8 array
+        Once it is set, kernels return at once and `check` raises; see `heed`.
     """
 
     n_inliers: int
     axis_weights: np.ndarray
     scope: str
     n_descents: int
+    stop: np.ndarray = NEVER
+
+    def heed(self, stop: np.ndarray) -> None:
+        """From now on look at `stop`, as of `Budget.stop`, within everything that takes long."""
+        self.stop = stop
+
+    def check(self) -> None:
+        """To be called after kernels: what they return is of no use if they were told to stop.
+
+        Raises
+        ------
+        Interrupted
+        """
+        if self.stop[0]:
+            raise Interrupted
 
     @abc.abstractmethod
     def roots(self) -> list[Box]:
@@ -72,20 +90,24 @@ class Space(abc.ABC):
     def start(self, budget: Budget) -> tuple[np.ndarray, float, int]:
         """The best of a few descents from the most promising seeds: theta, objective, work.
 
-        At least one descent is made, however short the time.
+        At least one descent is begun, however short the time. The value is infinite where not even that
+        one came to an end.
         """
         seeds = self.seeds()
-        scores, spent = self.score(seeds)
-        best: tuple[np.ndarray, float] | None = None
-        for seed in seeds[np.argsort(scores, kind="stable")[: self.n_descents]]:
-            if best is not None and budget.is_over:
-                break
-            theta, value, assignments = self.refine(seed)
-            spent += assignments
-            if best is None or value < best[1]:
-                best = theta, value
-        assert best is not None
-        return *best, spent
+        theta, value, spent = seeds[0], np.inf, 0
+        try:
+            scores, spent = self.score(seeds)
+            self.check()
+            for seed in seeds[np.argsort(scores, kind="stable")[: self.n_descents]]:
+                if value < np.inf and budget.is_over:
+                    break
+                found, least, assignments = self.refine(seed)
+                spent += assignments
+                if least < value:
+                    theta, value = found, least
+        except Interrupted:
+            pass
+        return theta, value, spent
 
 
 def mean_of_largest(values: np.ndarray, count: int) -> float:

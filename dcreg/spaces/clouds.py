@@ -6,7 +6,7 @@ import abc
 
 import numpy as np
 
-from dcreg.kernels.points import Clouds
+from dcreg.kernels.points import NEVER, Clouds
 from dcreg.problem.pairs import FeasiblePairs
 from dcreg.spaces.base import Space, radius
 from dcreg.spaces.descent import alternate
@@ -44,8 +44,13 @@ class CloudSpace(Space):
             np.ascontiguousarray(target.T),
             FeasiblePairs(candidates).prices(n_inliers, reach),
             n_inliers,
+            NEVER,
         )
         self.n_inliers = n_inliers
+
+    def heed(self, stop: np.ndarray) -> None:
+        super().heed(stop)
+        self.clouds = self.clouds._replace(stop=stop)
 
     @property
     def n_source(self) -> int:

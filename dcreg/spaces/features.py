@@ -29,6 +29,10 @@ class FeatureSpace(Space):
     identity: np.ndarray
     n_descents = 6
 
+    def heed(self, stop: np.ndarray) -> None:
+        super().heed(stop)
+        self.points = self.points._replace(stop=stop)
+
     @property
     def source(self) -> np.ndarray:
         """(n, d) normalised source points."""
@@ -43,7 +47,8 @@ class FeatureSpace(Space):
         return int(self.points.target.shape[-1])
 
     def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
-        value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers)
+        value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop)
+        self.check()
         return float(value), col_of
 
     def _costs(self, theta: np.ndarray) -> np.ndarray:

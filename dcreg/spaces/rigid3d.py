@@ -24,7 +24,7 @@ import numpy as np
 from dcreg.kernels.assignment.dense import cheapest_pairs
 from dcreg.kernels.space.geometry import best_rotation
 from dcreg.kernels.space.poses import nearest_scores, pose_costs
-from dcreg.search import Box, Budget
+from dcreg.search import Box, Budget, Interrupted
 from dcreg.spaces.base import mean_of_largest, radius
 from dcreg.spaces.clouds import CloudSpace
 from dcreg.spaces.congruent import SCALES, best_descents, congruent_poses, rounds_for
@@ -131,7 +131,8 @@ class Rigid3D(CloudSpace):
         """E at a pose and the column matched to every source row (-1: none)."""
         cost = np.empty((self.n_source, self.n_target))
         pose_costs(theta, self.clouds, cost)
-        value, col_of, _ = cheapest_pairs(cost, self.n_inliers)
+        value, col_of, _ = cheapest_pairs(cost, self.n_inliers, self.stop)
+        self.check()
         return float(value), col_of
 
     @staticmethod
@@ -154,9 +155,12 @@ class Rigid3D(CloudSpace):
         box = self.translations()
         if (box.lower == box.upper).all():
             return super().start(budget)
-        ends = []
+        ends: list[tuple[np.ndarray, float, int]] = []
         for theta in self._congruent(budget):
-            ends.append(self.refine(theta))
+            try:
+                ends.append(self.refine(theta))
+            except Interrupted:
+                ends.append((theta, np.inf, 0))
             if budget.is_over:
                 break
         if not ends or not budget.is_over:

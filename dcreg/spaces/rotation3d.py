@@ -80,7 +80,8 @@ class Rotation3D(CloudSpace):
         cost = np.empty((self.n_source, self.n_target))
         R = self.matrix(theta)
         kernels.pair_costs(R, self.clouds, cost)
-        _, col_of, _ = cheapest_pairs(cost, self.n_inliers)
+        _, col_of, _ = cheapest_pairs(cost, self.n_inliers, self.stop)
+        self.check()
         # summed anew: the expanded squares of `pair_costs` cancel and may leave a tiny negative sum
         x, y = self.matched(col_of)
         return float(((R @ x - y) ** 2).sum()), col_of

@@ -8,7 +8,7 @@ import numpy as np
 
 from dcreg.kernels.assignment.dense import cheapest_pairs, improve_assignment
 from dcreg.kernels.features.bounds import objectives
-from dcreg.kernels.points import Points
+from dcreg.kernels.points import NEVER, Points
 from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
 from dcreg.spaces.base import largest_subset_mean, mean_of_largest, radius
@@ -53,6 +53,7 @@ class Similarity2D(FeatureSpace):
             np.ascontiguousarray(target.T),
             FeasiblePairs(candidates).prices(n_inliers, reach),
             n_inliers,
+            NEVER,
         )
         self.n_inliers = n_inliers
         self.scale_range = scale_range
@@ -96,13 +97,22 @@ class Similarity2D(FeatureSpace):
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Every assignment starts from the prices of the one before."""
-        _, col_of, prices = cheapest_pairs(self._costs(theta), self.n_inliers)
+        _, col_of, prices = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop)
+        self.check()
+
+        def evaluate(trial: np.ndarray) -> tuple[float, np.ndarray]:
+            value, matching = improve_assignment(
+                self._costs(trial), self.n_inliers, prices, self.stop
+            )
+            self.check()
+            return value, matching
+
         found, value, spent = alternate(
             theta.copy(),
             np.inf,
             col_of,
             lambda _, matching: self._fit(matching),
-            lambda trial: improve_assignment(self._costs(trial), self.n_inliers, prices),
+            evaluate,
             LEAST_GAIN,
         )
         return found, value, spent + 1

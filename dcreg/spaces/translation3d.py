@@ -7,7 +7,7 @@ import numpy as np
 from dcreg.kernels.features.bounds import objectives
 from dcreg.kernels.norm.fit import fit_norm3d
 from dcreg.kernels.norm.line import match_on_line, objectives_on_line
-from dcreg.kernels.points import Points
+from dcreg.kernels.points import NEVER, Points
 from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
 from dcreg.spaces.base import mean_of_largest, radius
@@ -56,6 +56,7 @@ class Translation3D(FeatureSpace):
             self.norms,
             pairs.prices(n_inliers, radius(source) + radius(target)),
             n_inliers,
+            NEVER,
         )
         self.n_inliers = n_inliers
         self.reduced_box = reduced_box
@@ -79,6 +80,7 @@ class Translation3D(FeatureSpace):
     def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
         if not self._on_line:
             return super().objective(theta)
+        self.check()
         x, y, z = (axis + shift for axis, shift in zip(self.points.axes, theta, strict=True))
         return match_on_line(np.sqrt(x * x + y * y + z * z), self.norms, self.n_inliers)
 

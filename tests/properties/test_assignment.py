@@ -14,6 +14,7 @@ from dcreg.kernels.assignment.selection import (
     smallest_sum,
     sum_of_smallest,
 )
+from dcreg.kernels.points import NEVER
 from dcreg.local.assignment import k_assignment, pairs_of
 from tests.oracles import kernels as reference
 
@@ -58,7 +59,7 @@ def test_equals_a_second_solver_and_is_a_matching(case):
 @given(costs(most=25), st.integers(0, 2**32 - 1))
 def test_duals_prove_the_optimum_and_any_duals_bound_it(case, seed):
     cost, k = case
-    value, _, duals = kernels.k_assignment_duals(cost, k)
+    value, _, duals = kernels.cheapest_pairs(cost, k)
     assert (duals >= 0).all()
     assert kernels.dual_bound(cost, k, duals) == pytest.approx(value, abs=1e-9)
     any_duals = np.random.default_rng(seed).random(cost.shape[1])
@@ -69,7 +70,7 @@ def test_duals_prove_the_optimum_and_any_duals_bound_it(case, seed):
 def test_any_starting_prices_lead_to_the_optimum(case, seed, spread):
     cost, k = case
     prices = spread * np.random.default_rng(seed).random(cost.shape[1])
-    value, col_of = kernels.improve_assignment(cost, k, prices)
+    value, col_of = kernels.improve_assignment(cost, k, prices, NEVER)
     matched = np.flatnonzero(col_of >= 0)
     assert len(matched) == len(set(col_of[matched])) == k
     assert cost[matched, col_of[matched]].sum() == pytest.approx(value, abs=1e-9)

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dcreg.bounds import RigidBound
-from dcreg.kernels.assignment.dense import dual_bound, k_assignment
+from dcreg.kernels.assignment.dense import dual_bound
+from dcreg.kernels.points import NEVER
 from dcreg.kernels.space.cayley import vertex_bound
 from dcreg.kernels.space.poses import View, pair_costs, relative_corners
 from dcreg.kernels.space.rigid import bid
-from dcreg.local import objective
+from dcreg.local import k_assignment, objective
 from dcreg.search import Box
 from dcreg.spaces import Rigid3D
 from dcreg.spaces.rigid3d import largest_subset_mean_3d
@@ -76,10 +77,10 @@ class Parts:
         tangent = np.linalg.norm(self.corners, axis=1).max() if count else np.inf
         self.angle = 2.0 * np.arctan(tangent)
         self.half = box.half_widths[4:]
-        source, target, prices, k = model.clouds
+        source, target, prices, k, _ = model.clouds
         moved = model.pose(box.centre)[:3, :3] @ source
         reach, shifted = np.linalg.norm(source, axis=0), target - box.centre[4:, None]
-        self.view = View(moved, reach, shifted, prices, k)
+        self.view = View(moved, reach, shifted, prices, k, NEVER)
 
     def costs(self):
         out = np.empty((self.view.moved.shape[1], self.view.shifted.shape[1]))

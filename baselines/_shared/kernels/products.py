@@ -38,7 +38,7 @@ def linearise(features, low, high, k, lower, upper, constants, beta, gamma):
                 for f in range(plane.N_FEATURES):
                     total += alpha[f] * features[f, i, j]
                 cost[i, j] = total
-        value, _ = k_assignment(cost, k)
+        value, _ = k_assignment(cost, k, np.zeros(1, np.uint8))
         constants[box] = value + constant
     return lower.shape[0]
 

@@ -52,7 +52,7 @@ def least_linear(clouds, weights, weight_fixed):
             cost[i, j] = (
                 row + col[j] + c_weight * clouds.target[j, 0] + d_weight * clouds.target[j, 1]
             )
-    return k_assignment(cost, clouds.k)
+    return k_assignment(cost, clouds.k, np.zeros(1, np.uint8))
 
 
 @jit

@@ -17,29 +17,30 @@ import numpy as np
 
 from dcreg.kernels.assignment.selection import kth_smallest, least, sum_of_smallest
 from dcreg.kernels.compiling import jit, jit_part, jit_reduction
+from dcreg.kernels.points import NEVER
 
 
-def cheapest_pairs(cost, k):
+def cheapest_pairs(cost, k, stop=NEVER):
     """Value, column of every row (-1: unmatched) and optimal prices of the cheapest k pairs.
 
     For calls from Python; kernels call `k_assignment_duals`. Both run the same compiled functions.
     """
     prices = first_prices(cost, k)
-    value, col_of = improve_assignment(cost, k, prices)
+    value, col_of = improve_assignment(cost, k, prices, stop)
     return value, col_of, prices
 
 
 @jit_part
-def k_assignment(cost, k):
+def k_assignment(cost, k, stop):
     """Value and column of every row (-1: unmatched) of the cheapest k pairs."""
-    return improve_assignment(cost, k, first_prices(cost, k))
+    return improve_assignment(cost, k, first_prices(cost, k), stop)
 
 
 @jit_part
-def k_assignment_duals(cost, k):
+def k_assignment_duals(cost, k, stop):
     """Value, column of every row (-1: unmatched) and optimal prices of the cheapest k pairs."""
     prices = first_prices(cost, k)
-    value, col_of = improve_assignment(cost, k, prices)
+    value, col_of = improve_assignment(cost, k, prices, stop)
     return value, col_of, prices
 
 
@@ -65,7 +66,7 @@ def _take_least_off(b):
 
 
 @jit
-def improve_assignment(cost, k, b):
+def improve_assignment(cost, k, b, stop):
     """Value and column of every row of the cheapest k pairs, from prices `b`, which become optimal.
 
     Parameters
@@ -75,6 +76,8 @@ def improve_assignment(cost, k, b):
         1 <= k <= min(n, m).
     b : (m,) array
         Any non-negative prices; on return the optimal duals of `dual_bound`.
+    stop : (1,) uint8 array
+        Looked at before every path; once it is set what is returned is unfinished and of no use.
     """
     n, m = cost.shape
     a = np.empty(n + 1)
@@ -87,7 +90,7 @@ def improve_assignment(cost, k, b):
     n_free = _take_cheapest(cost, a, b, col_of, row_of, free)
     _lower_prices(cost, spare_price, a, b, col_of, row_of)
     left = _leave_columns(m - k, a, b, row_of)
-    _augment(cost, spare_price, a, b, col_of, row_of, free[:n_free], left)
+    _augment(cost, spare_price, a, b, col_of, row_of, free[:n_free], left, stop)
     _take_least_off(b)
     value = 0.0
     for i in range(n):
@@ -211,7 +214,7 @@ def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
 
 
 @jit
-def _augment(cost, spare_price, a, b, col_of, row_of, free, left):
+def _augment(cost, spare_price, a, b, col_of, row_of, free, left, stop):
     """Shortest augmenting paths from every free row, then from the dummy row `left` times."""
     n, m = cost.shape
     dummy, spare = n, m
@@ -221,6 +224,8 @@ def _augment(cost, spare_price, a, b, col_of, row_of, free, left):
     spare_cost, spare_row = np.empty(m), np.empty(m, np.int64)
     spare_known = False  # cheapest row at the spare column, per column
     for path in range(free.size + left):
+        if stop[0]:
+            return
         source = free[path] if path < free.size else dummy
         for j in range(m):
             dist[j], open_b[j] = np.inf, b[j]

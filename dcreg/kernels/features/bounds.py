@@ -15,8 +15,10 @@ def objectives(points, thetas, values):
     """E at every row of `thetas`. Returns the number of assignments."""
     cost = np.empty((points.source.shape[0], points.target.shape[-1]))
     for row in range(thetas.shape[0]):
+        if points.stop[0]:
+            break
         pair_costs(points, thetas[row], cost)
-        values[row], _ = k_assignment(cost, points.k)
+        values[row], _ = k_assignment(cost, points.k, points.stop)
     return thetas.shape[0]
 
 
@@ -34,6 +36,8 @@ def paper_bound(points, lower, upper, bounds, thetas, values):
     for box in range(lower.shape[0]):
         bounds[box] = np.inf
         for index in range(n_vertices(lower[box], upper[box])):
+            if points.stop[0]:
+                break
             vertex(lower[box], upper[box], index, theta)
             for a in range(dim):
                 delta[a] = theta[a] - 0.5 * (lower[box, a] + upper[box, a])
@@ -42,7 +46,7 @@ def paper_bound(points, lower, upper, bounds, thetas, values):
             for i in range(n):
                 for j in range(m):
                     cost[i, j] -= missed[i]
-            value, col_of = k_assignment(cost, points.k)
+            value, col_of = k_assignment(cost, points.k, points.stop)
             n_assignments += 1
             if value < bounds[box]:
                 bounds[box] = value
@@ -60,7 +64,9 @@ def edge_bound(points, lower, upper, bounds):
     """Every pair at its own best place in the box: sum of k interval distances, never negative."""
     cost = np.empty((points.source.shape[0], points.target.shape[-1]))
     for box in range(lower.shape[0]):
+        if points.stop[0]:
+            break
         interval_costs(points.source, points.target, lower[box], upper[box], cost)
         add_prices(points.prices, cost)
-        bounds[box], _ = k_assignment(cost, points.k)
+        bounds[box], _ = k_assignment(cost, points.k, points.stop)
     return lower.shape[0]

@@ -143,7 +143,7 @@ def exact_bounds(points, known, cutoff, slots, places, bounds):
                 )  # fmt: skip
         while True:
             v = place_of_least(charged)
-            if exact[v] or charged[v] >= cutoff:
+            if exact[v] or charged[v] >= cutoff or points.stop[0]:
                 break
             slot = slots[box, v]
             _from_point(known.thetas, slot, places, box, delta)
@@ -154,7 +154,7 @@ def exact_bounds(points, known, cutoff, slots, places, bounds):
                     cost[i, j] -= missed[i]
             for j in range(m):
                 duals[j] = known.duals[slot, j]
-            charged[v], _ = improve_assignment(cost, points.k, duals)
+            charged[v], _ = improve_assignment(cost, points.k, duals, points.stop)
             exact[v] = True
             spent += 1
         bounds[box] = max(bounds[box], charged[v])

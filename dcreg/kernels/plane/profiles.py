@@ -52,6 +52,8 @@ def solve_vertices(points, known, warm, slots):
     n, m = points.source.shape[0], points.target.shape[1]
     cost = np.empty((n, m))
     for at in range(slots.size):
+        if points.stop[0]:
+            break
         slot = slots[at]
         duals = known.duals[slot]
         pair_costs(points, known.thetas[slot], cost)
@@ -59,7 +61,7 @@ def solve_vertices(points, known, warm, slots):
             first = first_prices(cost, points.k)
             for j in range(m):
                 duals[j] = first[j]
-        known.values[slot], _ = improve_assignment(cost, points.k, duals)
+        known.values[slot], _ = improve_assignment(cost, points.k, duals, points.stop)
         known.lows[slot] = known.values[slot]
         _, known.levels[slot] = _dual_profile(cost, points.k, duals, known.profiles[slot])
     return slots.size

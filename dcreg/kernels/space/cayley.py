@@ -144,10 +144,10 @@ def vertex_bound(view, corners, half, floor, cutoff, col_of):
         fit_delta(view, col_of, low_box, high_box, delta)
         residuals(view, delta, terms)
         linear_costs(terms, np.zeros(6), costs)
-        value, matching, b = k_assignment_duals(costs, view.k)
+        value, matching, b = k_assignment_duals(costs, view.k, view.stop)
         spent += 1
         hopeless = value <= floor * scale  # already at delta, which is a point of the box
-        if hopeless or _same(matching, col_of):
+        if hopeless or view.stop[0] or _same(matching, col_of):
             break
         col_of = matching
     n_shifts = 1
@@ -156,7 +156,7 @@ def vertex_bound(view, corners, half, floor, cutoff, col_of):
     values = np.empty(corners.shape[0] * n_shifts)
     steps = np.empty((values.size, 6))
     for at in range(values.size):
-        if hopeless:
+        if hopeless or view.stop[0]:
             break
         shift = at % n_shifts
         for c in range(3):
@@ -168,12 +168,12 @@ def vertex_bound(view, corners, half, floor, cutoff, col_of):
                 shift >>= 1
         values[at] = dual_bound_at(terms, steps[at], view.k, b, low)
         hopeless = values[at] <= floor * scale
-    while not hopeless and least(values) < goal:
+    while not (hopeless or view.stop[0]) and least(values) < goal:
         at = place_of_least(values)
         linear_costs(terms, steps[at], costs)
-        values[at], _, b = k_assignment_duals(costs, view.k)
+        values[at], _, b = k_assignment_duals(costs, view.k, view.stop)
         spent += 1
-        if values[at] < goal:
+        if values[at] < goal or view.stop[0]:
             break
         for v in range(values.size):
             if values[v] < goal:

@@ -32,6 +32,7 @@ class View(NamedTuple):
     shifted: np.ndarray
     prices: np.ndarray
     k: int
+    stop: np.ndarray
 
 
 @jit
@@ -172,10 +173,12 @@ def pose_costs(theta, clouds, out):
 def nearest_scores(thetas, clouds, scores):
     """Sum of the k smallest squared nearest distances at every pose: a cheap guess of E."""
     n, m = clouds.source.shape[1], clouds.target.shape[1]
-    view = View(np.empty((3, n)), np.empty(n), np.empty((3, m)), clouds.prices, clouds.k)
+    view = View(np.empty((3, n)), np.empty(n), np.empty((3, m)), clouds.prices, clouds.k, clouds.stop)
     column_norms(clouds.source, view.reach)
     caps = np.empty((m, n))
     for at in range(thetas.shape[0]):
+        if clouds.stop[0]:
+            break
         look_from(clouds, thetas[at], view)
         cap_costs(view, 0.0, caps)
         scores[at] = nearest_bound(caps, 0.0, clouds.k)

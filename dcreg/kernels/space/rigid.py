@@ -89,7 +89,7 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
     `values` receives an upper bound on E at the box centre, +inf where the box was decided before.
     """
     n, m, k = clouds.source.shape[1], clouds.target.shape[1], clouds.k
-    view = View(np.empty((3, n)), np.empty(n), np.empty((3, m)), clouds.prices, k)
+    view = View(np.empty((3, n)), np.empty(n), np.empty((3, m)), clouds.prices, k, clouds.stop)
     column_norms(clouds.source, view.reach)
     square = 0.0
     for i in range(n):
@@ -99,6 +99,8 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
     corners, centre, half = np.empty((8, 3)), np.empty(7), np.empty(3)
     spent = 0
     for box in range(lower.shape[0]):
+        if clouds.stop[0]:
+            break
         values[box] = np.inf
         for c in range(7):
             centre[c] = 0.5 * (lower[box, c] + upper[box, c])
@@ -125,7 +127,7 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
         bounds[box] = max(bounds[box], dual_bound(costs, k, b))
         if bounds[box] >= cutoff or not (small or bounds[box] > _WORTH_ASSIGNMENT * cutoff):
             continue
-        value, col_of, b = k_assignment_duals(costs, k)
+        value, col_of, b = k_assignment_duals(costs, k, clouds.stop)
         bounds[box] = max(bounds[box], value)
         values[box] = matched_cost(view.moved, view.shifted, col_of)
         spent += 1

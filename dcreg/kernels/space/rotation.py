@@ -154,7 +154,7 @@ def vertex_bound(corners, clouds, b, floor, cutoff):
     for difference in range(size - 1, -1, -1):
         for u in range(size):
             v = u ^ difference
-            if v < u or hopeless:
+            if v < u or hopeless or clouds.stop[0]:
                 continue
             dot = 0.0
             for c in range(4):
@@ -165,12 +165,12 @@ def vertex_bound(corners, clouds, b, floor, cutoff):
             hopeless = dot <= 0.0 or values[count] <= floor
             count += 1
     cost = np.empty((clouds.source.shape[1], clouds.target.shape[1]))
-    while not hopeless and least(values) < cutoff:
+    while not (hopeless or clouds.stop[0]) and least(values) < cutoff:
         low = place_of_least(values)
         pair_costs(chord_matrix(corners[ends[low, 0]], corners[ends[low, 1]]), clouds, cost)
-        values[low], _, b = k_assignment_duals(cost, clouds.k)
+        values[low], _, b = k_assignment_duals(cost, clouds.k, clouds.stop)
         spent += 1
-        if values[low] < cutoff:
+        if values[low] < cutoff or clouds.stop[0]:
             break
         for v in range(values.size):
             if values[v] < cutoff:
@@ -190,6 +190,8 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
     corners, centre = np.empty((16, 4)), np.empty(4)
     spent = 0
     for box in range(lower.shape[0]):
+        if clouds.stop[0]:
+            break
         for c in range(4):
             centre[c] = 0.5 * (lower[box, c] + upper[box, c])
         count = box_corners(lower[box], upper[box], corners)
@@ -200,7 +202,7 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
         if bounds[box] >= cutoff:
             continue
         # the one assignment most boxes need: it gives B1, a matching for E and duals for B2
-        bounds[box], col_of, b = k_assignment_duals(caps, clouds.k)
+        bounds[box], col_of, b = k_assignment_duals(caps, clouds.k, clouds.stop)
         values[box] = matched_cost(moved, clouds.target, col_of)
         spent += 1
         if bounds[box] >= cutoff:
@@ -216,5 +218,7 @@ def nearest_scores(quaternions, clouds, scores):
     """`nearest_bound` at every rotation: a cheap, one-sided guess of E."""
     costs = np.empty((clouds.source.shape[1], clouds.target.shape[1]))
     for at in range(quaternions.shape[0]):
+        if clouds.stop[0]:
+            break
         pair_costs(chord_matrix(quaternions[at], quaternions[at]), clouds, costs)
         scores[at] = nearest_bound(costs, clouds.k)

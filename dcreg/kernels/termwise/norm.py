@@ -59,7 +59,7 @@ def norm_bounds(points, low, high, averaged, lower, upper, bounds, thetas):
                 cost[i, j] = charge + norms[j] * (slope + norms[j])
                 if prices.size > 0:
                     cost[i, j] += prices[i, j]
-        value, _ = k_assignment(cost, k)
+        value, _ = k_assignment(cost, k, points.stop)
         value += constant
         for a in range(3):
             t = min(max(-beta[a] / (2.0 * k), lo[a]), up[a])

@@ -53,7 +53,7 @@ def pair_features(points, out):
 
 
 @jit
-def feature_ranges(features, k, low, high):
+def feature_ranges(features, k, stop, low, high):
     """Least and greatest aggregate of each feature over all k-matchings (14 assignments)."""
     n, m = features.shape[1], features.shape[2]
     cost = np.empty((n, m))
@@ -62,7 +62,7 @@ def feature_ranges(features, k, low, high):
             for i in range(n):
                 for j in range(m):
                     cost[i, j] = sign * features[f, i, j]
-            value, _ = k_assignment(cost, k)
+            value, _ = k_assignment(cost, k, stop)
             if sign > 0.0:
                 low[f] = value
             else:
@@ -70,12 +70,14 @@ def feature_ranges(features, k, low, high):
 
 
 @jit
-def aggregated_bound(features, low, high, k, lower, upper, bounds, thetas):
+def aggregated_bound(features, low, high, k, stop, lower, upper, bounds, thetas):
     """R1: one assignment and one separable box QP a box. Returns the number of assignments."""
     n, m = features.shape[1], features.shape[2]
     cost = np.empty((n, m))
     alpha, beta = np.empty(N_FEATURES), np.empty(4)
     for box in range(lower.shape[0]):
+        if stop[0]:
+            break
         lo, up = lower[box], upper[box]
         for f in range(N_FEATURES):
             alpha[f] = 0.0
@@ -108,7 +110,7 @@ def aggregated_bound(features, low, high, k, lower, upper, bounds, thetas):
                 for f in range(N_FEATURES):
                     total += alpha[f] * features[f, i, j]
                 cost[i, j] = total
-        value, _ = k_assignment(cost, k)
+        value, _ = k_assignment(cost, k, stop)
         value += constant
         for a in range(4):
             quadratic = 0.0 if a < 2 else float(k)
@@ -123,12 +125,14 @@ def aggregated_bound(features, low, high, k, lower, upper, bounds, thetas):
 
 
 @jit
-def entry_bound(features, k, lower, upper, bounds):
+def entry_bound(features, k, stop, lower, upper, bounds):
     """R2: each monomial of each pair at its least value over the box. One assignment a box."""
     n, m = features.shape[1], features.shape[2]
     cost = np.empty((n, m))
     product = np.empty((TRILINEAR.shape[0], 2))
     for box in range(lower.shape[0]):
+        if stop[0]:
+            break
         lo, up = lower[box], upper[box]
         for row in range(TRILINEAR.shape[0]):
             wl, wh = product_range(TRILINEAR[row, 1], TRILINEAR[row, 2], lo, up)
@@ -143,7 +147,7 @@ def entry_bound(features, k, lower, upper, bounds):
                     a = BILINEAR[row, 1]
                     total += least_product(-2.0 * features[BILINEAR[row, 0], i, j], lo[a], up[a])
                 cost[i, j] = total
-        value, _ = k_assignment(cost, k)
+        value, _ = k_assignment(cost, k, stop)
         for a in (2, 3):
             near = max(lo[a], -up[a], 0.0)
             value += k * near * near
