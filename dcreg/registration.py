@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,12 +12,26 @@ from dcreg.certificate.record import record
 from dcreg.local import objective
 from dcreg.local import polish as polish_pose
 from dcreg.modes import AUTO, Answer, Mode, Task, choose_mode, find_mode
-from dcreg.problem import Candidates, Frame, InputError, Problem, default_gap_tol, suggestion
+from dcreg.problem import (
+    Candidates,
+    Frame,
+    InputError,
+    Problem,
+    default_gap_tol,
+    farthest_points,
+    suggestion,
+)
+from dcreg.remedies import Case, warnings_for
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, Leaves, Listener, Trace
+from dcreg.status import Status
 from dcreg.warm_up import warm_up_mode
 
 START_BOXES = ("reduced", "safe")
+# Boxes after which a search to the default tolerance ends in norm space where nothing else limits it.
+NORM_NODES = 200_000
+# A squared residual this small, in squared units of the frame, is rounding.
+_EXACT = 1e-9
 
 
 def register(
@@ -37,6 +52,7 @@ def register(
     candidates: Candidates | None = None,
     polish: bool = True,
     certificate: bool = False,
+    downsample: int | None = None,
     listener: Listener | None = None,
 ) -> Result:
     """Register two clouds without correspondences, globally and with a certificate.
@@ -68,9 +84,12 @@ def register(
         rotation and translation alone.
     gap_tol : float, optional
         Absolute tolerance on the gap of the objective, in squared units of the target; default
-        ``n_inliers * (0.03 * RMS radius of the target)^2`` (`dcreg.default_gap_tol`).
+        ``n_inliers * (0.03 * RMS radius of the target)^2`` (`dcreg.default_gap_tol`), and with 0.003
+        where the bounds speak of norms, which fit better than points. Such a search ends after
+        200,000 boxes where neither time nor boxes are limited.
     time_limit : float, optional
-        Seconds for the solve. The best pose so far is returned with status ``time_limit``.
+        Seconds for the solve. The best pose so far is returned with status ``time_limit``, at most a
+        tenth of the limit and a second later.
     node_limit : int, optional
         Boxes bounded per stage.
     memory_limit_mb : float, optional
@@ -85,8 +104,12 @@ def register(
     certificate : bool
         Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verify`.
         Mode ``paper`` only; in 3D it certifies the translation.
+    downsample : int, optional
+        Search with this many points of each cloud at most, farthest points, and refine the pose on all.
+        A counted `n_inliers` speaks of all points and is scaled down with them.
     listener : callable, optional
-        Called with every `dcreg.Event`; returning True stops (status ``stopped``).
+        Called with every `dcreg.Event`, and at least every half second, then from another thread;
+        returning True stops (status ``stopped``).
 
     Returns
     -------
@@ -108,30 +131,98 @@ def register(
     """
     began = time.perf_counter()
     problem = Problem(source, target, n_inliers, model, scale_range, candidates)
+    searched = problem if downsample is None else _sampled(problem, downsample, certificate)
     if mode is None or mode == AUTO:
-        mode = choose_mode(problem, bound, certificate)
+        mode = choose_mode(searched, bound, certificate)
     way = find_mode(model, mode)
-    way.check(problem, bound, certificate)
+    way.check(searched, bound, certificate)
     if start_box not in START_BOXES:
         raise InputError(f"start_box: {start_box!r} is unknown{suggestion(start_box, START_BOXES)}")
     check_settings(
         gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
     )  # fmt: skip
+    rotation_tol = gap_tol
     if gap_tol is None:
-        gap_tol = default_gap_tol(problem.source, problem.target, problem.n_inliers)
-    warm_up_mode(way, bound, problem.candidates is not None)
+        gap_tol, rotation_tol = default_tolerances(searched, way)
+        if way.in_norm_space and time_limit is None and node_limit is None:
+            node_limit = NORM_NODES
+    warm_up_mode(way, bound, searched.candidates is not None)
     time_setup = time.perf_counter() - began
 
-    frame = Frame.of(problem)
-    told = in_file_units(listener, frame.area)
+    told = in_file_units(listener, Frame.of(searched).area)
     with Budget(time_limit, node_limit, memory_limit_mb, told) as budget:
         task = task_of(
-            problem, way, bound, gap_tol, threads, budget, reduced_box=start_box == "reduced",
-            leaves=Leaves() if certificate else None,
+            searched, way, bound, gap_tol, threads, budget, reduced_box=start_box == "reduced",
+            leaves=Leaves() if certificate else None, rotation_tol=rotation_tol,
         )  # fmt: skip
         answer = way.run(task)
-        return result_of(problem, way, task, answer, polish=polish, time_setup_s=time_setup)
+        result = result_of(searched, way, task, answer, polish=polish, time_setup_s=time_setup)
+        if searched is not problem:
+            result = _refined(result, problem, searched, budget)
+        warnings = warnings_for(Case(problem, result, way.in_norm_space))
+        return replace(result, warnings=warnings, time_solve_s=budget.elapsed())
+
+
+def _sampled(problem: Problem, count: int, certificate: bool) -> Problem:
+    """The same problem for farthest points of both clouds; its pairs in the same proportion.
+
+    Raises
+    ------
+    InputError
+    """
+    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < problem.dim:
+        raise InputError(
+            f"downsample: {count!r} is no number of points; give a whole number such as 200"
+        )
+    for name, given in (
+        ("candidates", problem.candidates is not None),
+        ("certificate", certificate),
+    ):
+        if given:
+            raise InputError(f"downsample: {name} speak of all points; leave one of both out")
+    source = problem.source[farthest_points(problem.source, count)]
+    target = problem.target[farthest_points(problem.target, count)]
+    if len(source) == len(problem.source) and len(target) == len(problem.target):
+        return problem
+    share = problem.n_inliers / min(len(problem.source), len(problem.target))
+    n_inliers = max(1, round(share * min(len(source), len(target))))
+    return Problem(source, target, n_inliers, problem.model, problem.scale_range)
+
+
+def _refined(result: Result, problem: Problem, searched: Problem, budget: Budget) -> Result:
+    """The result of a sample, its pose refined on all points."""
+    began = budget.elapsed()
+    before, pairs = objective(
+        problem.source, problem.target, result.T_target_source, problem.n_inliers, prove=False,
+        stop=budget.closed,
+    )  # fmt: skip
+    T, value, spent = result.T_target_source, before, 1
+    if not budget.is_over:
+        T, value, pairs, spent = polish_pose(
+            problem.source, problem.target, T, problem.n_inliers, problem.scale_range,
+            budget=budget,
+        )  # fmt: skip
+    stage = Stage(
+        "all points", budget.elapsed() - began, n_assignments=spent,
+        objective_before=before, objective_after=value,
+    )  # fmt: skip
+    return replace(
+        result,
+        T_target_source=T,
+        assignment=pairs,
+        n_inliers=problem.n_inliers,
+        objective=value,
+        objective_certified=before,
+        stages=[*result.stages, stage],
+        downsampled=(len(searched.source), len(searched.target)),
+    )
+
+
+def default_tolerances(problem: Problem, mode: Mode) -> tuple[float, float]:
+    """The gaps asked of the certified search and of rotation searches, in squared units of the target."""
+    source, target, k = problem.source, problem.target, problem.n_inliers
+    return default_gap_tol(source, target, k, mode.tolerated), default_gap_tol(source, target, k)
 
 
 def task_of(
@@ -144,8 +235,9 @@ def task_of(
     *,
     reduced_box: bool = True,
     leaves: Leaves | None = None,
+    rotation_tol: float | None = None,
 ) -> Task:
-    """The normalised task of a problem; `gap_tol` in the units of the clouds."""
+    """The normalised task of a problem; tolerances in the units of the clouds."""
     frame = Frame.of(problem)
     return Task(
         frame.source(problem.source),
@@ -159,6 +251,7 @@ def task_of(
         threads,
         budget,
         leaves,
+        None if rotation_tol is None else rotation_tol / frame.area,
     )
 
 
@@ -194,6 +287,8 @@ def result_of(
         problem.source, problem.target, T, problem.n_inliers, problem.candidates,
         prove=not (polish or budget.is_over), stop=budget.closed,
     )  # fmt: skip
+    # where not one descent came to its end; norms differ by no more than the points do
+    upper_bound = value if np.isinf(answer.upper_bound) else answer.upper_bound * area
     final = value
     stages = [stage.scaled(area) for stage in answer.stages]
     if polish:
@@ -210,7 +305,7 @@ def result_of(
             )
         )  # fmt: skip
     return Result(
-        status=answer.status,
+        status=_status(mode, answer, upper_bound / area, problem.n_inliers),
         model=problem.model,
         mode=mode.name,
         bound=task.bound,
@@ -219,7 +314,7 @@ def result_of(
         assignment=pairs,
         n_inliers=problem.n_inliers,
         lower_bound=answer.lower_bound * area,
-        upper_bound=answer.upper_bound * area,
+        upper_bound=upper_bound,
         gap_tol=task.gap_tol * area,
         certificate_scope=answer.scope,
         objective=final,
@@ -232,6 +327,18 @@ def result_of(
         stages=stages,
         certificate=_certificate(problem, mode, task, answer),
     )
+
+
+def _status(mode: Mode, answer: Answer, upper_bound: float, n_inliers: int) -> Status:
+    """`optimal` only where the bounds say more than that squares are not negative.
+
+    Norms can agree where points do not: in norm space an upper bound within the tolerance says nothing
+    of the pose, unless the norms agree exactly.
+    """
+    trivial = mode.in_norm_space and answer.lower_bound <= 0.0
+    if answer.status is Status.OPTIMAL and trivial and upper_bound > _EXACT * n_inliers:
+        return Status.CONVERGED
+    return answer.status
 
 
 def _certificate(problem: Problem, mode: Mode, task: Task, answer: Answer) -> Certificate | None:

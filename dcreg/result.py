@@ -128,6 +128,11 @@ class Result:
         In the order in which they ran.
     certificate : Certificate, optional
         The leaf boxes of the search, when asked for.
+    downsampled : (int, int), optional
+        Source and target points that were searched, where they are not all: bounds, `gap_tol` and
+        `T_certified` are of these; final pose, pairs and objectives of all points.
+    warnings : list of str
+        What should not be trusted without a second look, each with its remedy.
     """
 
     status: Status
@@ -151,6 +156,8 @@ class Result:
     trace: Trace
     stages: list[Stage] = field(default_factory=list)
     certificate: Certificate | None = None
+    downsampled: tuple[int, int] | None = None
+    warnings: list[str] = field(default_factory=list)
 
     @property
     def gap(self) -> float:
@@ -213,6 +220,8 @@ class Result:
             "certificate_scope": self.certificate_scope,
             "rmse_matched": self.rmse_matched,
             "assignment": self.assignment.tolist(),
+            "downsampled": None if self.downsampled is None else list(self.downsampled),
+            "warnings": list(self.warnings),
             "stages": [stage.to_dict() for stage in self.stages],
         }
 
@@ -274,13 +283,21 @@ class Result:
         yield "work", f"{self.n_nodes} nodes, {self.n_assignments} assignments"
         yield "time", f"{self.time_solve_s:.2f} s solving, {self.time_setup_s:.2f} s before"
         yield "method", f"{self.model}, mode {self.mode}, bound {self.bound}"
+        if self.downsampled is not None:
+            n, m = self.downsampled
+            yield (
+                "downsampled",
+                f"to {n} and {m} farthest points; the pose is refined on all points",
+            )
+        for warning in self.warnings:
+            yield "warning", warning
 
     def _verdict(self) -> str:
         status, scope = self.status, self.certificate_scope
         if status is Status.OPTIMAL:
             return f"optimal: certified within the tolerance, for the {scope}"
         if status is Status.CONVERGED:
-            return "converged: came to its own end, not certified"
+            return "converged: came to its own end; nothing is proven of the pose"
         if self.gap <= self.gap_tol:
             return (
                 f"{status.value}: best pose so far; certified for the {scope}, but a later stage "

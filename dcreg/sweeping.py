@@ -30,8 +30,14 @@ import numpy as np
 from dcreg.bounds import make_bound
 from dcreg.modes import Answer, Mode, Task, find_mode
 from dcreg.modes.paper import TRANSLATION_SHARE, place, space_of
-from dcreg.problem import Candidates, Frame, InputError, Problem, default_gap_tol
-from dcreg.registration import check_settings, in_file_units, result_of, task_of
+from dcreg.problem import Candidates, Frame, InputError, Problem
+from dcreg.registration import (
+    check_settings,
+    default_tolerances,
+    in_file_units,
+    result_of,
+    task_of,
+)
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, Event, Interrupted, Listener, Outcome, minimise
 from dcreg.spaces import FeatureSpace
@@ -184,8 +190,10 @@ class _Level:
         budget: Budget,
     ) -> _Level:
         if gap_tol is None:
-            gap_tol = default_gap_tol(problem.source, problem.target, problem.n_inliers)
-        task = task_of(problem, mode, bound, gap_tol, threads, budget)
+            gap_tol, rotation_tol = default_tolerances(problem, mode)
+        else:
+            rotation_tol = gap_tol
+        task = task_of(problem, mode, bound, gap_tol, threads, budget, rotation_tol=rotation_tol)
         return cls(problem, task, space_of(task))
 
     @property

@@ -12,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from dcreg.kernels.compiling import forget_old_kernels, when_compiling
-from dcreg.local import polish
+from dcreg.local import objective, polish
 from dcreg.local.sparse import sparse_matching
 from dcreg.modes import MODES, Mode, Task, find_mode
 from dcreg.modes.sampled_rotation import search_sampled_rotation
@@ -93,6 +93,8 @@ def warm_up_mode(mode: Mode, bound: str | None, restricted: bool = False) -> Non
             )
         )  # fmt: skip
         polish(points, moved, np.eye(dim + 1), 6, scale_range, candidates)
+        # what is met past the limit, and in large clouds
+        objective(points, moved, np.eye(dim + 1), 6, stop=np.ones(1, np.uint8))
 
 
 if __name__ == "__main__":

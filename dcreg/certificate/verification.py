@@ -41,6 +41,8 @@ class Report:
         Why the certificate was refused; empty if it was accepted.
     statement : str
         What is now known to hold; empty if refused.
+    is_trivial : bool
+        Whether the lower bound is 0, as of any sum of squares, and the optimum may lie above.
     checks : list of str
         One line per check that was passed.
     model : str
@@ -57,6 +59,7 @@ class Report:
     accepted: bool = False
     reason: str = ""
     statement: str = ""
+    is_trivial: bool = False
     checks: list[str] = field(default_factory=list)
     model: str = ""
     n_inliers: int = 0
@@ -176,6 +179,7 @@ def _check(
         f"{family.scope}: the least sum over {c.n_inliers} one-to-one pairs{among} of squared "
         f"residuals lies in [{report.lower_bound:.9g}, {report.upper_bound:.9g}]"
     )
+    report.is_trivial = c.lower_bound <= 0.0 and c.upper_bound > slack
 
 
 # --- the clouds -------------------------------------------------------------------------------

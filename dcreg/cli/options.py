@@ -66,7 +66,7 @@ GapTolOption = Annotated[
         metavar="X",
         parser=number,
         help="Absolute gap to close, in the objective's units (sum of squared residuals of the "
-        "K pairs). Default: K * (0.03 * RMS radius of the target)^2.",
+        "K pairs). Default: K * (0.03 * RMS radius of the target)^2; 0.003 where norms are bounded.",
     ),
 ]
 TimeLimitOption = Annotated[
@@ -78,6 +78,14 @@ NodeLimitOption = Annotated[
 ThreadsOption = Annotated[int, typer.Option(metavar="N", parser=whole_number, help="Threads.")]
 PolishOption = Annotated[
     bool, typer.Option(help="Refine pose and pairs jointly after the certified search.")
+]
+DownsampleOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        parser=whole_number,
+        help="Search with N farthest points of each cloud at most, and refine the pose on all points.",
+    ),
 ]
 CandidatesOption = Annotated[
     str | None,

@@ -17,7 +17,7 @@ EXIT_OK, EXIT_OUTPUT, EXIT_INPUT, EXIT_LIMIT = 0, 1, 2, 3
 STDOUT = Path("-")
 # The library's messages begin with the name of the argument; these are options here.
 _OPTIONS = {"model", "n_inliers", "scale_range", "mode", "bound", "gap_tol", "threads"}
-_OPTIONS |= {"time_limit", "node_limit", "candidates", "certificate"}
+_OPTIONS |= {"time_limit", "node_limit", "candidates", "certificate", "downsample"}
 
 # Writes one file, whole or not at all.
 Writer = Callable[[Path], object]

@@ -6,9 +6,11 @@ import logging
 import math
 import os
 import signal
+import threading
 import time
+from collections.abc import Callable
 from types import FrameType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from rich.console import Console
 from rich.live import Live
@@ -18,6 +20,8 @@ import dcreg
 
 # Tells what the library does beside its searches, such as compiling, in records of level INFO.
 _LIBRARY = logging.getLogger("dcreg")
+T = TypeVar("T")
+_GLANCE_S = 0.1  # between two chances to handle a signal
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _HEADER = (
     f"  {'stage':<11}{'nodes':>9}{'open':>7}{'assign.':>9}"
@@ -29,7 +33,7 @@ class Progress:
     """A `dcreg.Listener` that shows where a search stands, and stops it on Ctrl-C.
 
     Used as a context manager around the search. The first interrupt (SIGINT or SIGTERM) asks the
-    search to stop at its next report, so that the best pose is kept; a second one ends at once.
+    search to stop, which it does at once, so that the best pose is kept; a second one ends at once.
 
     Parameters
     ----------
@@ -99,12 +103,31 @@ class Progress:
             self._show(event)
         return self.stop_requested
 
+    def run(self, solve: Callable[[], T]) -> T:
+        """What `solve` returns, run in a thread of its own: so signals are handled while kernels run."""
+        outcome: list[T] = []
+        errors: list[BaseException] = []
+
+        def work() -> None:
+            try:
+                outcome.append(solve())
+            except BaseException as error:
+                errors.append(error)
+
+        thread = threading.Thread(target=work, daemon=True)
+        thread.start()
+        while thread.is_alive():
+            thread.join(_GLANCE_S)
+        if errors:
+            raise errors[0]
+        return outcome[0]
+
     def _on_signal(self, number: int, _: FrameType | None) -> None:
         if self.stop_requested:
             raise KeyboardInterrupt
         self.stop_requested = True
         # Printing from a handler may interrupt a print half-way; a bare write may not.
-        os.write(2, b"\nstopping at the next report, best pose is kept (again: quit at once)\n")
+        os.write(2, b"\nstopping, best pose is kept (again: quit at once)\n")
 
     def _show(self, event: dcreg.Event) -> None:
         if not self._header_shown:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -48,6 +49,7 @@ def register(
     node_limit: options.NodeLimitOption = None,
     threads: options.ThreadsOption = 1,
     polish: options.PolishOption = True,
+    downsample: options.DownsampleOption = None,
     candidates_path: options.CandidatesOption = None,
     source_key: options.SourceKeyOption = None,
     target_key: options.TargetKeyOption = None,
@@ -97,25 +99,27 @@ def register(
         )
         if not quiet:
             print_advice(problem)
-        if gap_tol is None:
-            gap_tol = dcreg.default_gap_tol(problem.source, problem.target, problem.n_inliers)
         with Progress(gap_tol=gap_tol, quiet=quiet) as progress:
-            result = dcreg.register(
-                problem.source,
-                problem.target,
-                n_inliers=problem.n_inliers,
-                model=problem.model,
-                mode=mode,
-                bound=bound,
-                scale_range=scale_range,
-                gap_tol=gap_tol,
-                time_limit=time_limit,
-                node_limit=node_limit,
-                threads=threads,
-                candidates=problem.candidates,
-                polish=polish,
-                certificate=certificate_path is not None,
-                listener=progress,
+            result = progress.run(
+                partial(
+                    dcreg.register,
+                    problem.source,
+                    problem.target,
+                    n_inliers=problem.n_inliers,
+                    model=problem.model,
+                    mode=mode,
+                    bound=bound,
+                    scale_range=scale_range,
+                    gap_tol=gap_tol,
+                    time_limit=time_limit,
+                    node_limit=node_limit,
+                    threads=threads,
+                    candidates=problem.candidates,
+                    polish=polish,
+                    downsample=downsample,
+                    certificate=certificate_path is not None,
+                    listener=progress,
+                )
             )
     # Standard output belongs to the JSON when it goes there.
     typer.echo(result, err=json_path == STDOUT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -87,20 +88,23 @@ def sweep(
         if not quiet:
             print_advice(dcreg.Problem(points, target_points, 1.0, model.value, scale_range))
         with Progress(gap_tol=gap_tol, quiet=quiet) as progress:
-            found = dcreg.sweep(
-                points,
-                target_points,
-                counts,
-                model=model.value,
-                bound=bound,
-                scale_range=scale_range,
-                gap_tol=gap_tol,
-                time_limit=time_limit,
-                node_limit=node_limit,
-                threads=threads,
-                candidates=candidates,
-                polish=polish,
-                listener=progress,
+            found = progress.run(
+                partial(
+                    dcreg.sweep,
+                    points,
+                    target_points,
+                    counts,
+                    model=model.value,
+                    bound=bound,
+                    scale_range=scale_range,
+                    gap_tol=gap_tol,
+                    time_limit=time_limit,
+                    node_limit=node_limit,
+                    threads=threads,
+                    candidates=candidates,
+                    polish=polish,
+                    listener=progress,
+                )
             )
     typer.echo(found)
     complete = write_outputs(

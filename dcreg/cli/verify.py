@@ -30,5 +30,13 @@ def verify(
         report = dcreg.verify(certificate, dcreg.read_points(source), dcreg.read_points(target))
     for check in report.checks:
         typer.echo(f"ok: {check}")
-    typer.echo(f"proven: {report.statement}" if report.accepted else f"refused: {report.reason}")
+    if not report.accepted:
+        typer.echo(f"refused: {report.reason}")
+    elif report.is_trivial:
+        typer.echo(
+            f"holds, but says nothing: {report.statement}; 0 bounds every sum of squares. Register "
+            "with a smaller --gap-tol or more time for a bound above it"
+        )
+    else:
+        typer.echo(f"proven: {report.statement}")
     raise typer.Exit(EXIT_OK if report.accepted else EXIT_REFUSED)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-
 # For kernels that are never told to stop.
 NEVER = np.zeros(1, np.uint8)
 

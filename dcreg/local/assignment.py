@@ -8,9 +8,7 @@ from dcreg.kernels.assignment.dense import cheapest_pairs
 from dcreg.kernels.points import NEVER
 
 
-def k_assignment(
-    cost: np.ndarray, k: int, stop: np.ndarray = NEVER
-) -> tuple[float, np.ndarray]:
+def k_assignment(cost: np.ndarray, k: int, stop: np.ndarray = NEVER) -> tuple[float, np.ndarray]:
     """Cheapest one-to-one choice of exactly k pairs in a dense cost matrix.
 
     Minimises ``sum_ij p_ij cost_ij`` over binary P with row and column sums at most one and total k.

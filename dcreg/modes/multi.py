@@ -26,6 +26,7 @@ SCOPE = "translation in norm space, best of its basins"
 MAX_DESCENTS = 100  # in norm space, from boxes that may hold a low place
 # Gap of a basin's rotation as a share of its value; wide, because a joint descent follows.
 BASIN_GAP = 0.5
+TRANSLATION_SHARE = 0.25  # of the time, for the norm objective: its bounds do not find the pose
 _BATCH = 16  # boxes bounded together while low places are sought
 
 
@@ -105,7 +106,7 @@ def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
     bound = make_bound(task.bound, norms, threads=task.threads)
     theta, value, spent = descents.first()
     found = minimise(
-        norms, bound, task.budget.part(0.5), gap_tol=task.gap_tol, start=(theta, value),
+        norms, bound, task.budget.part(TRANSLATION_SHARE), gap_tol=task.gap_tol, start=(theta, value),
         refine=descents.refine,
     )  # fmt: skip
     found.n_assignments += spent
@@ -175,7 +176,7 @@ def _low_places(
     """Distinct translations with a low norm objective, and the one that joins the centroids."""
     began = task.budget.elapsed()
     assignments, spent = bound.n_assignments, descents.spent
-    margin = task.gap_tol if settings.margin is None else settings.margin
+    margin = task.turning_tol if settings.margin is None else settings.margin
     cutoff = found.upper_bound + margin
     node_limit = settings.basin_nodes
     if budget.nodes is not None:
@@ -256,7 +257,7 @@ def _try_basin(
     value = min(value, worth)
     turned = minimise(
         space, RotationBound(space, threads=task.threads), budget,
-        gap_tol=max(task.gap_tol, BASIN_GAP * value), start=(theta, value), stage=name,
+        gap_tol=max(task.turning_tol, BASIN_GAP * value), start=(theta, value), stage=name,
     )  # fmt: skip
     T = pose_of(Rotation3D.matrix(turned.theta), translation)
     theta, value, refining = rigid.refine(rigid.theta(T))

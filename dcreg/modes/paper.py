@@ -50,11 +50,11 @@ def turn(task: Task, shifted: np.ndarray, budget: Budget) -> Outcome:
     """The best rotation of the shifted source; of large clouds a sampled one."""
     if task.candidates is None and is_large(len(task.source), len(task.target)):
         return search_sampled_rotation(
-            shifted, task.target, task.n_inliers, gap_tol=task.gap_tol, budget=budget
+            shifted, task.target, task.n_inliers, gap_tol=task.turning_tol, budget=budget
         )
     space = Rotation3D(shifted, task.target, task.n_inliers, task.candidates)
     bound = RotationBound(space, threads=task.threads)
-    return minimise(space, bound, budget, gap_tol=task.gap_tol, stage="rotation")
+    return minimise(space, bound, budget, gap_tol=task.turning_tol, stage="rotation")
 
 
 def run(task: Task, make: MakeBound | None = None, turn: Turn = turn) -> Answer:
@@ -98,6 +98,5 @@ def place(
     found = turn(task, task.source + theta, budget)
     answer.add("rotation", found)
     answer.T = pose_of(Rotation3D.matrix(found.theta), theta)
-    # a sampled rotation that came to its own end claims nothing: the status stays the translation's
-    if answer.status is Status.OPTIMAL and found.status is not Status.CONVERGED:
+    if answer.status is Status.OPTIMAL:  # no more is proven than of the weakest stage
         answer.status = found.status

@@ -11,7 +11,13 @@ from dcreg.modes.multi import run as run_multi
 from dcreg.modes.paper import run as run_paper
 from dcreg.modes.task import Answer, Task
 from dcreg.names import AUTO, DEFAULT_BOUND, mode_names
-from dcreg.problem import InputError, Problem, suggestion
+from dcreg.problem import (
+    TOLERATED_NORM_RESIDUAL,
+    TOLERATED_RESIDUAL,
+    InputError,
+    Problem,
+    suggestion,
+)
 
 # A dense cost matrix beyond this many pairs does not fit the memory of a common machine.
 MAX_PAIRS = 100_000_000
@@ -32,6 +38,8 @@ class Mode:
     run : callable
     takes_bound : bool
         Whether the bounding function can be chosen; otherwise the mode has its own, `own_bound`.
+    tolerated : float
+        RMS residual per pair that the default tolerance allows, in RMS radii of the target.
     certifies : str
         Family of the certificate its search can record (``dcreg.certificate.format.MODELS``), or
         empty.
@@ -46,6 +54,12 @@ class Mode:
     takes_bound: bool = True
     own_bound: str = DEFAULT_BOUND
     certifies: str = ""
+    tolerated: float = TOLERATED_RESIDUAL
+
+    @property
+    def in_norm_space(self) -> bool:
+        """Whether its bounds speak of norms, not of the residuals of a pose."""
+        return self.tolerated == TOLERATED_NORM_RESIDUAL
 
     def check(self, problem: Problem, bound: str | None, certificate: bool) -> None:
         """Refuse settings that this mode would ignore, and clouds it cannot hold.
@@ -67,7 +81,7 @@ class Mode:
             )
         n, m = len(problem.source), len(problem.target)
         if n * m > MAX_PAIRS and not self._is_matrix_free(problem, bound):
-            remedy = "downsample both clouds first (a voxel grid or farthest points)"
+            remedy = "downsample both clouds first (downsample=200, or --downsample 200)"
             if problem.dim == 3:
                 remedy += (
                     f", or use mode 'paper' with bound {DEFAULT_BOUND!r} and without candidates"
@@ -96,11 +110,12 @@ MODES = (
     Mode(
         "multi", "rigid3d", run_multi,
         "every near-optimal translation gets its rotation search; certifies the norm objective",
+        tolerated=TOLERATED_NORM_RESIDUAL,
     ),
     Mode(
         "paper", "rigid3d", run_paper,
         "the paper's two stages: one translation in norm space, then its rotation",
-        certifies="translation3d",
+        certifies="translation3d", tolerated=TOLERATED_NORM_RESIDUAL,
     ),
 )  # fmt: skip
 

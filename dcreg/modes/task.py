@@ -31,6 +31,9 @@ class Task:
     budget : Budget
     leaves : Leaves or None
         Collects the leaves of the search that a certificate is made of.
+    rotation_tol : float, optional
+        The gap asked of rotation searches, whose residuals are larger than those of norms; default:
+        `gap_tol`.
     """
 
     source: np.ndarray
@@ -44,6 +47,12 @@ class Task:
     threads: int
     budget: Budget
     leaves: Leaves | None = None
+    rotation_tol: float | None = None
+
+    @property
+    def turning_tol(self) -> float:
+        """The gap asked of rotation searches."""
+        return self.gap_tol if self.rotation_tol is None else self.rotation_tol
 
     @property
     def dim(self) -> int:

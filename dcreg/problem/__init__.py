@@ -6,10 +6,19 @@ from dcreg.problem.frame import Frame
 from dcreg.problem.pairs import Candidates
 from dcreg.problem.pose import nearest_rotation, rotation_angle_deg, scale_of
 from dcreg.problem.problem import MODEL_DIM, ModelName, Problem
-from dcreg.problem.tolerance import default_gap_tol, rms_radius, unit_length
+from dcreg.problem.sample import farthest_points
+from dcreg.problem.tolerance import (
+    TOLERATED_NORM_RESIDUAL,
+    TOLERATED_RESIDUAL,
+    default_gap_tol,
+    rms_radius,
+    unit_length,
+)
 
 __all__ = [
     "MODEL_DIM",
+    "TOLERATED_NORM_RESIDUAL",
+    "TOLERATED_RESIDUAL",
     "Candidates",
     "Frame",
     "InputError",
@@ -17,6 +26,7 @@ __all__ = [
     "Problem",
     "advice",
     "default_gap_tol",
+    "farthest_points",
     "nearest_rotation",
     "rms_radius",
     "rotation_angle_deg",

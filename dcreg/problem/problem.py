@@ -13,6 +13,9 @@ from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.pairs import Candidates, check_candidates
 
 ModelName = Literal["similarity2d", "rigid3d"]
+# Beyond these, squares and products of lengths leave the range of floating-point numbers, or its digits.
+LARGEST_COORDINATE = 1e75
+LARGEST_SCALE = 1e6
 DEFAULT_SCALE_RANGE = {"similarity2d": (0.5, 1.5), "rigid3d": (1.0, 1.0)}
 
 
@@ -94,6 +97,11 @@ def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndar
             f"{name}: {bad.size} point(s) with NaN or infinity, the first in row {bad[0]}: "
             f"{points[bad[0]].tolist()}; remove them"
         )
+    if (largest := float(np.abs(points).max())) > LARGEST_COORDINATE:
+        raise InputError(
+            f"{name}: a coordinate of magnitude {largest:g} exceeds {LARGEST_COORDINATE:g}, so that its "
+            "square is no number; remove such points, or use a larger unit"
+        )
     return points
 
 
@@ -127,6 +135,11 @@ def check_scale_range(scale_range: tuple[float, float] | None, model: str) -> tu
         raise InputError(f"scale_range: {scale_range!r} is not a pair of numbers") from None
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 < low <= high):
         raise InputError(f"scale_range: ({low}, {high}); it needs 0 < low <= high")
+    if low < 1.0 / LARGEST_SCALE or high > LARGEST_SCALE:
+        raise InputError(
+            f"scale_range: ({low}, {high}) exceeds the range {1.0 / LARGEST_SCALE:g} to "
+            f"{LARGEST_SCALE:g}; rescale one cloud first, so that the scale is near 1"
+        )
     if model == "rigid3d" and (low, high) != (1.0, 1.0):
         raise InputError(
             f"scale_range: ({low}, {high}), but rigid3d has no scale; leave it out, and rescale one "

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 TOLERATED_RESIDUAL = 0.03  # RMS residual per pair, in RMS radii of the target
+# The same of norms, which fit far better than points: as much as little noise leaves.
+TOLERATED_NORM_RESIDUAL = 0.003
 
 
 def rms_radius(points: np.ndarray) -> float:

@@ -21,7 +21,7 @@ _SILENCE_S = 0.5  # without an event, before the last one is told once more
 _CLOSING_SHARE, _CLOSING_S = 0.05, 0.5
 
 
-class Interrupted(Exception):
+class Interrupted(Exception):  # noqa: N818 (no error: nobody outside sees it)
     """A kernel was told to stop before its end. Raised and caught within the library."""
 
 

@@ -173,7 +173,9 @@ def pose_costs(theta, clouds, out):
 def nearest_scores(thetas, clouds, scores):
     """Sum of the k smallest squared nearest distances at every pose: a cheap guess of E."""
     n, m = clouds.source.shape[1], clouds.target.shape[1]
-    view = View(np.empty((3, n)), np.empty(n), np.empty((3, m)), clouds.prices, clouds.k, clouds.stop)
+    view = View(
+        np.empty((3, n)), np.empty(n), np.empty((3, m)), clouds.prices, clouds.k, clouds.stop
+    )
     column_norms(clouds.source, view.reach)
     caps = np.empty((m, n))
     for at in range(thetas.shape[0]):

@@ -1,0 +1,161 @@
+"""What of a result should not be trusted without a second look, and what to do about it.
+
+Every rule is one small function from what is known to a line of text, or to nothing. The line names what
+looks odd and the remedy. `RULES` is the table of them; `warnings_for` asks each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dcreg.problem import Problem, rms_radius
+from dcreg.result import Result
+from dcreg.status import Status
+
+_MANY_POINTS = 1000
+_MUCH_LARGER = 100.0
+_OTHER_SIZE = 10.0
+_EXACT = 1e-9  # a squared residual this small, in squared RMS radii, is rounding
+
+
+@dataclass(frozen=True)
+class Case:
+    """A solved problem.
+
+    Attributes
+    ----------
+    problem : Problem
+        As it was given, before any downsampling.
+    result : Result
+    in_norm_space : bool
+        Whether the bounds speak of norms, not of residuals.
+    """
+
+    problem: Problem
+    result: Result
+    in_norm_space: bool
+
+
+def nothing_proven(case: Case) -> str | None:
+    """The lower bound is that of any sum of squares."""
+    result = case.result
+    unit = rms_radius(case.problem.target) or rms_radius(case.problem.source)
+    exact = result.upper_bound <= _EXACT * result.n_inliers * unit**2
+    if result.lower_bound > 0.0 or exact:
+        return None
+    known = "the lower bound is 0, which holds for every sum of squares: nothing is proven"
+    if result.gap_tol >= result.upper_bound:
+        return (
+            f"{known}. The tolerance {result.gap_tol:.3g} exceeds the upper bound "
+            f"{result.upper_bound:.3g}; give a smaller gap_tol"
+        )
+    return f"{known}. Give more time, fewer points, or a mode that closes (see the manual on modes)"
+
+
+def misled(case: Case) -> str | None:
+    """The pose does not do what the bounds in norm space promise."""
+    result = case.result
+    floor = max(result.upper_bound, np.finfo(float).tiny)
+    if not case.in_norm_space or result.objective <= _MUCH_LARGER * floor:
+        return None
+    if result.objective <= result.n_inliers * _EXACT * rms_radius(case.problem.target) ** 2:
+        return None
+    return (
+        f"the objective of the pose, {result.objective:.3g}, is {result.objective / floor:.0f} times "
+        f"the upper bound {result.upper_bound:.3g} in norm space: the norms do not determine the "
+        "pose, which may be wrong. Use mode 'full', or another n_inliers"
+    )
+
+
+def scale_at_limit(case: Case) -> str | None:
+    """A wider range would give another scale."""
+    low, high = case.problem.scale_range
+    scale = case.result.scale
+    if low == high or not (scale <= low * (1.0 + 1e-6) or scale >= high * (1.0 - 1e-6)):
+        return None
+    return (
+        f"the scale {scale:.4g} is an end of scale_range ({low:g}, {high:g}): a better fit may lie "
+        "outside. Widen the range, or rescale one cloud"
+    )
+
+
+def undetermined(case: Case) -> str | None:
+    """More than one pose fits the pairs equally well."""
+    matched = case.problem.source[case.result.assignment[:, 0]]
+    spread = np.linalg.svd(matched - matched.mean(axis=0), compute_uv=False)
+    spread = np.append(spread, np.zeros(case.problem.dim))
+    extent = max(rms_radius(case.problem.source), rms_radius(case.problem.target))
+    if spread[case.problem.dim - 2] > 1e-9 * extent > 0.0:
+        return None
+    where = "coincide" if case.problem.dim == 2 else "lie on one line"
+    return (
+        f"the {case.result.n_inliers} matched source points {where}, so that they do not determine "
+        "the pose. Match more pairs (n_inliers), of distinct points"
+    )
+
+
+def other_size(case: Case) -> str | None:
+    """One cloud is much larger than the other."""
+    source, target = rms_radius(case.problem.source), rms_radius(case.problem.target)
+    least, most = min(source, target), max(source, target)
+    if most < _OTHER_SIZE * least or most == 0.0:
+        return None
+    return (
+        f"the sizes of the clouds differ by a factor of 10 or more (RMS radii: source {source:.3g}, "
+        f"target {target:.3g}). If their units differ, rescale one of them; else crop the larger one"
+    )
+
+
+def no_elbow(case: Case) -> str | None:
+    """Points that were left out lie as near as those that were matched."""
+    problem, result = case.problem, case.result
+    left = np.setdiff1d(np.arange(len(problem.source)), result.assignment[:, 0])
+    tree = cKDTree(problem.target)
+    others = np.setdiff1d(np.arange(len(problem.target)), result.assignment[:, 1])
+    if len(left) < 3 or len(others) < 3 or result.rmse_matched == 0.0:
+        return None
+    d = problem.dim
+    T = result.T_target_source
+    moved = problem.source @ T[:d, :d].T + T[:d, d]
+    rows, columns = result.assignment.T
+    worst = np.quantile(np.linalg.norm(moved[rows] - problem.target[columns], axis=1), 0.9)
+    near = np.median(tree.query(moved[left])[0])
+    if worst < near:
+        return None
+    return (
+        f"the residuals have no elbow at {result.n_inliers} pairs: points left out lie as near "
+        f"({near:.3g}) as the worst tenth of those matched ({worst:.3g}). Solve for several n_inliers "
+        "with `dcreg sweep`"
+    )
+
+
+def too_many_points(case: Case) -> str | None:
+    """A smaller sample would have been solved."""
+    n, m = len(case.problem.source), len(case.problem.target)
+    solved = case.result.status is Status.OPTIMAL or case.result.downsampled is not None
+    if max(n, m) < _MANY_POINTS or solved:
+        return None
+    return (
+        f"{n} x {m} points are too many to be solved in this time. Use downsample=200 "
+        "(--downsample 200), which solves for some of the points and refines the pose on all"
+    )
+
+
+RULES: tuple[Callable[[Case], str | None], ...] = (
+    nothing_proven,
+    misled,
+    scale_at_limit,
+    undetermined,
+    other_size,
+    no_elbow,
+    too_many_points,
+)
+
+
+def warnings_for(case: Case) -> list[str]:
+    """One line for each rule that applies."""
+    return [line for rule in RULES if (line := rule(case)) is not None]
