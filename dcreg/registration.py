@@ -29,7 +29,7 @@ from dcreg.warm_up import warm_up_mode
 
 START_BOXES = ("reduced", "safe")
 # Boxes after which a search to the default tolerance ends in norm space where nothing else limits it.
-NORM_NODES = 200_000
+NORM_NODES = 50_000
 # A squared residual this small, in squared units of the frame, is rounding.
 _EXACT = 1e-9
 
@@ -86,7 +86,7 @@ def register(
         Absolute tolerance on the gap of the objective, in squared units of the target; default
         ``n_inliers * (0.03 * RMS radius of the target)^2`` (`dcreg.default_gap_tol`), and with 0.003
         where the bounds speak of norms, which fit better than points. Such a search ends after
-        200,000 boxes where neither time nor boxes are limited.
+        50,000 boxes where neither time nor boxes are limited.
     time_limit : float, optional
         Seconds for the solve. The best pose so far is returned with status ``time_limit``, at most a
         tenth of the limit and a second later.

@@ -297,7 +297,7 @@ class Result:
         if status is Status.OPTIMAL:
             return f"optimal: certified within the tolerance, for the {scope}"
         if status is Status.CONVERGED:
-            return "converged: came to its own end; nothing is proven of the pose"
+            return "converged: came to its own end, not certified"
         if self.gap <= self.gap_tol:
             return (
                 f"{status.value}: best pose so far; certified for the {scope}, but a later stage "

@@ -86,7 +86,7 @@ def fake(monkeypatch):
                 n_inliers=options["n_inliers"],
                 lower_bound=self.lower_bound,
                 upper_bound=1.0,
-                gap_tol=options["gap_tol"],
+                gap_tol=options["gap_tol"] or 0.1,
                 certificate_scope="similarity pose",
                 objective=1.0,
                 objective_certified=1.0,
@@ -124,10 +124,11 @@ def test_defaults(call, clouds, fake):
     assert run(*call).exit_code == 0
     assert fake.called["polish"] is True
     assert fake.called["threads"] == 1
-    clouds = fake.called["source"], fake.called["target"]
-    assert fake.called["gap_tol"] == dcreg.default_gap_tol(*clouds, 9)
-    left_to_the_library = ("scale_range", "mode", "bound", "time_limit", "node_limit", "candidates")
-    assert [fake.called[name] for name in left_to_the_library] == [None] * 6
+    left_to_the_library = (
+        *("scale_range", "mode", "bound", "gap_tol", "time_limit", "node_limit", "candidates"),
+        "downsample",
+    )
+    assert [fake.called[name] for name in left_to_the_library] == [None] * 8
 
 
 @pytest.mark.parametrize(("text", "pairs"), [("1", 1), ("1.0", 12), ("7", 7), ("0.5", 6)])
