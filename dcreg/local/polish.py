@@ -111,9 +111,7 @@ def polish(
         if budget.is_over:
             return T, value, pairs, spent
         if trial is None and large:  # first by nearest neighbours, which takes no matching
-            trial, _ = follow_nearest(
-                source, cKDTree(target), T, n_inliers, scale_range, budget
-            )
+            trial, _ = follow_nearest(source, cKDTree(target), T, n_inliers, scale_range, budget)
         else:
             trial = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
         trial_value, trial_pairs = quick(trial)

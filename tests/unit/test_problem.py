@@ -85,3 +85,16 @@ def test_clouds_beyond_memory_are_refused_before_any_work():
     large = np.zeros((20_000, 2))
     with pytest.raises(dcreg.InputError, match="downsample"):
         dcreg.register(large, large, n_inliers=5, model="similarity2d")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"source": np.full((4, 2), 1e300)}, "source: a coordinate of magnitude 1e.300"),
+        ({"scale_range": (1e-300, 1e300)}, "scale_range: .*rescale one cloud"),
+    ],
+)
+def test_numbers_beyond_all_measure_are_refused(change, words):
+    given = {"source": GOOD, "target": GOOD, "n_inliers": 3, "model": "similarity2d"}
+    with pytest.raises(dcreg.InputError, match=words):
+        Problem(**given | change)

@@ -387,3 +387,42 @@ def test_rounding_of_a_single_place_is_no_unit_of_length():
     frame = Frame.of(Problem(source, target, 2, "similarity2d"))
     assert frame.unit == pytest.approx(np.sqrt(16.0 / 9.0))
     assert default_gap_tol(target, target, 2) == 0.0
+
+
+# --- downsampling -----------------------------------------------------------------------------------
+
+
+def test_downsampled_clouds_are_searched_and_the_pose_is_refined_on_all_points(rng):
+    source = rng.random((300, 2)) * [2.0, 1.0]
+    source[:, 1] += source[:, 0] ** 2
+    target = rng.permutation(source + 3.0)
+    result = dcreg.register(
+        source, target, n_inliers=300, model="similarity2d", downsample=40, time_limit=20
+    )
+    assert result.downsampled == (40, 40)
+    assert result.n_inliers == len(result.assignment) == 300
+    np.testing.assert_allclose(result.translation, [3.0, 3.0], atol=1e-6)
+    assert result.objective < 1e-12
+    assert "downsampled" in str(result)
+    assert result.to_dict()["downsampled"] == [40, 40]
+
+
+def test_downsampling_leaves_small_clouds_alone(rng):
+    source = rng.random((20, 2))
+    result = dcreg.register(source, source, n_inliers=20, model="similarity2d", downsample=50)
+    assert result.downsampled is None
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"downsample": 0}, "downsample: 0"),
+        ({"downsample": 2.5}, "downsample: 2.5"),
+        ({"downsample": 5, "candidates": np.ones((20, 20), bool)}, "downsample: candidates"),
+        ({"downsample": 5, "certificate": True}, "downsample: certificate"),
+    ],
+)
+def test_downsampling_refuses_what_it_would_ignore(rng, options, words):
+    source = rng.random((20, 2))
+    with pytest.raises(InputError, match=words):
+        dcreg.register(source, source, n_inliers=20, model="similarity2d", **options)

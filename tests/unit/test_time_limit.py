@@ -1,10 +1,19 @@
-"""Past the limit no further descent or polishing step begins."""
+"""Limits hold in every mode and at any size, a caller hears of progress and can stop."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
 
+import dcreg
 from dcreg.local import polish
-from dcreg.search import Box, Budget, Evaluation, LongestEdge, branch_and_bound
+from dcreg.names import MODEL_DIM
+from dcreg.search import Box, Budget, Evaluation, Interrupted, LongestEdge, branch_and_bound
+from dcreg.spaces import Rotation3D
 from dcreg.status import Status
 
 
@@ -45,3 +54,98 @@ def test_a_late_polish_only_values_the_pose(time_s, moves):
     assert np.allclose(T, np.eye(3)) != moves
     assert (spent > 1) == moves
     assert value == pytest.approx(0.0 if moves else 20 * 0.0005, abs=1e-12)
+
+
+def pair_of_clouds(size, dim):
+    """A cloud and a moved other sample of the same box: nothing closes soon."""
+    generator = np.random.default_rng(size)
+    extent = np.array([1.0, 0.7, 0.4])[:dim]
+    return generator.random((size, dim)) * extent, generator.random((size, dim)) * extent + 3.0
+
+
+def test_a_kernel_ends_when_told_to():
+    space = Rotation3D(*pair_of_clouds(50, 3), 30)
+    theta = np.array([1.0, 0.2, 0.0, 0.0])
+    value, _ = space.objective(theta)
+    space.heed(np.ones(1, np.uint8))
+    with pytest.raises(Interrupted):
+        space.objective(theta)
+    with pytest.raises(Interrupted):
+        space.refine(theta)
+    assert value > 0.0
+
+
+@pytest.mark.parametrize(
+    ("model", "mode", "bound", "size"),
+    [
+        ("similarity2d", "paper", "paper", 300),
+        ("similarity2d", "paper", "tight", 1000),
+        ("similarity2d", "paper", "termwise", 300),
+        ("rigid3d", "full", None, 1000),
+        ("rigid3d", "multi", None, 1000),
+        ("rigid3d", "paper", None, 1000),
+        ("rigid3d", "paper", None, 5000),
+    ],
+)
+def test_every_mode_keeps_the_limit_and_tells_of_progress(model, mode, bound, size):
+    clouds = pair_of_clouds(size, MODEL_DIM[model])
+    # what has to be compiled or loaded comes before the clock
+    dcreg.register(
+        *(cloud[:40] for cloud in clouds), n_inliers=0.5, model=model, mode=mode, bound=bound,
+        time_limit=0.5,
+    )  # fmt: skip
+    heard = [time.perf_counter()]
+    result = dcreg.register(
+        *clouds, n_inliers=0.5, model=model, mode=mode, bound=bound, gap_tol=1e-12,
+        time_limit=1.0, listener=lambda _: heard.append(time.perf_counter()),
+    )  # fmt: skip
+    heard.append(time.perf_counter())
+    assert result.time_solve_s <= 1.1 * 1.0 + 1.0
+    assert max(np.diff(heard)) <= 2.0
+    assert result.status is Status.TIME_LIMIT
+    assert result.lower_bound <= result.upper_bound < np.inf
+    assert len(result.assignment) == size // 2
+    assert any("downsample" in line for line in result.warnings) == (size >= 1000)
+
+
+def test_a_caller_can_stop_within_a_kernel():
+    clouds = pair_of_clouds(1000, 3)
+    began = time.perf_counter()
+
+    def listener(event):
+        return time.perf_counter() - began > 1.0
+
+    result = dcreg.register(*clouds, n_inliers=0.5, model="rigid3d", mode="full", listener=listener)
+    assert result.status is Status.STOPPED
+    assert result.time_solve_s <= 3.0
+
+
+def test_an_error_of_a_listener_reaches_the_caller():
+    clouds = pair_of_clouds(1000, 3)
+
+    def listener(event):
+        raise RuntimeError("window closed")
+
+    with pytest.raises(RuntimeError, match="window closed"):
+        dcreg.register(*clouds, n_inliers=0.5, model="rigid3d", mode="full", listener=listener)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_command_with_the_best_pose(tmp_path, number):
+    names = [tmp_path / name for name in ("a.npy", "b.npy", "pose.json")]
+    for name, cloud in zip(names, pair_of_clouds(1000, 3), strict=False):
+        np.save(name, cloud)
+    command = [
+        *(sys.executable, "-m", "dcreg", "register", names[0], names[1], "--model", "rigid3d"),
+        *("--mode", "full", "--n-inliers", "0.5", "--time-limit", "60", "--json", names[2]),
+    ]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    for line in process.stderr:
+        if "start" in line or "rigid" in line:
+            break
+    began = time.perf_counter()
+    process.send_signal(number)
+    process.communicate(timeout=30)
+    assert time.perf_counter() - began <= 3.0  # with the end of the interpreter
+    assert process.returncode == 3
+    assert json.loads(names[2].read_text())["status"] == "stopped"

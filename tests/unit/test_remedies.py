@@ -1,0 +1,91 @@
+"""Every warning: where it is given, where not, and that it names a remedy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import dcreg
+from dcreg import remedies
+from dcreg.status import Status
+
+
+def clouds(dim=2, size=30, noise=0.01, seed=0):
+    generator = np.random.default_rng(seed)
+    source = generator.random((size, dim)) * np.array([2.0, 1.0, 0.6])[:dim]
+    return source, source + 3.0 + noise * generator.standard_normal(source.shape)
+
+
+def solve(source, target, k, **options):
+    """A result with its warnings."""
+    model = "similarity2d" if source.shape[1] == 2 else "rigid3d"
+    return dcreg.register(source, target, n_inliers=k, model=model, **options)
+
+
+def case(result, source, target, in_norm_space=False, **changes):
+    problem = dcreg.Problem(source, target, result.n_inliers, result.model)
+    return remedies.Case(problem, replace(result, **changes), in_norm_space)
+
+
+def test_nothing_to_say_where_all_is_well():
+    assert solve(*clouds(), 30, gap_tol=1e-4).warnings == []
+
+
+def test_a_tolerance_above_the_upper_bound():
+    result = solve(*clouds(), 30, gap_tol=1.0)
+    (line,) = result.warnings
+    assert "tolerance" in line and "smaller gap_tol" in line
+    assert "nothing is proven" in str(result)
+    assert result.to_dict()["warnings"] == result.warnings
+
+
+def test_in_norm_space_a_bound_of_zero_is_not_optimal():
+    source, target = clouds(3, noise=0.02)
+    vague = solve(source, target, 30, mode="paper", gap_tol=10.0)
+    assert vague.lower_bound == 0.0 < vague.upper_bound
+    assert vague.status is Status.CONVERGED
+    assert any("nothing is proven" in line for line in vague.warnings)
+    default = solve(source, target, 30, mode="paper")
+    assert default.status is Status.OPTIMAL
+    assert default.lower_bound > 0.0
+
+
+def test_a_pose_far_worse_than_its_norms():
+    source, target = clouds(3)
+    result = solve(source, target, 30, mode="paper")
+    made = {"objective": 1.75, "upper_bound": 0.0011}
+    assert "mode 'full'" in remedies.misled(case(result, source, target, True, **made))
+    assert remedies.misled(case(result, source, target, False, **made)) is None
+    assert remedies.misled(case(result, source, target, True)) is None
+
+
+def test_a_target_ten_times_larger():
+    source, target = clouds()
+    lines = solve(source, 12.0 * target, 30, time_limit=2.0).warnings
+    assert any("scale_range (0.5, 1.5)" in line and "Widen" in line for line in lines)
+    assert any("rescale one" in line and "factor of 10" in line for line in lines)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_pose_that_the_pairs_do_not_determine(dim):
+    source, target = clouds(dim, size=12)
+    assert any("n_inliers" in line for line in solve(source, target, dim - 1).warnings)
+    equal = np.ones((6, dim))
+    assert any("do not determine" in line for line in solve(equal, equal, 6).warnings)
+    good = solve(source, target, 12)
+    assert remedies.undetermined(case(good, source, target)) is None
+
+
+def test_residuals_without_an_elbow():
+    source, target = clouds(size=40)
+    assert any("sweep" in line for line in solve(source, target, 20).warnings)
+    target[30:] += 5.0 * np.random.default_rng(1).random((10, 2))
+    assert remedies.no_elbow(case(solve(source, target, 30), source, target)) is None
+
+
+def test_too_many_points():
+    source, target = clouds(size=1200)
+    result = solve(source[:20], target[:20], 20)
+    late = case(result, source, target, status=Status.TIME_LIMIT)
+    assert "--downsample" in remedies.too_many_points(late)
+    assert remedies.too_many_points(case(result, source, target)) is None
