@@ -154,8 +154,9 @@ def register(
     with Budget(time_limit, node_limit, memory_limit_mb, told) as budget:
         task = task_of(
             searched, way, bound, gap_tol, threads, budget, reduced_box=start_box == "reduced",
-            leaves=Leaves() if certificate else None, rotation_tol=rotation_tol,
+            rotation_tol=rotation_tol,
         )  # fmt: skip
+        task = replace(task, leaves=Leaves() if certificate else None)
         answer = way.run(task)
         result = result_of(searched, way, task, answer, polish=polish, time_setup_s=time_setup)
         if searched is not problem:
@@ -234,7 +235,6 @@ def task_of(
     budget: Budget,
     *,
     reduced_box: bool = True,
-    leaves: Leaves | None = None,
     rotation_tol: float | None = None,
 ) -> Task:
     """The normalised task of a problem; tolerances in the units of the clouds."""
@@ -250,8 +250,7 @@ def task_of(
         gap_tol / frame.area,
         threads,
         budget,
-        leaves,
-        None if rotation_tol is None else rotation_tol / frame.area,
+        rotation_tol=None if rotation_tol is None else rotation_tol / frame.area,
     )
 
 

@@ -19,6 +19,7 @@ from dcreg.status import Status
 _MANY_POINTS = 1000
 _MUCH_LARGER = 100.0
 _OTHER_SIZE = 10.0
+_ELBOW = 3.0  # points left out are farther than the worst matched ones by more than this factor
 _EXACT = 1e-9  # a squared residual this small, in squared RMS radii, is rounding
 
 
@@ -111,7 +112,7 @@ def other_size(case: Case) -> str | None:
 
 
 def no_elbow(case: Case) -> str | None:
-    """Points that were left out lie as near as those that were matched."""
+    """Points that were left out lie hardly farther than those that were matched."""
     problem, result = case.problem, case.result
     left = np.setdiff1d(np.arange(len(problem.source)), result.assignment[:, 0])
     tree = cKDTree(problem.target)
@@ -124,12 +125,12 @@ def no_elbow(case: Case) -> str | None:
     rows, columns = result.assignment.T
     worst = np.quantile(np.linalg.norm(moved[rows] - problem.target[columns], axis=1), 0.9)
     near = np.median(tree.query(moved[left])[0])
-    if worst < near:
+    if near > _ELBOW * worst:
         return None
     return (
-        f"the residuals have no elbow at {result.n_inliers} pairs: points left out lie as near "
-        f"({near:.3g}) as the worst tenth of those matched ({worst:.3g}). Solve for several n_inliers "
-        "with `dcreg sweep`"
+        f"the residuals have no elbow at {result.n_inliers} pairs: points left out lie hardly farther "
+        f"({near:.3g}) than the worst tenth of those matched ({worst:.3g}). Solve for several "
+        "n_inliers with `dcreg sweep`"
     )
 
 

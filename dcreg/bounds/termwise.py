@@ -85,7 +85,7 @@ class SeparableBound(TermwiseBound):
             )
         if self.averaged:
             return plane.aggregated_bound(
-                self.features, self.low, self.high, k, space.stop, lower, upper, bounds, thetas
+                self.features, (self.low, self.high), k, space.stop, lower, upper, bounds, thetas
             )
         return plane.entry_bound(self.features, k, space.stop, lower, upper, bounds)
 

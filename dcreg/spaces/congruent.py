@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from dcreg.kernels.points import NEVER
 from dcreg.kernels.space import congruent as kernels
 from dcreg.local import follow_nearest
 from dcreg.problem import rms_radius
@@ -27,6 +28,7 @@ MAX_ROUNDS = 8
 MAX_SAMPLE = 300  # source points that follow their nearest neighbours
 SHORTEST = 0.6  # side of a source triple, in RMS radii; short ones fix a rotation badly
 KEPT_PER_TRIPLE = 6
+MAX_POSES = 30  # returned by a round
 MAX_CELLS = 256  # of the field of nearness along the longest side: about 150 MB
 APART = 0.15  # poses that move the unit corners by less than this differ too little
 
@@ -58,8 +60,8 @@ def congruent_poses(
     scale: Scale,
     candidates: np.ndarray | None = None,
     *,
-    count: int = 30,
     seed: int = 0,
+    stop: np.ndarray = NEVER,
 ) -> np.ndarray:
     """The best distinct poses that congruent triples suggest, best first.
 
@@ -70,9 +72,9 @@ def congruent_poses(
     scale : Scale
     candidates : (n, m) bool array, optional
         The feasible pairs.
-    count : int
-        Poses returned at most.
     seed : int
+    stop : (1,) uint8 array
+        Once it is set the poses found so far are returned.
 
     Returns
     -------
@@ -110,9 +112,9 @@ def congruent_poses(
     ]
     kernels.triple_poses(
         triples, np.column_stack([sides[:, 1:], *ends]), (x, some), feasible, (first, second),
-        (scale.tolerance, looked, origin, cell, field), poses, scores,
+        (scale.tolerance, looked, origin, cell, field, stop), poses, scores,
     )  # fmt: skip
-    found = _distinct(poses.reshape(-1, 3, 4), scores.ravel(), count)
+    found = _distinct(poses.reshape(-1, 3, 4), scores.ravel(), MAX_POSES)
     found[:, :3, 3] *= unit
     return found
 

@@ -176,7 +176,13 @@ class Rigid3D(CloudSpace):
                 if budget.is_over:
                     return
                 poses = congruent_poses(
-                    source, target, self.n_inliers, scale, self._candidates, seed=seed
+                    source,
+                    target,
+                    self.n_inliers,
+                    scale,
+                    self._candidates,
+                    seed=seed,
+                    stop=self.stop,
                 )
                 if self.n_pairs > DENSE_DESCENTS:
                     poses = best_descents(poses, source, target, self.n_inliers)

@@ -58,7 +58,7 @@ def test_all_matched_is_certified_without_a_dense_matrix(rng):
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 8 * size**2 / 2  # half of one dense matrix
-    assert result.status is Status.OPTIMAL
+    assert result.status is Status.CONVERGED  # the rotation is a sampled one
     assert result.upper_bound - result.lower_bound <= result.gap_tol
     assert result.certificate_scope == "translation in norm space"
     angle, shift = pose_errors(result.T_target_source)
@@ -79,7 +79,7 @@ def test_outliers_return_in_time(rng):
     result = dcreg.register(
         source, target, n_inliers=n_inliers, model="rigid3d", mode="paper", time_limit=limit
     )
-    assert result.status in (Status.OPTIMAL, Status.TIME_LIMIT)
+    assert result.status in (Status.CONVERGED, Status.TIME_LIMIT)
     assert sum(stage.time_s for stage in result.stages[:2]) < 2 * limit
     assert len(result.assignment) == n_inliers
     angle, shift = pose_errors(result.T_target_source)

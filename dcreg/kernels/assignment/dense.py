@@ -90,7 +90,10 @@ def improve_assignment(cost, k, b, stop):
     n_free = _take_cheapest(cost, a, b, col_of, row_of, free)
     _lower_prices(cost, spare_price, a, b, col_of, row_of)
     left = _leave_columns(m - k, a, b, row_of)
-    _augment(cost, spare_price, a, b, col_of, row_of, free[:n_free], left, stop)
+    starts = np.empty(n_free + left, np.int64)
+    for path in range(starts.size):
+        starts[path] = free[path] if path < n_free else n
+    _augment(cost, spare_price, a, b, col_of, row_of, starts, stop)
     _take_least_off(b)
     value = 0.0
     for i in range(n):
@@ -214,8 +217,8 @@ def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
 
 
 @jit
-def _augment(cost, spare_price, a, b, col_of, row_of, free, left, stop):
-    """Shortest augmenting paths from every free row, then from the dummy row `left` times."""
+def _augment(cost, spare_price, a, b, col_of, row_of, starts, stop):
+    """Shortest augmenting paths from the free rows, and from the dummy row as often as it is short."""
     n, m = cost.shape
     dummy, spare = n, m
     dist, open_b, no_cost = np.empty(m), np.empty(m), np.zeros(m)
@@ -223,10 +226,9 @@ def _augment(cost, spare_price, a, b, col_of, row_of, free, left, stop):
     scanned, reached = np.empty(m + 1, np.int64), np.empty(m + 1)
     spare_cost, spare_row = np.empty(m), np.empty(m, np.int64)
     spare_known = False  # cheapest row at the spare column, per column
-    for path in range(free.size + left):
+    for source in starts:
         if stop[0]:
             return
-        source = free[path] if path < free.size else dummy
         for j in range(m):
             dist[j], open_b[j] = np.inf, b[j]
         spare_dist, spare_open = np.inf, True

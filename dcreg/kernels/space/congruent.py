@@ -105,8 +105,9 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
         Which points may be matched; empty: all.
     pairs : (first, second)
         The ordered pairs of target points by length.
-    search : (tolerance, looked, origin, cell, field)
-        Tolerance of a distance, the source points that score, and the field of `nearness_field`.
+    search : (tolerance, looked, origin, cell, field, stop)
+        Tolerance of a distance, the source points that score, the field of `nearness_field`, and what ends
+        the kernel early once it is set.
     poses, scores : (T, K, 3, 4), (T, K) arrays
         Receive the best poses of each triple; scores come as zeros.
 
@@ -117,7 +118,7 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
     """
     source, target = clouds
     first, second = pairs
-    tolerance, looked, origin, cell, field = search
+    tolerance, looked, origin, cell, field, stop = search
     F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     tried = 0
     for at in range(triples.shape[0]):
@@ -128,6 +129,8 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
         near_pr, far_pr = max(0.0, sides[at, 0] - tolerance) ** 2, (sides[at, 0] + tolerance) ** 2
         near_qr, far_qr = max(0.0, sides[at, 1] - tolerance) ** 2, (sides[at, 1] + tolerance) ** 2
         for pair in range(int(sides[at, 2]), int(sides[at, 3])):
+            if stop[0]:
+                return tried
             i, j = first[pair], second[pair]
             if feasible.size > 0 and not (feasible[u, i] and feasible[v, j]):
                 continue

@@ -70,9 +70,10 @@ def feature_ranges(features, k, stop, low, high):
 
 
 @jit
-def aggregated_bound(features, low, high, k, stop, lower, upper, bounds, thetas):
+def aggregated_bound(features, ranges, k, stop, lower, upper, bounds, thetas):
     """R1: one assignment and one separable box QP a box. Returns the number of assignments."""
     n, m = features.shape[1], features.shape[2]
+    low, high = ranges
     cost = np.empty((n, m))
     alpha, beta = np.empty(N_FEATURES), np.empty(4)
     for box in range(lower.shape[0]):
