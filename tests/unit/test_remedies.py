@@ -34,7 +34,8 @@ def test_nothing_to_say_where_all_is_well():
 def test_a_tolerance_above_the_upper_bound():
     result = solve(*clouds(), 30, gap_tol=1.0)
     (line,) = result.warnings
-    assert "tolerance" in line and "smaller gap_tol" in line
+    assert "tolerance" in line
+    assert "smaller gap_tol" in line
     assert "nothing is proven" in str(result)
     assert result.to_dict()["warnings"] == result.warnings
 

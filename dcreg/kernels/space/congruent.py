@@ -106,8 +106,8 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
     pairs : (first, second)
         The ordered pairs of target points by length.
     search : (tolerance, looked, origin, cell, field, stop)
-        Tolerance of a distance, the source points that score, the field of `nearness_field`, and what ends
-        the kernel early once it is set.
+        Tolerance of a distance, the source points that score, the field of `nearness_field`, and what
+        ends the kernel early once it is set.
     poses, scores : (T, K, 3, 4), (T, K) arrays
         Receive the best poses of each triple; scores come as zeros.
 
