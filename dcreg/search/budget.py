@@ -18,7 +18,7 @@ Listener = Callable[[Event], bool | None]
 _GLANCE_S = 0.05  # between two looks at the clock while a kernel runs
 _SILENCE_S = 0.5  # without an event, before the last one is told once more
 # What follows a limit: the objective of the pose that was found, exactly or else roughly.
-_CLOSING_SHARE, _CLOSING_S = 0.05, 0.5
+_CLOSING_SHARE, _CLOSING_S = 0.05, 0.2
 
 
 class Interrupted(Exception):  # noqa: N818 (no error: nobody outside sees it)
