@@ -57,6 +57,11 @@ bench: dev
 modes: dev
 	@$(BIN)/python -m tests.bench.modes results/modes $(ARGS)
 
+## walk: dcreg with its defaults on real clouds of many sizes, table in results/walk (ARGS="--size 300")
+.PHONY: walk
+walk: dev
+	@$(BIN)/python -m tests.bench.walk results/walk $(ARGS)
+
 ## profile: where solves spend their time, as shares of CPU time
 .PHONY: profile
 profile: dev
