@@ -11,12 +11,13 @@ from dcreg.certificate.record import record
 from dcreg.local import objective
 from dcreg.local import polish as polish_pose
 from dcreg.modes import AUTO, Answer, Mode, Task, choose_mode, find_mode
-from dcreg.problem import Candidates, Frame, InputError, Problem, default_gap_tol, suggestion
+from dcreg.problem import Candidates, Frame, InputError, Problem, default_gap_tol, gap_tol_of, suggestion
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, Leaves, Listener, Trace
 from dcreg.warm_up import warm_up_mode
 
 START_BOXES = ("reduced", "safe")
+MAX_THREADS = 1024
 
 
 def register(
@@ -30,6 +31,7 @@ def register(
     start_box: str = START_BOXES[0],
     scale_range: tuple[float, float] | None = None,
     gap_tol: float | None = None,
+    tol: float | None = None,
     time_limit: float | None = None,
     node_limit: int | None = None,
     memory_limit_mb: float | None = None,
@@ -69,6 +71,9 @@ def register(
     gap_tol : float, optional
         Absolute tolerance on the gap of the objective, in squared units of the target; default
         ``n_inliers * (0.03 * RMS radius of the target)^2`` (`dcreg.default_gap_tol`).
+    tol : float, optional
+        The same as a length, the RMS residual per pair in units of the target:
+        ``gap_tol = n_inliers * tol^2``. Only one of the two can be given.
     time_limit : float, optional
         Seconds for the solve. The best pose so far is returned with status ``time_limit``.
     node_limit : int, optional
@@ -114,6 +119,7 @@ def register(
     way.check(problem, bound, certificate)
     if start_box not in START_BOXES:
         raise InputError(f"start_box: {start_box!r} is unknown{suggestion(start_box, START_BOXES)}")
+    gap_tol = gap_tol_of(tol, gap_tol, problem.n_inliers)
     check_settings(
         gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
@@ -251,9 +257,13 @@ def check_settings(**settings: float | None) -> None:
     for name, value in settings.items():
         if value is None:
             continue
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            raise InputError(f"{name}: {value!r} is not a number; give a positive number")
         least = 1 if name in ("node_limit", "threads") else 0
-        if not np.isfinite(value) or value < least or (name == "time_limit" and value == 0):
+        if not value < np.inf or value < least or (name == "time_limit" and value == 0):
             raise InputError(f"{name}: {value} is not a usable value; give a positive number")
+        if name == "threads" and value > MAX_THREADS:
+            raise InputError(f"threads: {value} are too many; give at most {MAX_THREADS}")
 
 
 def in_file_units(listener: Listener | None, area: float) -> Listener | None:

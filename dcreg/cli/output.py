@@ -11,12 +11,13 @@ from pathlib import Path
 import typer
 
 import dcreg
+from dcreg.cli.interrupts import raise_again
 from dcreg.names import FIGURE_PACKAGES
 
 EXIT_OK, EXIT_OUTPUT, EXIT_INPUT, EXIT_LIMIT = 0, 1, 2, 3
 STDOUT = Path("-")
 # The library's messages begin with the name of the argument; these are options here.
-_OPTIONS = {"model", "n_inliers", "scale_range", "mode", "bound", "gap_tol", "threads"}
+_OPTIONS = {"model", "n_inliers", "scale_range", "mode", "bound", "gap_tol", "tol", "threads"}
 _OPTIONS |= {"time_limit", "node_limit", "candidates", "certificate"}
 
 # Writes one file, whole or not at all.
@@ -47,6 +48,18 @@ def print_advice(problem: dcreg.Problem) -> None:
     """What looks odd about the clouds, on standard error."""
     for line in dcreg.advice(problem):
         typer.secho(line, err=True, fg="yellow")
+
+
+def print_tolerance_advice(gap_tol: float | None, tol: float | None) -> None:
+    """That a gap hardly ever closes to nothing, on standard error."""
+    for option, value in (("--gap-tol", gap_tol), ("--tol", tol)):
+        if value == 0:
+            typer.secho(
+                f"warning: {option} 0: a gap hardly ever closes completely, so the search ends at a "
+                "limit or by Ctrl-C only; give a length such as --tol 0.01, or --time-limit 60",
+                err=True,
+                fg="yellow",
+            )
 
 
 def check_outputs(
@@ -104,6 +117,7 @@ def check_packages(path: Path | None, kind: str) -> None:
 
 def write_outputs(writers: list[tuple[Path | None, Writer]]) -> bool:
     """Write each file that was asked for; False if one could not be written."""
+    raise_again()
     complete = True
     for path, write in writers:
         if path is None:

@@ -6,7 +6,7 @@ from dcreg.problem.frame import Frame
 from dcreg.problem.pairs import Candidates
 from dcreg.problem.pose import nearest_rotation, rotation_angle_deg, scale_of
 from dcreg.problem.problem import MODEL_DIM, ModelName, Problem
-from dcreg.problem.tolerance import default_gap_tol, rms_radius, unit_length
+from dcreg.problem.tolerance import default_gap_tol, gap_tol_of, rms_radius, unit_length
 
 __all__ = [
     "MODEL_DIM",
@@ -17,6 +17,7 @@ __all__ = [
     "Problem",
     "advice",
     "default_gap_tol",
+    "gap_tol_of",
     "nearest_rotation",
     "rms_radius",
     "rotation_angle_deg",

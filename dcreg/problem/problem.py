@@ -13,6 +13,7 @@ from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.pairs import Candidates, check_candidates
 
 ModelName = Literal["similarity2d", "rigid3d"]
+LARGEST_COORDINATE = 1e100  # its square, times any number of points, is far from overflow
 DEFAULT_SCALE_RANGE = {"similarity2d": (0.5, 1.5), "rigid3d": (1.0, 1.0)}
 
 
@@ -93,6 +94,12 @@ def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndar
         raise InputError(
             f"{name}: {bad.size} point(s) with NaN or infinity, the first in row {bad[0]}: "
             f"{points[bad[0]].tolist()}; remove them"
+        )
+    if np.abs(points).max() > LARGEST_COORDINATE:
+        row = int(np.abs(points).max(axis=1).argmax())
+        raise InputError(
+            f"{name}: {points[row].tolist()} in row {row} is too far away to square its distances; "
+            f"give both clouds in a larger unit, so that coordinates are below {LARGEST_COORDINATE:g}"
         )
     return points
 
