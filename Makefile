@@ -83,6 +83,11 @@ golden: setup
 fuzz: dev
 	@$(BIN)/python -m tests.fuzz --count $(or $(COUNT),10000)
 
+## bad-input: try every kind of bad input and count tracebacks, hangs and unclear messages (expected: none)
+.PHONY: bad-input
+bad-input: dev
+	@$(BIN)/python -m tests.bad_input
+
 ## record: store the small tables of demo and real2d under history/VERSION
 .PHONY: record
 record: setup

@@ -16,6 +16,7 @@ from dcreg.names import FIGURE_PACKAGES
 
 EXIT_OK, EXIT_OUTPUT, EXIT_INPUT, EXIT_LIMIT = 0, 1, 2, 3
 STDOUT = Path("-")
+MAX_NAME = 200  # bytes of the name of an output; its neighbour while writing has a longer one
 # The library's messages begin with the name of the argument; these are options here.
 _OPTIONS = {"model", "n_inliers", "scale_range", "mode", "bound", "gap_tol", "tol", "threads"}
 _OPTIONS |= {"time_limit", "node_limit", "candidates", "certificate"}
@@ -80,6 +81,10 @@ def check_outputs(
     for option, path in outputs.items():
         if path is None or (path == STDOUT and option == stdout):
             continue
+        if len(path.name.encode()) > MAX_NAME:
+            raise dcreg.InputError(
+                f"{option} {path.name[:40]}…: the name is too long; give one shorter than {MAX_NAME} bytes"
+            )
         if path.exists() and not path.is_file():
             raise dcreg.InputError(
                 f"{option} {path}: exists and is not a plain file; name another file"

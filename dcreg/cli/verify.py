@@ -34,5 +34,11 @@ def verify(
             raise dcreg.InputError(report.reason)
     for check in report.checks:
         typer.echo(f"ok: {check}")
-    typer.echo(f"proven: {report.statement}" if report.accepted else f"refused: {report.reason}")
-    raise typer.Exit(EXIT_OK if report.accepted else EXIT_REFUSED)
+    if report.accepted:
+        typer.echo(f"proven: {report.statement}")
+        raise typer.Exit(EXIT_OK)
+    typer.echo(
+        f"refused: {report.reason}; check the clouds, or "
+        "make a new one with `dcreg register --certificate`"
+    )
+    raise typer.Exit(EXIT_REFUSED)
