@@ -11,7 +11,15 @@ from dcreg.certificate.record import record
 from dcreg.local import objective
 from dcreg.local import polish as polish_pose
 from dcreg.modes import AUTO, Answer, Mode, Task, choose_mode, find_mode
-from dcreg.problem import Candidates, Frame, InputError, Problem, default_gap_tol, gap_tol_of, suggestion
+from dcreg.problem import (
+    Candidates,
+    Frame,
+    InputError,
+    Problem,
+    default_gap_tol,
+    gap_tol_of,
+    suggestion,
+)
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, Leaves, Listener, Trace
 from dcreg.warm_up import warm_up_mode

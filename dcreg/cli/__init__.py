@@ -23,4 +23,3 @@ def main() -> None:
             "what it needs with: pip install typer rich plotly\n"
             "In Python the library works without: import dcreg"
         )
-

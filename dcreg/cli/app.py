@@ -22,7 +22,7 @@ from dcreg.cli.verify import verify
 class Commands(TyperGroup):
     """The commands; a Ctrl-C that none of them treats itself is one line and an exit code."""
 
-    def invoke(self, ctx: typer.Context) -> Any:
+    def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:

@@ -56,8 +56,8 @@ def read_ply(path: Path, _: str | None) -> np.ndarray:
     at = elements.index(vertex)
     before, behind = elements[:at], elements[at + 1 :]
     if not order:
-        skip, after = (sum(e.count for e in part) for part in (before, behind))
-        body = text_body(path, content, start, skip, vertex.count, after)
+        skip, rest = (sum(e.count for e in part) for part in (before, behind))
+        body = text_body(path, content, start, skip, vertex.count, rest)
         return numbers_of(path, body, columns, len(vertex.properties))
     for element in before:
         start = _skip_element(path, content, start, element, order)

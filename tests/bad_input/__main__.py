@@ -1,7 +1,7 @@
 """``python -m tests.bad_input [AREA]``: try every case; exit code 1 where one is not refused well.
 
-Every case runs in a process of its own, forked with all loaded, in a new folder, under a limit of time and
-of memory.
+Every case runs in a process of its own, forked with all loaded, in a new folder, under limits of time
+and memory.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ PCD_CHANGES = {
     "fewer than announced": (b"0 1 0\n", b"", "announces 3 points, the file holds 2", "copy or"),
     "more than announced": (b"0 1 0\n", b"0 1 0\n0 0 1\n", "announces 3 points, the file holds 4",
                             "correct the header"),
-    "no points": (b"WIDTH 3\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA ascii\n0 0 0\n1 0 0\n0 1 0\n",
+    "no points": (PCD[PCD.index(b"WIDTH"):],
                   b"WIDTH 0\nHEIGHT 1\nPOINTS 0\nDATA ascii\n", "holds no points", "give a file"),
     "word": (b"1 0 0\n", b"1 x 0\n", "'x' is not a number", "correct or remove"),
     "short row": (b"1 0 0\n", b"1 0\n", "has 2 values, expected 3", "the same number"),
@@ -232,7 +232,12 @@ def _cases() -> Iterator[Case]:
         yield _case(f"{suffix} folder", file, None, "is a folder", "give the path of a point file")
         yield _case(f"{suffix} empty", file, b"", EMPTY.get(suffix, "export the file again"))
         noise = np.random.default_rng(0).bytes(4000)
-        yield _case(f"{suffix} noise", file, noise, *(["sav"] if suffix in EMPTY or suffix == ".off" else ["export"]))
+        yield _case(
+            f"{suffix} noise",
+            file,
+            noise,
+            *(["sav"] if suffix in EMPTY or suffix == ".off" else ["export"]),
+        )
     for suffix in (".txt", ".csv", ".xyz"):
         for name, (content, *words) in (TEXT | (NARROW if suffix != ".xyz" else {})).items():
             yield _case(f"{suffix} {name}", f"bad{suffix}", content, *words)
