@@ -59,7 +59,7 @@ def cheapest_pairs(cost: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def prices_of(cost: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Prices of the columns by the lengths of alternating paths; cut short they are prices all the same."""
+    """Prices of the columns: lengths of alternating paths. Cut short they are prices all the same."""
     potential = np.zeros(cost.shape[1])
     rise = cost - np.take_along_axis(cost, columns[:, None], axis=1)
     for _ in range(STEPS):

@@ -83,7 +83,8 @@ def check_outputs(
             continue
         if len(path.name.encode()) > MAX_NAME:
             raise dcreg.InputError(
-                f"{option} {path.name[:40]}…: the name is too long; give one shorter than {MAX_NAME} bytes"
+                f"{option} {path.name[:40]}…: the name is too long; give a shorter one (up to "
+                f"{MAX_NAME} bytes)"
             )
         if path.exists() and not path.is_file():
             raise dcreg.InputError(

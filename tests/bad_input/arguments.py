@@ -46,11 +46,11 @@ NUMBERS = {  # options that both commands have: value, what the message shows, r
         "99999999999999999999": ("--threads: 99999999999999999999 are too many", "give at most"),
     },
     "bound": {
-        "magic": ("--bound: 'magic'", "choose from ['tight'"),
-        "tigth": ("--bound: 'tigth'", "choose from ['tight'"),
-        "": ("--bound: ''", "choose from ['tight'"),
-        "tight+": ("--bound: ''", "choose from ['tight'"),
-        "tight+magic": ("--bound: 'magic'", "choose from ['tight'"),
+        "magic": ("--bound: 'magic'", "known: edges"),
+        "tigth": ("--bound: 'tigth'", "known: edges"),
+        "": ("--bound: ''", "known: edges"),
+        "tight+": ("--bound: ''", "known: edges"),
+        "tight+magic": ("--bound: 'magic'", "known: edges"),
     },
     "model": {
         "affine": ("'affine' is not one of", "'similarity2d', 'rigid3d'"),

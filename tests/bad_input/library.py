@@ -31,7 +31,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
     "2.0 pairs": ({"n_inliers": 2.0}, "n_inliers: the fraction 2.0", "an integer between 1 and 8"),
     "nan pairs": ({"n_inliers": np.nan}, "n_inliers: the fraction nan", "between 1 and 8"),
     "mode": ({"mode": "fast"}, "mode: 'fast' is unknown", "known: "),
-    "bound": ({"bound": "fast"}, "bound: 'fast' is unknown", "choose from"),
+    "bound": ({"bound": "fast"}, "bound: 'fast' is unknown", "known: "),
     "start box": ({"start_box": "small"}, "start_box: 'small' is unknown", "known: reduced, safe"),
     "scale range": ({"scale_range": (2, 1)}, "scale_range: (2.0, 1.0)", "0 < low <= high"),
     "scale of words": ({"scale_range": "wide"}, "scale_range: 'wide'", "pair of numbers"),
