@@ -475,3 +475,11 @@ def _valid(tmp_path, suffix, data):
     else:
         path.write_text("4\n" + rows(POINTS3))
     return path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "text", ["1,5;-2,25\n3;,5e1\n", '"1.5","-2.25"\n"3","5"\n', "1.5;-2.25;\n3;5;\n"]
+)
+def test_decimal_commas_and_quotes_are_read(tmp_path, text):
+    points = read_points(write(tmp_path / "a.csv", text.encode()))
+    assert points.tolist() == [[1.5, -2.25], [3.0, 5.0]]
