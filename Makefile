@@ -57,6 +57,11 @@ bench: dev
 modes: dev
 	@$(BIN)/python -m tests.bench.modes results/modes $(ARGS)
 
+## walk: dcreg with its defaults on real clouds of many sizes, table in results/walk (ARGS="--size 300")
+.PHONY: walk
+walk: dev
+	@$(BIN)/python -m tests.bench.walk results/walk $(ARGS)
+
 ## profile: where solves spend their time, as shares of CPU time
 .PHONY: profile
 profile: dev
@@ -77,6 +82,11 @@ golden: setup
 .PHONY: fuzz
 fuzz: dev
 	@$(BIN)/python -m tests.fuzz --count $(or $(COUNT),10000)
+
+## bad-input: try every kind of bad input and count tracebacks, hangs and unclear messages (expected: none)
+.PHONY: bad-input
+bad-input: dev
+	@$(BIN)/python -m tests.bad_input
 
 ## record: store the small tables of demo and real2d under history/VERSION
 .PHONY: record

@@ -5,7 +5,7 @@ from .io import read_candidates, read_points
 from .local import objective
 from .names import bound_names, mode_names
 from .plot import plot_registration, plot_sweep
-from .problem import Candidates, InputError, Problem, advice, default_gap_tol
+from .problem import Candidates, InputError, Problem, advice, default_gap_tol, gap_tol_of
 from .registration import register
 from .result import Result, Stage
 from .search import Event, Listener, Trace
@@ -32,6 +32,7 @@ __all__ = [
     "advice",
     "bound_names",
     "default_gap_tol",
+    "gap_tol_of",
     "mode_names",
     "objective",
     "plot_registration",

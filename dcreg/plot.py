@@ -46,8 +46,16 @@ def plot_registration(
     source, target : (n, d) and (m, d) arrays, d = 2 or 3
     result : Result
     path : str or Path
-        The HTML file to write.
+        The ``.html`` file to write.
+
+    Raises
+    ------
+    InputError
+        For another suffix.
     """
+    path = Path(path)
+    if path.suffix.lower() != ".html":
+        raise InputError(f"{path}: {path.suffix!r} is no page; the name must end in .html")
     _write_page(figure(source, target, result), path, "registration")
 
 

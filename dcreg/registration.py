@@ -19,6 +19,7 @@ from dcreg.problem import (
     Problem,
     default_gap_tol,
     farthest_points,
+    gap_tol_of,
     suggestion,
 )
 from dcreg.remedies import Case, warnings_for
@@ -32,6 +33,7 @@ START_BOXES = ("reduced", "safe")
 NORM_NODES = 50_000
 # A squared residual this small, in squared units of the frame, is rounding.
 _EXACT = 1e-9
+MAX_THREADS = 1024
 
 
 def register(
@@ -45,6 +47,7 @@ def register(
     start_box: str = START_BOXES[0],
     scale_range: tuple[float, float] | None = None,
     gap_tol: float | None = None,
+    tol: float | None = None,
     time_limit: float | None = None,
     node_limit: int | None = None,
     memory_limit_mb: float | None = None,
@@ -87,6 +90,9 @@ def register(
         ``n_inliers * (0.03 * RMS radius of the target)^2`` (`dcreg.default_gap_tol`), and with 0.003
         where the bounds speak of norms, which fit better than points. Such a search ends after
         50,000 boxes where neither time nor boxes are limited.
+    tol : float, optional
+        The same as a length, the RMS residual per pair in units of the target:
+        ``gap_tol = n_inliers * tol^2``. Only one of the two can be given.
     time_limit : float, optional
         Seconds for the solve. The best pose so far is returned with status ``time_limit``, at most a
         tenth of the limit and a second later.
@@ -138,6 +144,7 @@ def register(
     way.check(searched, bound, certificate)
     if start_box not in START_BOXES:
         raise InputError(f"start_box: {start_box!r} is unknown{suggestion(start_box, START_BOXES)}")
+    gap_tol = gap_tol_of(tol, gap_tol, searched.n_inliers)
     check_settings(
         gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
@@ -360,9 +367,13 @@ def check_settings(**settings: float | None) -> None:
     for name, value in settings.items():
         if value is None:
             continue
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            raise InputError(f"{name}: {value!r} is not a number; give a positive number")
         least = 1 if name in ("node_limit", "threads") else 0
-        if not np.isfinite(value) or value < least or (name == "time_limit" and value == 0):
+        if not value < np.inf or value < least or (name == "time_limit" and value == 0):
             raise InputError(f"{name}: {value} is not a usable value; give a positive number")
+        if name == "threads" and value > MAX_THREADS:
+            raise InputError(f"threads: {value} are too many; give at most {MAX_THREADS}")
 
 
 def in_file_units(listener: Listener | None, area: float) -> Listener | None:

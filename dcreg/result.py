@@ -76,7 +76,7 @@ class Stage:
         """One line of a stage that has bounds."""
         return (
             f"{self.status}, bounds [{self.lower_bound:.5g}, {self.upper_bound:.5g}], "
-            f"{self.n_nodes} nodes, {self.time_s:.2f} s"
+            f"{text.count(self.n_nodes, 'node')}, {self.time_s:.2f} s"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -268,7 +268,7 @@ class Result:
         )
         yield "scale", f"{self.scale:.6g}"
         yield "rotation", f"{self.rotation_deg:.4f} deg"
-        yield "RMSE of pairs", f"{self.rmse_matched:.6g} over {self.n_inliers} pairs"
+        yield "RMSE of pairs", f"{self.rmse_matched:.6g} over {text.count(self.n_inliers, 'pair')}"
         yield "lower bound", f"{self.lower_bound:.6g}"
         yield "upper bound", f"{self.upper_bound:.6g}"
         yield "gap", f"{self.gap:.4g} (tolerance {self.gap_tol:.4g})"
@@ -280,7 +280,10 @@ class Result:
             "objective",
             f"{self.objective:.6g} (before the polish {self.objective_certified:.6g})",
         )
-        yield "work", f"{self.n_nodes} nodes, {self.n_assignments} assignments"
+        yield (
+            "work",
+            f"{text.count(self.n_nodes, 'node')}, {text.count(self.n_assignments, 'assignment')}",
+        )
         yield "time", f"{self.time_solve_s:.2f} s solving, {self.time_setup_s:.2f} s before"
         yield "method", f"{self.model}, mode {self.mode}, bound {self.bound}"
         if self.downsampled is not None:

@@ -30,7 +30,7 @@ import numpy as np
 from dcreg.bounds import make_bound
 from dcreg.modes import Answer, Mode, Task, find_mode
 from dcreg.modes.paper import TRANSLATION_SHARE, place, space_of
-from dcreg.problem import Candidates, Frame, InputError, Problem
+from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
 from dcreg.registration import (
     check_settings,
     default_tolerances,
@@ -60,6 +60,7 @@ def sweep(
     bound: str | None = None,
     scale_range: tuple[float, float] | None = None,
     gap_tol: float | None = None,
+    tol: float | None = None,
     time_limit: float | None = None,
     node_limit: int | None = None,
     memory_limit_mb: float | None = None,
@@ -84,6 +85,8 @@ def sweep(
         As in `dcreg.register`.
     gap_tol : float, optional
         Absolute tolerance for every cardinality; default `dcreg.default_gap_tol` of each.
+    tol : float, optional
+        A length instead, as in `dcreg.register`: ``gap_tol = k * tol^2`` for cardinality k.
     time_limit : float, optional
         Seconds for all cardinalities. What one leaves over goes to those after it; those whose gap
         is open at the end have status ``time_limit``, with valid bounds and a pose.
@@ -117,8 +120,9 @@ def sweep(
     problems = _problems(source, target, n_inliers, model, scale_range, candidates)
     mode = find_mode(model, MODE)
     mode.check(problems[0], bound, certificate=False)
+    gap_tols = [gap_tol_of(tol, gap_tol, problem.n_inliers) for problem in problems]
     check_settings(
-        gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
+        gap_tol=gap_tols[-1], time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
     )  # fmt: skip
     warm_up_mode(mode, bound, problems[0].candidates is not None)
@@ -127,7 +131,10 @@ def sweep(
     budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(listener, area))
     with budget:
         solve = _Sweep(
-            [_Level.of(problem, mode, bound, gap_tol, threads, budget) for problem in problems],
+            [
+                _Level.of(problem, mode, bound, gap_tol, threads, budget)
+                for problem, gap_tol in zip(problems, gap_tols, strict=True)
+            ],
             mode,
             budget,
         )

@@ -5,6 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 
+def count(number: int, thing: str) -> str:
+    """A number of things.
+
+    Examples
+    --------
+    >>> count(1, "node"), count(2, "node")
+    ('1 node', '2 nodes')
+    """
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
 def listing(entries: Sequence[tuple[str, str]]) -> str:
     """Names and values in two columns; a value may have several lines.
 

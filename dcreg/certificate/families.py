@@ -10,28 +10,15 @@ from __future__ import annotations
 import abc
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from dcreg.certificate.format import CertificateError
+from dcreg.certificate.prices import Prices, Profile, cheapest_pairs, prices_of, sum_of_smallest
 
 MAX_DENSE = 4_000_000  # pairs of which cost matrices are formed
 
 
-def cheapest_pairs(cost: np.ndarray, k: int) -> float:
-    """The k cheapest pairs, one per row and column, of costs that are not negative."""
-    cost = cost if cost.shape[0] <= cost.shape[1] else cost.T
-    n_unmatched = cost.shape[0] - k
-    if n_unmatched:  # free columns for the rows that stay without a partner
-        cost = np.hstack([cost, np.zeros((cost.shape[0], n_unmatched))])
-    rows, columns = linear_sum_assignment(cost)
-    return float(cost[rows, columns].sum())
-
-
-def sum_of_smallest(values: np.ndarray, k: int) -> np.ndarray:
-    """Sum of the k smallest along the last axis."""
-    if k == values.shape[-1]:
-        return values.sum(axis=-1)
-    return np.partition(values, k - 1, axis=-1)[..., :k].sum(axis=-1)
+def _sum_of(cost: np.ndarray, columns: np.ndarray) -> float:
+    return float(cost[np.arange(len(cost)), columns].sum())
 
 
 class Family(abc.ABC):
@@ -55,6 +42,8 @@ class Family(abc.ABC):
         RMS motion of the source per unit step along each axis of theta.
     is_sorted_order : bool
         Whether matching in sorted order is optimal, so that no cost matrix is needed.
+    is_uniform : bool
+        Whether a tangent misses the same of every matching, so that a `Profile` is one number.
     n_assignments : int
         Assignments solved so far.
     """
@@ -62,6 +51,7 @@ class Family(abc.ABC):
     scope: str
     weights: np.ndarray
     is_sorted_order = False
+    is_uniform = False
 
     def __init__(
         self,
@@ -77,8 +67,9 @@ class Family(abc.ABC):
         self.scale_range = scale_range
         self.feasible = feasible
         self.n_assignments = 0
-        self._known: dict[bytes, tuple[float, bool]] = {}
+        self._profiles: dict[bytes, Profile] = {}
         self.prepare()
+        self._prices = Prices(self.weights, len(target))
 
     @abc.abstractmethod
     def prepare(self) -> None:
@@ -87,8 +78,12 @@ class Family(abc.ABC):
     # --- the objective and where to look for its minimum
 
     @abc.abstractmethod
+    def costs(self, theta: np.ndarray) -> np.ndarray:
+        """(n, m) squared distances."""
+
     def objective(self, theta: np.ndarray) -> float:
         """E(theta), exactly."""
+        return self.match(self.costs(theta))
 
     @abc.abstractmethod
     def region(self) -> tuple[np.ndarray, np.ndarray]:
@@ -124,60 +119,70 @@ class Family(abc.ABC):
         return out
 
     @abc.abstractmethod
-    def tangent_loss(self, step: np.ndarray) -> np.ndarray:
-        """How far the tangent bound at theta0 may fall short of the objective at ``theta0 + step``.
+    def rebates(self, step: np.ndarray) -> np.ndarray:
+        """(..., n) what a tangent at theta0 misses of the objective at ``theta0 + step``, (..., d).
 
         A squared distance is a quadratic in theta less a convex function. The tangent of the quadratic
-        at theta0 misses ``R_i(step)`` of it, the same for every target: at most the sum of the k largest
-        R_i. Over the last axis of `step`.
+        at theta0 misses ``R_i(step)`` of it, the same for every target. Where the family is uniform:
+        (..., 1), the sum over k points.
         """
 
-    def exact_tangent_bound(
-        self, vertices: np.ndarray, values: np.ndarray, base: np.ndarray, needed: float
-    ) -> float:
-        """The tangent bound of one box from the loss of the points matched, not of the k largest.
-
-        Parameters
-        ----------
-        vertices : (V, dim) array
-        values : (V,) array
-            The objective there, or lower bounds on it.
-        base : (dim,) array
-            Where the tangent is taken.
-        needed : float
-        """
-        return float((values - self.tangent_loss(vertices - base)).min())
+    def tangent_terms(
+        self, rows: np.ndarray, totals: np.ndarray, rebates: np.ndarray
+    ) -> np.ndarray:
+        """(...) lower bounds on the objective less its rebates, by profiles (..., r) and (...)."""
+        return sum_of_smallest(rows - rebates, 1 if self.is_uniform else self.k) - totals
 
     # --- the objective at parameters that several boxes share
 
     def match(self, cost: np.ndarray) -> float:
         """The k cheapest feasible pairs; costs are not negative."""
         self.n_assignments += 1
-        if self.feasible is not None:  # one other pair costs more than k feasible ones
-            cost = np.where(self.feasible, cost, 1.0 + self.k * cost.max())
-        return cheapest_pairs(cost, self.k)
+        cost, columns = cheapest_pairs(self._allowed(cost), self.k)
+        return _sum_of(cost, columns)
 
-    def estimate(self, theta: np.ndarray) -> tuple[float, bool]:
-        """A cheap lower bound on the objective, and whether it is exact."""
-        return float(self.nearest_bound(theta[None], theta[None], np.array([np.inf]))[0]), False
+    def _allowed(self, cost: np.ndarray) -> np.ndarray:
+        """Costs at which one other pair costs more than k feasible ones."""
+        if self.feasible is None:
+            return cost
+        return np.where(self.feasible, cost, 1.0 + self.k * cost.max())
 
-    def known(self, theta: np.ndarray) -> tuple[float, bool]:
-        """The best lower bound on the objective so far, and whether it is exact."""
+    def known(self, theta: np.ndarray) -> Profile:
+        """The best profile so far, by the prices of the neighbours if there is none."""
         key = theta.tobytes()
-        if key not in self._known:
-            self._known[key] = self.estimate(theta)
-        return self._known[key]
+        if key not in self._profiles:
+            self._profiles[key] = self._estimate(theta)
+        return self._profiles[key]
 
-    def remembered_objective(self, theta: np.ndarray) -> float:
-        """E(theta), computed once."""
+    def solved(self, theta: np.ndarray) -> Profile:
+        """The exact profile, computed once; its prices serve the neighbours."""
         key = theta.tobytes()
-        if not self._known.get(key, (0.0, False))[1]:
-            self._known[key] = self.objective(theta), True
-        return self._known[key][0]
+        if key not in self._profiles or not self._profiles[key].is_exact:
+            self._profiles[key] = self._solve(theta)
+        return self._profiles[key]
+
+    def _estimate(self, theta: np.ndarray) -> Profile:
+        return self._profile(self._allowed(self.costs(theta)), self._prices.near(theta), False)
+
+    def _solve(self, theta: np.ndarray) -> Profile:
+        self.n_assignments += 1
+        cost = self._allowed(self.costs(theta))
+        wide, columns = cheapest_pairs(cost, self.k)
+        prices = prices_of(wide, columns)[: cost.shape[1]]
+        self._prices.add(theta, prices)
+        if self.is_uniform:
+            return Profile(np.array([_sum_of(wide, columns)]), 0.0, True)
+        return self._profile(cost, prices, True)
+
+    def _profile(self, cost: np.ndarray, prices: np.ndarray, is_exact: bool) -> Profile:
+        rows = (cost + prices).min(axis=1)
+        if self.is_uniform:
+            rows = sum_of_smallest(rows, self.k)[None]
+        return Profile(rows, float(np.broadcast_to(prices, cost.shape[1:]).sum()), is_exact)
 
     def refute(self, theta: np.ndarray, bound: float, owner: str) -> None:
         """Refuse the certificate if the objective at `theta` lies below a bound of its `owner`."""
-        value = self.remembered_objective(theta)
+        value = self.objective(theta)
         if value < bound:
             raise CertificateError(
                 f"{owner}: its bound is false: theta {np.array2string(theta, precision=6)} "
@@ -194,12 +199,9 @@ class Similarity2D(Family):
         self.z = self.source[:, 0] + 1j * self.source[:, 1]
         spread = np.sqrt((self.source**2).sum(axis=1).mean())
         self.weights = np.array([spread, spread, 1.0, 1.0])
+        self.is_uniform = self.k == len(self.z)
 
-    def objective(self, theta: np.ndarray) -> float:
-        return self.match(self._costs(theta))
-
-    def _costs(self, theta: np.ndarray) -> np.ndarray:
-        """(n, m) squared distances."""
+    def costs(self, theta: np.ndarray) -> np.ndarray:
         moved = (theta[0] + 1j * theta[1]) * self.z + (theta[2] + 1j * theta[3])
         dx = moved.real[:, None] - self.target[:, 0]
         dy = moved.imag[:, None] - self.target[:, 1]
@@ -254,40 +256,16 @@ class Similarity2D(Family):
                 out[box] = max(out[box], sum_of_smallest(cost.min(axis=0), self.k))
         return out
 
-    def tangent_loss(self, step: np.ndarray) -> np.ndarray:
-        turn, shift = step[..., 0] + 1j * step[..., 1], step[..., 2] + 1j * step[..., 3]
-        if self.k == len(self.z):  # the sum over all points, expanded
-            size = (np.abs(self.z) ** 2).sum()
-            cross = (np.conj(shift) * turn * self.z.sum()).real
-            return np.abs(turn) ** 2 * size + 2 * cross + self.k * np.abs(shift) ** 2
-        return -sum_of_smallest(-self._curvature(turn, shift), self.k)
-
-    def _curvature(self, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
-        """(..., n) R_i = |turn x_i + shift|^2, in real arithmetic for speed."""
+    def rebates(self, step: np.ndarray) -> np.ndarray:
+        """R_i = |turn x_i + shift|^2."""
+        a, b, u, v = np.moveaxis(step[..., None], -2, 0)
+        if self.is_uniform:  # the sum over all points, expanded
+            size, (x, y) = (self.source**2).sum(), self.source.sum(axis=0)
+            cross = u * (a * x - b * y) + v * (b * x + a * y)
+            return (a * a + b * b) * size + 2 * cross + self.k * (u * u + v * v)
         x, y = self.source.T
-        u = turn.real[..., None] * x - turn.imag[..., None] * y + shift.real[..., None]
-        v = turn.imag[..., None] * x + turn.real[..., None] * y + shift.imag[..., None]
-        return u * u + v * v
-
-    def exact_tangent_bound(
-        self, vertices: np.ndarray, values: np.ndarray, base: np.ndarray, needed: float
-    ) -> float:
-        """Per vertex the least sum of ``E_ij - R_i`` over matchings; helps when points stay unmatched."""
-        step = vertices - base
-        bounds = values - self.tangent_loss(step)
-        if self.k == len(self.z):
-            return float(bounds.min())
-        lost = self._curvature(step[:, 0] + 1j * step[:, 1], step[:, 2] + 1j * step[:, 3])
-        for at in np.argsort(bounds):
-            if bounds[at] >= needed:
-                break
-            # adding a constant to all pairs keeps the costs from being negative; it is paid k times
-            most = lost[at].max()
-            cost = self._costs(vertices[at]) + (most - lost[at])[:, None]
-            bounds[at] = self.match(cost) - self.k * most
-            if bounds[at] < needed:  # this box has to be divided anyway
-                break
-        return float(bounds.min())
+        dx, dy = a * x - b * y + u, b * x + a * y + v
+        return dx * dx + dy * dy
 
 
 class Translation3D(Family):
@@ -302,17 +280,24 @@ class Translation3D(Family):
         n, m = len(self.source), len(self.target)
         # numbers on a line, all of them matched
         self.is_sorted_order = self.feasible is None and n == m == self.k
+        self.is_uniform = True
+
+    def costs(self, theta: np.ndarray) -> np.ndarray:
+        return (np.linalg.norm(self.source + theta, axis=1)[:, None] - self.norms) ** 2
 
     def objective(self, theta: np.ndarray) -> float:
+        if not self.is_sorted_order:
+            return super().objective(theta)
         moved = np.linalg.norm(self.source + theta, axis=1)
-        if self.is_sorted_order:
-            return float(((np.sort(moved) - self.sorted_norms) ** 2).sum())
-        return self.match((moved[:, None] - self.norms) ** 2)
+        return float(((np.sort(moved) - self.sorted_norms) ** 2).sum())
 
-    def estimate(self, theta: np.ndarray) -> tuple[float, bool]:
-        if self.is_sorted_order:
-            return self.objective(theta), True
-        return super().estimate(theta)
+    def _estimate(self, theta: np.ndarray) -> Profile:
+        return self._solve(theta) if self.is_sorted_order else super()._estimate(theta)
+
+    def _solve(self, theta: np.ndarray) -> Profile:
+        if not self.is_sorted_order:
+            return super()._solve(theta)
+        return Profile(np.array([self.objective(theta)]), 0.0, True)
 
     def region(self) -> tuple[np.ndarray, np.ndarray]:
         """A minimiser is stationary: t is the mean of |y| u - x over the pairs, u unit vectors."""
@@ -342,8 +327,8 @@ class Translation3D(Family):
         distance = np.minimum(near - edges[at], np.maximum(edges[at + 1] - far, 0.0))
         return sum_of_smallest(distance**2, self.k)
 
-    def tangent_loss(self, step: np.ndarray) -> np.ndarray:
-        return self.k * (step**2).sum(axis=-1)
+    def rebates(self, step: np.ndarray) -> np.ndarray:
+        return self.k * (step**2).sum(axis=-1, keepdims=True)
 
 
 FAMILIES: dict[str, type[Family]] = {"similarity2d": Similarity2D, "translation3d": Translation3D}

@@ -30,8 +30,18 @@ INADMISSIBLE = 1  # it holds no admissible parameter
 OPEN = 2  # a limit ended the search first
 
 
+_MAGIC = b"PK"  # an .npz is a zip file
+
+
 class CertificateError(ValueError):
     """A certificate that cannot be accepted; the message is the reason."""
+
+
+class NoCertificateError(CertificateError):
+    """What is no certificate at all, rather than a false or damaged one."""
+
+    def __init__(self, path: Path, problem: str) -> None:
+        super().__init__(f"{path}: {problem}; `dcreg register --certificate` writes a certificate")
 
 
 @dataclass(frozen=True)
@@ -129,20 +139,30 @@ def read(path: str | Path) -> Certificate:
     Raises
     ------
     CertificateError
-        With the reason, if the file is unreadable, truncated, changed or of another version.
+        With the reason, if the file is unreadable, truncated, changed or of another version;
+        a `NoCertificateError` if it never was one.
     """
     path = Path(path)
+    if path.is_dir():
+        raise NoCertificateError(path, "is a folder")
     if not path.is_file():
-        raise CertificateError(f"{path}: no such file")
+        raise NoCertificateError(path, "no such file")
     try:
         with path.open("rb") as file:
+            if file.read(len(_MAGIC)) != _MAGIC:
+                raise NoCertificateError(path, "not a readable certificate (no .npz file)")
+            file.seek(0)
             loaded = np.load(file, allow_pickle=False)
             arrays = dict(loaded) if isinstance(loaded, Mapping) else {}
+    except NoCertificateError:
+        raise
+    except OSError as error:
+        raise NoCertificateError(path, f"cannot be read ({error.strerror or error})") from None
     except Exception as error:  # whatever numpy, zipfile and zlib raise on broken or hostile bytes
         raise CertificateError(f"{path}: not a readable certificate ({error})") from None
     stated = str(arrays.pop("checksum", ""))
     if str(arrays.get("format")) != FORMAT:
-        raise CertificateError(f"{path}: not a {FORMAT}")
+        raise NoCertificateError(path, f"not a {FORMAT}")
     names = {entry.name for entry in fields(Certificate)} | {"format", "format_version"}
     if str(arrays.get("format_version")) != str(FORMAT_VERSION):
         raise CertificateError(

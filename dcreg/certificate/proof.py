@@ -10,7 +10,7 @@ from dcreg.certificate.families import Family
 from dcreg.certificate.format import INADMISSIBLE, Certificate, CertificateError
 
 BATCH = 64  # boxes treated at once: bounds the memory of the vectorised steps
-TANGENT_STEPS = 30  # attempts to find a better point for the tangent
+TANGENT_STEPS = 10  # attempts to find a better point for the tangent
 
 # (boxes treated, boxes known to be needed so far)
 Progress = Callable[[int, int], None]
@@ -92,61 +92,63 @@ class Proof:
         return unproven
 
     def tangent_bound(self, lower: np.ndarray, upper: np.ndarray, needed: np.ndarray) -> np.ndarray:
-        """max over theta0 of min over vertices v of ``E(v) - G(v - theta0)``, for each of B boxes.
+        """max over theta0 of min over vertices v of the tangent's value there, for each of B boxes.
 
         The objective of one matching is convex minus convex. With its convex part replaced by the
         tangent at any theta0 it is concave, and so least at a vertex v, where it falls short of E by
-        ``sum p_ij R_i(v - theta0)``, at most G, the family's `tangent_loss`.
+        ``sum p_ij R_i(v - theta0)``, the family's `rebates`.
         """
         family = self.family
         vertices = _vertices(lower, upper)
-        known = np.array([[family.known(v) for v in box] for box in vertices])
-        values, exact = known[..., 0], known[..., 1] > 0
-        best, losses = np.full(len(lower), -np.inf), np.empty(values.shape)
-        bases = np.empty(lower.shape)
-        unproven = np.arange(len(lower))
-        while unproven.size:
-            best[unproven], bases[unproven] = self._best_base(
-                vertices[unproven], values[unproven], needed[unproven]
+        profiles = [[family.known(v) for v in box] for box in vertices]
+        rows = np.array([[profile.rows for profile in box] for box in profiles])
+        totals = np.array([[profile.total for profile in box] for box in profiles])
+        exact = np.array([[profile.is_exact for profile in box] for box in profiles])
+        best = np.full(len(lower), -np.inf)
+        bases = vertices.mean(axis=1)
+        left = np.arange(len(lower))  # boxes that may be proven yet
+        while left.size:
+            best[left], terms, bases[left] = self._best_base(
+                vertices[left], rows[left], totals[left], needed[left], bases[left]
             )
-            unproven = unproven[best[unproven] < needed[unproven]]
-            losses[unproven] = family.tangent_loss(vertices[unproven] - bases[unproven, None])
-            # only vertices that hold a box back need their exact value
-            binding = (values[unproven] - losses[unproven] < needed[unproven, None]) & ~exact[
-                unproven
-            ]
-            for row, at in zip(*binding.nonzero(), strict=True):
-                box = unproven[row]
-                values[box, at] = family.remembered_objective(vertices[box, at])
-                exact[box, at] = True
-            unproven = unproven[binding.any(axis=1)]
-        for box in np.flatnonzero(best < needed):
-            best[box] = family.exact_tangent_bound(
-                vertices[box], values[box], bases[box], needed[box]
-            )
+            # only vertices that hold a box back need their exact profile
+            binding = np.where(exact[left], np.inf, terms).argmin(axis=1)
+            holds_back = ~exact[left, binding] & (best[left] < needed[left])
+            left, binding = left[holds_back], binding[holds_back]
+            for box, at in zip(left, binding, strict=True):
+                rows[box, at], totals[box, at], exact[box, at] = family.solved(vertices[box, at])
         return best
 
     def _best_base(
-        self, vertices: np.ndarray, values: np.ndarray, needed: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The best bound found and the theta0 it is for; stops once all boxes are proven.
+        self,
+        vertices: np.ndarray,
+        rows: np.ndarray,
+        totals: np.ndarray,
+        needed: np.ndarray,
+        base: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The best bound found, the values at the vertices, and the theta0 that gave them.
 
-        From the centre of the box theta0 moves, in ever smaller steps, towards the vertex whose term is
-        the least at present.
+        From `base` theta0 moves, in ever smaller steps, towards the vertex whose term is the least at
+        present.
         """
-        boxes = np.arange(len(vertices))
-        base = vertices.mean(axis=1)
         best, best_base = np.full(len(vertices), -np.inf), base.copy()
+        best_terms = np.empty(vertices.shape[:2])
+        left = np.arange(len(vertices))  # boxes not proven yet
         for step in range(TANGENT_STEPS):
-            at_vertices = values - self.family.tangent_loss(vertices - base[:, None])
-            least = at_vertices.argmin(axis=1)
-            found = at_vertices[boxes, least]
-            better = found > best
-            best[better], best_base[better] = found[better], base[better]
-            if (best >= needed).all():
+            rebates = self.family.rebates(vertices[left] - base[left, None])
+            terms = self.family.tangent_terms(rows[left], totals[left], rebates)
+            least = terms.argmin(axis=1)
+            found = terms[np.arange(len(left)), least]
+            better = found > best[left]
+            improved = left[better]
+            best[improved], best_terms[improved] = found[better], terms[better]
+            best_base[improved] = base[improved]
+            base[left] += (vertices[left, least] - base[left]) / (step + 2)
+            left = left[best[left] < needed[left]]
+            if not left.size:
                 break
-            base += (vertices[boxes, least] - base) / (step + 2)
-        return best, best_base
+        return best, best_terms, best_base
 
     def _halves(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Bisect every box along its longest edge, measured by how far it moves the source."""

@@ -42,6 +42,7 @@ def record(
         In normalised units.
     """
     arrays, frame = cover.arrays(), Frame.of(problem)
+    needed = max(found.lower_bound, found.upper_bound - gap_tol)
     pairs = problem.candidates
     return Certificate(
         source_digest=digest(problem.source),
@@ -59,7 +60,10 @@ def record(
         start_upper=start.upper,
         leaf_lower=arrays["lower"],
         leaf_upper=arrays["upper"],
-        leaf_bounds=arrays["bounds"],
+        # no more than the statement needs: what a search finds beyond that is costly to prove anew
+        leaf_bounds=np.where(
+            np.isinf(arrays["bounds"]), arrays["bounds"], np.minimum(arrays["bounds"], needed)
+        ),
         leaf_reasons=_format_codes(arrays["reason"]),
         theta=found.theta,
         lower_bound=found.lower_bound,

@@ -23,6 +23,7 @@ from dcreg.certificate.format import (
     PRUNED,
     Certificate,
     CertificateError,
+    NoCertificateError,
     check_shapes,
     digest,
     read,
@@ -37,6 +38,8 @@ class Report:
     Attributes
     ----------
     accepted : bool
+    is_certificate : bool
+        Whether there was a certificate to be checked: neither another file nor none.
     reason : str
         Why the certificate was refused; empty if it was accepted.
     statement : str
@@ -57,6 +60,7 @@ class Report:
     """
 
     accepted: bool = False
+    is_certificate: bool = True
     reason: str = ""
     statement: str = ""
     is_trivial: bool = False
@@ -133,6 +137,7 @@ def verify(
         report.accepted = True
     except CertificateError as error:
         report.reason = str(error)
+        report.is_certificate = not isinstance(error, NoCertificateError)
     report.time_s = time.perf_counter() - began
     return report
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import sys
 
+from dcreg.cli import interrupts
+
 
 def main() -> None:
     """Run the command ``dcreg``; where its packages are missing, say what to install."""
+    interrupts.end_at_once()
     try:
         from dcreg.cli.app import app
 

@@ -7,17 +7,32 @@ from __future__ import annotations
 
 import platform
 from importlib.metadata import version as package_version
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 import dcreg
+from dcreg.cli.interrupts import EXIT_INTERRUPTED
 from dcreg.cli.register import register
 from dcreg.cli.sweep import sweep
 from dcreg.cli.verify import verify
 
+
+class Commands(TyperGroup):
+    """The commands; a Ctrl-C that none of them treats itself is one line and an exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            typer.echo("interrupted", err=True)
+            ctx.exit(EXIT_INTERRUPTED)
+
+
 app = typer.Typer(
     name="dcreg",
+    cls=Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

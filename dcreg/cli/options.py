@@ -69,6 +69,14 @@ GapTolOption = Annotated[
         "K pairs). Default: K * (0.03 * RMS radius of the target)^2; 0.003 where norms are bounded.",
     ),
 ]
+TolOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="X",
+        parser=number,
+        help="The same as a length in units of the target, per pair: --tol 0.01 is --gap-tol K * 0.01^2.",
+    ),
+]
 TimeLimitOption = Annotated[
     float | None, typer.Option(metavar="S", parser=number, help="Seconds of search.")
 ]

@@ -11,12 +11,14 @@ from pathlib import Path
 import typer
 
 import dcreg
+from dcreg.cli.interrupts import raise_again
 from dcreg.names import FIGURE_PACKAGES
 
 EXIT_OK, EXIT_OUTPUT, EXIT_INPUT, EXIT_LIMIT = 0, 1, 2, 3
 STDOUT = Path("-")
+MAX_NAME = 200  # bytes of the name of an output; its neighbour while writing has a longer one
 # The library's messages begin with the name of the argument; these are options here.
-_OPTIONS = {"model", "n_inliers", "scale_range", "mode", "bound", "gap_tol", "threads"}
+_OPTIONS = {"model", "n_inliers", "scale_range", "mode", "bound", "gap_tol", "tol", "threads"}
 _OPTIONS |= {"time_limit", "node_limit", "candidates", "certificate", "downsample"}
 
 # Writes one file, whole or not at all.
@@ -49,6 +51,18 @@ def print_advice(problem: dcreg.Problem) -> None:
         typer.secho(line, err=True, fg="yellow")
 
 
+def print_tolerance_advice(gap_tol: float | None, tol: float | None) -> None:
+    """That a gap hardly ever closes to nothing, on standard error."""
+    for option, value in (("--gap-tol", gap_tol), ("--tol", tol)):
+        if value == 0:
+            typer.secho(
+                f"warning: {option} 0: a gap hardly ever closes completely, so the search ends at a "
+                "limit or by Ctrl-C only; give a length such as --tol 0.01, or --time-limit 60",
+                err=True,
+                fg="yellow",
+            )
+
+
 def check_outputs(
     outputs: dict[str, Path | None], *inputs: str | None, stdout: str | None = None
 ) -> None:
@@ -67,6 +81,11 @@ def check_outputs(
     for option, path in outputs.items():
         if path is None or (path == STDOUT and option == stdout):
             continue
+        if len(path.name.encode()) > MAX_NAME:
+            raise dcreg.InputError(
+                f"{option} {path.name[:40]}…: the name is too long; give a shorter one (up to "
+                f"{MAX_NAME} bytes)"
+            )
         if path.exists() and not path.is_file():
             raise dcreg.InputError(
                 f"{option} {path}: exists and is not a plain file; name another file"
@@ -104,6 +123,7 @@ def check_packages(path: Path | None, kind: str) -> None:
 
 def write_outputs(writers: list[tuple[Path | None, Writer]]) -> bool:
     """Write each file that was asked for; False if one could not be written."""
+    raise_again()
     complete = True
     for path, write in writers:
         if path is None:

@@ -175,6 +175,47 @@ class Progress:
         )
 
 
+class ProofProgress:
+    """Shows how far the proof of a certificate is: (boxes bounded, boxes known to be needed).
+
+    Parameters
+    ----------
+    console : rich.console.Console, optional
+        Where to write; default: standard error.
+    interval_s : float
+        Least time between two plain lines.
+    quiet : bool
+        Show nothing.
+    """
+
+    def __init__(
+        self, console: Console | None = None, *, interval_s: float = 1.0, quiet: bool = False
+    ) -> None:
+        self._console = console or Console(stderr=True)
+        self._interval_s = interval_s
+        self._quiet = quiet
+        self._live: Live | None = None
+        self._last_print = time.monotonic()
+
+    def __enter__(self) -> Self:
+        if not self._quiet and self._console.is_terminal:
+            self._live = Live(Text("checking"), console=self._console, refresh_per_second=8)
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, done: int, needed: int) -> None:
+        line = Text(f"proving the bounds: {done} of {max(done, needed)} boxes")
+        if self._live is not None:
+            self._live.update(line)
+        elif not self._quiet and time.monotonic() - self._last_print >= self._interval_s:
+            self._console.print(line, soft_wrap=True)
+            self._last_print = time.monotonic()
+
+
 class _Messages(logging.Handler):
     """Shows messages of the library, on a terminal above the live line."""
 

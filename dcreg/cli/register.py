@@ -15,9 +15,11 @@ from dcreg.cli.output import (
     STDOUT,
     check_outputs,
     check_packages,
+    check_suffix,
     exit_code,
     exit_on_bad_input,
     print_advice,
+    print_tolerance_advice,
     write_outputs,
 )
 from dcreg.names import AUTO, mode_names
@@ -34,17 +36,19 @@ def register(
     target: options.TargetArgument,
     model: options.ModelOption,
     n_inliers: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="K",
             help="Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. "
-            "A decimal point makes it a fraction: '1' is one pair, '1.0' is all of them.",
+            "A decimal point makes it a fraction: '1' is one pair, '1.0' is all of them. Required; "
+            "`dcreg sweep` helps to choose it.",
         ),
-    ],
+    ] = None,
     scale_range: options.ScaleRangeOption = None,
     mode: Annotated[str | None, typer.Option(metavar="NAME", help=_MODE_HELP)] = None,
     bound: options.BoundOption = None,
     gap_tol: options.GapTolOption = None,
+    tol: options.TolOption = None,
     time_limit: options.TimeLimitOption = None,
     node_limit: options.NodeLimitOption = None,
     threads: options.ThreadsOption = 1,
@@ -87,7 +91,13 @@ def register(
             "--certificate": certificate_path,
         }
         check_outputs(outputs, source, target, candidates_path, stdout="--json")
+        check_suffix("--plot", plot_path, [".html"])
         check_packages(plot_path, ".html")
+        if n_inliers is None:
+            raise dcreg.InputError(
+                "--n-inliers: missing; give the number of pairs to match, such as 40 or 0.8, or let "
+                "`dcreg sweep` suggest one"
+            )
         points = read_cloud(source, source_key, model)
         problem = dcreg.Problem(
             points,
@@ -99,10 +109,13 @@ def register(
         )
         if not quiet:
             print_advice(problem)
+            print_tolerance_advice(gap_tol, tol)
+        gap_tol = dcreg.gap_tol_of(tol, gap_tol, problem.n_inliers)
+        solve = dcreg.register  # loaded before signals are those of the search
         with Progress(gap_tol=gap_tol, quiet=quiet) as progress:
             result = progress.run(
                 partial(
-                    dcreg.register,
+                    solve,
                     problem.source,
                     problem.target,
                     n_inliers=problem.n_inliers,

@@ -19,6 +19,7 @@ from dcreg.cli.output import (
     exit_code,
     exit_on_bad_input,
     print_advice,
+    print_tolerance_advice,
     write_outputs,
 )
 from dcreg.names import FIGURE_PACKAGES
@@ -39,6 +40,7 @@ def sweep(
     scale_range: options.ScaleRangeOption = None,
     bound: options.BoundOption = None,
     gap_tol: options.GapTolOption = None,
+    tol: options.TolOption = None,
     time_limit: Annotated[
         float | None,
         typer.Option(
@@ -87,10 +89,12 @@ def sweep(
         candidates = read_pairs(candidates_path, len(points))
         if not quiet:
             print_advice(dcreg.Problem(points, target_points, 1.0, model.value, scale_range))
+            print_tolerance_advice(gap_tol, tol)
+        solve = dcreg.sweep  # loaded before signals are those of the search
         with Progress(gap_tol=gap_tol, quiet=quiet) as progress:
             found = progress.run(
                 partial(
-                    dcreg.sweep,
+                    solve,
                     points,
                     target_points,
                     counts,
@@ -98,6 +102,7 @@ def sweep(
                     bound=bound,
                     scale_range=scale_range,
                     gap_tol=gap_tol,
+                    tol=tol,
                     time_limit=time_limit,
                     node_limit=node_limit,
                     threads=threads,

@@ -33,19 +33,34 @@ def axis_columns(path: Path, names: list[str]) -> list[int]:
     return [names.index(axis) for axis in "xyz" if axis in names]
 
 
-def text_body(path: Path, content: bytes, start: int, skip: int, count: int) -> list[Row]:
-    """`count` text rows behind a header, after skipping `skip` of them."""
+def text_body(
+    path: Path, content: bytes, start: int, skip: int, count: int, after: int = 0
+) -> list[Row]:
+    """`count` text rows behind a header, after `skip` others; `after` more of them end the file."""
     lines = lines_of(path, content[start:])
-    rows = list(rows_of(lines, content[:start].count(b"\n") + 1))[skip : skip + count]
-    check_complete(path, count, len(rows))
-    return rows
+    rows = list(rows_of(lines, content[:start].count(b"\n") + 1))
+    check_complete(path, count, max(0, len(rows) - skip))
+    check_end(path, count, max(0, len(rows) - skip - after))
+    return rows[skip : skip + count]
 
 
 def binary_body(
-    path: Path, content: bytes, start: int, record: np.dtype, count: int, columns: list[int]
+    path: Path,
+    content: bytes,
+    start: int,
+    record: np.dtype,
+    count: int,
+    columns: list[int],
+    after: int | None = 0,
 ) -> np.ndarray:
-    """The given columns of `count` binary records behind a header."""
-    check_complete(path, count, max(0, len(content) - start) // record.itemsize)
+    """The given columns of `count` binary records behind a header.
+
+    `after` bytes follow them; None where their number is not known.
+    """
+    found = max(0, len(content) - start) // record.itemsize
+    check_complete(path, count, found)
+    if after is not None:
+        check_end(path, count, max(0, len(content) - start - after) // record.itemsize)
     table = np.frombuffer(content, record, count, start)
     return np.column_stack([table[f"{column}"].reshape(count) for column in columns])
 
@@ -57,4 +72,14 @@ def check_complete(path: Path, announced: int, found: int) -> None:
             path,
             f"is truncated: the header announces {announced} points, the file holds {found}",
             "copy or export the file again",
+        )
+
+
+def check_end(path: Path, announced: int, found: int) -> None:
+    """Refuse a file with more points than its header announces."""
+    if found > announced:
+        fail(
+            path,
+            f"the header announces {announced} points, the file holds {found}",
+            "correct the header or " + EXPORT,
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dcreg.io.common import EXPORT, fail
-from dcreg.io.headed import check_complete
+from dcreg.io.headed import check_complete, check_end
 from dcreg.io.text import lines_of, numbers_of, rows_of
 
 
@@ -27,6 +27,8 @@ def read_off(path: Path, _: str | None) -> np.ndarray:
         fail(path, f"line {line} states no number of vertices", EXPORT)
     n_points = int(counts[0])
     check_complete(path, n_points, len(rows))
+    if len(counts) > 1 and counts[1].isdecimal():
+        check_end(path, n_points, len(rows) - int(counts[1]))
     vertices = rows[:n_points]
     width = max((len(vertices[0][1]), 3)) if vertices else 3
     return numbers_of(path, vertices, [0, 1, 2], width)

@@ -9,6 +9,8 @@ import numpy as np
 from dcreg.io.common import fail
 from dcreg.io.points import read_points
 
+MAX_ROWS = 2**31  # of a cloud
+
 
 def read_candidates(path: str | Path, n_source: int) -> list[list[int]]:
     """Read feasible pairs, as the argument `candidates` of `dcreg.register` takes them.
@@ -35,8 +37,10 @@ def read_candidates(path: str | Path, n_source: int) -> list[list[int]]:
     if pairs.shape[1] != 2 or (pairs != np.round(pairs)).any():
         fail(path, "not a table of pairs", "give two columns of row numbers, from 0")
     feasible: list[list[int]] = [[] for _ in range(n_source)]
-    for i, j in pairs.astype(int).tolist():
+    for i, j in pairs.tolist():
         if not 0 <= i < n_source:
-            fail(path, f"{i} is no source row", f"use rows from 0 to {n_source - 1}")
-        feasible[i].append(j)
+            fail(path, f"{i:g} is no source row", f"use rows from 0 to {n_source - 1}")
+        if not 0 <= j < MAX_ROWS:
+            fail(path, f"{j:g} is no target row", "use row numbers, from 0")
+        feasible[int(i)].append(int(j))
     return feasible

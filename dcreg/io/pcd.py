@@ -65,11 +65,19 @@ def _fields(path: Path, header: dict[str, list[str]]) -> list[_Field]:
 
 def _count(path: Path, header: dict[str, list[str]]) -> int:
     try:
-        if "POINTS" in header:
-            return _natural(header["POINTS"][0])
-        return _natural(header["WIDTH"][0]) * _natural(header["HEIGHT"][0])
+        stated = _natural(header["POINTS"][0]) if "POINTS" in header else None
+        if stated is not None and "WIDTH" not in header:
+            return stated
+        width, height = _natural(header["WIDTH"][0]), _natural(header.get("HEIGHT", ["1"])[0])
     except (KeyError, IndexError, ValueError):
         fail(path, "the header states no valid number of points", EXPORT)
+    if stated not in (None, width * height):
+        fail(
+            path,
+            f"the header states POINTS {stated}, but WIDTH x HEIGHT = {width} x {height}",
+            "correct the header or " + EXPORT,
+        )
+    return width * height
 
 
 def _natural(text: str) -> int:

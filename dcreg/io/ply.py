@@ -53,13 +53,20 @@ def read_ply(path: Path, _: str | None) -> np.ndarray:
     if vertex.has_list:
         fail(path, "its vertices have list properties", "export the points alone")
     columns = axis_columns(path, [prop.name for prop in vertex.properties])
-    before = elements[: elements.index(vertex)]
+    at = elements.index(vertex)
+    before, behind = elements[:at], elements[at + 1 :]
     if not order:
-        body = text_body(path, content, start, sum(e.count for e in before), vertex.count)
+        skip, rest = (sum(e.count for e in part) for part in (before, behind))
+        body = text_body(path, content, start, skip, vertex.count, rest)
         return numbers_of(path, body, columns, len(vertex.properties))
     for element in before:
         start = _skip_element(path, content, start, element, order)
-    return binary_body(path, content, start, vertex.record(order), vertex.count, columns)
+    after = (
+        None
+        if any(element.has_list for element in behind)
+        else sum(element.record(order).itemsize * element.count for element in behind)
+    )
+    return binary_body(path, content, start, vertex.record(order), vertex.count, columns, after)
 
 
 def _parsed(path: Path, header: list[Row]) -> tuple[str, list[_Element]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from dcreg.io.common import DIMENSIONS, fail
 
 # One text row: its line number in the file (from 1) and its fields.
 Row = tuple[int, list[str]]
+_DECIMAL_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 
 
 def read_text(path: Path, _: str | None) -> np.ndarray:
@@ -54,7 +56,7 @@ def _columns(path: Path, names: list[str] | None, width: int, any_width: bool) -
         fail(
             path,
             f"wrong dimension: {width} column{'s' * (width != 1)}",
-            "keep 2 or 3 columns, or add a header row that names x, y (and z)",
+            "keep 2 or 3 columns, or add a header row that names x, y (and z); decimals need a point",
         )
     return list(range(min(width, 3)))
 
@@ -76,19 +78,37 @@ def rows_of(lines: Iterable[str], first_line: int = 1) -> Iterator[Row]:
 
 
 def _fields(content: str) -> list[str]:
-    """Fields of one line. An empty field between separators stays: the reader of numbers refuses it."""
-    if not re.search("[,;]", content):
-        return content.split()
-    fields = [field.strip() for field in re.split("[,;]", content)]
+    """Fields of one line. An empty field between separators stays: the reader of numbers refuses it.
+
+    Where ``;`` separates, a comma within a number is a decimal comma.
+    """
+    content = content.rstrip(";").rstrip()
+    separator = ";" if ";" in content else "," if "," in content else None
+    if separator is None:
+        return [field.strip('"') for field in content.split()]
+    fields = [field.strip() for field in next(csv.reader([content], delimiter=separator))]
+    if separator == ";":
+        fields = [_DECIMAL_COMMA.sub(r"\1.\2", field) for field in fields]
     return fields[:-1] if fields[-1] == "" else fields
+
+
+def _number(field: str) -> float:
+    if "_" in field:  # Python's own way of writing numbers
+        raise ValueError(field)
+    return float(field)
 
 
 def _is_number(field: str) -> bool:
     try:
-        float(field)
+        _number(field)
     except ValueError:
         return False
     return True
+
+
+def _looks_decimal(field: str) -> bool:
+    """Whether a field is what a decimal comma leaves over beside blanks, as ``5 2`` of ``1,5 2,5``."""
+    return "," in field or bool(re.fullmatch(r"-?\d+\s+-?\d+", field))
 
 
 def numbers_of(path: Path, rows: Sequence[Row], columns: Sequence[int], width: int) -> np.ndarray:
@@ -102,10 +122,15 @@ def numbers_of(path: Path, rows: Sequence[Row], columns: Sequence[int], width: i
                 "give every point the same number of values",
             )
         try:
-            points[i] = [float(fields[column]) for column in columns]
+            points[i] = [_number(fields[column]) for column in columns]
         except ValueError:
             bad = next(fields[c] for c in columns if not _is_number(fields[c]))
-            fail(path, f"line {line}: '{bad[:40]}' is not a number", "correct or remove that line")
+            remedy = (
+                "if it has a decimal comma, write a point instead"
+                if _looks_decimal(bad)
+                else "correct or remove that line"
+            )
+            fail(path, f"line {line}: '{bad[:40]}' is not a number", remedy)
         if not np.isfinite(points[i]).all():
             fail(path, f"line {line} holds NaN or infinity", "remove that point")
     return points

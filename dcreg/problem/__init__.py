@@ -11,6 +11,7 @@ from dcreg.problem.tolerance import (
     TOLERATED_NORM_RESIDUAL,
     TOLERATED_RESIDUAL,
     default_gap_tol,
+    gap_tol_of,
     rms_radius,
     unit_length,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "advice",
     "default_gap_tol",
     "farthest_points",
+    "gap_tol_of",
     "nearest_rotation",
     "rms_radius",
     "rotation_angle_deg",

@@ -13,9 +13,8 @@ from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.pairs import Candidates, check_candidates
 
 ModelName = Literal["similarity2d", "rigid3d"]
-# Beyond these, squares and products of lengths leave the range of floating-point numbers, or its digits.
-LARGEST_COORDINATE = 1e75
-LARGEST_SCALE = 1e6
+LARGEST_COORDINATE = 1e100  # its square, times any number of points, is far from overflow
+LARGEST_SCALE = 1e6  # beyond, the clouds share no digits; so below its inverse
 DEFAULT_SCALE_RANGE = {"similarity2d": (0.5, 1.5), "rigid3d": (1.0, 1.0)}
 
 
@@ -97,10 +96,11 @@ def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndar
             f"{name}: {bad.size} point(s) with NaN or infinity, the first in row {bad[0]}: "
             f"{points[bad[0]].tolist()}; remove them"
         )
-    if (largest := float(np.abs(points).max())) > LARGEST_COORDINATE:
+    if np.abs(points).max() > LARGEST_COORDINATE:
+        row = int(np.abs(points).max(axis=1).argmax())
         raise InputError(
-            f"{name}: a coordinate of magnitude {largest:g} exceeds {LARGEST_COORDINATE:g}, so that its "
-            "square is no number; remove such points, or use a larger unit"
+            f"{name}: {points[row].tolist()} in row {row} is too far away to square its distances; "
+            f"give both clouds in a larger unit, so that coordinates are below {LARGEST_COORDINATE:g}"
         )
     return points
 

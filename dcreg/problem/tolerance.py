@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+
+from dcreg.problem.errors import InputError
 
 TOLERATED_RESIDUAL = 0.03  # RMS residual per pair, in RMS radii of the target
 # The same of norms, which fit far better than points: as much as little noise leaves.
@@ -44,3 +48,37 @@ def default_gap_tol(
         In squared units of the target.
     """
     return float(n_inliers * (factor * unit_length(source, target)) ** 2)
+
+
+def gap_tol_of(tol: float | None, gap_tol: float | None, n_inliers: int) -> float | None:
+    """The absolute tolerance on the gap, where it may be given as a length per pair.
+
+    Parameters
+    ----------
+    tol : float, optional
+        Tolerated RMS residual per pair, in units of the target.
+    gap_tol : float, optional
+        The tolerance itself.
+    n_inliers : int
+
+    Returns
+    -------
+    float or None
+        ``n_inliers * tol^2`` or `gap_tol`; None where neither is given.
+
+    Raises
+    ------
+    InputError
+        If both are given, or `tol` is not a finite length.
+    """
+    if tol is None:
+        return gap_tol
+    if gap_tol is not None:
+        raise InputError(
+            f"tol: {tol}, and gap_tol: {gap_tol} as well; give one of them (gap_tol = K * tol^2)"
+        )
+    if isinstance(tol, bool) or not (tol >= 0 and math.isfinite(n_inliers * tol * tol)):
+        raise InputError(
+            f"tol: {tol} is not a usable value; give a length in units of the target, such as 0.01"
+        )
+    return float(n_inliers * tol * tol)

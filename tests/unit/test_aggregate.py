@@ -1,9 +1,22 @@
-"""How the lines of figures and tables are called."""
+"""How the lines of figures and tables are called, and the commands that repeat them."""
+
+import json
+import shlex
 
 import pytest
+from typer.testing import CliRunner
 
-from workflows.config import MethodSettings
-from workflows.stages.aggregate import display_name
+from workflows import config
+from workflows.__main__ import app
+from workflows.config import MethodSettings, parse_selection
+from workflows.stages.aggregate import display_name, replay_command, run_command
+from workflows.stages.plan import expand
+
+CONFIG = """
+name: mine
+datasets: [{dataset: embedded, shapes: [fish], n_points: 10, tests: {noise: [0.01]}}]
+methods: [{name: icp, baseline: icp}]
+"""
 
 
 @pytest.mark.parametrize(
@@ -19,3 +32,21 @@ from workflows.stages.aggregate import display_name
 )
 def test_no_label_hides_a_reconstruction(settings, expected):
     assert display_name(MethodSettings(name="line", **settings)) == expected
+
+
+def test_the_commands_of_a_config_given_by_path_work(tmp_path):
+    path = tmp_path / "a folder" / "mine.yaml"
+    path.parent.mkdir()
+    path.write_text(CONFIG)
+    selection = parse_selection(["tests=noise", "levels=0.01"])
+    plan = expand(config.load(str(path)), selection, config.origin(str(path)))
+    run = next(plan.runs())
+    words = shlex.split(replay_command(plan, run.run_id))
+    done = CliRunner().invoke(app, words[3:])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.output)["status"] == "converged"
+    words = shlex.split(run_command(plan))
+    done = CliRunner().invoke(app, [*words[3:], "--dry-run", "--directory", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert "1 runs, 0 of them finished" in done.output
+    assert "parts/tests-noise_levels-0.01/report" in done.output

@@ -333,7 +333,10 @@ def test_other_files_are_refused(tmp_path, case):
     path.write_text("{}")
     assert "not a readable certificate" in verify(path, source, target).reason
     np.save(tmp_path / "one.npy", np.zeros(3))
-    assert "not a dcreg leaf cover" in verify(tmp_path / "one.npy", source, target).reason
+    report = verify(tmp_path / "one.npy", source, target)
+    assert "not a readable certificate" in report.reason
+    assert not report.is_certificate
+    assert "allow_pickle" not in report.reason
 
 
 # --- false statements -------------------------------------------------------------------------

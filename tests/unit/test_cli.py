@@ -833,3 +833,25 @@ def test_the_command_prints_what_the_result_prints(call, fake):
     printed = run(*call).stdout
     source, target = fake.called.pop("source"), fake.called.pop("target")
     assert printed == f"{fake(source, target, **fake.called)}\n"
+
+
+def test_a_tolerance_as_a_length(call, fake):
+    assert run(*call, "--tol", "0.1").exit_code == 0
+    assert fake.called["gap_tol"] == pytest.approx(9 * 0.01)
+
+
+def test_no_tolerance_is_warned_of(call, fake):
+    assert "--gap-tol 0: a gap hardly ever closes" in run(*call, "--gap-tol", "0").stderr
+    assert "hardly ever" not in run(*call, "--gap-tol", "0.1").stderr
+
+
+@pytest.mark.parametrize("delay", [0.3, 0.6])
+def test_interrupt_while_loading_is_one_line(call, delay):
+    command = [sys.executable, "-m", "dcreg", *map(str, call), "--gap-tol", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    time.sleep(delay)
+    process.send_signal(signal.SIGINT)
+    _, messages = process.communicate(timeout=60)
+    if "stopping" not in messages:  # a fast machine is in the search by then
+        assert (process.returncode, messages.splitlines()[-1]) == (130, "interrupted")
+    assert "Traceback" not in messages

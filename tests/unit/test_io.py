@@ -275,7 +275,8 @@ def test_ply_truncated(tmp_path, order):
         (b"3.25", b"3.2.5", "line 13: '3.2.5' is not a number"),
         (b"3.25", b"nan", "line 13 holds NaN"),
         (b"200 3.25 ", b"200 ", "line 13 has 3 values, expected 4"),
-        (b"vertex 4", b"vertex 0", "no points"),
+        (b"vertex 4", b"vertex 0", "announces 0 points, the file holds 4"),
+        (b"vertex 4", b"vertex 3", "announces 3 points, the file holds 4"),
     ],
 )
 def test_ply_errors(tmp_path, old, new, words):
@@ -367,7 +368,8 @@ def test_pcd_truncated(tmp_path, kind):
         (b"SIZE 4 4 8 4 2", b"SIZE 4 4 8 4", "do not fit together"),
         (b"SIZE 4 4", b"SIZE 4 3", "do not fit together"),
         (b"POINTS 4", b"POINTS many", "no valid number of points"),
-        (b"POINTS 4", b"POINTS 5", "announces 5 points, the file holds 4"),
+        (b"POINTS 4", b"POINTS 5", "states POINTS 5, but WIDTH x HEIGHT = 4 x 1"),
+        (b"WIDTH 4", b"WIDTH 3", "states POINTS 4, but WIDTH x HEIGHT = 3 x 1"),
         (b"FIELDS rgb x", b"FIELDS rgb u", "no x and y"),
         (b"COUNT 1 1", b"COUNT 1 2", "several values per point"),
     ],
@@ -473,3 +475,11 @@ def _valid(tmp_path, suffix, data):
     else:
         path.write_text("4\n" + rows(POINTS3))
     return path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "text", ["1,5;-2,25\n3;,5e1\n", '"1.5","-2.25"\n"3","5"\n', "1.5;-2.25;\n3;5;\n"]
+)
+def test_decimal_commas_and_quotes_are_read(tmp_path, text):
+    points = read_points(write(tmp_path / "a.csv", text.encode()))
+    assert points.tolist() == [[1.5, -2.25], [3.0, 5.0]]

@@ -120,3 +120,29 @@ def test_an_instance_planned_twice_is_refused():
     entry = {"dataset": "embedded", "shapes": ["fish"], "tests": {"noise": [0.0]}}
     with pytest.raises(ConfigError, match="planned twice"):
         expand(experiment(datasets=[entry, entry]))
+
+
+@pytest.mark.parametrize("target", ["run", "plan"])
+def test_make_passes_the_selection_on(target):
+    words = [
+        "make",
+        "-n",
+        target,
+        "CONFIG=demo",
+        "METHODS=icp,cpd",
+        "TESTS=noise",
+        "DATASETS=embedded",
+    ]
+    done = subprocess.run(words, cwd=CHECKOUT, capture_output=True, text=True, check=True)
+    command = done.stdout.splitlines()[-1]
+    assert "--methods icp,cpd --datasets embedded --tests noise" in " ".join(command.split())
+    assert ("--dry-run" in command) == (target == "plan")
+
+
+def test_a_part_has_a_folder_of_its_own():
+    def view(*texts: str) -> str:
+        return str(expand(experiment(), parse_selection(texts)).view)
+
+    assert view() == "."
+    assert view("methods=half,dcreg", "levels=0.01") == "parts/methods-dcreg+half_levels-0.01"
+    assert view("methods=dcreg,half", "levels=0.01") == view("methods=half,dcreg", "levels=0.01")

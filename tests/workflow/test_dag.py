@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import shutil
 import signal
 import subprocess
@@ -19,6 +18,8 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
+
+from workflows.running import the_only_run
 
 CHECKOUT = Path(__file__).parents[2]
 PARTS = ("Snakefile", "workflows", "baselines", "data", "dcreg", "reports")
@@ -292,14 +293,13 @@ def wait_for_runs(checkout: Checkout, count: int) -> list[str]:
     raise AssertionError("no runs within a minute")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_run_ends_in_order_and_goes_on_from_there(checkout, slow, number):
+def test_an_interrupted_run_ends_in_order_and_goes_on_from_there(checkout, slow):
     run = ["run", str(slow), "--cores", "1", "--no-report"]
     first = checkout.start(*run)
     wait_for_runs(checkout, 2)
     family = psutil.Process(first.pid).children(recursive=True)
     assert len(family) >= 3  # Snakemake, the job, its worker
-    first.send_signal(number)
+    first.send_signal(signal.SIGINT)
     output, _ = first.communicate(timeout=30)
     assert first.returncode == 130
     assert "stopped. Runs that finished are kept" in output
@@ -332,19 +332,8 @@ def test_a_run_whose_process_was_killed_is_named_until_its_snakemake_ends(checko
     first.kill()
     assert f"its Snakemake is process {snakemake.pid}" in checkout.command(*run, ok=False)
     snakemake.wait(timeout=60)
-    checkout.command(*run)
-
-
-def test_a_lock_of_a_snakemake_started_by_hand_is_named_with_a_remedy(checkout, slow):
-    locks = checkout.root / ".snakemake" / "locks"
-    locks.mkdir(parents=True, exist_ok=True)
-    (locks / "0.output.lock").write_text("results/slow/plan/plan.parquet\n")
-    refused = checkout.command("run", str(slow), "--cores", "1", ok=False)
-    assert "a Snakemake that was started by hand has locked these results" in refused
-    assert "--unlock" in refused
-    (locks / "0.output.lock").write_text("results/another/plan/plan.parquet\n")
-    checkout.command("run", str(slow), "--cores", "1", "--no-report")
-    (locks / "0.output.lock").unlink()
+    with the_only_run(checkout.root, "slow"):
+        pass
 
 
 def test_an_error_of_snakemake_itself_is_shown(checkout, slow):
@@ -352,15 +341,6 @@ def test_an_error_of_snakemake_itself_is_shown(checkout, slow):
     (checkout.root / "results/slow/plan").write_text("a file where a folder should be")
     output = checkout.command("run", str(slow), "--cores", "1", ok=False)
     assert "results/slow/plan" in output.partition("error:")[0]
-
-
-def test_the_replay_command_of_a_config_given_by_path_works(checkout, slow):
-    checkout.command("run", str(slow), "--cores", "1", "--no-report")
-    overlays = json.loads((checkout.root / "results/slow/tables/overlays.json").read_text())
-    assert overlays
-    words = shlex.split(overlays[0]["replay"])
-    assert words[:3] == ["python", "-m", "workflows"]
-    assert json.loads(checkout.command(*words[3:]))["status"] == "converged"
 
 
 def test_pairs_of_clouds_of_ones_own_need_a_card_and_a_config_of_a_few_lines(checkout):

@@ -51,8 +51,9 @@ def instance(dim: int, k: int = 6) -> Instance:
     ("dim", "k", "options", "ran"),
     [
         (2, 50, {}, "mode paper, bound tight"),
-        (3, 50, {}, "mode multi, bound tight"),  # twelve points would run mode full
+        (3, 50, {}, "mode full, bound rigid"),
         (3, 60, {}, "mode full, bound rigid"),
+        (3, 50, {"mode": "multi"}, "mode multi, bound tight"),
         (3, 50, {"bound": "paper"}, "mode paper, bound paper"),
     ],
 )

@@ -1,0 +1,195 @@
+"""Arguments and options of the command line, and files that it should write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from tests.bad_input.case import Case, register, sweep
+
+Call = Callable[..., list[str]]
+
+NUMBERS = {  # options that both commands have: value, what the message shows, remedy
+    "gap_tol": {
+        "-1": ("--gap-tol: -1.0", "give a positive number"),
+        "nan": ("--gap-tol: nan", "give a positive number"),
+        "inf": ("--gap-tol: inf", "give a positive number"),
+        "small": ("'small' is not a number", "give one such as"),
+        "1,5": ("'1,5' is not a number", "give one such as"),
+    },
+    "tol": {
+        "-1": ("--tol: -1.0", "give a length in units of the target"),
+        "nan": ("--tol: nan", "give a length in units of the target"),
+        "inf": ("--tol: inf", "give a length in units of the target"),
+        "1e200": ("--tol: 1e+200", "give a length in units of the target"),
+        "1mm": ("'1mm' is not a number", "give one such as"),
+    },
+    "time_limit": {
+        "0": ("--time-limit: 0.0", "give a positive number"),
+        "-5": ("--time-limit: -5.0", "give a positive number"),
+        "nan": ("--time-limit: nan", "give a positive number"),
+        "inf": ("--time-limit: inf", "give a positive number"),
+        "1h": ("'1h' is not a number", "give one such as"),
+    },
+    "node_limit": {
+        "0": ("--node-limit: 0", "give a positive number"),
+        "-3": ("--node-limit: -3", "give a positive number"),
+        "1e3": ("'1e3' is not a whole number", "give one such as"),
+        "2.5": ("'2.5' is not a whole number", "give one such as"),
+        "many": ("'many' is not a whole number", "give one such as"),
+    },
+    "threads": {
+        "0": ("--threads: 0", "give a positive number"),
+        "-1": ("--threads: -1", "give a positive number"),
+        "two": ("'two' is not a whole number", "give one such as"),
+        "1.5": ("'1.5' is not a whole number", "give one such as"),
+        "1000000": ("--threads: 1000000 are too many", "give at most"),
+        "99999999999999999999": ("--threads: 99999999999999999999 are too many", "give at most"),
+    },
+    "bound": {
+        "magic": ("--bound: 'magic'", "known: edges"),
+        "tigth": ("--bound: 'tigth'", "known: edges"),
+        "": ("--bound: ''", "known: edges"),
+        "tight+": ("--bound: ''", "known: edges"),
+        "tight+magic": ("--bound: 'magic'", "known: edges"),
+    },
+    "model": {
+        "affine": ("'affine' is not one of", "'similarity2d', 'rigid3d'"),
+        "rigid2d": ("'rigid2d' is not one of", "'similarity2d', 'rigid3d'"),
+        "": ("'' is not one of", "'similarity2d', 'rigid3d'"),
+    },
+    "n_inliers": {
+        "lots": ("--n-inliers: 'lots' is not a number", "such as 40 or a fraction"),
+        "0": ("--n-inliers: 0 pairs", "between 1 and 8"),
+        "-2": ("--n-inliers: -2 pairs", "between 1 and 8"),
+        "9": ("--n-inliers: 9 pairs", "between 1 and 8"),
+        "99999999999999999999": ("--n-inliers: 99999999999999999999", "between 1 and 8"),
+        "1.5": ("--n-inliers: the fraction 1.5", "between 1 and 8"),
+        "0.0": ("--n-inliers: the fraction 0.0", "between 1 and 8"),
+        "nan": ("--n-inliers: the fraction nan", "between 1 and 8"),
+        "80%": ("--n-inliers: '80%'", "such as 40 or a fraction"),
+    },
+}  # fmt: skip
+SCALES = {
+    ("2", "1"): ("--scale-range: (2.0, 1.0)", "0 < low <= high"),
+    ("0", "1"): ("--scale-range: (0.0, 1.0)", "0 < low <= high"),
+    ("-1", "1"): ("--scale-range: (-1.0, 1.0)", "0 < low <= high"),
+    ("nan", "1"): ("--scale-range: (nan, 1.0)", "0 < low <= high"),
+    ("1", "inf"): ("--scale-range: (1.0, inf)", "0 < low <= high"),
+    ("half", "1"): ("'half' is not a number", "give one such as"),
+}
+RANGES = {
+    "0.3:1:0.1": ("--n-inliers: '0.3:1:0.1' mixes", "a fraction needs a decimal point"),
+    "0.3:1.0": ("--n-inliers: '0.3:1.0' is not a range", "give one such as"),
+    "9:6:1": ("--n-inliers: '9:6:1' is not a range", "give one such as"),
+    "6:9:0": ("--n-inliers: '6:9:0' is not a range", "give one such as"),
+    "6:9:-1": ("--n-inliers: '6:9:-1' is not a range", "give one such as"),
+    "0.1:nan:0.1": ("--n-inliers: '0.1:nan:0.1' is not a range", "give one such as"),
+    "1:2:3:4": ("--n-inliers: '1:2:3:4' is not a range", "give one such as"),
+    "1:1000000000": ("names 1000000000 cardinalities", "choose a step"),
+    "0.1:1.0:0.00001": ("names 90001 cardinalities", "choose a step"),
+    ":": ("--n-inliers: '' is not a number", "such as 40"),
+    ",": ("--n-inliers: the list is empty", "give at least one"),
+    "4,9": ("--n-inliers: 9 pairs", "between 1 and 8"),
+}
+IN_SPACE = {
+    "bound of full": (("--mode", "full", "--bound", "paper"), "--bound: 'paper'", "mode"),
+    "certificate of full": (("--mode", "full", "--certificate", "c.npz"), "--certificate", "mode"),
+    "certificate of multi": (("--mode", "multi", "--certificate", "c.npz"), "--certificate", "mode"),
+    "scale": (("--scale-range", "0.9", "1.1"), "--scale-range: (0.9, 1.1)", "leave it out"),
+    "unknown mode": (("--mode", "best"), "--mode: 'best' is unknown", "known: "),
+    "mode with a slip": (("--mode", "mutli"), "--mode: 'mutli'", "did you mean 'multi'"),
+}  # fmt: skip
+HELP = "Try 'dcreg"
+USAGE = {
+    "no source and target": (["register"], "Missing argument 'SOURCE'", HELP),
+    "no target": (["register", "a2.txt"], "Missing argument 'TARGET'", HELP),
+    "no model": (register(model=None), "Missing option '--model'", HELP),
+    "no number of pairs": (register(n_inliers=None), "--n-inliers: missing", "`dcreg sweep`"),
+    "sweep without numbers": (sweep(n_inliers=None), "Missing option '--n-inliers'", HELP),
+    "unknown option": (register("--modl", "x"), "No such option: --modl", "--model"),
+    "unknown command": (["regster"], "No such command 'regster'", HELP),
+    "one argument more": (register("c.txt"), "unexpected extra argument(s) (c.txt)", HELP),
+    "option without value": (register("--bound"), "--bound", "requires an argument"),
+    "half a scale range": (register("--scale-range", "1"), "--scale-range", "requires 2 arguments"),
+    "flag with a value": (register("--quiet=3"), "--quiet", "does not take a value"),
+    "verify without files": (["verify"], "Missing argument 'CERT'", HELP),
+    "verify without clouds": (["verify", "c.npz"], "Missing argument 'SOURCE'", HELP),
+    "version with an argument": (["version", "x"], "unexpected extra argument(s) (x)", HELP),
+    "mode of the plane": (register("--mode", "full"), "--mode: 'full' is unknown", "known: "),
+    "empty source": (register(source=""), ".: is a folder", "give the path"),
+    "key there is none": (register("--source-key", "a"), "key 'a' given", "drop the key"),
+}
+OUTPUTS = {  # option of register: a name it takes
+    "--json": "o.json",
+    "--trace": "o.jsonl",
+    "--plot": "o.html",
+    "--certificate": "o.npz",
+}
+
+
+def _numbers(command: str, call: Call) -> Iterator[Case]:
+    for option, values in NUMBERS.items():
+        for value, words in values.items():
+            yield Case("arguments", f"{command} {option} {value}", call(**{option: value}), words)
+    for scale, words in SCALES.items():
+        run = call("--scale-range", *scale)
+        yield Case("arguments", f"{command} scale range {scale}", run, words)
+
+
+def _arguments() -> Iterator[Case]:
+    yield from _numbers("register", register)
+    yield from _numbers("sweep", sweep)
+    for text, words in RANGES.items():
+        yield Case("arguments", f"sweep n_inliers {text}", sweep(n_inliers=text), words)
+    both = register("--tol", "0.1", "--gap-tol", "0.1")
+    yield Case("arguments", "two tolerances", both, ["--tol: 0.1", "gap_tol: 0.1", "give one"])
+    for name, (options, *words) in IN_SPACE.items():
+        yield Case("arguments", f"3D {name}", register(*options, dim=3), words)
+    for name, (run, *words) in USAGE.items():
+        yield Case("arguments", name, run, words)
+
+
+def _outputs() -> Iterator[Case]:
+    calls: list[tuple[Call, dict[str, str]]] = [
+        (register, OUTPUTS), (sweep, {"--out": "o.json", "--plot": "o.png"}),
+    ]  # fmt: skip
+    for call, outputs in calls:
+        for option, good in outputs.items():
+            name = f"{call.__name__} {option}"
+            absent = f"absent/{good}"
+            yield Case("outputs", f"{name} without folder", call(option, absent),
+                       [f"{option} {absent}", "no folder 'absent'", "create it first"])  # fmt: skip
+            yield Case("outputs", f"{name} below a file", call(option, f"a2.txt/{good}"),
+                       [f"{option} a2.txt/{good}", "no folder", "create it first"])  # fmt: skip
+            yield Case("outputs", f"{name} is a folder", call(option, good),
+                       [f"{option} {good}", "not a plain file", "name another file"],
+                       {good: None})  # fmt: skip
+            source = f"in{good[1:]}"
+            yield Case("outputs", f"{name} is an input", call(option, source, "--candidates", source),
+                       [f"{option} {source}", "is an input as well", "name another file"],
+                       {source: b"0 0\n"})  # fmt: skip
+            long = 300 * "x" + good
+            yield Case("outputs", f"{name} too long", call(option, long),
+                       [option, "name", "shorter"])  # fmt: skip
+            yield Case("outputs", f"{name} where nothing can be written",
+                       call(option, f"/proc/{good}"),
+                       [f"{option} /proc/{good}", "cannot write in '/proc'", "elsewhere"])  # fmt: skip
+    for option, good in list(OUTPUTS.items())[1:]:
+        run = register("--json", good, option, good)
+        words = [f"{option} {good}", "is the file of --json as well", "name another file"]
+        yield Case("outputs", f"{option} as --json", run, words)
+    for suffix in (".png", ".pdf", ".svg", ".jpg", ""):
+        words = [f"--plot o{suffix}", "must end in one of .html"]
+        yield Case("outputs", f"register --plot {suffix or 'none'}",
+                   register("--plot", f"o{suffix}"), words)  # fmt: skip
+    for suffix in (".pdf", ".gif", ".tex", ""):
+        words = [f"--plot o{suffix}", "must end in one of .html, .png, .svg"]
+        yield Case("outputs", f"sweep --plot {suffix or 'none'}",
+                   sweep("--plot", f"o{suffix}"), words)  # fmt: skip
+    for suffix in (".xlsx", ".txt", ""):
+        words = [f"--out o{suffix}", "must end in one of .json, .csv"]
+        yield Case("outputs", f"sweep --out {suffix or 'none'}",
+                   sweep("--out", f"o{suffix}"), words)  # fmt: skip
+
+
+ARGUMENTS, OUTPUT_CASES = list(_arguments()), list(_outputs())

@@ -1,0 +1,180 @@
+"""``python -m tests.bench.walk OUT``: what a new user meets on real clouds with default options.
+
+Every pair of clouds is written to files at several sizes and given to ``dcreg register`` with nothing but
+the model, a share of pairs and a time limit. OUT gets ``walk.csv``: pose error, status, time against
+the limit, warnings. Needs the data that `data/` fetches.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import typer
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from data.registry import dataset
+from data.sampling import farthest_points, transform
+from data.threedmatch.loader import read_torch_array
+from dcreg.io import read_points
+from dcreg.problem import rotation_angle_deg
+
+KILLED_AFTER = 5.0  # limits; a run still there is killed and counted as a hang
+
+
+@dataclass(frozen=True)
+class CloudPair:
+    """Two whole clouds, the share of the smaller one that is asked for, and the pose if it is known."""
+
+    name: str
+    source: np.ndarray
+    target: np.ndarray
+    share: float
+    T_true: np.ndarray | None
+
+
+def main(
+    out: Annotated[Path, typer.Argument(help="folder for the table")],
+    size: Annotated[list[int], typer.Option(help="points per cloud, 0: all")] = [  # noqa: B006
+        100,
+        300,
+        1000,
+        5000,
+        0,
+    ],
+    limit: Annotated[float, typer.Option(help="seconds per run")] = 10.0,
+    only: Annotated[str, typer.Option(help="part of a pair's name")] = "",
+) -> None:
+    """Register every pair at every size; print and store the table."""
+    out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for pair in cloud_pairs():
+        if only not in pair.name:
+            continue
+        for n_points in size:
+            rows.append(_walked(pair, n_points, limit, out))
+            print(rows[-1], flush=True)
+    table = pd.DataFrame(rows)
+    table.to_csv(out / "walk.csv", index=False)
+    print(table.drop(columns="warnings").to_string(index=False))
+    print(f"tables: {out}")
+
+
+def cloud_pairs() -> Iterator[CloudPair]:
+    """Scans with published poses, and scans of one object turned by a drawn pose."""
+    rng = np.random.default_rng(7)
+    bunny = dataset("bunny")
+    model, data = bunny.points("goicp_model", 35_947), bunny.points("goicp_data", 30_379)
+    yield CloudPair("go-icp bunny", data, model, 0.8, None)
+    for name in ("horse", "dino"):
+        shapes = dataset(name)
+        cloud = shapes.points(shapes.shapes()[0], 2_000)
+        yield _turned(name, cloud, rng)
+    scenes = dataset("threedmatch").shapes()
+    for scene, level in zip(scenes[::3], (0.75, 0.75, 0.55), strict=True):
+        yield _scans("threedmatch", scene, "overlap", level)
+    yield _scans("small_gicp", "street", "pair", 0.0)
+
+
+def _turned(name: str, cloud: np.ndarray, rng: np.random.Generator) -> CloudPair:
+    """Two halves that share four fifths of the object, with noise, the second one moved."""
+    along = np.argsort(cloud @ rng.standard_normal(3))
+    cut = len(cloud) // 10
+    first, second = cloud[along[:-cut]], cloud[along[cut:]]
+    T = np.eye(4)
+    T[:3, :3] = Rotation.random(random_state=3).as_matrix()
+    T[:3, 3] = rng.uniform(-1.0, 1.0, 3)
+    extent = float(np.ptp(cloud, axis=0).max())
+    moved = transform(T, second) + 0.005 * extent * rng.standard_normal(second.shape)
+    return CloudPair(f"{name} with missing ends", first, moved, 0.8, T)
+
+
+def _scans(name: str, shape: str, test: str, level: float) -> CloudPair:
+    scans = dataset(name)
+    raw = scans.load(shape, test, level, 0, 100)
+    files = scans.files(shape, test, level, 0)
+    source, target = (
+        _cloud(path, raw.info.get(side)) for path, side in zip(files, ("src", "ref"), strict=False)
+    )
+    reach = 0.02 * float(np.ptp(target, axis=0).max())
+    near = cKDTree(target).query(transform(raw.T_true, source))[0] < reach
+    share = round(max(0.1, 0.8 * float(near.mean())), 2)
+    return CloudPair(f"{shape} {level:g}", source, target, share, raw.T_true)
+
+
+def _cloud(path: Path, number: float | str | None) -> np.ndarray:
+    if number is None:
+        return read_points(path)
+    if path.suffix == ".npz":
+        with np.load(path) as pack:
+            return np.asarray(pack[f"cloud_{number:02d}"], dtype=float)
+    return np.asarray(read_torch_array(path), dtype=float)
+
+
+def _walked(pair: CloudPair, n_points: int, limit: float, out: Path) -> dict[str, object]:
+    clouds = [_sampled(cloud, n_points) for cloud in (pair.source, pair.target)]
+    paths = [out / "source.npy", out / "target.npy"]
+    for path, cloud in zip(paths, clouds, strict=True):
+        np.save(path, cloud)
+    answer = out / "answer.json"
+    answer.unlink(missing_ok=True)
+    command = [sys.executable, "-m", "dcreg", "register", *map(str, paths), "--model", "rigid3d"]
+    command += ["--n-inliers", f"{pair.share}", "--time-limit", f"{limit}", "--json", str(answer)]
+    began = time.perf_counter()
+    try:
+        code = subprocess.run(
+            command, capture_output=True, timeout=KILLED_AFTER * limit, check=False
+        ).returncode
+    except subprocess.TimeoutExpired:
+        code = -9
+    row: dict[str, object] = {
+        "pair": pair.name,
+        "points": f"{len(clouds[0])} {len(clouds[1])}",
+        "n_inliers": pair.share,
+        "exit": code,
+        "status": "hang" if code == -9 else "no answer",
+        "wall_s": round(time.perf_counter() - began, 1),
+    }
+    if answer.is_file():
+        found = json.loads(answer.read_text())
+        T = np.array(found["T_target_source"])
+        row["status"], row["mode"] = found["status"], found["mode"]
+        row |= _errors(pair, T)
+        row["warnings"] = " | ".join(found.get("warnings", []))
+        row["n_warnings"] = len(found.get("warnings", []))
+    return row
+
+
+def _errors(pair: CloudPair, T: np.ndarray) -> dict[str, object]:
+    moved = transform(T, pair.source[:: max(1, len(pair.source) // 2000)])
+    near = np.sort(cKDTree(pair.target).query(moved)[0])[: int(pair.share * len(moved))]
+    extent = float(np.ptp(pair.target, axis=0).max())
+    errors: dict[str, object] = {"residual": round(float(np.sqrt((near**2).mean())) / extent, 4)}
+    if pair.T_true is not None:
+        turn = rotation_angle_deg(T[:3, :3] @ pair.T_true[:3, :3].T)
+        centre = pair.source.mean(axis=0)[None]
+        shift = np.linalg.norm(transform(T, centre) - transform(pair.T_true, centre)) / extent
+        errors |= {"turn_deg": round(float(turn), 1), "shift": round(float(shift), 3)}
+        errors["right"] = bool(turn < 15.0 and shift < 0.1)
+    return errors
+
+
+def _sampled(cloud: np.ndarray, n_points: int) -> np.ndarray:
+    if n_points == 0 or n_points >= len(cloud):
+        return cloud
+    rng = np.random.default_rng(0)
+    some = cloud[rng.permutation(len(cloud))[: 20 * n_points]]
+    return some[farthest_points(some, n_points)]
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,45 @@
+"""One run at a time in a folder of results; the lock goes with the process that holds it."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from workflows.running import BusyError, the_only_run
+
+
+def test_a_second_run_is_told_which_is_the_first(tmp_path):
+    with the_only_run(tmp_path, "a"):
+        with (
+            pytest.raises(
+                BusyError, match=f"another run works on .*, process {os.getpid()}, since 2"
+            ),
+            the_only_run(tmp_path, "a"),
+        ):
+            pass
+        with the_only_run(tmp_path, "b"):  # another experiment
+            pass
+    with the_only_run(tmp_path, "a"):  # the first has ended
+        pass
+
+
+def test_what_a_killed_run_left_behind_is_no_lock(tmp_path):
+    folder = tmp_path / "results" / "a"
+    folder.mkdir(parents=True)
+    (folder / "run.lock").write_text("process 1, since yesterday\n")
+    with the_only_run(tmp_path, "a"):
+        assert f"process {os.getpid()}, " in (folder / "run.lock").read_text()
+
+
+def test_a_lock_of_a_snakemake_started_by_hand_is_named_with_a_remedy(tmp_path):
+    lock = tmp_path / ".snakemake" / "locks" / "0.output.lock"
+    lock.parent.mkdir(parents=True)
+    lock.write_text("results/a/plan/plan.parquet\n")
+    with (
+        pytest.raises(BusyError, match=r"started by hand .*0\.output\.lock.*snakemake --unlock"),
+        the_only_run(tmp_path, "a"),
+    ):
+        pass
+    with the_only_run(tmp_path, "ab"):  # on other files than this lock's
+        pass

@@ -1,0 +1,49 @@
+"""What is printed of methods and of plans."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from rich.console import Console
+
+from workflows import methods
+from workflows.config import Experiment, parse_selection
+from workflows.stages.plan import expand
+from workflows.summary import outlook_of, print_baselines
+
+FAULTS = Path(__file__).parents[1] / "workflow" / "baselines"
+
+
+def test_the_list_of_methods_shows_the_key_that_a_config_needs(monkeypatch):
+    monkeypatch.setattr(methods, "roots", lambda: [FAULTS])
+    console = Console(record=True, width=160)
+    print_baselines(console)
+    lines = console.export_text().splitlines()
+    (row,) = [line for line in lines if "│ Fault" in line]
+    assert row.split("│")[1].strip() == "fault"
+
+
+def test_the_outlook_counts_finished_runs_and_takes_their_times(tmp_path):
+    experiment = Experiment(
+        name="e",
+        limits={"time_s": 7},
+        datasets=[{"dataset": "embedded", "shapes": ["fish"], "tests": {"noise": [0.0, 0.1, 0.2]}}],
+        methods=[{"name": "a", "baseline": "icp"}, {"name": "b", "baseline": "cpd"}],
+    )
+    plan = expand(experiment)
+    first, second, _ = [run.run_id for run in plan.runs() if run.method.name == "a"]
+    rows = [
+        {"run_id": first, "fingerprint": methods.fingerprint("icp"), "time_solve_s": 2.0},
+        {"run_id": second, "fingerprint": "of an older version", "time_solve_s": 4.0},
+        {"run_id": "of another config", "fingerprint": "", "time_solve_s": 100.0},
+    ]
+    folder = tmp_path / "runs" / "a"
+    folder.mkdir(parents=True)
+    lines = [json.dumps({**row, "instance_digest": "", "status": "converged"}) for row in rows]
+    (folder / "c.journal.jsonl").write_text("\n".join(lines))
+    a, b = outlook_of(plan, tmp_path)
+    assert (a.runs, a.finished, a.seconds, a.known) == (3, 1, 2 * 3.0, True)
+    assert (b.runs, b.finished, b.seconds, b.known) == (3, 0, 3 * 7.0, False)
+    (part,) = outlook_of(expand(experiment, parse_selection(["methods=b", "levels=0.1"])), tmp_path)
+    assert (part.method, part.runs) == ("b", 1)
