@@ -575,7 +575,7 @@ def test_interrupted_process_keeps_the_pose(tmp_path, number):
         lines = []
         for line in process.stderr:  # plain lines in a pipe
             lines.append(line)
-            if " search " in line:
+            if line[2:].startswith("search "):
                 break
         time.sleep(0.2)
         process.send_signal(number)

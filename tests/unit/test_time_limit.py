@@ -141,7 +141,7 @@ def test_a_signal_ends_the_command_with_the_best_pose(tmp_path, number):
     ]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     for line in process.stderr:
-        if "start" in line or "rigid" in line:
+        if line[2:].startswith(("start ", "rigid ")):
             break
     began = time.perf_counter()
     process.send_signal(number)
