@@ -129,6 +129,11 @@ class Budget:
         part._deadline = None if left is None else time.perf_counter() + share * left
         return part
 
+    def found(self, value: float) -> None:
+        """Tell of a better pose before the search; its objective bounds the optimum from above."""
+        event = self._root._event
+        self.tell(replace(event, kind="bound", time_s=self.elapsed(), upper_bound=value))
+
     def tell(self, event: Event) -> None:
         """Pass an event on to the listener."""
         root = self._root

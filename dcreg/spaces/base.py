@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -87,27 +88,37 @@ class Space(abc.ABC):
         """Which of B boxes may hold an admissible parameter (False only when surely none)."""
         return np.ones(len(lower), dtype=bool)
 
+    def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
+        """Parameters to descend from, the most promising first, each with the assignments it took."""
+        seeds = self.seeds()
+        scores, spent = self.score(seeds)
+        self.check()
+        for seed in seeds[np.argsort(scores, kind="stable")[: self.n_descents]]:
+            yield seed, spent
+            spent = 0
+
     def start(self, budget: Budget) -> tuple[np.ndarray, float, int]:
-        """The best of a few descents from the most promising seeds: theta, objective, work.
+        """The best of the descents from `starts`: theta, objective, work.
 
         At least one descent is begun, however short the time. The value is infinite where not even that
         one came to an end.
         """
-        seeds = self.seeds()
-        theta, value, spent = seeds[0], np.inf, 0
+        best: np.ndarray | None = None
+        value, spent = np.inf, 0
         try:
-            scores, spent = self.score(seeds)
-            self.check()
-            for seed in seeds[np.argsort(scores, kind="stable")[: self.n_descents]]:
-                if value < np.inf and budget.is_over:
+            for theta, choosing in self.starts(budget):
+                spent += choosing
+                if best is not None and budget.is_over:
                     break
-                found, least, assignments = self.refine(seed)
-                spent += assignments
-                if least < value:
-                    theta, value = found, least
+                best = theta if best is None else best
+                theta, found, descending = self.refine(theta)
+                spent += descending
+                if found < value:
+                    best, value = theta, found
+                    budget.found(value)
         except Interrupted:
             pass
-        return theta, value, spent
+        return self.seeds()[0] if best is None else best, value, spent
 
 
 def mean_of_largest(values: np.ndarray, count: int) -> float:

@@ -24,7 +24,7 @@ import numpy as np
 from dcreg.kernels.assignment.dense import cheapest_pairs
 from dcreg.kernels.space.geometry import best_rotation
 from dcreg.kernels.space.poses import nearest_scores, pose_costs
-from dcreg.search import Box, Budget, Interrupted
+from dcreg.search import Box, Budget
 from dcreg.spaces.base import mean_of_largest, radius
 from dcreg.spaces.clouds import CloudSpace
 from dcreg.spaces.congruent import SCALES, best_descents, congruent_poses, rounds_for
@@ -147,26 +147,16 @@ class Rigid3D(CloudSpace):
         theta[:4] /= theta[:4][np.argmax(np.abs(theta[:4]))]
         return theta
 
-    def start(self, budget: Budget) -> tuple[np.ndarray, float, int]:
-        """The best of descents from poses of congruent triples and from a regular grid.
+    def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
+        """Poses of congruent triples, then those of a regular grid.
 
         The grid alone where all points match: then the centroids do too, and only turns are left to try.
         """
         box = self.translations()
-        if (box.lower == box.upper).all():
-            return super().start(budget)
-        ends: list[tuple[np.ndarray, float, int]] = []
-        for theta in self._congruent(budget):
-            try:
-                ends.append(self.refine(theta))
-            except Interrupted:
-                ends.append((theta, np.inf, 0))
-            if budget.is_over:
-                break
-        if not ends or not budget.is_over:
-            ends.append(super().start(budget))
-        theta, value, _ = min(ends, key=lambda end: end[1])
-        return theta, value, sum(spent for *_, spent in ends)
+        if (box.lower < box.upper).any():
+            for theta in self._congruent(budget):
+                yield theta, 0
+        yield from super().starts(budget)
 
     def _congruent(self, budget: Budget) -> Iterator[np.ndarray]:
         """Parameters of the poses that congruent triples suggest, scale by scale."""
@@ -176,14 +166,8 @@ class Rigid3D(CloudSpace):
                 if budget.is_over:
                     return
                 poses = congruent_poses(
-                    source,
-                    target,
-                    self.n_inliers,
-                    scale,
-                    self._candidates,
-                    seed=seed,
-                    stop=self.stop,
-                )
+                    source, target, self.n_inliers, scale, self._candidates, seed=seed, stop=self.stop
+                )  # fmt: skip
                 if self.n_pairs > DENSE_DESCENTS:
                     poses = best_descents(poses, source, target, self.n_inliers)
                 yield from map(self._parameter, poses)
