@@ -9,6 +9,9 @@ from __future__ import annotations
 # Kind of pose: dimension of the points.
 MODEL_DIM = {"similarity2d": 2, "rigid3d": 3}
 
+# Of a solve for which no limit is given: long enough for most proofs that come at all.
+DEFAULT_TIME_LIMIT_S = 60.0
+
 AUTO = "auto"  # the mode that is chosen by the problem
 _MODES = {"similarity2d": ("paper",), "rigid3d": ("full", "multi", "paper")}
 

@@ -12,6 +12,7 @@ from dcreg.certificate.record import record
 from dcreg.local import objective
 from dcreg.local import polish as polish_pose
 from dcreg.modes import AUTO, Answer, Mode, Task, choose_mode, find_mode
+from dcreg.names import DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
     Candidates,
     Frame,
@@ -48,7 +49,7 @@ def register(
     scale_range: tuple[float, float] | None = None,
     gap_tol: float | None = None,
     tol: float | None = None,
-    time_limit: float | None = None,
+    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
     memory_limit_mb: float | None = None,
     threads: int = 1,
@@ -94,8 +95,8 @@ def register(
         The same as a length, the RMS residual per pair in units of the target:
         ``gap_tol = n_inliers * tol^2``. Only one of the two can be given.
     time_limit : float, optional
-        Seconds for the solve. The best pose so far is returned with status ``time_limit``, at most a
-        tenth of the limit and a second later.
+        Seconds for the solve, 60 unless told otherwise; None or inf: no limit. The best pose so far is
+        returned with status ``time_limit``, at most a tenth of the limit and a second later.
     node_limit : int, optional
         Boxes bounded per stage.
     memory_limit_mb : float, optional
@@ -149,6 +150,8 @@ def register(
         gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
     )  # fmt: skip
+    if time_limit == np.inf:
+        time_limit = None
     rotation_tol = gap_tol
     if gap_tol is None:
         gap_tol, rotation_tol = default_tolerances(searched, way)
@@ -370,7 +373,12 @@ def check_settings(**settings: float | None) -> None:
         if isinstance(value, bool) or not isinstance(value, int | float | np.number):
             raise InputError(f"{name}: {value!r} is not a number; give a positive number")
         least = 1 if name in ("node_limit", "threads") else 0
-        if not value < np.inf or value < least or (name == "time_limit" and value == 0):
+        endless = name == "time_limit" and value == np.inf
+        if (
+            not (value < np.inf or endless)
+            or value < least
+            or (name == "time_limit" and value == 0)
+        ):
             raise InputError(f"{name}: {value} is not a usable value; give a positive number")
         if name == "threads" and value > MAX_THREADS:
             raise InputError(f"threads: {value} are too many; give at most {MAX_THREADS}")

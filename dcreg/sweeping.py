@@ -27,9 +27,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dcreg.bounds import make_bound
-from dcreg.modes import Answer, Mode, Task, find_mode
+from dcreg.bounds import RigidBound, make_bound
+from dcreg.modes import AUTO, Answer, Mode, Task, choose_mode, find_mode
+from dcreg.modes.full import pose_in, rigid_space
 from dcreg.modes.paper import TRANSLATION_SHARE, place, space_of
+from dcreg.names import DEFAULT_TIME_LIMIT_S, mode_names
 from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
 from dcreg.registration import (
     check_settings,
@@ -40,12 +42,12 @@ from dcreg.registration import (
 )
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, Event, Interrupted, Listener, Outcome, minimise
-from dcreg.spaces import FeatureSpace
+from dcreg.spaces import FeatureSpace, Rigid3D
 from dcreg.status import Status
 from dcreg.sweep_result import SweepResult
 from dcreg.warm_up import warm_up_mode
 
-MODE = "paper"
+MODES = ("full", "paper")
 # A search may be asked for this share of its own tolerance to prove larger cardinalities as well;
 # with less, the one search costs more than those it saves.
 TIGHTEST_SHARE = 0.5
@@ -57,11 +59,12 @@ def sweep(
     n_inliers: Sequence[int | float],
     *,
     model: str,
+    mode: str | None = None,
     bound: str | None = None,
     scale_range: tuple[float, float] | None = None,
     gap_tol: float | None = None,
     tol: float | None = None,
-    time_limit: float | None = None,
+    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
     memory_limit_mb: float | None = None,
     threads: int = 1,
@@ -71,7 +74,7 @@ def sweep(
 ) -> SweepResult:
     """Register two clouds for several numbers of inliers, with bounds for each.
 
-    For every cardinality the problem of `dcreg.register` in mode ``paper`` is solved; searches share
+    For every cardinality the problem of `dcreg.register` is solved; searches share
     their poses, and a bound for fewer pairs serves for more of them where it is good enough. The k
     cheapest pairs of a feasible matching are feasible, so `candidates` change nothing about that.
 
@@ -81,15 +84,16 @@ def sweep(
     n_inliers : sequence of int or float
         Cardinalities, in any order and with repetitions; floats in (0, 1] are fractions of
         ``min(n, m)``.
-    model, bound, scale_range, threads, candidates, polish
-        As in `dcreg.register`.
+    model, mode, bound, scale_range, threads, candidates, polish
+        As in `dcreg.register`, but that mode ``multi`` serves one cardinality only.
     gap_tol : float, optional
         Absolute tolerance for every cardinality; default `dcreg.default_gap_tol` of each.
     tol : float, optional
         A length instead, as in `dcreg.register`: ``gap_tol = k * tol^2`` for cardinality k.
     time_limit : float, optional
-        Seconds for all cardinalities. What one leaves over goes to those after it; those whose gap
-        is open at the end have status ``time_limit``, with valid bounds and a pose.
+        Seconds for all cardinalities, 60 unless told otherwise; None or inf: no limit. What one
+        leaves over goes to those after it; those whose gap is open at the end have status
+        ``time_limit``, with valid bounds and a pose.
     node_limit, memory_limit_mb : optional
         For each search.
     listener : callable, optional
@@ -118,30 +122,40 @@ def sweep(
     """
     began = time.perf_counter()
     problems = _problems(source, target, n_inliers, model, scale_range, candidates)
-    mode = find_mode(model, MODE)
-    mode.check(problems[0], bound, certificate=False)
+    way = _mode(problems[-1], mode, bound)
+    way.check(problems[-1], bound, certificate=False)
     gap_tols = [gap_tol_of(tol, gap_tol, problem.n_inliers) for problem in problems]
     check_settings(
         gap_tol=gap_tols[-1], time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
     )  # fmt: skip
-    warm_up_mode(mode, bound, problems[0].candidates is not None)
+    warm_up_mode(way, bound, problems[0].candidates is not None)
     time_setup = time.perf_counter() - began
     area = Frame.of(problems[0]).area
     budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(listener, area))
     with budget:
         solve = _Sweep(
             [
-                _Level.of(problem, mode, bound, gap_tol, threads, budget)
+                _Level.of(problem, way, bound, gap_tol, threads, budget)
                 for problem, gap_tol in zip(problems, gap_tols, strict=True)
             ],
-            mode,
+            way,
             budget,
         )
         solve.incumbents()
         solve.bounds()
         results = solve.results(polish, time_setup)
     return SweepResult(results, [level.proven_by for level in solve.levels])
+
+
+def _mode(problem: Problem, name: str | None, bound: str | None) -> Mode:
+    if name is None or name == AUTO:
+        name = choose_mode(problem, bound)
+    if name not in MODES and name in mode_names(problem.model):
+        raise InputError(
+            f"mode: {name!r} serves one cardinality; a sweep takes {' or '.join(MODES)}"
+        )
+    return find_mode(problem.model, name)
 
 
 def _problems(
@@ -175,7 +189,8 @@ class _Level:
 
     problem: Problem
     task: Task
-    space: FeatureSpace
+    space: FeatureSpace | Rigid3D
+    swapped: bool = False  # source and target, in `space`
     theta: np.ndarray = field(default_factory=lambda: np.empty(0))
     lower_bound: float = 0.0
     upper_bound: float = np.inf
@@ -201,6 +216,8 @@ class _Level:
         else:
             rotation_tol = gap_tol
         task = task_of(problem, mode, bound, gap_tol, threads, budget, rotation_tol=rotation_tol)
+        if mode.name == "full":
+            return cls(problem, task, *rigid_space(task))
         return cls(problem, task, space_of(task))
 
     @property
@@ -268,7 +285,7 @@ class _Sweep:
 
     def bounds(self) -> None:
         """Prove the cardinalities in ascending order, each by transfer if that is enough."""
-        share = 1.0 if self.levels[0].problem.dim == 2 else TRANSLATION_SHARE
+        share = TRANSLATION_SHARE if self.mode.in_norm_space else 1.0
         searching = self.budget.part(share)
         for at, level in enumerate(self.levels):
             if at:
@@ -296,10 +313,12 @@ class _Sweep:
         return count, gap_tol
 
     def _search(self, level: _Level, gap_tol: float, budget: Budget) -> None:
-        space = level.space
+        space, threads = level.space, level.task.threads
         found: Outcome = minimise(
             space,
-            make_bound(level.task.bound, space, threads=level.task.threads),
+            RigidBound(space, threads=threads)
+            if isinstance(space, Rigid3D)
+            else make_bound(level.task.bound, space, threads=threads),
             budget,
             gap_tol=gap_tol,
             start=(level.theta, level.upper_bound),
@@ -326,7 +345,10 @@ class _Sweep:
         began = budget.elapsed()
         answer = level.answer()
         spent = sum(stage.time_s for stage in answer.stages)
-        place(level.task, level.space, level.theta, budget, answer)
+        if isinstance(level.space, Rigid3D):
+            answer.T = pose_in(level.space, level.theta, level.swapped)
+        else:
+            place(level.task, level.space, level.theta, budget, answer)
         return result_of(
             level.problem, self.mode, level.task, answer, polish=polish, time_setup_s=time_setup,
             budget=budget, time_solve_s=spent + budget.elapsed() - began,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dcreg.names import MODEL_DIM, bound_names
+from dcreg.names import AUTO, MODEL_DIM, bound_names, mode_names
 
 
 class ModelChoice(StrEnum):
@@ -53,6 +53,15 @@ ScaleRangeOption = Annotated[
         "rotation and translation alone.",
     ),
 ]
+ModeOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"Search mode; default: {AUTO}. In 2D {', '.join(mode_names('similarity2d'))}; in 3D one of "
+        f"{', '.join(mode_names('rigid3d'))}: {AUTO} takes full, and paper for large clouds and where a "
+        "bound or a certificate is asked for.",
+    ),
+]
 BoundOption = Annotated[
     str | None,
     typer.Option(
@@ -78,7 +87,7 @@ TolOption = Annotated[
     ),
 ]
 TimeLimitOption = Annotated[
-    float | None, typer.Option(metavar="S", parser=number, help="Seconds of search.")
+    float, typer.Option(metavar="S", parser=number, help="Seconds of search; inf: no limit.")
 ]
 NodeLimitOption = Annotated[
     int | None, typer.Option(metavar="N", parser=whole_number, help="Boxes to bound.")

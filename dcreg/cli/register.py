@@ -22,13 +22,7 @@ from dcreg.cli.output import (
     print_tolerance_advice,
     write_outputs,
 )
-from dcreg.names import AUTO, mode_names
-
-_MODE_HELP = (
-    f"Search mode; default: {AUTO}. In 2D {', '.join(mode_names('similarity2d'))}; in 3D one of "
-    f"{', '.join(mode_names('rigid3d'))}: {AUTO} takes full where all points match or there are few, "
-    "else multi; paper for very many, and with --bound or --certificate."
-)
+from dcreg.names import DEFAULT_TIME_LIMIT_S
 
 
 def register(
@@ -45,11 +39,11 @@ def register(
         ),
     ] = None,
     scale_range: options.ScaleRangeOption = None,
-    mode: Annotated[str | None, typer.Option(metavar="NAME", help=_MODE_HELP)] = None,
+    mode: options.ModeOption = None,
     bound: options.BoundOption = None,
     gap_tol: options.GapTolOption = None,
     tol: options.TolOption = None,
-    time_limit: options.TimeLimitOption = None,
+    time_limit: options.TimeLimitOption = DEFAULT_TIME_LIMIT_S,
     node_limit: options.NodeLimitOption = None,
     threads: options.ThreadsOption = 1,
     polish: options.PolishOption = True,

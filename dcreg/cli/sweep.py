@@ -22,7 +22,7 @@ from dcreg.cli.output import (
     print_tolerance_advice,
     write_outputs,
 )
-from dcreg.names import FIGURE_PACKAGES
+from dcreg.names import DEFAULT_TIME_LIMIT_S, FIGURE_PACKAGES
 
 
 def sweep(
@@ -38,15 +38,18 @@ def sweep(
         ),
     ],
     scale_range: options.ScaleRangeOption = None,
+    mode: options.ModeOption = None,
     bound: options.BoundOption = None,
     gap_tol: options.GapTolOption = None,
     tol: options.TolOption = None,
     time_limit: Annotated[
-        float | None,
+        float,
         typer.Option(
-            metavar="S", parser=options.number, help="Seconds for all cardinalities together."
+            metavar="S",
+            parser=options.number,
+            help="Seconds for all cardinalities together; inf: no limit.",
         ),
-    ] = None,
+    ] = DEFAULT_TIME_LIMIT_S,
     node_limit: options.NodeLimitOption = None,
     threads: options.ThreadsOption = 1,
     polish: options.PolishOption = True,
@@ -67,7 +70,7 @@ def sweep(
 ) -> None:
     """Register SOURCE to TARGET for several numbers of inliers, to choose one.
 
-    Every cardinality gets its optimum with bounds, as of `dcreg register` in mode paper; one search
+    Every cardinality gets its optimum with bounds, as of `dcreg register`; one search
     serves several cardinalities where its bounds allow it. Example:
 
     dcreg sweep a.txt b.txt --model similarity2d --n-inliers 0.5:1.0:0.05 --plot curves.html
@@ -99,6 +102,7 @@ def sweep(
                     target_points,
                     counts,
                     model=model.value,
+                    mode=mode,
                     bound=bound,
                     scale_range=scale_range,
                     gap_tol=gap_tol,

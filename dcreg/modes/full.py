@@ -10,8 +10,8 @@ from dcreg.search import minimise
 from dcreg.spaces import Rigid3D
 
 
-def run(task: Task) -> Answer:
-    """The rigid pose, certified.
+def rigid_space(task: Task) -> tuple[Rigid3D, bool]:
+    """The space of the search, and whether source and target change places in it.
 
     The smaller cloud is taken for the source, as nearest distances are taken from there; the inverse pose
     has the same residuals.
@@ -21,12 +21,22 @@ def run(task: Task) -> Answer:
     if swapped:
         source, target = target, source
         candidates = None if candidates is None else candidates.T
-    space = Rigid3D.centred(source, target, task.n_inliers, task.reduced_box, candidates)
+    return Rigid3D.centred(source, target, task.n_inliers, task.reduced_box, candidates), swapped
+
+
+def pose_in(space: Rigid3D, theta: np.ndarray, swapped: bool) -> np.ndarray:
+    """The (4, 4) pose of the source, from a space of `rigid_space`."""
+    T = space.pose(theta)
+    return np.linalg.inv(T) if swapped else T
+
+
+def run(task: Task) -> Answer:
+    """The rigid pose, certified."""
+    space, swapped = rigid_space(task)
     bound = RigidBound(space, threads=task.threads)
     found = minimise(space, bound, task.budget, gap_tol=task.gap_tol, stage="rigid")
-    T = space.pose(found.theta)
     answer = Answer(
-        np.linalg.inv(T) if swapped else T, found.status, found.lower_bound, found.upper_bound,
+        pose_in(space, found.theta, swapped), found.status, found.lower_bound, found.upper_bound,
         space.scope,
     )  # fmt: skip
     answer.add("rigid", found)
