@@ -27,7 +27,7 @@ from dcreg.remedies import Case, warnings_for
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, Leaves, Listener, Trace
 from dcreg.status import Status
-from dcreg.warm_up import warm_up_mode
+from dcreg.warm_up import special, warm_up_mode
 
 START_BOXES = ("reduced", "safe")
 # Boxes after which a search to the default tolerance ends in norm space where nothing else limits it.
@@ -157,7 +157,7 @@ def register(
         gap_tol, rotation_tol = default_tolerances(searched, way)
         if way.in_norm_space and time_limit is None and node_limit is None:
             node_limit = NORM_NODES
-    warm_up_mode(way, bound, searched.candidates is not None)
+    warm_up_mode(way, bound, *special(searched))
     time_setup = time.perf_counter() - began
 
     told = in_file_units(listener, Frame.of(searched).area)

@@ -45,7 +45,7 @@ from dcreg.search import Budget, Event, Interrupted, Listener, Outcome, minimise
 from dcreg.spaces import FeatureSpace, Rigid3D
 from dcreg.status import Status
 from dcreg.sweep_result import SweepResult
-from dcreg.warm_up import warm_up_mode
+from dcreg.warm_up import special, warm_up_mode
 
 MODES = ("full", "paper")
 # A search may be asked for this share of its own tolerance to prove larger cardinalities as well;
@@ -129,7 +129,7 @@ def sweep(
         gap_tol=gap_tols[-1], time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
     )  # fmt: skip
-    warm_up_mode(way, bound, problems[0].candidates is not None)
+    warm_up_mode(way, bound, *special(problems[0]))
     time_setup = time.perf_counter() - began
     area = Frame.of(problems[0]).area
     budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(listener, area))

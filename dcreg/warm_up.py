@@ -13,9 +13,10 @@ import numpy as np
 
 from dcreg.kernels.compiling import forget_old_kernels, when_compiling
 from dcreg.local import objective, polish
-from dcreg.local.sparse import sparse_matching
+from dcreg.local.sparse import is_large, sparse_matching
 from dcreg.modes import MODES, Mode, Task, find_mode
 from dcreg.modes.sampled_rotation import search_sampled_rotation
+from dcreg.problem import Problem
 from dcreg.search import Budget
 
 _LOGGER = logging.getLogger("dcreg")
@@ -58,14 +59,19 @@ def _compile_mode(model: str, name: str, bounds: tuple[str | None, ...]) -> None
     for bound in bounds:
         for restricted in (False, True):
             warm_up_mode(find_mode(model, name), bound, restricted)
-    if model == "rigid3d" and name == "paper":
-        points = np.random.default_rng(0).standard_normal((20, 3))
-        search_sampled_rotation(points, points, 20, gap_tol=0.0, budget=Budget())
-        sparse_matching(points, points, 15)
+    warm_up_mode(find_mode(model, name), None, large=True)
+
+
+def special(problem: Problem) -> tuple[bool, bool]:
+    """`restricted` and `large` of `warm_up_mode` for a problem."""
+    restricted = problem.candidates is not None
+    return restricted, not restricted and is_large(len(problem.source), len(problem.target))
 
 
 @functools.cache
-def warm_up_mode(mode: Mode, bound: str | None, restricted: bool = False) -> None:
+def warm_up_mode(
+    mode: Mode, bound: str | None, restricted: bool = False, large: bool = False
+) -> None:
     """Compile (or load from cache) the kernels that a mode and a bound need, once a process.
 
     They are those that a search of a tiny problem meets. Where one of them has to be compiled, a record
@@ -78,6 +84,8 @@ def warm_up_mode(mode: Mode, bound: str | None, restricted: bool = False) -> Non
         None: the mode's own.
     restricted : bool
         Whether not every pair is feasible.
+    large : bool
+        Whether the clouds are too large for a dense matrix.
     """
     generator = np.random.default_rng(0)
     dim = 2 if mode.model == "similarity2d" else 3
@@ -93,8 +101,12 @@ def warm_up_mode(mode: Mode, bound: str | None, restricted: bool = False) -> Non
             )
         )  # fmt: skip
         polish(points, moved, np.eye(dim + 1), 6, scale_range, candidates)
-        # what is met past the limit, and in large clouds
+        # what is met past the limit
         objective(points, moved, np.eye(dim + 1), 6, stop=np.ones(1, np.uint8))
+        if large:
+            sparse_matching(points, moved, 6)
+            if dim == 3:
+                search_sampled_rotation(points, moved, 6, gap_tol=0.0, budget=Budget())
 
 
 if __name__ == "__main__":

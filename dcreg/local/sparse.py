@@ -80,8 +80,10 @@ def sparse_matching(
     while True:
         distances, columns = tree.query(points, k=np.arange(1, neighbours + 1))
         costs, columns = distances**2, columns.astype(np.int64)
-        col_of, own, solved = _matching_of_size(columns, costs, m, k, prove, stop)
-        if stop[0]:
+        solved = 0
+        if not stop[0]:
+            col_of, own, solved = _matching_of_size(columns, costs, m, k, prove, stop)
+        if stop[0]:  # possibly since just now
             col_of, own = _greedy(columns, costs, m, k), None
         spent += solved
         exact = prove and own is not None and _is_proved(points, tree, columns, costs, col_of, own)
