@@ -7,13 +7,13 @@ import time
 import numpy as np
 
 from dcreg.matches import MatchBound, MatchProblem, promising_poses
-from dcreg.problem import default_gap_tol
 from dcreg.registration import check_settings
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, LongestEdge, Trace, branch_and_bound
 from dcreg.status import Status
 
 MODE, BOUND = "matches", "nested"
+TOLERATED = 0.1  # gap per chosen match, in squared inlier distances
 SCOPE = "rigid pose over the given matches"
 
 
@@ -50,7 +50,8 @@ def register_matches(
     certify : bool
         False: the pose alone, with no lower bound but 0 and status ``converged``.
     gap_tol : float, optional
-        Absolute tolerance on the gap, in squared units; default `default_gap_tol` of the number chosen.
+        Absolute tolerance on the gap, in squared units; default a tenth of `inlier_distance` squared for
+        every match chosen by the start.
     time_limit : float, optional
         Seconds.
     node_limit : int, optional
@@ -87,10 +88,10 @@ def register_matches(
     value, chosen = problem.cost(pose)
     stages = [Stage("start", budget.elapsed(), n_assignments=len(starts))]
     if gap_tol is None:
-        gap_tol = default_gap_tol(problem.source, problem.target, max(1, len(chosen)))
+        gap_tol = TOLERATED * problem.reach**2 * max(1, len(chosen))
     status, lower, events = Status.CONVERGED, 0.0, []
     if certify:
-        bound = MatchBound(problem, value)
+        bound = MatchBound(problem, value, gap_tol)
         found = branch_and_bound(
             bound, budget, branching=LongestEdge(bound.axis_weights), gap_tol=gap_tol,
             refine=bound.refine, start=(pose.ravel(), value), stage="rotation",

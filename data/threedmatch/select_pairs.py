@@ -1,8 +1,8 @@
 """How the tables of pairs were made: ``python -m data.threedmatch.select_pairs`` prints pairs.csv again,
 with the argument ``lists`` lists.csv, which is the official lists 3DMatch and 3DLoMatch in their order.
 
-For pairs.csv: from the official lists 3DMatch and 3DLoMatch, per scene and nominal overlap, the pair whose overlap
-is nearest, among those with a rotation of 20 degrees or more when there are any.
+For pairs.csv: from the official lists 3DMatch and 3DLoMatch, per scene and nominal overlap, the pair
+whose overlap is nearest, among those with a rotation of 20 degrees or more when there are any.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from dcreg.spaces import Rotation3D
 ROUND_WORK = (
     200_000  # matches looked at in a round: boxes bounded between two readings of the clock
 )
+MARGIN = 1e-5  # in gap tolerances: by so much a bound passes the cutoff, lest rounding keeps its box
 MAX_CAPPED = 6000  # matches up to which all pairs of them are compared once more
 
 
@@ -32,8 +33,8 @@ class MatchBound:
 
     n_assignments = 0
 
-    def __init__(self, problem: MatchProblem, incumbent: float) -> None:
-        self._problem = problem
+    def __init__(self, problem: MatchProblem, incumbent: float, gap_tol: float) -> None:
+        self._problem, self._margin = problem, MARGIN * gap_tol
         self.roots: list[Box] = Rotation3D.roots()
         self.axis_weights = np.ones(4)
         self._best = self._score(incumbent)
@@ -60,8 +61,7 @@ class MatchBound:
         count = len(lower)
         highest, poses = np.full(count, self._best), np.empty((count, 3, 4))
         if self.n_left:
-            # a hair below: a box that reaches the cutoff is pruned
-            enough = max(self._best, self._score(cutoff) * (1.0 - 1e-9))
+            enough = max(self._best, self._score(cutoff + self._margin))
             rotation_bounds(self._matches, lower, upper, enough, highest, poses)
         values = np.full(count, np.inf)
         best = int(np.argmax(highest))

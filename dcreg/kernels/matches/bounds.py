@@ -2,9 +2,9 @@
 
 With the rotation R of the box's centre, a match (x, y) asks for the translation y - R x. Another rotation
 of the box moves x by at most the chord of the box's angle times |x|, its *slack*. In a cube of
-translations the residual is therefore at least the distance of y - R x from the cube, less the slack. A cube
-is divided into eight while its bound may beat the best cube found, and only the matches that agree with
-it go on to its parts.
+translations the residual is therefore at least the distance of y - R x from the cube, less the slack.
+A cube is divided into eight while its bound may beat the best cube found, and only the matches that
+agree with it go on to its parts.
 """
 
 from __future__ import annotations
