@@ -12,7 +12,7 @@ from dcreg.status import Status
 
 
 class Adapter(BranchAndBound):
-    """Branch and bound with the holistic DC bound; over matches where the option `front_end` names some."""
+    """Branch and bound with the holistic DC bound; over matches, where option `front_end` names some."""
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)

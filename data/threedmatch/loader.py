@@ -91,17 +91,17 @@ class Loader(RecordedDataset):
     def tests(self) -> dict[str, Axis]:
         levels = tuple(sorted({float(row["level"]) for row in read_csv("pairs.csv")}))
         tests = {"overlap": Axis(levels=levels, values=levels, label="overlap", n_trials=1)}
-        n_trials = 1 + max(trial for *_, trial in self._pairs)
+        n_trials = 1 + max(trial for *_, trial in self.pairs)
         for test in official_tests():
-            levels = tuple(sorted({key[2] for key in self._pairs if key[1] == test}))
+            levels = tuple(sorted({key[2] for key in self.pairs if key[1] == test}))
             tests[test] = Axis(levels=levels, values=levels, label="overlap", n_trials=n_trials)
         return tests
 
     def has(self, shape: str, test: str, level: float, trial: int) -> bool:
-        return (shape, test, level, trial) in self._pairs
+        return (shape, test, level, trial) in self.pairs
 
     @cached_property
-    def _pairs(self) -> dict[tuple[str, str, float, int], dict[str, str]]:
+    def pairs(self) -> dict[tuple[str, str, float, int], dict[str, str]]:
         """The pair of every instance."""
         pairs = {
             (row["scene"], "overlap", float(row["level"]), 0): row for row in read_csv("pairs.csv")
@@ -118,7 +118,7 @@ class Loader(RecordedDataset):
 
     def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
         """The source's fragment file, the target's, and the list with the pose."""
-        pair = self._pairs[shape, test, level, trial]
+        pair = self.pairs[shape, test, level, trial]
         fragments = [self._fetch_fragment(shape, int(pair[side])) for side in ("src_j", "ref_i")]
         return [*fragments, fetch(self.card.file(f"3dmatch/meta/{pair['set']}.pkl"))]
 
@@ -141,7 +141,7 @@ class Loader(RecordedDataset):
     def load(
         self, shape: str, test: str, level: float, trial: int, n_points: int | None
     ) -> RawInstance:
-        pair = self._pairs[shape, test, level, trial]
+        pair = self.pairs[shape, test, level, trial]
         i, j = int(pair["ref_i"]), int(pair["src_j"])
         source, target, metadata = self.files(shape, test, level, trial)
         official = next(

@@ -14,7 +14,9 @@ from dcreg.spaces import Rotation3D
 ROUND_WORK = (
     200_000  # matches looked at in a round: boxes bounded between two readings of the clock
 )
-MARGIN = 1e-5  # in gap tolerances: by so much a bound passes the cutoff, lest rounding keeps its box
+MARGIN = (
+    1e-5  # in gap tolerances: by so much a bound passes the cutoff, lest rounding keeps its box
+)
 MAX_CAPPED = 6000  # matches up to which all pairs of them are compared once more
 
 
@@ -59,7 +61,7 @@ class MatchBound:
     ) -> Evaluation:
         """Bound B boxes; the value of the most promising pose is computed, no other."""
         count = len(lower)
-        highest, poses = np.full(count, self._best), np.empty((count, 3, 4))
+        highest, poses = np.full(count, self._best), np.zeros((count, 3, 4))
         if self.n_left:
             enough = max(self._best, self._score(cutoff + self._margin))
             rotation_bounds(self._matches, lower, upper, enough, highest, poses)

@@ -28,18 +28,18 @@ WIDENING_STEPS, EXACT_STEPS = 10, 10  # of a descent
 
 
 def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, np.ndarray]]:
-    """Costs and centred (3, 4) poses of the best distinct descents, the best first; maybe none."""
+    """Costs and centred (3, 4) poses of descents from distinct poses, the best first; maybe none."""
     poses = _agreed_poses(problem)
     order = np.argsort(-problem.scores(poses), kind="stable")
     ends: list[tuple[float, np.ndarray]] = []
+    seen: list[np.ndarray] = []  # where descents began and ended
     for pose in poses[order]:
         if len(ends) == MAX_DESCENTS or (ends and budget.is_over):
             break
-        if any(_is_near(pose, end, problem.reach) for _, end in ends):
-            continue
-        end, value = descend(problem, pose)
-        if not any(_is_near(end, other, problem.reach) for _, other in ends):
+        if not any(_is_near(pose, other, problem.reach) for other in seen):
+            end, value = descend(problem, pose)
             ends.append((value, end))
+            seen += [pose, end]
     return sorted(ends, key=lambda end: end[0])
 
 

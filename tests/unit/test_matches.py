@@ -60,7 +60,9 @@ def test_cost_is_that_of_the_best_one_to_one_choice():
         source, target = rng.uniform(0, 0.15, (4, 3)), rng.uniform(0, 0.15, (4, 3))
         pairs = np.array([(i, j) for i in range(4) for j in range(4) if rng.random() < 0.6])
         problem = MatchProblem.checked(source, target, pairs, REACH)
-        value, chosen = problem.cost(np.eye(3, 4, dtype=float) + np.outer(problem.centre, [0, 0, 0, 1]))
+        value, chosen = problem.cost(
+            np.eye(3, 4, dtype=float) + np.outer(problem.centre, [0, 0, 0, 1])
+        )
         best = np.inf
         for size in range(5):
             for some in itertools.combinations(range(len(pairs)), size):
@@ -192,7 +194,10 @@ def test_unit_of_length_does_not_matter():
     [
         ({"matches": [[0, 0], [1, 1]]}, "2 different ones; a rigid pose needs 3"),
         ({"matches": [[0, 0], [1, 1], [1, 1]]}, "2 different ones"),
-        ({"matches": [[0, 0], [1, 1], [2, 99]]}, r"matches: \[2.0, 99.0\] in row 2 is no pair of rows"),
+        (
+            {"matches": [[0, 0], [1, 1], [2, 99]]},
+            r"matches: \[2.0, 99.0\] in row 2 is no pair of rows",
+        ),
         ({"matches": [[0, 0], [1, 0.5], [2, 2]]}, "in row 1"),
         ({"matches": [0, 1, 2]}, r"matches: shape \(3,\)"),
         ({"matches": "abc"}, "matches: not an array"),
