@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 import dcreg
 from baselines._shared.front_ends import SHARED, FrontEndError, putative_pairs
 from baselines._shared.library_search import BranchAndBound, solution_of
@@ -33,8 +35,9 @@ class Adapter(BranchAndBound):
             super().warm_up(instance)
         else:
             small = tiny(instance)
-            rows = [[i, i] for i in range(len(small.source))]
-            dcreg.register_matches(small.source, small.target, rows, inlier_distance=0.1)
+            rows = np.arange(len(small.source))
+            matches = np.column_stack([rows, rows])
+            dcreg.register_matches(small.source, small.target, matches, inlier_distance=0.1)
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         if self.options["front_end"] is None:

@@ -155,7 +155,12 @@ class Loader(RecordedDataset):
         T_true[:3, 3] = official["translation"]
         parameters = self.card.parameters
         clouds = _fragment(source, j), _fragment(target, i)
-        info = {"overlap": float(official["overlap"]), "set": pair["set"], "ref": i, "src": j}
+        info: dict[str, float | str] = {
+            "overlap": float(official["overlap"]),
+            "set": pair["set"],
+            "ref": i,
+            "src": j,
+        }
         if test == "overlap":
             return scan_instance(
                 *clouds,

@@ -1,8 +1,8 @@
 """Both published recalls on the official 3DMatch lists, and error against overlap per source.
 
-``python -m workflows.studies.threedmatch FOLDER`` reads the tables of a run of experiment
-``threedmatch`` (or of a part of it) and writes beside them ``recall.csv``, ``overlap.csv`` and the figure
-``overlap.pdf`` and ``.svg``.
+``python -m workflows.studies.threedmatch`` reads the tables of experiment ``threedmatch``, or of the
+part that the options of ``workflows run`` choose, and writes beside them ``recall.csv``,
+``overlap.csv`` and the figure ``overlap.pdf`` and ``.svg``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ import pandas as pd
 
 from data.registry import dataset
 from data.threedmatch.loader import Loader
+from workflows import CHECKOUT
+from workflows.config import load, parse_selection
+from workflows.stages.plan import expand
 
 ANGLE_DEG, LENGTH = 15.0, 0.3  # a pose within both is right
 RMSE = 0.2  # of true pairs, below which a pair counts as registered
@@ -103,8 +106,14 @@ def draw(table: pd.DataFrame, path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="results/threedmatch, or one of its parts")
-    tables = parser.parse_args().folder / "tables"
+    axes = ("methods", "datasets", "tests")
+    for axis in axes:
+        parser.add_argument(f"--{axis}", default="", help="as in workflows run")
+    parser.add_argument("--directory", type=Path, default=CHECKOUT, help="where results/ lies")
+    given = parser.parse_args()
+    select = [f"{axis}={getattr(given, axis)}" for axis in axes if getattr(given, axis)]
+    plan = expand(load("threedmatch"), parse_selection(select))
+    tables = given.directory / "results" / plan.experiment.name / plan.view / "tables"
     loader = dataset("threedmatch")
     assert isinstance(loader, Loader)
     runs = with_pairs(pd.read_parquet(tables / "runs.parquet"), loader)
