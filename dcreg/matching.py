@@ -81,8 +81,13 @@ def register_matches(
     began = time.perf_counter()
     problem = MatchProblem.checked(source, target, matches, inlier_distance)
     check_settings(gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit)
-    budget = Budget(time_limit, node_limit)
     setup = time.perf_counter() - began
+    return _solved(problem, certify, gap_tol, Budget(time_limit, node_limit), setup)
+
+
+def _solved(
+    problem: MatchProblem, certify: bool, gap_tol: float | None, budget: Budget, setup: float
+) -> Result:
     starts = promising_poses(problem, budget)
     pose = starts[0][1] if starts else np.eye(3, 4)
     value, chosen = problem.cost(pose)
@@ -96,12 +101,8 @@ def register_matches(
             bound, budget, branching=LongestEdge(bound.axis_weights), gap_tol=gap_tol,
             refine=bound.refine, start=(pose.ravel(), value), stage="rotation",
         )  # fmt: skip
-        pose, status, lower, events = (
-            found.theta.reshape(3, 4),
-            found.status,
-            found.lower_bound,
-            found.events,
-        )
+        pose, status = found.theta.reshape(3, 4), found.status
+        lower, events = found.lower_bound, found.events
         stages.append(Stage.of("rotation", found))
         value, chosen = problem.cost(pose)
     unchosen = problem.reach**2 * (problem.most - len(chosen))
