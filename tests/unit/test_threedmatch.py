@@ -15,6 +15,7 @@ from data.threedmatch.loader import read_csv
 from dcreg.status import Status
 from workflows.config import DatasetSettings, Experiment, MethodSettings
 from workflows.instances import Problem, content_digest, read_problems, write_problems
+from workflows.metrics import METRICS, Case
 from workflows.stages.plan import expand, run_identity
 from workflows.studies.threedmatch import against_overlap, draw, recalls, with_pairs
 
@@ -127,6 +128,17 @@ def test_shared_matches_are_nearest_neighbours_in_order(monkeypatch):
     assert several[: len(mutual)] == list(map(tuple, lists["shared-mutual"]))
     assert set(several[:20]) == nearest
     assert set(several) == {(i, int(j)) for i in range(20) for j in np.argsort(cost[i])[:5]}
+
+
+def test_objective_of_whole_clouds_is_left_out():
+    few, many = np.zeros((10, 3)), np.zeros((2100, 3))
+    for cloud, is_known in ((few, True), (many, False)):
+        case = Case(
+            T=np.eye(4), T_true=np.eye(4), source=cloud, target=cloud, pairs=MATCHES[:5],
+            n_inliers=5, scale_range=(1, 1), dataset="threedmatch",
+        )  # fmt: skip
+        assert np.isfinite(METRICS["objective"].compute(case)) == is_known
+        assert METRICS["rmse"].compute(case) == 0.0
 
 
 def test_both_recalls_are_the_published_ones(tmp_path):
