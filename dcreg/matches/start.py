@@ -15,16 +15,15 @@ from dcreg.local import fit_pose
 from dcreg.matches.problem import MatchProblem
 from dcreg.search import Budget
 
-MAX_LOOKED = (
-    5000  # matches, the first of the list, that sets are made of: their pairs are all compared
-)
+MAX_LOOKED = 5000  # matches, the first of the list, that sets are made of: all pairs are compared
 ALLIES = 20  # in the set of a match
 SHORTEST = 2.0  # distance of two compatible matches, in reaches
 POWER_STEPS = 10
 LEAST_WEIGHT = 0.3  # of a member of a set, in shares of the greatest
 MAX_DESCENTS = 30
 TURN, SHIFT = np.deg2rad(5.0), 2.0  # poses nearer than that, in radians and reaches, are one start
-WIDENING_STEPS, EXACT_STEPS = 10, 10  # of a descent
+PULLING_STEPS, EXACT_STEPS = 10, 10  # of a descent
+WIDE = 4.0  # residual in reaches, at its start, up to which a match can pull in a descent
 
 
 def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, np.ndarray]]:
@@ -50,12 +49,16 @@ def descend(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, flo
     least-squares pose alternate.
     """
     x, y = problem.list.source, problem.list.target
-    for _ in range(WIDENING_STEPS):
-        square = problem.residuals(centred) / problem.reach**2
+    around = problem.residuals(centred) < (WIDE * problem.reach) ** 2
+    around_x, around_y = x[around], y[around]
+    for _ in range(PULLING_STEPS):
+        moved = around_x @ centred[:, :3].T + centred[:, 3]
+        square = ((moved - around_y) ** 2).sum(axis=1) / problem.reach**2
         near = square < 1.0
         if near.sum() < 3:
             break
-        centred = fit_pose(x[near], y[near], (1.0, 1.0), 1.0 / (1.0 + 4.0 * square[near]))[:3]
+        weights = 1.0 / (1.0 + 4.0 * square[near])
+        centred = fit_pose(around_x[near], around_y[near], (1.0, 1.0), weights)[:3]
     value, chosen = problem.cost(centred)
     for _ in range(EXACT_STEPS):
         if len(chosen) < 3:

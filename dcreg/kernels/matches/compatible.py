@@ -32,19 +32,19 @@ def closest_allies(bits, count):
     """(N, count) of every match the compatible ones that share most compatible ones with it; -1: none."""
     n, words = bits.shape
     allies = np.full((n, count), -1, dtype=np.int64)
-    shared = np.empty(n, dtype=np.int64)
+    others, shared = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in range(n):
+        known = 0
         for j in range(n):
-            shared[j] = 0
             if (bits[i, j >> 6] >> np.uint64(j & 63)) & np.uint64(1):
-                total = 1
+                total = 0
                 for w in range(words):
                     total += _count(bits[i, w] & bits[j, w])
-                shared[j] = total
-        order = np.argsort(-shared, kind="mergesort")
-        for k in range(min(count, n)):
-            if shared[order[k]] > 0:
-                allies[i, k] = order[k]
+                others[known], shared[known] = j, total
+                known += 1
+        order = np.argsort(-shared[:known], kind="mergesort")
+        for k in range(min(count, known)):
+            allies[i, k] = others[order[k]]
     return allies
 
 
