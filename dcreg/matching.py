@@ -7,10 +7,12 @@ import time
 import numpy as np
 
 from dcreg.matches import MatchBound, MatchProblem, promising_poses
+from dcreg.names import DEFAULT_TIME_LIMIT_S
 from dcreg.registration import check_settings
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, LongestEdge, Trace, branch_and_bound
 from dcreg.status import Status
+from dcreg.warm_up import warm_up_matches
 
 MODE, BOUND = "matches", "nested"
 TOLERATED = 0.1  # gap per chosen match, in squared inlier distances
@@ -25,7 +27,7 @@ def register_matches(
     inlier_distance: float,
     certify: bool = True,
     gap_tol: float | None = None,
-    time_limit: float | None = None,
+    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
 ) -> Result:
     """Register two clouds in space over a list of matches of which many may be wrong.
@@ -53,7 +55,7 @@ def register_matches(
         Absolute tolerance on the gap, in squared units; default a tenth of `inlier_distance` squared for
         every match chosen by the start.
     time_limit : float, optional
-        Seconds.
+        Seconds for the solve, 60 unless told otherwise; None or inf: no limit.
     node_limit : int, optional
         Boxes bounded.
 
@@ -81,7 +83,10 @@ def register_matches(
     began = time.perf_counter()
     problem = MatchProblem.checked(source, target, matches, inlier_distance)
     check_settings(gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit)
+    warm_up_matches()
     setup = time.perf_counter() - began
+    if time_limit == np.inf:
+        time_limit = None
     return _solved(problem, certify, gap_tol, Budget(time_limit, node_limit), setup)
 
 
