@@ -46,7 +46,7 @@ def register_matches(
     source, target : (n, 3), (m, 3) arrays
     matches : (N, 2) int array
         Source row and target row of every match, the likely ones first; a point may be in several.
-        Starts are made of the first 2,500.
+        Starts are made of the first 5,000.
     inlier_distance : float
         Residual from which on a match counts as wrong, in the unit of the clouds.
     certify : bool
