@@ -29,6 +29,13 @@ test: dev browser
 run: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART)
 
+## threedmatch: the official 3DMatch and 3DLoMatch lists, recalls and figure (QUICK=1: every 16th pair of 3DMatch)
+.PHONY: threedmatch
+threedmatch: TESTS = $(if $(QUICK),3DMatch-quick,3DMatch,3DLoMatch)
+threedmatch: setup
+	@$(BIN)/python -m workflows run threedmatch --cores $(CORES) $(PART)
+	@$(BIN)/python -m workflows.studies.threedmatch $(PART)
+
 ## plan: print what the same would run and how long it takes, without running it
 .PHONY: plan
 plan: setup

@@ -94,6 +94,8 @@ class Instance:
     oracle_pairs : (k, 2) array, optional
         True pairs and random ones, unmarked: only for methods with the option
         ``front_end: oracle``, whose results are labelled as favoured by it.
+    matches : dict of (k, 2) arrays
+        Putative pairs that all methods share, by the name of their front end; none for most data sets.
     """
 
     instance_id: str
@@ -105,6 +107,7 @@ class Instance:
     noise_bound: float
     seed: int
     oracle_pairs: np.ndarray | None = None
+    matches: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:

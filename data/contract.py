@@ -101,6 +101,10 @@ class RawInstance:
         Admissible scale a solver is told; (1, 1) in 3D.
     info : dict
         Facts worth showing (overlap, ...); never needed for solving or scoring.
+    noise_bound : float, optional
+        Inlier distance that the benchmark's protocol gives all methods; default: from the true pairs.
+    match_radii : (of normals, of features), optional
+        Where all methods share matches by FPFH features: the radii of these.
     """
 
     source: np.ndarray
@@ -109,6 +113,8 @@ class RawInstance:
     T_true: np.ndarray
     scale_range: tuple[float, float]
     info: dict[str, float | str] = field(default_factory=dict)
+    noise_bound: float | None = None
+    match_radii: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -162,6 +168,10 @@ class Dataset(abc.ABC):
     def local_files(self) -> list[Path]:
         """Files outside of the data set's folder and the cache that decide its instances."""
         return []
+
+    def has(self, shape: str, test: str, level: float, trial: int) -> bool:
+        """Whether there is such an instance; a grid of levels and trials may have holes."""
+        return True
 
     def _known(self, what: str, value: Any, choices: Iterable[Any]) -> None:
         """Raise unless `value` is one of `choices`."""
@@ -257,3 +267,7 @@ class RecordedDataset(Dataset):
         axis = self.tests()[test]
         self._known(f"level of test {test}", level, axis.levels)
         self._known(f"trial of test {test}", trial, range(axis.n_trials))
+        if not self.has(shape, test, level, trial):
+            raise UnknownNameError(
+                f"dataset {self.name}: {shape} has no trial {trial} of {test} {level:g}; use a lower one"
+            )

@@ -3,6 +3,7 @@
 from .certificate import Certificate, Report, verify
 from .io import read_candidates, read_points
 from .local import objective
+from .matching import register_matches
 from .names import bound_names, mode_names
 from .plot import plot_registration, plot_sweep
 from .problem import Candidates, InputError, Problem, advice, default_gap_tol, gap_tol_of
@@ -40,6 +41,7 @@ __all__ = [
     "read_candidates",
     "read_points",
     "register",
+    "register_matches",
     "sweep",
     "verify",
     "warm_up",

@@ -14,6 +14,7 @@ import numpy as np
 from dcreg.kernels.compiling import forget_old_kernels, when_compiling
 from dcreg.local import objective, polish
 from dcreg.local.sparse import is_large, sparse_matching
+from dcreg.matches import MatchBound, MatchProblem, promising_poses
 from dcreg.modes import MODES, Mode, Task, find_mode
 from dcreg.modes.sampled_rotation import search_sampled_rotation
 from dcreg.problem import Problem
@@ -48,6 +49,7 @@ def warm_up(processes: int = 1) -> None:
 
 def _works() -> Iterator[functools.partial[None]]:
     """All there is to compile, in parts that have little in common."""
+    yield functools.partial(warm_up_matches)
     for mode in sorted(MODES, key=lambda mode: mode.name):  # the dearest first
         bounds = (None, "tight-exact", "shared", "paper", "edges", "termwise")
         yield functools.partial(
@@ -107,6 +109,19 @@ def warm_up_mode(
             sparse_matching(points, moved, 6)
             if dim == 3:
                 search_sampled_rotation(points, moved, 6, gap_tol=0.0, budget=Budget())
+
+
+@functools.cache
+def warm_up_matches() -> None:
+    """Compile (or load from cache) the kernels of `dcreg.register_matches`, once a process."""
+    points = np.random.default_rng(0).standard_normal((8, 3))
+    rows = np.arange(8)
+    problem = MatchProblem(points, points, np.column_stack([rows, rows]), 0.5)
+    with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
+        promising_poses(problem, Budget())
+        bound = MatchBound(problem, problem.reach**2 * problem.most, 0.1)
+        root = bound.roots[0]
+        bound.evaluate(root.lower[None], root.upper[None], 0.0)
 
 
 if __name__ == "__main__":

@@ -134,10 +134,11 @@ PARTS = (
     Part("dcreg.cli", 0, 1.5, ("dcreg.cli", "dcreg.__main__"), "use"),
     Part(
         "dcreg: register, sweep, …", 1, 1.5,
-        ("dcreg", "dcreg.registration", "dcreg.sweeping", "dcreg.warm_up"), "use",
+        ("dcreg", "dcreg.registration", "dcreg.matching", "dcreg.sweeping", "dcreg.warm_up"), "use",
         "The public names, and how a problem passes through the parts below.",
     ),
-    Part("dcreg.modes", 2, 0.5, ("dcreg.modes",), "solve"),
+    Part("dcreg.modes", 2, 0, ("dcreg.modes",), "solve"),
+    Part("dcreg.matches", 2, 1, ("dcreg.matches",), "solve"),
     Part("dcreg.plot", 2, 2, ("dcreg.plot",), "data"),
     Part("dcreg.io", 2, 3, ("dcreg.io",), "data"),
     Part("dcreg.bounds", 3, 0.5, ("dcreg.bounds",), "solve"),

@@ -99,6 +99,7 @@ class MethodSettings(Part):
     # The solver is told round(ratio * true count) pairs, as in the paper, which derives the prior
     # from the truth: 1 and 0.5 there.
     n_inliers_ratio: Annotated[float, Field(gt=0, le=2)] = 1.0
+    n_points: Annotated[int, Field(ge=3)] | None = None  # of each cloud, far apart; all
     models: Annotated[list[Model], Field(min_length=1)] | None = None  # it is asked to treat; all
     limits: dict[str, float | None] = {}  # overrides of the experiment's limits
 

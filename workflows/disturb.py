@@ -20,7 +20,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -250,7 +250,7 @@ def make_instance(
             raise ValueError(f"dataset {dataset.name} is recorded; it takes no {sorted(options)}")
         raw = dataset.instance(shape, test, level, trial, n_points)
         target, pairs = shuffle_target(raw.target, raw.pairs, rng_order)
-        return RawInstance(raw.source, target, pairs, raw.T_true, raw.scale_range, raw.info)
+        return replace(raw, target=target, pairs=pairs)
 
     assert isinstance(dataset, PrototypeDataset)
     prototype = dataset.prototype(shape, n_points)

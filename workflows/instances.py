@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from baselines._shared.front_ends import oracle_pairs
+from baselines._shared.front_ends import SHARED, oracle_pairs
 from baselines.contract import Instance
+from data.sampling import farthest_points
 from dcreg.files import whole_file
 from workflows.hashing import digest_arrays, seed
 
@@ -21,7 +22,7 @@ class Problem:
 
     ``n_inliers_prior`` is the true number of pairs. The paper derives the prior n_p from it, so the
     solver is told a stated ratio of it, and nothing else that comes from the truth but
-    ``noise_bound``, the same for all.
+    ``noise_bound``, the same for all. ``matches`` are the putative pairs that all methods share, if any.
     """
 
     instance_id: str
@@ -31,19 +32,32 @@ class Problem:
     scale_range: tuple[float, float]
     n_inliers_prior: int
     noise_bound: float
+    matches: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def for_solver(self, n_inliers_ratio: float, experiment_seed: int) -> Instance:
-        most = min(len(self.source), len(self.target))
-        n_inliers = min(most, max(1, round(n_inliers_ratio * self.n_inliers_prior)))
+    def for_solver(
+        self, n_inliers_ratio: float, experiment_seed: int, n_points: int | None = None
+    ) -> Instance:
+        """What a solver is given; with `n_points` only so many points of each cloud, far apart."""
+        source, target, matches = self.source, self.target, self.matches
+        whole = min(len(source), len(target))
+        if n_points is not None:
+            source, target = (
+                cloud[farthest_points(cloud, min(n_points, len(cloud)))]
+                for cloud in (source, target)
+            )
+            matches = {}
+        most = min(len(source), len(target))
+        n_inliers = min(most, max(1, round(n_inliers_ratio * self.n_inliers_prior * most / whole)))
         return Instance(
             instance_id=self.instance_id,
-            source=self.source,
-            target=self.target,
+            source=source,
+            target=target,
             model=self.model,  # type: ignore[arg-type]
             n_inliers=n_inliers,
             scale_range=self.scale_range,
             noise_bound=self.noise_bound,
             seed=seed("solver", experiment_seed, self.instance_id),
+            matches=matches,
         )
 
 
@@ -69,7 +83,8 @@ def content_digest(instance: Instance) -> str:
     low, high = instance.scale_range
     numbers = np.array([instance.n_inliers, low, high, instance.noise_bound, instance.seed], float)
     pairs = () if instance.oracle_pairs is None else (instance.oracle_pairs,)
-    return digest_arrays(instance.source, instance.target, numbers, *pairs)
+    shared = (instance.matches[name] for name in sorted(instance.matches))
+    return digest_arrays(instance.source, instance.target, numbers, *pairs, *shared)
 
 
 def write_problems(path: Path, problems: Iterable[Problem]) -> None:
@@ -85,12 +100,22 @@ def write_problems(path: Path, problems: Iterable[Problem]) -> None:
             noise_bound=[p.noise_bound for p in problems],
             **_packed("source", [p.source for p in problems]),
             **_packed("target", [p.target for p in problems]),
+            **{
+                key: array
+                for name in SHARED
+                for key, array in _packed(name, [_matches(p, name) for p in problems]).items()
+            },
         )
+
+
+def _matches(problem: Problem, name: str) -> np.ndarray:
+    return problem.matches.get(name, np.empty((0, 2))).astype(np.int32)
 
 
 def read_problems(path: Path) -> list[Problem]:
     with np.load(path, allow_pickle=False) as archive:
         file = dict(archive)
+    matches = {name: _unpacked(name, file) for name in SHARED}
     return [
         Problem(
             instance_id=str(file["instance_id"][i]),
@@ -100,6 +125,7 @@ def read_problems(path: Path) -> list[Problem]:
             scale_range=(float(file["scale_range"][i, 0]), float(file["scale_range"][i, 1])),
             n_inliers_prior=int(file["n_inliers_prior"][i]),
             noise_bound=float(file["noise_bound"][i]),
+            matches={name: lists[i] for name, lists in matches.items() if len(lists[i])},
         )
         for i, (source, target) in enumerate(
             zip(_unpacked("source", file), _unpacked("target", file), strict=True)

@@ -27,6 +27,7 @@ def replay(plan: Plan, run_id: str) -> dict[str, Any]:
         run.method.n_inliers_ratio,
         plan.experiment.seed,
         methods.oracle_outliers(run.method.baseline, run.method.options),
+        run.method.n_points,
     )
     method = methods.load(run.method.baseline, run.method.options)
     if reason := method.available() or method.supports(instance):

@@ -17,6 +17,11 @@
     from the truth, for methods that name this front end and no others: it favours a method, and
     shows what it can do with good correspondences. 2D and 3D.
 
+``shared-mutual``, ``shared-nearest``, ``shared-several``
+    Matches that come with the instance, the same for all methods: nearest neighbours by FPFH features
+    of the whole clouds, made once by the harness with the radii of the data set. Mutual ones; of every
+    source point the nearest one; of every source point the five nearest. 3D only.
+
 No front end gives more than `max_pairs`: the least similar are dropped, and the message says so.
 """
 
@@ -36,7 +41,9 @@ from dcreg.local import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
 
-FRONT_ENDS = ("fpfh-mutual", "norm-signature", "all-pairs", "oracle")
+SHARED = ("shared-mutual", "shared-nearest", "shared-several")
+FRONT_ENDS = ("fpfh-mutual", "norm-signature", "all-pairs", "oracle", *SHARED)
+SEVERAL = 5  # matches of a source point in shared-several
 OPEN3D = "pip install open3d; on a bare Debian also apt-get install libusb-1.0-0 libgl1 libegl1"
 SIGNATURE_NEAREST = 8  # neighbours whose distances enter a signature
 SIGNATURE_QUANTILES = np.linspace(0.1, 0.9, 9)
@@ -87,6 +94,10 @@ def putative_pairs(instance: Instance, options: dict[str, Any]) -> Putative:
                 "to methods with the option front_end: oracle"
             )
         pairs = instance.oracle_pairs
+    elif front_end in SHARED:
+        if front_end not in instance.matches:
+            raise FrontEndError(f"front end {front_end}: the data set of this instance has none")
+        pairs = instance.matches[front_end]
     elif front_end == "norm-signature":
         pairs = norm_signature(instance, options["signature_neighbours"])
     else:
@@ -99,14 +110,45 @@ def putative_pairs(instance: Instance, options: dict[str, Any]) -> Putative:
 def fpfh_mutual(instance: Instance, normal_radius: float, feature_radius: float) -> np.ndarray:
     """Mutual nearest FPFH matches; radii in median spacings of the target."""
     spacing = median_spacing(instance.target)
-    source = _fpfh(instance.source, normal_radius * spacing, feature_radius * spacing)
-    target = _fpfh(instance.target, normal_radius * spacing, feature_radius * spacing)
-    distances, to_target = cKDTree(target).query(source)
-    to_source = cKDTree(source).query(target)[1]
+    radii = normal_radius * spacing, feature_radius * spacing
+    return _nearest_features(instance.source, instance.target, radii, 1)["shared-mutual"]
+
+
+def shared_matches(
+    source: np.ndarray, target: np.ndarray, radii: tuple[float, float]
+) -> dict[str, np.ndarray]:
+    """The matches of the shared front ends, the most similar first.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+        The whole clouds.
+    radii : (of normals, of features)
+        In the unit of the clouds.
+    """
+    return _nearest_features(source, target, radii, SEVERAL)
+
+
+def _nearest_features(
+    source: np.ndarray, target: np.ndarray, radii: tuple[float, float], several: int
+) -> dict[str, np.ndarray]:
+    features = [_fpfh(points, *radii) for points in (source, target)]
+    several = min(several, len(target))
+    distances, to_target = cKDTree(features[1]).query(features[0], k=range(1, several + 1))
+    to_source = cKDTree(features[0]).query(features[1])[1]
     rows = np.arange(len(source))
-    mutual = rows[to_source[to_target] == rows]
-    mutual = mutual[np.argsort(distances[mutual], kind="stable")]
-    return np.column_stack([mutual, to_target[mutual]])
+    is_mutual = to_source[to_target[:, 0]] == rows
+    nearest = np.argsort(distances[:, 0], kind="stable")
+    mutual = nearest[is_mutual[nearest]]
+    # mutual ones first, then all nearest ones, then second ones, ...
+    ranks = np.tile(np.arange(several), (len(source), 1))
+    ranks[is_mutual, 0] = -1
+    order = np.lexsort([distances.ravel(), ranks.ravel()])
+    return {
+        "shared-mutual": np.column_stack([mutual, to_target[mutual, 0]]),
+        "shared-nearest": np.column_stack([nearest, to_target[nearest, 0]]),
+        "shared-several": np.column_stack([order // several, to_target.ravel()[order]]),
+    }
 
 
 def norm_signature(instance: Instance, neighbours: int) -> np.ndarray:
@@ -222,13 +264,16 @@ class CorrespondenceMethod(Baseline):
     def supports(self, instance: Instance) -> str | None:
         if reason := super().supports(instance):
             return reason
-        if self.options["front_end"] == "fpfh-mutual" and instance.dim != 3:
+        front_end = self.options["front_end"]
+        if front_end == "fpfh-mutual" and instance.dim != 3:
             return f"front end fpfh-mutual does not treat {instance.model}"
+        if front_end in SHARED and front_end not in instance.matches:
+            return f"front end {front_end}: the data set of this instance has no shared matches"
         return None
 
     def warm_up(self, instance: Instance) -> None:
         small = tiny(instance)
-        if self.options["front_end"] != "oracle":
+        if self.options["front_end"] not in ("oracle", *SHARED):
             putative_pairs(small, self.options)
         rows = np.arange(len(small.source))
         self.estimate(small, np.column_stack([rows, rows]), Budget(time_s=30.0))

@@ -1,11 +1,15 @@
-"""3DMatch test fragments over a frozen list of pairs, 5 per scene (see select_pairs.py)."""
+"""3DMatch test fragments: a small frozen list of pairs, and the official lists on whole clouds.
+
+Both tables of pairs are made by select_pairs.py.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import pickle
-from functools import cache, lru_cache
+from collections import Counter
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +17,14 @@ import numpy as np
 
 from data.contract import Axis, DataError, File, RawInstance, RecordedDataset
 from data.fetch import fetch
+from data.sampling import mutual_nearest, transform, voxel_downsample
 from data.scans import scan_instance
 from dcreg.problem import nearest_rotation
 
 HERE = Path(__file__).parent
+LISTS = ("3DMatch", "3DLoMatch")
+QUICK = 16  # every so many-th pair of a list makes its quick version
+BINS = 10  # of the overlap, which are the levels of the official lists
 
 
 def read_csv(name: str) -> list[dict[str, str]]:
@@ -60,11 +68,21 @@ def _fragment(path: Path, number: int) -> np.ndarray:
     return read_torch_array(path).astype(np.float32).astype(float)
 
 
-class Loader(RecordedDataset):
-    """Shapes are scenes; test ``overlap``, its levels the nominal overlap of the chosen pair.
+def official_tests() -> dict[str, tuple[str, int]]:
+    """Tests on the official lists: which list, and every how many-th pair of it."""
+    whole = {name: (name, 1) for name in LISTS}
+    return {**whole, **{f"{name}-quick": (name, QUICK) for name in LISTS}}
 
-    ``T_true`` maps fragment ``src_j`` (source) into the frame of ``ref_i`` (target), metres.
-    ``info["overlap"]`` is the official one, a fraction of the target.
+
+class Loader(RecordedDataset):
+    """Shapes are scenes. ``T_true`` maps fragment ``src_j`` (source) into the frame of ``ref_i``.
+
+    Test ``overlap``: one pair for every scene and level, the nominal overlap, few points of each
+    fragment. Tests ``3DMatch`` and ``3DLoMatch``: all pairs of the official lists on their whole
+    clouds, with the matches that all methods share; ``-quick``: every 16th of a list. A level there
+    is the least overlap of a bin, a trial the place among the scene's pairs in it: the grid has holes.
+
+    ``info["overlap"]`` is the official one, a fraction of the target. Lengths are metres.
     """
 
     def shapes(self) -> list[str]:
@@ -72,18 +90,35 @@ class Loader(RecordedDataset):
 
     def tests(self) -> dict[str, Axis]:
         levels = tuple(sorted({float(row["level"]) for row in read_csv("pairs.csv")}))
-        return {"overlap": Axis(levels=levels, values=levels, label="overlap", n_trials=1)}
+        tests = {"overlap": Axis(levels=levels, values=levels, label="overlap", n_trials=1)}
+        n_trials = 1 + max(trial for *_, trial in self.pairs)
+        for test in official_tests():
+            levels = tuple(sorted({key[2] for key in self.pairs if key[1] == test}))
+            tests[test] = Axis(levels=levels, values=levels, label="overlap", n_trials=n_trials)
+        return tests
 
-    def _pair(self, scene: str, level: float) -> dict[str, str]:
-        return next(
-            row
-            for row in read_csv("pairs.csv")
-            if row["scene"] == scene and float(row["level"]) == level
-        )
+    def has(self, shape: str, test: str, level: float, trial: int) -> bool:
+        return (shape, test, level, trial) in self.pairs
+
+    @cached_property
+    def pairs(self) -> dict[tuple[str, str, float, int], dict[str, str]]:
+        """The pair of every instance."""
+        pairs = {
+            (row["scene"], "overlap", float(row["level"]), 0): row for row in read_csv("pairs.csv")
+        }
+        rows = read_csv("lists.csv")
+        for test, (name, step) in official_tests().items():
+            count: Counter[tuple[str, float]] = Counter()
+            for row in [row for row in rows if row["set"] == name][::step]:
+                level = int(BINS * float(row["overlap"])) / BINS
+                place = (row["scene"], level)
+                pairs[row["scene"], test, level, count[place]] = row
+                count[place] += 1
+        return pairs
 
     def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
         """The source's fragment file, the target's, and the list with the pose."""
-        pair = self._pair(shape, level)
+        pair = self.pairs[shape, test, level, trial]
         fragments = [self._fetch_fragment(shape, int(pair[side])) for side in ("src_j", "ref_i")]
         return [*fragments, fetch(self.card.file(f"3dmatch/meta/{pair['set']}.pkl"))]
 
@@ -106,7 +141,7 @@ class Loader(RecordedDataset):
     def load(
         self, shape: str, test: str, level: float, trial: int, n_points: int | None
     ) -> RawInstance:
-        pair = self._pair(shape, level)
+        pair = self.pairs[shape, test, level, trial]
         i, j = int(pair["ref_i"]), int(pair["src_j"])
         source, target, metadata = self.files(shape, test, level, trial)
         official = next(
@@ -119,12 +154,26 @@ class Loader(RecordedDataset):
         T_true[:3, :3] = nearest_rotation(official["rotation"])
         T_true[:3, 3] = official["translation"]
         parameters = self.card.parameters
-        return scan_instance(
-            _fragment(source, j),
-            _fragment(target, i),
-            T_true,
-            voxel=parameters["voxel"],
-            n_points=n_points or parameters["n_points"],
-            tolerance=parameters["tolerance"],
-            info={"overlap": float(official["overlap"]), "set": pair["set"], "ref": i, "src": j},
-        )
+        clouds = _fragment(source, j), _fragment(target, i)
+        info: dict[str, float | str] = {
+            "overlap": float(official["overlap"]),
+            "set": pair["set"],
+            "ref": i,
+            "src": j,
+        }
+        if test == "overlap":
+            return scan_instance(
+                *clouds,
+                T_true,
+                voxel=parameters["voxel"],
+                n_points=n_points or parameters["n_points"],
+                tolerance=parameters["tolerance"],
+                info=info,
+            )
+        if n_points is not None:
+            raise DataError(f"dataset {self.name}: {test} is on whole clouds; leave n_points out")
+        x, y = (voxel_downsample(cloud, parameters["voxel"]) for cloud in clouds)
+        threshold = parameters["inlier_distance"]
+        pairs = mutual_nearest(transform(T_true, x), y, threshold)
+        radii = parameters["normal_radius"], parameters["feature_radius"]
+        return RawInstance(x, y, pairs, T_true, (1.0, 1.0), info, threshold, radii)

@@ -1,7 +1,8 @@
-"""How pairs.csv was chosen: ``python -m data.threedmatch.select_pairs`` prints it again.
+"""How the tables of pairs were made: ``python -m data.threedmatch.select_pairs`` prints pairs.csv again,
+with the argument ``lists`` lists.csv, which is the official lists 3DMatch and 3DLoMatch in their order.
 
-From the official lists 3DMatch and 3DLoMatch, per scene and nominal overlap, the pair whose overlap
-is nearest, among those with a rotation of 20 degrees or more when there are any.
+For pairs.csv: from the official lists 3DMatch and 3DLoMatch, per scene and nominal overlap, the pair
+whose overlap is nearest, among those with a rotation of 20 degrees or more when there are any.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from data.fetch import fetch
 from data.registry import dataset
-from data.threedmatch.loader import read_metadata
+from data.threedmatch.loader import LISTS, read_metadata
 
 LEVELS = (0.15, 0.25, 0.40, 0.55, 0.75)
 MIN_ROTATION_DEG = 20.0
@@ -33,24 +34,33 @@ def select(lists: dict[str, list[dict[str, Any]]]) -> list[dict[str, Any]]:
         turned = [e for e in here if _angle_deg(e["rotation"]) >= MIN_ROTATION_DEG]
         for level in LEVELS:
             best = min(turned or here, key=lambda entry: abs(entry["overlap"] - level))
-            rows.append(
-                {
-                    "scene": scene,
-                    "level": level,
-                    "ref_i": best["frag_id0"],
-                    "src_j": best["frag_id1"],
-                    "set": best["set"],
-                    "overlap": round(float(best["overlap"]), 4),
-                }
-            )
+            rows.append({"scene": scene, "level": level, **_row(best)})
     return rows
 
 
+def official(lists: dict[str, list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """All pairs of the official lists, in their order."""
+    return [
+        {"scene": entry["scene_name"], **_row({**entry, "set": name})}
+        for name, pairs in lists.items()
+        for entry in pairs
+    ]
+
+
+def _row(entry: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "ref_i": entry["frag_id0"],
+        "src_j": entry["frag_id1"],
+        "set": entry["set"],
+        "overlap": round(float(entry["overlap"]), 4),
+    }
+
+
 def main() -> None:
-    """Print the list as CSV."""
+    """Print a table as CSV."""
     card = dataset("threedmatch").card
-    names = ("3DMatch", "3DLoMatch")
-    rows = select({n: read_metadata(fetch(card.file(f"3dmatch/meta/{n}.pkl"))) for n in names})
+    lists = {n: read_metadata(fetch(card.file(f"3dmatch/meta/{n}.pkl"))) for n in LISTS}
+    rows = official(lists) if sys.argv[1:] == ["lists"] else select(lists)
     writer = csv.DictWriter(sys.stdout, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)

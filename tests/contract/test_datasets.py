@@ -22,7 +22,8 @@ RECORDED = [
     for name, dataset in ALL.items()
     for shape in (dataset.shapes()[:2] if isinstance(dataset, RecordedDataset) else [])
     for test, axis in dataset.tests().items()
-    for level in {axis.levels[0], axis.levels[-1]}
+    for levels in [[level for level in axis.levels if dataset.has(shape, test, level, 0)]]
+    for level in {levels[0], levels[-1]}
 ]
 PROTOTYPES = [
     pytest.param(dataset, shape, id=f"{name}-{shape}")

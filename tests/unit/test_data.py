@@ -29,7 +29,7 @@ from data.sampling import (
     voxel_downsample,
 )
 from data.threedmatch import loader as threedmatch
-from data.threedmatch.select_pairs import select
+from data.threedmatch.select_pairs import official, select
 from dcreg.local import fit_pose
 from docs.architecture import read_imports
 from workflows.stages import generate
@@ -458,21 +458,46 @@ def test_frozen_pairs_follow_their_rule():
 
 
 @needs_mirror
-def test_every_fragment_of_the_frozen_list_has_its_checksum():
+def test_frozen_lists_are_the_official_ones():
+    card = dataset("threedmatch").card
+    lists = {
+        name: threedmatch.read_metadata(fetch(card.file(f"3dmatch/meta/{name}.pkl")))
+        for name in threedmatch.LISTS
+    }
+    rows = [{key: str(value) for key, value in row.items()} for row in official(lists)]
+    assert rows == threedmatch.read_csv("lists.csv")
+
+
+@needs_mirror
+def test_official_pair_comes_whole_with_the_protocols_threshold():
+    made = dataset("threedmatch").instance("7-scenes-redkitchen", "3DMatch", 0.4, 0)
+    assert min(len(made.source), len(made.target)) > 4000
+    assert made.noise_bound == 0.1
+    assert made.match_radii == (0.1, 0.25)
+    i, j = made.pairs.T
+    distance = np.linalg.norm(transform(made.T_true, made.source[i]) - made.target[j], axis=1)
+    assert distance.max() <= 0.1
+    with pytest.raises(DataError, match="3DMatch is on whole clouds; leave n_points out"):
+        dataset("threedmatch").instance("7-scenes-redkitchen", "3DMatch", 0.4, 0, 100)
+
+
+@needs_mirror
+def test_every_fragment_of_the_frozen_lists_has_its_checksum():
     import csv
 
     with open(Path(MIRROR) / "3dmatch/fragments/MANIFEST.csv", newline="") as stream:
         known = {(r["scene"], r["fragment"]): r["original_sha256"] for r in csv.DictReader(stream)}
-    table = {
+    listed = {
         (r["scene"], r["fragment"]): r["sha256"] for r in threedmatch.read_csv("fragments.csv")
     }
     needed = {
         (row["scene"], row[side])
-        for row in threedmatch.read_csv("pairs.csv")
+        for table in ("pairs.csv", "lists.csv")
+        for row in threedmatch.read_csv(table)
         for side in ("ref_i", "src_j")
     }
-    assert set(table) == needed
-    assert all(known[key] == value for key, value in table.items())
+    assert set(listed) == needed
+    assert all(known[key] == value for key, value in listed.items())
 
 
 @needs_mirror

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from baselines._shared.front_ends import shared_matches
 from baselines.contract import NOISE_FACTOR, Instance
 from data import registry
 from data.contract import RawInstance
@@ -37,7 +38,8 @@ def problem_of(spec: InstanceSpec, raw: RawInstance) -> Problem:
         target=np.ascontiguousarray(raw.target, dtype=float),
         scale_range=raw.scale_range,
         n_inliers_prior=len(raw.pairs),
-        noise_bound=noise_bound(raw),
+        noise_bound=raw.noise_bound or noise_bound(raw),
+        matches=shared_matches(raw.source, raw.target, raw.match_radii) if raw.match_radii else {},
     )
 
 
@@ -46,10 +48,11 @@ def instance_of(
     n_inliers_ratio: float,
     experiment_seed: int,
     oracle_outliers: float | None = None,
+    n_points: int | None = None,
 ) -> Instance:
     """Exactly what a worker is given for this spec; oracle pairs only where they are asked for."""
     raw = raw_instance(spec)
-    instance = problem_of(spec, raw).for_solver(n_inliers_ratio, experiment_seed)
+    instance = problem_of(spec, raw).for_solver(n_inliers_ratio, experiment_seed, n_points)
     if oracle_outliers is None:
         return instance
     return with_oracle(instance, truth_of(spec, raw), oracle_outliers)
@@ -72,6 +75,7 @@ def sources_digest(datasets: list[str]) -> str:
     shared = [
         *("baselines/contract.py", "data/contract.py", "data/loaders.py", "data/pairs.py"),
         *("data/sampling.py", "data/scans.py", "dcreg/local/fit.py"),
+        "baselines/_shared/front_ends.py",
         *("workflows/disturb.py", "workflows/instances.py", "workflows/stages/generate.py"),
     ]
     own = [f"data/{name}" for name in datasets]

@@ -126,6 +126,7 @@ def method_identity(experiment: Experiment, method: MethodSettings) -> dict[str,
         "baseline": method.baseline,
         "options": method.options,
         "n_inliers_ratio": method.n_inliers_ratio,
+        **({} if method.n_points is None else {"n_points": method.n_points}),
         "seed": experiment.seed,
         "limits": experiment.limits_of(method).model_dump(),
     }
@@ -184,6 +185,7 @@ def _instances(experiment: Experiment) -> list[InstanceSpec]:
         InstanceSpec(entry.dataset, *axes, entry.n_points, known[entry.dataset].model(axes[0]))
         for entry in experiment.datasets
         for axes in _grid(entry, known[entry.dataset].shapes())
+        if known[entry.dataset].has(*axes)
     ]
     twice = (
         [spec for spec in specs if specs.count(spec) > 1] if len(set(specs)) < len(specs) else []

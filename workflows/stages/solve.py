@@ -41,7 +41,7 @@ def solve(
     so; they get it as pairs among random ones.
     """
     instances = [
-        problem.for_solver(method.n_inliers_ratio, experiment.seed)
+        problem.for_solver(method.n_inliers_ratio, experiment.seed, method.n_points)
         for problem in read_problems(instances_path)
     ]
     outliers = methods.oracle_outliers(method.baseline, method.options)

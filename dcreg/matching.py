@@ -1,0 +1,123 @@
+"""`register_matches`: from two clouds and a list of matches to a pose."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from dcreg.matches import MatchBound, MatchProblem, promising_poses
+from dcreg.names import DEFAULT_TIME_LIMIT_S
+from dcreg.registration import check_settings
+from dcreg.result import Result, Stage
+from dcreg.search import Budget, LongestEdge, Trace, branch_and_bound
+from dcreg.status import Status
+from dcreg.warm_up import warm_up_matches
+
+MODE, BOUND = "matches", "nested"
+TOLERATED = 0.1  # gap per chosen match, in squared inlier distances
+SCOPE = "rigid pose over the given matches"
+
+
+def register_matches(
+    source: np.ndarray,
+    target: np.ndarray,
+    matches: np.ndarray,
+    *,
+    inlier_distance: float,
+    certify: bool = True,
+    gap_tol: float | None = None,
+    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
+    node_limit: int | None = None,
+) -> Result:
+    """Register two clouds in space over a list of matches of which many may be wrong.
+
+    Chooses matches one to one and the rigid pose, so that the sum of squared residuals of the chosen ones
+    and of `inlier_distance` squared for every match that could have been chosen and was not is least: the
+    objective of `register` over these feasible pairs, with a price in place of ``n_inliers``. The answer
+    tells how many were chosen; for that number it is a solution of `register`'s problem too.
+
+    Poses that many compatible matches agree on are refined first. Branch and bound over the rotation, the
+    translation inside, then certifies the best one, as far as the limits allow. Time and memory grow with
+    the number of matches, not with the product of the sizes of the clouds.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+    matches : (N, 2) int array
+        Source row and target row of every match, the likely ones first; a point may be in several.
+        Starts are made of the first 5,000.
+    inlier_distance : float
+        Residual from which on a match counts as wrong, in the unit of the clouds.
+    certify : bool
+        False: the pose alone, with no lower bound but 0 and status ``converged``.
+    gap_tol : float, optional
+        Absolute tolerance on the gap, in squared units; default a tenth of `inlier_distance` squared for
+        every match chosen by the start.
+    time_limit : float, optional
+        Seconds for the solve, 60 unless told otherwise; None or inf: no limit.
+    node_limit : int, optional
+        Boxes bounded.
+
+    Returns
+    -------
+    Result
+        `n_inliers` is the number of matches chosen, `assignment` which; bounds speak of their sum of
+        squared residuals.
+
+    Raises
+    ------
+    InputError
+        For bad input, naming field, value and remedy.
+
+    Examples
+    --------
+    >>> import numpy as np, dcreg
+    >>> points = np.random.default_rng(0).random((40, 3))
+    >>> target = np.vstack([points[:20] + 3.0, points[:20]])  # the last 20 matches are wrong
+    >>> matches = np.column_stack([np.arange(40), np.arange(40)])
+    >>> result = dcreg.register_matches(points, target, matches, inlier_distance=0.02)
+    >>> result.n_inliers, np.round(result.translation, 6).tolist()
+    (20, [3.0, 3.0, 3.0])
+    """
+    began = time.perf_counter()
+    problem = MatchProblem.checked(source, target, matches, inlier_distance)
+    check_settings(gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit)
+    warm_up_matches()
+    setup = time.perf_counter() - began
+    if time_limit == np.inf:
+        time_limit = None
+    return _solved(problem, certify, gap_tol, Budget(time_limit, node_limit), setup)
+
+
+def _solved(
+    problem: MatchProblem, certify: bool, gap_tol: float | None, budget: Budget, setup: float
+) -> Result:
+    starts = promising_poses(problem, budget)
+    pose = starts[0][1] if starts else np.eye(3, 4)
+    value, chosen = problem.cost(pose)
+    stages = [Stage("start", budget.elapsed(), n_assignments=len(starts))]
+    if gap_tol is None:
+        gap_tol = TOLERATED * problem.reach**2 * max(1, len(chosen))
+    status, lower, events = Status.CONVERGED, 0.0, []
+    if certify:
+        bound = MatchBound(problem, value, gap_tol)
+        found = branch_and_bound(
+            bound, budget, branching=LongestEdge(bound.axis_weights), gap_tol=gap_tol,
+            refine=bound.refine, start=(pose.ravel(), value), stage="rotation",
+        )  # fmt: skip
+        pose, status = found.theta.reshape(3, 4), found.status
+        lower, events = found.lower_bound, found.events
+        stages.append(Stage.of("rotation", found))
+        value, chosen = problem.cost(pose)
+    unchosen = problem.reach**2 * (problem.most - len(chosen))
+    T = problem.pose(pose)
+    return Result(
+        status=status, model="rigid3d", mode=MODE, bound=BOUND, T_target_source=T, T_certified=T,
+        assignment=problem.pairs[chosen], n_inliers=len(chosen),
+        lower_bound=max(0.0, lower - unchosen), upper_bound=value - unchosen, gap_tol=gap_tol,
+        certificate_scope=SCOPE, objective=value - unchosen, objective_certified=value - unchosen,
+        n_nodes=sum(stage.n_nodes for stage in stages),
+        n_assignments=sum(stage.n_assignments for stage in stages),
+        time_setup_s=setup, time_solve_s=budget.elapsed(), trace=Trace(events), stages=stages,
+    )  # fmt: skip

@@ -1,0 +1,214 @@
+"""Registration over given matches: the answer, its bounds against brute force, and bad input."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from dcreg.kernels.matches.bounds import rotation_bounds
+from dcreg.kernels.matches.compatible import caps
+from dcreg.matches import MatchBound, MatchProblem
+from dcreg.matches.start import descend
+
+REACH = 0.1
+
+
+def planted(n_right, n_wrong, seed=0, noise=0.0, several=False):
+    """Clouds, matches and pose; with `several`, wrong matches use the points of right ones too."""
+    rng = np.random.default_rng(seed)
+    n = n_right + n_wrong
+    T = np.eye(4)
+    T[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+    T[:3, 3] = rng.uniform(-2, 2, 3)
+    source = rng.uniform(-1.5, 1.5, (n, 3))
+    target = rng.uniform(-1.5, 1.5, (n, 3)) + T[:3, 3]
+    moved = source[:n_right] @ T[:3, :3].T + T[:3, 3]
+    target[:n_right] = moved + noise * rng.standard_normal(moved.shape)
+    rows = np.arange(n)
+    matches = np.column_stack([rows, rows])
+    if several:
+        wrong = np.column_stack([rows, rng.permutation(n)])
+        matches = np.vstack([matches, wrong])
+    return source, target, matches, T
+
+
+@pytest.mark.parametrize(("n_right", "n_wrong"), [(30, 70), (25, 125)])
+@pytest.mark.parametrize("several", [False, True])
+def test_pose_is_found_among_wrong_matches_and_certified(n_right, n_wrong, several):
+    source, target, matches, T = planted(n_right, n_wrong, noise=0.01, several=several)
+    found = dcreg.register_matches(source, target, matches, inlier_distance=REACH, time_limit=60)
+    assert found.status is dcreg.Status.OPTIMAL
+    turn = Rotation.from_matrix(found.rotation @ T[:3, :3].T).magnitude()
+    assert turn < 0.02
+    assert np.linalg.norm(found.translation - T[:3, 3]) < 0.02
+    chosen = {tuple(pair) for pair in found.assignment}
+    assert {(i, i) for i in range(n_right)} <= chosen
+    assert len({i for i, _ in chosen}) == len({j for _, j in chosen}) == found.n_inliers
+    moved = source @ found.rotation.T + found.translation
+    i, j = found.assignment.T
+    assert found.objective == pytest.approx(((moved[i] - target[j]) ** 2).sum())
+    assert 0.0 <= found.lower_bound <= found.objective
+
+
+def test_cost_is_that_of_the_best_one_to_one_choice():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        source, target = rng.uniform(0, 0.15, (4, 3)), rng.uniform(0, 0.15, (4, 3))
+        pairs = np.array([(i, j) for i in range(4) for j in range(4) if rng.random() < 0.6])
+        problem = MatchProblem.checked(source, target, pairs, REACH)
+        value, chosen = problem.cost(
+            np.eye(3, 4, dtype=float) + np.outer(problem.centre, [0, 0, 0, 1])
+        )
+        best = np.inf
+        for size in range(5):
+            for some in itertools.combinations(range(len(pairs)), size):
+                i, j = pairs[list(some)].T if some else (np.array([], int),) * 2
+                if len(set(i)) == len(set(j)) == size:
+                    cost = ((source[i] - target[j]) ** 2).sum() + REACH**2 * (problem.most - size)
+                    best = min(best, cost)
+        assert value == pytest.approx(best)
+        assert len(chosen) == len(set(pairs[chosen, 0])) == len(set(pairs[chosen, 1]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("half", [0.02, 0.1, 0.4])
+def test_no_pose_of_a_box_scores_above_its_bound(seed, half):
+    """Many poses near the planted one, where scores are high, and boxes that hold their rotations."""
+    source, target, matches, T = planted(15, 15, seed, noise=0.02, several=True)
+    problem = MatchProblem.checked(source, target, matches, REACH)
+    rng = np.random.default_rng(seed)
+    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
+    q = np.array([w, x, y, z])
+    axis = int(np.argmax(np.abs(q)))
+    q /= q[axis]
+    offset = rng.uniform(-half, half, 4)
+    offset[axis] = 0.0
+    lower, upper = q + offset - half, q + offset + half
+    lower[axis] = upper[axis] = 1.0
+    bounds, poses = np.empty(1), np.empty((1, 3, 4))
+    rotation_bounds(problem.list, lower[None], upper[None], 0.0, bounds, poses)
+    for _ in range(300):
+        inside = np.clip(q + rng.normal(0, half / 4, 4), lower, upper)
+        R = Rotation.from_quat(np.roll(inside, -1)).as_matrix()
+        shift = T[:3, 3] + T[:3, :3] @ problem.centre + rng.normal(0, 0.02, 3)
+        pose = np.column_stack([R, shift])
+        cost, _ = problem.cost(pose)
+        assert problem.most - cost / REACH**2 <= bounds[0] + 1e-9
+    assert bounds[0] <= problem.most + 1e-9
+
+
+def test_bounds_get_tight_as_boxes_shrink():
+    source, target, matches, T = planted(20, 40, 3, noise=0.01)
+    problem = MatchProblem.checked(source, target, matches, REACH)
+    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
+    q = np.array([w, x, y, z]) / max((w, x, y, z), key=abs)
+    axis = int(np.argmax(np.abs(q)))
+    start = np.column_stack([T[:3, :3], T[:3, 3] + T[:3, :3] @ problem.centre])
+    _, cost = descend(problem, start)
+    score = problem.most - cost / REACH**2
+    gaps = []
+    for half in (0.1, 0.02, 0.004):
+        lower, upper = q - half, q + half
+        lower[axis] = upper[axis] = 1.0
+        bounds, poses = np.empty(1), np.empty((1, 3, 4))
+        rotation_bounds(problem.list, lower[None], upper[None], 0.0, bounds, poses)
+        gaps.append(bounds[0] - score)
+    assert gaps[0] > gaps[1] > gaps[2] >= -0.05
+    assert gaps[2] < 0.2 * score
+
+
+def test_caps_hold_for_every_pose_that_agrees_with_the_match():
+    source, target, matches, T = planted(12, 30, 7, noise=0.02, several=True)
+    problem = MatchProblem.checked(source, target, matches, REACH)
+    highest = np.empty(len(problem.pairs))
+    caps(problem.list, highest)
+    rng = np.random.default_rng(0)
+    checked = 0
+    for _ in range(200):
+        R = Rotation.from_rotvec(rng.normal(0, 0.02, 3)).as_matrix() @ T[:3, :3]
+        pose = np.column_stack([R, T[:3, 3] + T[:3, :3] @ problem.centre + rng.normal(0, 0.03, 3)])
+        agrees = problem.residuals(pose) < REACH**2
+        cost, _ = problem.cost(pose)
+        assert (highest[agrees] >= problem.most - cost / REACH**2 - 1e-9).all()
+        checked += agrees.sum()
+    assert checked > 500
+
+
+def test_optimum_chooses_among_the_cheapest_matchings_of_its_size():
+    """With k chosen, no other k of these feasible pairs are cheaper: against the dense solver."""
+    source, target, matches, _ = planted(8, 4, 2, noise=0.02)
+    found = dcreg.register_matches(
+        source, target, matches, inlier_distance=0.3, gap_tol=2e-3, time_limit=60
+    )
+    mask = np.zeros((12, 12), bool)
+    mask[tuple(matches.T)] = True
+    dense = dcreg.register(
+        source, target, n_inliers=found.n_inliers, model="rigid3d", mode="full", candidates=mask,
+        time_limit=2,
+    )  # fmt: skip
+    assert found.status is dcreg.Status.OPTIMAL
+    assert found.objective <= dense.objective + 1e-6
+    assert found.lower_bound <= dense.objective + 1e-9
+
+
+def test_useless_matches_are_left_out_of_the_bound():
+    source, target, matches, _ = planted(60, 100, 1, noise=0.01)
+    problem = MatchProblem.checked(source, target, matches, REACH)
+    bound = MatchBound(problem, (problem.most - 55) * REACH**2, 0.0)
+    assert 60 <= bound.n_left < 160
+
+
+def test_all_wrong_matches_end_by_the_limit_with_bounds_that_hold():
+    source, target, matches, _ = planted(0, 120, 4)
+    found = dcreg.register_matches(
+        source, target, matches, inlier_distance=0.01, time_limit=5, node_limit=100
+    )
+    assert found.lower_bound <= found.upper_bound
+    assert found.n_inliers < 20
+
+
+def test_without_certificate_nothing_is_claimed():
+    source, target, matches, _ = planted(20, 20, 1)
+    found = dcreg.register_matches(source, target, matches, inlier_distance=REACH, certify=False)
+    assert found.status is dcreg.Status.CONVERGED
+    assert found.lower_bound == 0.0
+    assert found.n_nodes == 0
+
+
+def test_unit_of_length_does_not_matter():
+    source, target, matches, _ = planted(20, 60, 1, noise=0.01)
+    small = dcreg.register_matches(source, target, matches, inlier_distance=REACH, certify=False)
+    large = dcreg.register_matches(
+        1000 * source, 1000 * target, matches, inlier_distance=1000 * REACH, certify=False
+    )
+    np.testing.assert_allclose(small.rotation, large.rotation, atol=1e-6)
+    assert small.n_inliers == large.n_inliers
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"matches": [[0, 0], [1, 1]]}, "2 different ones; a rigid pose needs 3"),
+        ({"matches": [[0, 0], [1, 1], [1, 1]]}, "2 different ones"),
+        (
+            {"matches": [[0, 0], [1, 1], [2, 99]]},
+            r"matches: \[2.0, 99.0\] in row 2 is no pair of rows",
+        ),
+        ({"matches": [[0, 0], [1, 0.5], [2, 2]]}, "in row 1"),
+        ({"matches": [0, 1, 2]}, r"matches: shape \(3,\)"),
+        ({"matches": "abc"}, "matches: not an array"),
+        ({"inlier_distance": 0.0}, "inlier_distance: 0.0"),
+        ({"inlier_distance": np.nan}, "inlier_distance: nan"),
+        ({"time_limit": -1.0}, "time_limit"),
+        ({"source": np.zeros((3, 2))}, "source: shape"),
+    ],
+)
+def test_bad_input_is_named(change, message):
+    points = np.random.default_rng(0).random((10, 3))
+    given = {"source": points, "target": points, "matches": [[0, 0], [1, 1], [2, 2]]}
+    with pytest.raises(dcreg.InputError, match=message):
+        dcreg.register_matches(**{**given, "inlier_distance": 0.1, **change})

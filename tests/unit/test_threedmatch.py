@@ -1,0 +1,165 @@
+"""The official 3DMatch lists: their grid, shared matches, and both recalls."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from baselines import registry
+from baselines._shared import front_ends
+from baselines.contract import Limits
+from data.contract import UnknownNameError
+from data.registry import dataset
+from data.threedmatch.loader import read_csv
+from dcreg.status import Status
+from workflows.config import DatasetSettings, Experiment, MethodSettings
+from workflows.instances import Problem, content_digest, read_problems, write_problems
+from workflows.metrics import METRICS, Case
+from workflows.stages.plan import expand, run_identity
+from workflows.studies.threedmatch import against_overlap, draw, recalls, with_pairs
+
+MATCHES = np.column_stack([np.arange(30), np.arange(30)])
+
+
+def experiment(test, **method):
+    levels = list(dataset("threedmatch").tests()[test].levels)
+    grid = DatasetSettings(dataset="threedmatch", tests={test: levels}, trials=290)
+    methods = [MethodSettings(name="a", baseline="dcreg", **method)]
+    return Experiment(name="e", datasets=[grid], methods=methods)
+
+
+@pytest.mark.parametrize(
+    ("test", "count"),
+    [("3DMatch", 1623), ("3DLoMatch", 1781), ("3DMatch-quick", 102), ("3DLoMatch-quick", 112)],
+)
+def test_plan_has_every_pair_of_a_list_once(test, count):
+    plan = expand(experiment(test))
+    instances = [instance for chunk in plan.chunks for instance in chunk.instances]
+    pairs = dataset("threedmatch").pairs
+    named = [pairs[i.shape, i.test, i.level, i.trial] for i in instances]
+    name = test.removesuffix("-quick")
+    rows = [row for row in read_csv("lists.csv") if row["set"] == name]
+    wanted = rows[::16] if test.endswith("-quick") else rows
+    assert len(instances) == len(wanted) == count
+    assert sorted(map(str, named)) == sorted(map(str, wanted))
+
+
+def test_level_is_the_bin_of_the_overlap():
+    for (_, test, level, _), row in dataset("threedmatch").pairs.items():
+        if test != "overlap":
+            assert level <= float(row["overlap"]) <= level + 0.1 + 1e-9
+
+
+def test_holes_of_the_grid_are_named():
+    with pytest.raises(
+        UnknownNameError, match=r"has no trial 289 of 3DMatch 0\.3; use a lower one"
+    ):
+        dataset("threedmatch").instance("7-scenes-redkitchen", "3DMatch", 0.3, 289)
+
+
+def problem(n=30):
+    points = np.random.default_rng(0).uniform(-1, 1, (n, 3))
+    return Problem(
+        "i", "rigid3d", points, points + 0.5, (1, 1), 20, 0.1, {"shared-mutual": MATCHES}
+    )
+
+
+def test_matches_travel_with_the_instance_and_count_for_its_hash(tmp_path):
+    bare = Problem("j", "rigid3d", np.zeros((4, 3)), np.zeros((5, 3)), (1, 1), 3, 0.1)
+    write_problems(tmp_path / "p.npz", [problem(), bare])
+    first, second = read_problems(tmp_path / "p.npz")
+    np.testing.assert_array_equal(first.matches["shared-mutual"], MATCHES)
+    assert set(first.matches) == {"shared-mutual"}
+    assert second.matches == {}
+    given = first.for_solver(1.0, 0)
+    other = Problem(**{**vars(first), "matches": {"shared-mutual": MATCHES[:-1]}})
+    assert content_digest(given) != content_digest(other.for_solver(1.0, 0))
+
+
+def test_method_with_few_points_gets_a_share_of_the_prior():
+    given = problem().for_solver(1.0, 0, n_points=10)
+    assert given.source.shape == given.target.shape == (10, 3)
+    assert given.n_inliers == 7  # 20 of 30
+    assert given.matches == {}
+    spec = experiment("3DMatch-quick"), experiment("3DMatch-quick", n_points=10)
+    assert len({run_identity(e, e.methods[0], "x") for e in spec}) == 2
+
+
+def test_shared_front_ends_hand_on_the_matches_of_the_instance():
+    instance = problem().for_solver(1.0, 0)
+    options = {"front_end": "shared-mutual", "max_pairs": 20}
+    np.testing.assert_array_equal(front_ends.putative_pairs(instance, options).pairs, MATCHES[:20])
+    with pytest.raises(front_ends.FrontEndError, match="shared-nearest: the data set"):
+        front_ends.putative_pairs(instance, {**options, "front_end": "shared-nearest"})
+    method = registry.load("teaser", front_end="shared-nearest")
+    assert "no shared matches" in method.supports(instance)
+    assert registry.load("teaser", front_end="shared-mutual").supports(instance) is None
+
+
+def test_dcreg_registers_over_shared_matches():
+    method = registry.load("dcreg", front_end="shared-mutual")
+    instance = problem().for_solver(1.0, 0)
+    found = method.solve(instance, Limits(time_s=20.0))
+    assert found.status is Status.OPTIMAL
+    np.testing.assert_allclose(found.T_target_source[:3, 3], 0.5, atol=1e-9)
+    assert found.counters["n_correspondences"] == 30
+    assert "no shared matches" in registry.load("dcreg", front_end="shared-nearest").supports(
+        instance
+    )
+    with pytest.raises(ValueError, match="option front_end = 'oracle'"):
+        registry.load("dcreg", front_end="oracle")
+
+
+def test_shared_matches_are_nearest_neighbours_in_order(monkeypatch):
+    rng = np.random.default_rng(1)
+    features = {20: rng.random((20, 4)), 25: rng.random((25, 4))}
+    monkeypatch.setattr(front_ends, "_fpfh", lambda points, *radii: features[len(points)])
+    lists = front_ends.shared_matches(np.zeros((20, 3)), np.zeros((25, 3)), (0.1, 0.2))
+    cost = np.linalg.norm(features[20][:, None] - features[25], axis=2)
+    nearest = {(i, int(cost[i].argmin())) for i in range(20)}
+    mutual = {(i, j) for i, j in nearest if cost[:, j].argmin() == i}
+    assert set(map(tuple, lists["shared-nearest"])) == nearest
+    assert set(map(tuple, lists["shared-mutual"])) == mutual
+    assert mutual != nearest
+    for name in ("shared-mutual", "shared-nearest"):
+        assert (np.diff(cost[tuple(lists[name].T)]) >= 0).all()
+    several = list(map(tuple, lists["shared-several"]))
+    assert several[: len(mutual)] == list(map(tuple, lists["shared-mutual"]))
+    assert set(several[:20]) == nearest
+    assert set(several) == {(i, int(j)) for i in range(20) for j in np.argsort(cost[i])[:5]}
+
+
+def test_objective_of_whole_clouds_is_left_out():
+    few, many = np.zeros((10, 3)), np.zeros((2100, 3))
+    for cloud, is_known in ((few, True), (many, False)):
+        case = Case(
+            T=np.eye(4), T_true=np.eye(4), source=cloud, target=cloud, pairs=MATCHES[:5],
+            n_inliers=5, scale_range=(1, 1), dataset="threedmatch",
+        )  # fmt: skip
+        assert np.isfinite(METRICS["objective"].compute(case)) == is_known
+        assert METRICS["rmse"].compute(case) == 0.0
+
+
+def test_both_recalls_are_the_published_ones(tmp_path):
+    pairs = dataset("threedmatch").pairs
+    keys = [key for key in pairs if key[1] == "3DMatch"][:40]
+    rows = [dict(zip(("shape", "test", "level", "trial"), key, strict=True)) for key in keys]
+    runs = pd.DataFrame(rows).assign(
+        method="m", display_name="M", rmse=0.1, rotation_error_deg=1.0, translation_error=0.1,
+        status="optimal", outcome="finished", time_solve_s=1.0,
+    )  # fmt: skip
+    apart = [abs(int(pairs[k]["ref_i"]) - int(pairs[k]["src_j"])) > 1 for k in keys]
+    assert 0 < sum(apart) < len(keys)
+    runs.loc[0, "translation_error"] = 0.31  # wrong by pose, right by RMSE
+    runs.loc[1, ["rotation_error_deg", "rmse"]] = 15.1, 0.21
+    runs.loc[2, ["rmse", "rotation_error_deg", "translation_error"]] = np.nan  # no pose
+    runs = with_pairs(runs, dataset("threedmatch"))
+    row = recalls(runs).iloc[0]
+    assert row["recall_pairs_pct"] == pytest.approx(100 * 37 / 40)
+    good = [ok for i, ok in enumerate(apart) if i not in (1, 2)]
+    assert row["recall_scenes_pct"] == pytest.approx(100 * sum(good) / sum(apart))
+    bins = against_overlap(runs)
+    assert bins["pairs"].sum() == 40
+    draw(bins, tmp_path / "figure")
+    assert {path.suffix for path in tmp_path.iterdir()} == {".pdf", ".svg"}
