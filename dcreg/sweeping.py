@@ -293,7 +293,7 @@ class _Sweep:
             if level.closed:
                 continue
             if searching.is_over:
-                level.stopped_by = Status.STOPPED if searching.stopped else Status.TIME_LIMIT
+                level.stopped_by = searching.ended_by
                 continue
             run, gap_tol = self._run(at)
             n_open = sum(not other.closed for other in self.levels[at:])

@@ -1,1 +1,1 @@
-"""Compiled kernels: flat functions, arrays in, arrays out. `reference` holds their NumPy twins."""
+"""Compiled kernels: flat functions, arrays in, arrays out. their NumPy twins are in `tests/oracles`."""

@@ -120,7 +120,7 @@ def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
     except Interrupted:
         in_time = answer.complete = False
     if not in_time and answer.status is Status.OPTIMAL:
-        answer.status = Status.STOPPED if task.budget.stopped else Status.TIME_LIMIT
+        answer.status = task.budget.ended_by
     answer.basins.sort(key=lambda basin: basin.value)
     answer.T, answer.value = answer.basins[0].T, answer.basins[0].value
     return answer

@@ -85,7 +85,7 @@ def search_sampled_rotation(
     if matching.value - lower <= gap_tol:
         status = Status.OPTIMAL
     elif budget.is_over:
-        status = Status.STOPPED if budget.stopped else Status.TIME_LIMIT
+        status = budget.ended_by
     return Outcome(
         status,
         theta,

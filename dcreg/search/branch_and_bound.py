@@ -168,7 +168,7 @@ class _Search:
         if self.lower_bound >= self.cutoff:
             self.status = Status.OPTIMAL
         elif self.is_over:
-            self.status = Status.STOPPED if budget.stopped else Status.TIME_LIMIT
+            self.status = budget.ended_by
         elif budget.nodes is not None and self.n_nodes >= budget.nodes:
             self.status = Status.NODE_LIMIT
         elif budget.memory_mb is not None and self.nodes.nbytes > budget.memory_mb * 2**20:

@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 
 from dcreg.search.trace import Event
+from dcreg.status import Status
 
 # Called with every event; returning True asks the solve to stop (status "stopped").
 Listener = Callable[[Event], bool | None]
@@ -120,6 +121,11 @@ class Budget:
         """Whether nothing new should begin: the time is up, or the caller asked to stop."""
         late = self._deadline is not None and time.perf_counter() > self._deadline
         return late or self.stopped
+
+    @property
+    def ended_by(self) -> Status:
+        """How a search ends that this budget ended."""
+        return Status.STOPPED if self.stopped else Status.TIME_LIMIT
 
     def part(self, share: float) -> Budget:
         """A budget for one stage: the same limits, but only this share of the time left."""
