@@ -168,6 +168,7 @@ def register(
         )  # fmt: skip
         task = replace(task, leaves=Leaves() if certificate else None)
         answer = way.run(task)
+        answer.events = budget.history
         result = result_of(searched, way, task, answer, polish=polish, time_setup_s=time_setup)
         if searched is not problem:
             result = _refined(result, problem, searched, budget)

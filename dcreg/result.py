@@ -250,7 +250,7 @@ class Result:
 
     def summary(self) -> str:
         """Everything but the pairs, in lines of plain text."""
-        return text.listing(list(self._entries()))
+        return text.listing(list(self.entries()))
 
     __str__ = summary
 
@@ -260,7 +260,8 @@ class Result:
             f"bounds [{self.lower_bound:.6g}, {self.upper_bound:.6g}], RMSE {self.rmse_matched:.4g}>"
         )
 
-    def _entries(self) -> Iterator[tuple[str, str]]:
+    def entries(self) -> Iterator[tuple[str, str]]:
+        """Names and values of the `summary`; every warning is an entry of that name."""
         yield "status", self._verdict()
         yield (
             "T_target_source",

@@ -107,6 +107,10 @@ class SweepResult:
 
     def summary(self) -> str:
         """The table and the suggestion, in lines of plain text."""
+        return "\n".join([text.table(*self.table(), left=["status"]), *self.notes()])
+
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        """Headings, and `rows` as they are printed."""
         flat = self.results[0].model == "similarity2d"
         headings = [
             "pairs", "status", "lower bound", "upper bound", "RMS", "next pair", "proven by",
@@ -128,6 +132,11 @@ class SweepResult:
             ]
             for row in self.rows()
         ]
+        return headings, rows
+
+    def notes(self) -> list[str]:
+        """What the columns of the table mean, and what it suggests."""
+        suggested = self.suggested_n_inliers
         legend = (
             f"bounds on: {self.results[0].certificate_scope}; RMS: sqrt(bound / pairs), units of the "
             "target; next pair: rise of the upper bound per additional pair"
@@ -138,7 +147,7 @@ class SweepResult:
             hint = (
                 f"suggestion (*), not proven: {suggested} pairs, the elbow of the RMSE of the poses"
             )
-        return "\n".join([text.table(headings, rows, left=["status"]), legend, hint])
+        return [legend, hint]
 
     __str__ = summary
 

@@ -142,8 +142,9 @@ class Progress:
             self._pending = event
 
     def _note_improvement(self, event: dcreg.Event) -> None:
-        if event.stage != self._stage:  # another stage bounds another objective
-            self._stage, self._last_upper = event.stage, math.inf
+        stage = event.stage.partition(" ")[0]  # all basins have the same objective
+        if stage != self._stage:
+            self._stage, self._last_upper = stage, math.inf
         self._improved |= event.upper_bound < self._last_upper
         self._last_upper = min(self._last_upper, event.upper_bound)
 
@@ -208,7 +209,8 @@ class ProofProgress:
             self._live.stop()
 
     def __call__(self, done: int, needed: int) -> None:
-        line = Text(f"proving the bounds: {done} of {max(done, needed)} boxes")
+        needed = max(done, needed)
+        line = Text(f"proving the bounds: {done} of {needed} {'box' if needed == 1 else 'boxes'}")
         if self._live is not None:
             self._live.update(line)
         elif not self._quiet and time.monotonic() - self._last_print >= self._interval_s:

@@ -143,7 +143,9 @@ def register(
             (certificate_path, result.write_certificate),
             (
                 plot_path,
-                lambda path: dcreg.plot_registration(problem.source, problem.target, result, path),
+                lambda path: dcreg.plot_registration(
+                    problem.source, problem.target, result, path, names=(source, target)
+                ),
             ),
         ]
     )

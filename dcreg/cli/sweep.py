@@ -119,7 +119,7 @@ def sweep(
     complete = write_outputs(
         [
             (out_path, _writer(found, out_path, source=source, target=target)),
-            (plot_path, lambda path: dcreg.plot_sweep(found, path)),
+            (plot_path, lambda path: dcreg.plot_sweep(found, path, names=(source, target))),
         ]
     )
     raise typer.Exit(exit_code(found.status, complete))

@@ -18,7 +18,7 @@ from dcreg.bounds import RotationBound, make_bound
 from dcreg.modes.paper import pose_of
 from dcreg.modes.task import Answer, Task
 from dcreg.result import Stage
-from dcreg.search import Bound, Box, Budget, Interrupted, LongestEdge, Outcome, minimise
+from dcreg.search import Bound, Box, Budget, Event, Interrupted, LongestEdge, Outcome, minimise
 from dcreg.spaces import Rigid3D, Rotation3D, Translation3D
 from dcreg.status import Status
 
@@ -175,7 +175,7 @@ def _low_places(
 ) -> list[np.ndarray]:
     """Distinct translations with a low norm objective, and the one that joins the centroids."""
     began = task.budget.elapsed()
-    assignments, spent = bound.n_assignments, descents.spent
+    spent = bound.n_assignments + descents.spent
     margin = task.turning_tol if settings.margin is None else settings.margin
     cutoff = found.upper_bound + margin
     node_limit = settings.basin_nodes
@@ -193,13 +193,11 @@ def _low_places(
     answer.complete = (
         complete and len(lowest) < settings.max_basins and len(centres) <= MAX_DESCENTS
     )
-    answer.stages.append(
-        Stage(
-            "basins",
-            n_nodes=n_nodes,
-            n_assignments=bound.n_assignments - assignments + descents.spent - spent,
-            time_s=task.budget.elapsed() - began,
-        )
+    now = task.budget.elapsed()
+    spent = bound.n_assignments + descents.spent - spent
+    answer.stages.append(Stage("basins", now - began, n_nodes, spent))
+    task.budget.tell(
+        Event("end", "basins", now, n_nodes, spent, 0, found.lower_bound, found.upper_bound)
     )
     return [*lowest, task.target.mean(axis=0) - task.source.mean(axis=0)]
 
@@ -261,6 +259,8 @@ def _try_basin(
     )  # fmt: skip
     T = pose_of(Rotation3D.matrix(turned.theta), translation)
     theta, value, refining = rigid.refine(rigid.theta(T))
+    if value < best:
+        task.budget.found(value, "best pose")
     answer.basins.append(Basin(translation, norm_value, rigid.pose(theta), value))
     turned.n_assignments += spent + refining
     answer.add(name, turned)

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from dcreg.kernels.norm.line import match_on_line
 from dcreg.kernels.space.geometry import best_rotation, rotation_matrix
 from dcreg.local.sparse import nearest_pairs, sparse_matching
-from dcreg.search import Budget, Outcome
+from dcreg.search import Budget, Event, Outcome
 from dcreg.spaces import Rotation3D
 from dcreg.status import Status
 
@@ -86,15 +86,10 @@ def search_sampled_rotation(
         status = Status.OPTIMAL
     elif budget.is_over:
         status = budget.ended_by
-    return Outcome(
-        status,
-        theta,
-        min(float(lower), matching.value),
-        matching.value,
-        0,
-        matching.n_assignments,
-        budget.elapsed() - began,
-    )
+    value, spent, now = matching.value, matching.n_assignments, budget.elapsed()
+    lower = min(float(lower), value)
+    budget.tell(Event("end", "rotation", now, 0, spent, 0, lower, value, status.value))
+    return Outcome(status, theta, lower, value, 0, spent, now - began)
 
 
 def spread_rows(points: np.ndarray, count: int) -> np.ndarray:

@@ -51,6 +51,8 @@ class Budget:
         For kernels: set when the solve is over, wherever it stands. Only within the context.
     closed : (1,) uint8 array
         The same for what completes the result, which may take a little longer.
+    history : list of Event
+        What all stages told, but for ticks.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class Budget:
         listener: Listener | None = None,
     ) -> None:
         self.nodes, self.memory_mb = nodes, memory_mb
+        self.history: list[Event] = []
         self.stop, self.closed = np.zeros(1, np.uint8), np.zeros(1, np.uint8)
         self._listener = listener
         self._began = self._told = time.perf_counter()
@@ -135,15 +138,16 @@ class Budget:
         part._deadline = None if left is None else time.perf_counter() + share * left
         return part
 
-    def found(self, value: float) -> None:
-        """Tell of a better pose before the search; its objective bounds the optimum from above."""
-        event = self._root._event
-        self.tell(replace(event, kind="bound", time_s=self.elapsed(), upper_bound=value))
+    def found(self, value: float, stage: str = "start") -> None:
+        """Tell of a better pose outside of a search; its objective bounds the optimum from above."""
+        self.tell(Event("bound", stage, self.elapsed(), 0, 0, 0, 0.0, value))
 
     def tell(self, event: Event) -> None:
         """Pass an event on to the listener."""
         root = self._root
         with root._lock:
             root._told, root._event = time.perf_counter(), event
+            if event.kind != "tick":
+                root.history.append(event)
             if self._listener is not None and self._listener(event):
                 root._stopped = True

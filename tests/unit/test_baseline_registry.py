@@ -251,7 +251,8 @@ class TestWhatAMethodDependsOn:
         assert not others & stale
 
     @pytest.mark.parametrize(
-        "file", ["dcreg/cli/app.py", "dcreg/plot.py", "dcreg/sweeping.py", "baselines/registry.py"]
+        "file",
+        ["dcreg/cli/app.py", "dcreg/plot/sweep.py", "dcreg/sweeping.py", "baselines/registry.py"],
     )
     def test_nothing_follows_what_no_solve_runs(self, checkout: Path, file: str) -> None:
         assert (checkout / file).is_file()
@@ -270,12 +271,12 @@ class TestWhatAMethodDependsOn:
         behind = files_behind([checkout / "uses.py"], checkout)
         found = {path.relative_to(checkout).as_posix() for path in behind}
         assert {"dcreg/__init__.pyi", "dcreg/registration.py", "dcreg/bounds/dc.py"} <= found
-        assert not {"dcreg/plot.py", "dcreg/sweeping.py", "dcreg/io/points.py"} & found
+        assert not {"dcreg/plot/sweep.py", "dcreg/sweeping.py", "dcreg/io/points.py"} & found
 
     def test_imports_for_type_checkers_do_not_count(self, checkout: Path) -> None:
         only_types = "\nif TYPE_CHECKING:\n    from dcreg.plot import page\n"
         assert "icp" in self.rerun_by(checkout, "baselines/icp/adapter.py", only_types)
-        assert self.rerun_by(checkout, "dcreg/plot.py") == set()
+        assert self.rerun_by(checkout, "dcreg/plot/sweep.py") == set()
 
     def test_what_python_loads_of_the_methods_is_counted(self) -> None:
         """The other way round: every module of `baselines` that a method's import brings in."""

@@ -22,7 +22,7 @@ from dcreg import Event, Result, Stage, Status, SweepResult, Trace
 from dcreg.cli import output
 from dcreg.cli.app import app
 from dcreg.cli.options import ModelChoice
-from dcreg.cli.progress import Progress
+from dcreg.cli.progress import Progress, ProofProgress
 from dcreg.io import READERS
 from dcreg.names import MODEL_DIM
 
@@ -494,6 +494,34 @@ def test_interrupt_asks_to_stop_then_quits_and_restores_the_handler():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_proof_progress_counts_boxes_no_more_often_than_asked():
+    stream = io.StringIO()
+    with ProofProgress(Console(file=stream), interval_s=0.0) as progress:
+        progress(64, 200)
+        progress(300, 200)  # more than were known to be needed
+    assert stream.getvalue().splitlines() == [
+        "proving the bounds: 64 of 200 boxes",
+        "proving the bounds: 300 of 300 boxes",
+    ]
+    stream = io.StringIO()
+    with ProofProgress(Console(file=stream), interval_s=60.0) as progress:
+        progress(64, 200)
+    assert stream.getvalue() == ""
+
+
+def test_proof_progress_on_a_terminal_is_one_line_and_quiet_is_none():
+    stream = io.StringIO()
+    terminal = Console(file=stream, force_terminal=True, width=80)
+    with ProofProgress(terminal) as progress:
+        progress(1, 1)
+    assert "proving the bounds: 1 of 1 box" in stream.getvalue()
+    assert "boxes" not in stream.getvalue()
+    stream = io.StringIO()
+    with ProofProgress(Console(file=stream, force_terminal=True), quiet=True) as progress:
+        progress(64, 200)
+    assert stream.getvalue() == ""
 
 
 def test_progress_works_outside_the_main_thread():

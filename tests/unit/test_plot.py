@@ -1,11 +1,23 @@
 """The page of one registration: what it draws, and that it needs no network."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dcreg import Event, InputError, Result, Status, SweepResult, Trace, plot
+from dcreg import (
+    Event,
+    InputError,
+    Result,
+    Status,
+    SweepResult,
+    Trace,
+    plot_registration,
+    plot_sweep,
+)
+from dcreg.plot import registration as plot
+from dcreg.plot.sweep import sweep_figures
 
 
 def result(dim, lower=0.5, **changes):
@@ -58,20 +70,24 @@ def traces(figure, name):
     return [trace for trace in figure.data if trace.name == name]
 
 
+def kept(values):
+    return [value for value in values if value is not None]
+
+
 def test_clouds_before_and_after(case):
     source, target, outcome = case
-    figure = plot.figure(source, target, outcome)
-    before, after = traces(figure, "source")
-    np.testing.assert_allclose(coordinates(before), source)
+    figures = plot.figures(source, target, outcome)
     shift = np.eye(source.shape[1])[0]
-    np.testing.assert_allclose(coordinates(after), source + shift)
-    for drawn in traces(figure, "target"):
+    for caption, cloud in (("before", source), ("after", source + shift)):
+        (drawn,) = traces(figures[caption], "source")
+        np.testing.assert_allclose(coordinates(drawn), cloud)
+        (drawn,) = traces(figures[caption], "target")
         np.testing.assert_allclose(coordinates(drawn), target)
 
 
 def test_pair_lines_join_the_matched_points(case):
     source, target, outcome = case
-    (lines,) = traces(plot.figure(source, target, outcome), "matched pairs")
+    (lines,) = traces(plot.figures(source, target, outcome)["after"], "matched pairs")
     drawn = coordinates(lines).reshape(2, 3, -1)
     shift = np.eye(source.shape[1])[0]
     np.testing.assert_allclose(drawn[:, 0], source[[0, 2]] + shift)
@@ -79,26 +95,66 @@ def test_pair_lines_join_the_matched_points(case):
     assert np.isnan(drawn[:, 2]).all()  # a break between pairs
 
 
-def test_history_holds_the_finite_bounds_of_the_search(case):
-    figure = plot.figure(*case)
-    by_time, by_nodes = traces(figure, "lower bound")
-    assert (list(by_time.x), list(by_time.y)) == ([0.5, 1.0], [0.25, 0.5])
-    assert (list(by_nodes.x), list(by_nodes.y)) == ([20, 40], [0.25, 0.5])
-    for drawn in traces(figure, "upper bound"):
-        assert list(drawn.y) == [2.0, 1.0]  # neither infinity nor the rotation's bounds
-    heights = {shape.y0 for shape in figure.layout.shapes}
-    assert heights == {0.75}  # the upper bound less the tolerance
+def test_history_holds_the_finite_bounds_of_all_stages_one_after_the_other(case):
+    figures = plot.figures(*case)
+    for caption, x in (
+        ("bounds against time", [0.5, 1.0, None, 2.0, None]),
+        ("bounds against nodes", [20, 40, None, 47, None]),
+    ):
+        figure = figures[caption]
+        (lower,), (upper,) = traces(figure, "lower bound"), traces(figure, "upper bound")
+        assert (list(lower.x), list(lower.y)) == (x, [0.25, 0.5, None, 30.0, None])
+        assert (list(upper.x), list(upper.y)) == (x, [2.0, 1.0, None, 50.0, None])
+        assert kept(upper.text) == ["search", "search", "", "rotation", ""]
+        *bands, line = figure.layout.shapes
+        assert [(band.name, band.x0, band.x1) for band in bands] == [
+            ("search", 0.0, x[1]),
+            ("rotation", x[1], x[3]),
+        ]
+        assert line.y0 == 0.75  # the upper bound less the tolerance
+        words = {annotation.text for annotation in figure.layout.annotations}
+        assert words == {"search", "rotation"}
 
 
-def test_title_states_status_scope_and_gap(case):
-    title = plot.figure(*case).layout.title.text
-    for words in ("time_limit", "translation in norm space", "gap 0.5", "tolerance 0.25"):
-        assert words in title
+def test_a_stage_without_room_is_named_by_its_points_alone(case):
+    source, target, outcome = case
+    first = Event("bound", "start", 0.01, 0, 3, 0, 0.0, 5.0)
+    outcome = replace(outcome, trace=Trace([first, *outcome.trace]))
+    figure = plot.figures(source, target, outcome)["bounds against time"]
+    assert "start" not in {annotation.text for annotation in figure.layout.annotations}
+    (upper,) = traces(figure, "upper bound")
+    assert (upper.text[0], upper.y[0]) == ("start", 5.0)
+
+
+def test_page_says_what_was_found_once(case, tmp_path):
+    source, target, outcome = case
+    outcome = replace(outcome, warnings=["too <far>; take more"])
+    path = tmp_path / "page.html"
+    plot_registration(source, target, outcome, path, names=("a/scan & model.ply", "b.txt"))
+    html = path.read_text(encoding="utf-8")
+    html = re.sub(r"(?s)<(script|style).*?</\1>", "", html)
+    for words in (
+        "<title>registration of scan &amp; model.ply to b.txt</title>",
+        '<meta name="viewport" content="width=device-width',
+        f"time_limit: best pose so far, not certified",
+        "<li>too &lt;far&gt;; take more</li>",
+        "<dt>gap</dt><dd>0.5 (tolerance 0.25)</dd>",
+        "<dt>scope of bounds</dt><dd>translation in norm space</dd>",
+    ):
+        assert html.count(words) == 1
+
+
+def test_page_has_colours_for_light_and_dark(case, tmp_path):
+    plot_registration(*case, tmp_path / "page.html")
+    html = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "prefers-color-scheme: dark" in html
+    for figure in plot.figures(*case).values():  # the page paints what lies behind
+        assert figure.layout.paper_bgcolor == figure.layout.plot_bgcolor == "rgba(0, 0, 0, 0)"
 
 
 def test_page_needs_no_network(case, tmp_path):
     path = tmp_path / "page.html"
-    plot.plot_registration(*case, path)
+    plot_registration(*case, path)
     html = path.read_text(encoding="utf-8")
     assert "Plotly.newPlot" in html
     assert len(html) > 1_000_000  # plotly.js is inside
@@ -107,15 +163,15 @@ def test_page_needs_no_network(case, tmp_path):
 
 def test_same_result_same_page(case, tmp_path):
     for name in ("a.html", "b.html"):
-        plot.plot_registration(*case, tmp_path / name)
+        plot_registration(*case, tmp_path / name)
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
 
 
 def test_large_clouds_are_thinned_and_say_so(monkeypatch):
     monkeypatch.setattr(plot, "_MAX_POINTS", 10)
     cloud = np.random.default_rng(0).random((35, 2))
-    figure = plot.figure(cloud, cloud, result(2))
-    (before, _) = traces(figure, "source (every 4th point)")
+    figure = plot.figures(cloud, cloud, result(2))["before"]
+    (before,) = traces(figure, "source (every 4th point)")
     np.testing.assert_allclose(coordinates(before), cloud[::4])
     assert list(before.customdata) == list(range(0, 35, 4))
 
@@ -123,7 +179,7 @@ def test_large_clouds_are_thinned_and_say_so(monkeypatch):
 def test_without_history_and_pairs(tmp_path):
     cloud = np.zeros((1, 2))
     empty = result(2, trace=Trace(), assignment=np.empty((0, 2), dtype=int))
-    plot.plot_registration(cloud, cloud, empty, tmp_path / "a.html")
+    plot_registration(cloud, cloud, empty, tmp_path / "a.html")
     assert (tmp_path / "a.html").stat().st_size > 0
 
 
@@ -140,9 +196,9 @@ def sweep(dim=2, lower=(0.0, 0.8, 6.0, 29.0), upper=(0.5, 1.0, 8.0, 30.0)):
 
 
 def test_sweep_draws_residuals_with_their_bands():
-    figure = plot.sweep_figure(sweep())
-    bands = [trace for trace in figure.data if trace.fill == "toself"]
-    residual, following = [trace for trace in figure.data if trace.fill != "toself"]
+    drawn = [trace for figure in sweep_figures(sweep()).values() for trace in figure.data]
+    bands = [trace for trace in drawn if trace.fill == "toself"]
+    residual, following = [trace for trace in drawn if trace.fill != "toself"]
     k = np.array([2, 4, 6, 8])
     np.testing.assert_allclose(residual.x, k)
     np.testing.assert_allclose(residual.y, np.sqrt(np.array([0.5, 1.0, 8.0, 30.0]) / k))
@@ -154,25 +210,37 @@ def test_sweep_draws_residuals_with_their_bands():
 
 
 def test_sweep_calls_the_elbow_a_suggestion():
-    figure = plot.sweep_figure(sweep())
-    assert {shape.x0 for shape in figure.layout.shapes} == {4}
-    texts = [annotation.text for annotation in figure.layout.annotations]
-    assert "suggestion: elbow at 4" in texts
-    straight = plot.sweep_figure(sweep(upper=(2.0, 16.0, 54.0, 128.0)))
-    assert not straight.layout.shapes
+    for figure in sweep_figures(sweep()).values():
+        (line,) = figure.layout.shapes
+        assert (line.x0, line.name) == (4, "suggestion: elbow at 4")
+    for figure in sweep_figures(sweep(upper=(2.0, 16.0, 54.0, 128.0))).values():
+        assert not figure.layout.shapes
 
 
 def test_sweep_in_space_shows_the_poses_beside_the_norms():
-    names = [trace.name for trace in plot.sweep_figure(sweep(dim=3)).data]
-    assert "RMSE of the final pose" in names
-    assert "RMSE of the final pose" not in [trace.name for trace in plot.sweep_figure(sweep()).data]
-    assert "translation in norm space" in plot.sweep_figure(sweep(dim=3)).layout.title.text
+    for dim, expected in ((2, [0, 0]), (3, [1, 0])):
+        figures = sweep_figures(sweep(dim)).values()
+        assert [len(traces(figure, "RMSE of the final pose")) for figure in figures] == expected
+
+
+def test_sweep_page_holds_the_printed_table(tmp_path):
+    found = sweep(dim=3)
+    plot_sweep(found, tmp_path / "a.html", names=("a.ply", "b.ply"))
+    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+    html = re.sub(r"(?s)<(script|style).*?</\1>", "", html)
+    assert "<title>sweep of a.ply to b.ply</title>" in html
+    assert "4 of 4 cardinalities certified (bounds on: translation in norm space)" in html
+    headings, rows = found.table()
+    for cell in [*headings, *rows[1]]:
+        assert f">{cell}</t" in html
+    for note in found.notes():
+        assert note in html
 
 
 @pytest.mark.parametrize(("suffix", "start"), [(".html", b"<!doctype html>"), (".png", b"\x89PNG")])
 def test_sweep_files_by_suffix(tmp_path, suffix, start):
     for name in ("a", "b"):
-        plot.plot_sweep(sweep(), tmp_path / (name + suffix))
+        plot_sweep(sweep(), tmp_path / (name + suffix))
     content = (tmp_path / f"a{suffix}").read_bytes()
     assert content.startswith(start)
     assert content == (tmp_path / f"b{suffix}").read_bytes()
@@ -180,7 +248,7 @@ def test_sweep_files_by_suffix(tmp_path, suffix, start):
 
 def test_sweep_as_svg_keeps_its_words(tmp_path):
     for name in ("a.svg", "b.svg"):
-        plot.plot_sweep(sweep(dim=3), tmp_path / name)
+        plot_sweep(sweep(dim=3), tmp_path / name)
     text = (tmp_path / "a.svg").read_text(encoding="utf-8")
     for words in ("pairs to match", "suggestion: elbow at 4", "RMSE of the final pose"):
         assert words in text
@@ -190,10 +258,10 @@ def test_sweep_as_svg_keeps_its_words(tmp_path):
 def test_sweep_of_one_cardinality_can_be_drawn(tmp_path):
     only = SweepResult(sweep().results[:1], [None])
     for name in ("a.html", "a.png"):
-        plot.plot_sweep(only, tmp_path / name)
+        plot_sweep(only, tmp_path / name)
         assert (tmp_path / name).stat().st_size > 0
 
 
 def test_sweep_refuses_other_kinds(tmp_path):
     with pytest.raises(InputError, match=r"a\.gif: '.gif' is no kind.*\.html, \.png, \.svg"):
-        plot.plot_sweep(sweep(), tmp_path / "a.gif")
+        plot_sweep(sweep(), tmp_path / "a.gif")

@@ -1,0 +1,218 @@
+"""The page of one registration: clouds before and after, their pairs, and the bounds of all stages."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+
+from dcreg.plot.style import GREY, LOWER, SOURCE, TARGET, UPPER, figure, write_page
+from dcreg.problem import InputError
+from dcreg.result import Result
+from dcreg.search import Event
+
+# Browsers become slow beyond this; larger clouds are thinned evenly for display only.
+_MAX_POINTS = 20_000
+_LABELLED = 0.1  # share of the width from which on a stage has room for its name
+
+
+def plot_registration(
+    source: np.ndarray,
+    target: np.ndarray,
+    result: Result,
+    path: str | Path,
+    *,
+    names: tuple[str, str] = ("source", "target"),
+) -> None:
+    """Write a page with the clouds before and after, their pairs, and the bounds against time and work.
+
+    The page needs no network: plotly.js is written into it.
+
+    Parameters
+    ----------
+    source, target : (n, d) and (m, d) arrays, d = 2 or 3
+    result : Result
+    path : str or Path
+        The ``.html`` file to write.
+    names : (str, str)
+        What the page calls the clouds, such as the names of their files.
+
+    Raises
+    ------
+    InputError
+        For another suffix.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".html":
+        raise InputError(f"{path}: {path.suffix!r} is no page; the name must end in .html")
+    entries = list(result.entries())
+    facts = [(name, value) for name, value in entries if name not in ("status", "warning")]
+    write_page(
+        path,
+        "registration",
+        names,
+        dict(entries)["status"],
+        figures(source, target, result),
+        warnings=result.warnings,
+        facts=facts,
+    )
+
+
+def figures(source: np.ndarray, target: np.ndarray, result: Result) -> dict[str, go.Figure]:
+    """The figures of the page of `plot_registration`, by caption."""
+    d = source.shape[1]
+    moved = source @ result.T_target_source[:d, :d].T + result.T_target_source[:d, d]
+    stages = _stages(result.trace)
+    pairs = _pair_lines(moved, target, result.assignment)
+    return {
+        "before": _clouds(source, target),
+        "after": _clouds(moved, target, pairs),
+        "bounds against time": _history(result, stages, "time_s", "time in s"),
+        "bounds against nodes": _history(result, stages, "n_nodes", "nodes, all stages together"),
+    }
+
+
+def _clouds(source: np.ndarray, target: np.ndarray, *more: go.BaseTraceType) -> go.Figure:
+    drawn = [_points(target, "target", TARGET), _points(source, "source", SOURCE), *more]
+    fig = figure(drawn)
+    if source.shape[1] == 3:
+        fig.update_scenes(aspectmode="data")
+    else:
+        fig.update_yaxes(scaleanchor="x")
+    return fig
+
+
+def _points(points: np.ndarray, name: str, color: str) -> go.BaseTraceType:
+    step = -(-len(points) // _MAX_POINTS)
+    size = 6 if points.shape[1] == 2 else 4 if len(points) < 1000 else 2
+    return _scatter(
+        points[::step],
+        name=name if step == 1 else f"{name} (every {step}th point)",
+        mode="markers",
+        marker={"color": color, "size": size, "opacity": 0.8},
+        customdata=np.arange(len(points))[::step],
+        hovertemplate=f"{name} %{{customdata}}<extra></extra>",
+    )
+
+
+def _pair_lines(moved: np.ndarray, target: np.ndarray, pairs: np.ndarray) -> go.BaseTraceType:
+    """All matched pairs as one broken line: a trace for each would be slow."""
+    pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
+    pairs = pairs[:: max(1, -(-len(pairs) // _MAX_POINTS))]
+    gaps = np.full((len(pairs), target.shape[1]), np.nan)
+    ends = np.stack([moved[pairs[:, 0]], target[pairs[:, 1]], gaps], axis=1)
+    return _scatter(
+        ends.reshape(-1, target.shape[1]),
+        name="matched pairs",
+        mode="lines",
+        line={"color": GREY, "width": 1.5},
+        hoverinfo="skip",
+    )
+
+
+def _scatter(points: np.ndarray, **options: object) -> go.BaseTraceType:
+    axes = dict(zip("xyz", points.T, strict=False))
+    return (go.Scatter3d if points.shape[1] == 3 else go.Scatter)(**axes, **options)
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """The events of one stage, and the nodes of the stages before it."""
+
+    name: str
+    events: list[Event]
+    nodes_before: int
+
+    def at(self, axis: str) -> list[float]:
+        """Time or nodes of every event, counted over all stages."""
+        offset = self.nodes_before if axis == "n_nodes" else 0
+        return [offset + getattr(event, axis) for event in self.events]
+
+
+def _stages(events: Iterable[Event]) -> list[_Stage]:
+    """The stages of a history, one after the other."""
+    stages: list[_Stage] = []
+    nodes = 0
+    for name, group in itertools.groupby(events, key=lambda event: event.stage):
+        stages.append(_Stage(name, list(group), nodes))
+        nodes += max(event.n_nodes for event in stages[-1].events)
+    return stages
+
+
+def _history(result: Result, stages: list[_Stage], axis: str, label: str) -> go.Figure:
+    """Bounds of all stages, each in a band of its own, as each bounds another objective."""
+    fig = figure()
+    for name, color in (("lower bound", LOWER), ("upper bound", UPPER)):
+        x, y, words = _curve(stages, axis, name.replace(" ", "_"))
+        fig.add_scatter(
+            x=x,
+            y=y,
+            name=name,
+            text=words,
+            hovertemplate="%{text}<br>%{x}: %{y}<extra>" + name + "</extra>",
+            mode="lines+markers",
+            # where there are many, the last one of every stage
+            marker={"size": [6 if after is None or len(x) < 50 else 0 for after in [*x[1:], None]]},
+            line={"color": color, "shape": "hv"},
+        )
+    began, whole = 0.0, max((stage.at(axis)[-1] for stage in stages), default=0.0)
+    for number, stage in enumerate(stages):
+        ended = stage.at(axis)[-1]
+        fig.add_vrect(
+            x0=began,
+            x1=ended,
+            fillcolor=GREY,
+            opacity=0.08 if number % 2 else 0.16,
+            line_width=0,
+            layer="below",
+            name=stage.name,
+        )
+        if ended - began >= _LABELLED * whole:  # narrower ones are named by their points
+            fig.add_annotation(
+                x=began, y=1.0, yref="paper", text=stage.name, showarrow=False,
+                xanchor="left", yanchor="top", font={"size": 11},
+            )  # fmt: skip
+        began = ended
+    fig.add_hline(
+        y=result.upper_bound - result.gap_tol,
+        line={"color": UPPER, "dash": "dot", "width": 1},
+        name="upper bound - tolerance",
+        showlegend=True,
+    )
+    fig.update_xaxes(title_text=label)
+    fig.update_yaxes(title_text="squared units of the target", range=[0.0, _height(result, stages)])
+    return fig
+
+
+def _height(result: Result, stages: list[_Stage]) -> float:
+    """Twice the greatest bound that a stage ends with: first poses can be worse by far."""
+    ends = [stage.events[-1].upper_bound for stage in stages]
+    return 2.0 * max([result.upper_bound, *filter(math.isfinite, ends)])
+
+
+def _curve(
+    stages: list[_Stage], axis: str, bound: str
+) -> tuple[list[float | None], list[float | None], list[str]]:
+    """Events whose bound exists, with their stages; a break between stages.
+
+    Before the first pose the upper bound is infinite.
+    """
+    x: list[float | None] = []
+    y: list[float | None] = []
+    words: list[str] = []
+    for stage in stages:
+        for at, event in zip(stage.at(axis), stage.events, strict=True):
+            if math.isfinite(value := getattr(event, bound)):
+                x.append(at)
+                y.append(value)
+                words.append(stage.name)
+        if x and x[-1] is not None:
+            x.append(None)
+            y.append(None)
+            words.append("")
+    return x, y, words
