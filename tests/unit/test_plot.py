@@ -136,7 +136,7 @@ def test_page_says_what_was_found_once(case, tmp_path):
     for words in (
         "<title>registration of scan &amp; model.ply to b.txt</title>",
         '<meta name="viewport" content="width=device-width',
-        f"time_limit: best pose so far, not certified",
+        "time_limit: best pose so far, not certified",
         "<li>too &lt;far&gt;; take more</li>",
         "<dt>gap</dt><dd>0.5 (tolerance 0.25)</dd>",
         "<dt>scope of bounds</dt><dd>translation in norm space</dd>",

@@ -1,0 +1,104 @@
+"""Every stage of every mode in space tells its bounds: to the listener, in the trace and on the page."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+import dcreg
+from dcreg.cli.app import app
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    """15 points, 3 of them outliers."""
+    rng = np.random.default_rng(5)
+    source = rng.random((15, 3))
+    target = source @ Rotation.random(random_state=3).as_matrix().T + [1.0, 2.0, 3.0]
+    target += 0.02 * rng.standard_normal(target.shape)
+    target[:3] = rng.random((3, 3)) + target.mean(axis=0) - 0.5
+    return source, rng.permutation(target)
+
+
+@pytest.fixture(scope="module", params=["full", "multi", "paper"])
+def solved(request, clouds):
+    heard = []
+    result = dcreg.register(
+        *clouds, n_inliers=12, model="rigid3d", mode=request.param, time_limit=5.0,
+        listener=lambda event: heard.append(event) and None,
+    )  # fmt: skip
+    return request.param, result, heard
+
+
+def test_trace_holds_what_the_listener_heard(solved):
+    _, result, heard = solved
+    assert list(result.trace) == [event for event in heard if event.kind != "tick"]
+
+
+def test_every_stage_with_bounds_ends_with_them(solved):
+    mode, result, _ = solved
+    ends = {event.stage: event for event in result.trace if event.kind == "end"}
+    bounding = [stage for stage in result.stages if stage.status is not None]
+    assert bounding
+    for stage in bounding:
+        event = ends[stage.name]
+        assert (event.lower_bound, event.upper_bound) == (stage.lower_bound, stage.upper_bound)
+        assert event.status == stage.status
+    assert ("basins" in ends) == (mode == "multi")
+
+
+def test_start_comes_first_with_a_pose(solved):
+    _, result, _ = solved
+    events = list(result.trace)
+    assert events[0].stage == "start"
+    assert np.isfinite(events[0].upper_bound)
+    times = [event.time_s for event in events]
+    assert times == sorted(times)
+
+
+def test_start_never_speaks_for_the_stage_before(solved):
+    """The bounds of a start are those of its own poses."""
+    _, result, _ = solved
+    for event in result.trace:
+        if event.stage == "start":
+            assert (event.n_nodes, event.lower_bound) == (0, 0.0)
+
+
+def test_basins_are_numbered(solved):
+    mode, result, _ = solved
+    names = {event.stage for event in result.trace if event.stage.startswith("basin ")}
+    assert bool(names) == (mode == "multi")
+    for name in names:
+        number, count = map(int, re.fullmatch(r"basin (\d+) of (\d+)", name).groups())
+        assert 1 <= number <= count
+
+
+@pytest.mark.parametrize("mode", ["full", "multi", "paper"])
+def test_trace_file_and_page_name_all_stages(clouds, tmp_path, mode):
+    paths = [tmp_path / name for name in ("a.txt", "b.txt")]
+    for path, cloud in zip(paths, clouds, strict=True):
+        np.savetxt(path, cloud)
+    trace, page = tmp_path / "o.jsonl", tmp_path / "o.html"
+    call = [
+        "register",
+        *paths,
+        "--model",
+        "rigid3d",
+        "--n-inliers",
+        12,
+        "--mode",
+        mode,
+        "--time-limit",
+        5,
+    ]
+    call += ["--trace", trace, "--plot", page, "--quiet"]
+    assert CliRunner().invoke(app, list(map(str, call))).exit_code in (0, 3)
+    stages = {json.loads(line)["stage"] for line in trace.read_text().splitlines()}
+    expected = {"full": {"rigid"}, "multi": {"search", "basins"}, "paper": {"search", "rotation"}}
+    assert {"start"} | expected[mode] <= stages
+    html = page.read_text(encoding="utf-8")
+    for stage in stages:
+        assert f'"name":"{stage}"' in html  # a band
