@@ -200,6 +200,11 @@ class Similarity2D(Family):
         spread = np.sqrt((self.source**2).sum(axis=1).mean())
         self.weights = np.array([spread, spread, 1.0, 1.0])
         self.is_uniform = self.k == len(self.z)
+        ones = np.ones((len(self.z), 1))
+        # |turn x + shift|^2 is linear in these numbers of a point
+        self.moments = np.hstack([(self.source**2).sum(axis=1, keepdims=True), self.source, ones]).T
+        if self.is_uniform:  # the sum over all points
+            self.moments = self.moments.sum(axis=1, keepdims=True)
 
     def costs(self, theta: np.ndarray) -> np.ndarray:
         moved = (theta[0] + 1j * theta[1]) * self.z + (theta[2] + 1j * theta[3])
@@ -258,14 +263,9 @@ class Similarity2D(Family):
 
     def rebates(self, step: np.ndarray) -> np.ndarray:
         """R_i = |turn x_i + shift|^2."""
-        a, b, u, v = np.moveaxis(step[..., None], -2, 0)
-        if self.is_uniform:  # the sum over all points, expanded
-            size, (x, y) = (self.source**2).sum(), self.source.sum(axis=0)
-            cross = u * (a * x - b * y) + v * (b * x + a * y)
-            return (a * a + b * b) * size + 2 * cross + self.k * (u * u + v * v)
-        x, y = self.source.T
-        dx, dy = a * x - b * y + u, b * x + a * y + v
-        return dx * dx + dy * dy
+        a, b, u, v = np.moveaxis(step, -1, 0)
+        factors = [a * a + b * b, 2 * (u * a + v * b), 2 * (v * a - u * b), u * u + v * v]
+        return np.stack(factors, axis=-1) @ self.moments
 
 
 class Translation3D(Family):

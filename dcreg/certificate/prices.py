@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-STEPS = 20  # of the shortest paths that give prices
+STEPS = 8  # of the shortest paths that give prices
 NEIGHBOURS = 4  # whose prices are averaged
 
 
@@ -84,13 +84,16 @@ class Prices:
         self._weights = weights
         self._used = 0
         self._thetas, self._prices = np.empty((64, len(weights))), np.empty((64, n_targets))
+        self._sizes = np.empty(64)  # |theta|^2
 
     def add(self, theta: np.ndarray, prices: np.ndarray) -> None:
         """Remember the prices at `theta`."""
         if self._used == len(self._thetas):
             self._thetas = np.concatenate([self._thetas, np.empty_like(self._thetas)])
             self._prices = np.concatenate([self._prices, np.empty_like(self._prices)])
-        self._thetas[self._used] = self._weights * theta
+            self._sizes = np.concatenate([self._sizes, np.empty_like(self._sizes)])
+        self._thetas[self._used] = theta = self._weights * theta
+        self._sizes[self._used] = theta @ theta
         self._prices[self._used] = prices
         self._used += 1
 
@@ -98,5 +101,6 @@ class Prices:
         """The mean of the prices nearest to `theta`; zero while there are none."""
         if self._used <= NEIGHBOURS:
             return self._prices[: self._used].mean(axis=0) if self._used else np.zeros(1)
-        off = ((self._thetas[: self._used] - self._weights * theta) ** 2).sum(axis=1)
+        # squared distances, less the same for all
+        off = self._sizes[: self._used] - self._thetas[: self._used] @ (2.0 * self._weights * theta)
         return self._prices[np.argpartition(off, NEIGHBOURS)[:NEIGHBOURS]].mean(axis=0)

@@ -102,6 +102,13 @@ def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndar
             f"{name}: {points[row].tolist()} in row {row} is too far away to square its distances; "
             f"give both clouds in a larger unit, so that coordinates are below {LARGEST_COORDINATE:g}"
         )
+    extent = np.ptp(points, axis=0).max()
+    if 0.0 < extent < 1.0 / LARGEST_COORDINATE:
+        raise InputError(
+            f"{name}: all points lie within {extent:.3g}, too near to square their distances; "
+            f"give both clouds in a smaller unit, so that they extend over more than "
+            f"{1.0 / LARGEST_COORDINATE:g}"
+        )
     return points
 
 

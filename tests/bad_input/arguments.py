@@ -76,6 +76,7 @@ SCALES = {
     ("nan", "1"): ("--scale-range: (nan, 1.0)", "0 < low <= high"),
     ("1", "inf"): ("--scale-range: (1.0, inf)", "0 < low <= high"),
     ("half", "1"): ("'half' is not a number", "give one such as"),
+    ("1e-300", "1e300"): ("--scale-range: (1e-300, 1e+300)", "rescale one cloud"),
 }
 RANGES = {
     "0.3:1:0.1": ("--n-inliers: '0.3:1:0.1' mixes", "a fraction needs a decimal point"),

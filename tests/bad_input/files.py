@@ -285,6 +285,11 @@ def _cases() -> Iterator[Case]:
         content = "\n".join(f"{x:g} {y:g}" for x, y in 1e300 * A2).encode()
         yield Case("files", f"huge coordinates in {name}", register(**huge),
                    ["source:", "e+299", "in a larger unit"], {"huge.txt": content})  # fmt: skip
+    content = "\n".join(f"{x:g} {y:g}" for x, y in 1e-300 * A2).encode()
+    for role in ("source", "target"):
+        yield Case("files", f"tiny coordinates in {role}", register(**{role: "tiny.txt"}),
+                   [f"{role}: all points lie within", "e-301", "in a smaller unit"],
+                   {"tiny.txt": content})  # fmt: skip
 
 
 CASES = list(_cases())
