@@ -14,6 +14,9 @@ from workflows import records
 from workflows.records import OUTCOMES
 
 
+PENALTY = 2.0  # of time limits, for runs that did not finish: PAR2
+
+
 class ReportError(ValueError):
     """The tables do not add up or a file is missing; the message names file and remedy."""
 
@@ -109,6 +112,20 @@ def count_outcomes(runs: pd.DataFrame) -> pd.DataFrame:
 def attempted(runs: pd.DataFrame) -> pd.DataFrame:
     """Runs that were really started: neither unsupported nor unavailable."""
     return runs[runs["outcome"].isin(("finished", "limited", "failed"))]
+
+
+def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Series:
+    """Seconds of a run; one that ended at a limit or failed counts `PENALTY` times the time limit.
+
+    Without a limit in the cards it counts `PENALTY` times what it took.
+    """
+    limits = {
+        label: limit
+        for label, card in cards.items()
+        if (limit := card.get("limits", {}).get("time_s")) is not None
+    }
+    limit = runs["method"].map(limits).astype(float).fillna(runs["time_solve_s"])
+    return runs["time_solve_s"].mask(runs["outcome"].isin(("limited", "failed")), PENALTY * limit)
 
 
 def row_names(runs: pd.DataFrame, most: int = 4) -> pd.Series:

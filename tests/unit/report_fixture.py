@@ -34,7 +34,7 @@ LEVELS = (0.0, 0.02, 0.04)
 TRIALS = 3
 
 
-def write_tables(folder: Path) -> Path:
+def write_tables(folder: Path, experiment: str = "made-up") -> Path:
     """Write runs, traces, accounting, provenance and overlays; returns `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     runs, traces = [], []
@@ -46,7 +46,7 @@ def write_tables(folder: Path) -> Path:
                     run, events = _run(method, model, dataset, shape, test, level, trial, instance)
                     runs.append(run)
                     traces += events
-    table = pd.DataFrame(runs)
+    table = pd.DataFrame(runs).assign(experiment=experiment)
     best = table.groupby(["instance_id", "n_inliers"])["objective"].transform("min")
     table["objective_best"] = best
     table["objective_regret"] = table["objective"] - best

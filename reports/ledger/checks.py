@@ -1,0 +1,425 @@
+"""The kinds of checks that `claims.yaml` uses. A new kind is a function here with a name.
+
+A check takes the tables of one experiment and its parameters from the ledger, and returns a
+`Finding`: parts with a figure and an interval each, and which runs they rest on. Common parameters:
+``tests``, ``levels`` (a list, or ``top``, ``bottom``, ``disturbed``: above 0), ``by`` (columns: a part
+per group), and ``claimed``, the side on which a figure has to lie.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from reports.ledger import intervals
+from reports.ledger.evidence import Evidence, Experiment, Role
+from reports.ledger.intervals import Interval
+from reports.theme import words
+
+Parameters = Mapping[str, Any]
+SHARED = ["dataset", "shape", "trial"]  # what draws of different levels have in common
+
+
+@dataclass(frozen=True)
+class Part:
+    """One comparison of a check."""
+
+    where: str
+    interval: Interval
+    verdict: str
+    margin: float
+
+
+@dataclass
+class Finding:
+    """What a check found: its parts, the runs they rest on, and methods that were not there."""
+
+    figure: str  # what the numbers are
+    parts: list[Part] = field(default_factory=list)
+    runs: dict[str, str] = field(default_factory=dict)  # run_id -> outcome
+    methods: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+
+    def add(self, where: str, interval: Interval, claimed: Parameters) -> None:
+        verdict = intervals.judge(interval, claimed)
+        self.parts.append(Part(where, interval, verdict, intervals.distance(interval, claimed)))
+
+    def rest_on(self, *tables: pd.DataFrame) -> None:
+        for table in tables:
+            self.runs.update(zip(table["run_id"], table["outcome"], strict=True))
+            self.methods += [m for m in table["method"].unique() if m not in self.methods]
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a check may look at."""
+
+    evidence: Evidence
+    experiment: Experiment | None
+    roles: Mapping[str, Role]
+
+    def runs(
+        self, role: str, p: Parameters, finding: Finding
+    ) -> Iterator[tuple[str, pd.DataFrame]]:
+        """Name and chosen runs of every method in a role; noted as missing if there is none."""
+        assert self.experiment is not None
+        labels = self.experiment.playing(self.roles[role])
+        chosen = [(label, select(self.experiment.runs, label, p)) for label in labels]
+        filled = [(label, runs) for label, runs in chosen if len(runs)]
+        if not filled and self.roles[role].title not in finding.missing:
+            finding.missing.append(self.roles[role].title)
+        names = self.experiment.runs.drop_duplicates("method").set_index("method")["display_name"]
+        yield from ((names[label], runs) for label, runs in filled)
+
+
+Check = Callable[[Source, Parameters], Finding]
+CHECKS: dict[str, Check] = {}
+STUDY_CHECKS: set[str] = set()  # those over the study of bounds
+
+
+def check(name: str, *, of_study: bool = False) -> Callable[[Check], Check]:
+    """Register a kind of check."""
+
+    def register(function: Check) -> Check:
+        CHECKS[name] = function
+        if of_study:
+            STUDY_CHECKS.add(name)
+        return function
+
+    return register
+
+
+def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
+    """Runs of a method in the tests and levels of a check, as far as the experiment has them."""
+    part = runs[
+        (runs["method"] == method) & runs["test"].isin(p.get("tests", runs["test"].unique()))
+    ]
+    levels = part.groupby("test")["level"]
+    match p.get("levels"):
+        case "top":
+            part = part[part["level"] == levels.transform("max")]
+        case "bottom":
+            part = part[part["level"] == levels.transform("min")]
+        case "disturbed":
+            part = part[part["level"] > 0]
+        case [*wanted]:
+            part = part[part["level"].isin(wanted)]
+    for column, value in p.get("where", {}).items():
+        part = part[part[column] == value]
+    return part
+
+
+def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The parts of a table by the columns of ``by``, with a name each."""
+    by = p.get("by", ["test", "level"])
+    if not by:
+        yield "all", table
+        return
+    for key, part in table.groupby(by, sort=False):
+        yield (
+            ", ".join(words(f"{value:g}" if isinstance(value, float) else value) for value in key),
+            part,
+        )
+
+
+def paired(one: pd.DataFrame, other: pd.DataFrame, quantity: str) -> pd.DataFrame:
+    """Both values on every common instance; axes of the instance from the first."""
+    both = one.merge(other[["instance_id", quantity]], on="instance_id", suffixes=("", "_rival"))
+    return both.dropna(subset=[quantity, f"{quantity}_rival"])
+
+
+# --- over runs ----------------------------------------------------------------------------------
+
+
+@check("ratio")
+def ratio(source: Source, p: Parameters) -> Finding:
+    """Ratio of means of a subject and each rival, paired by instance. ``any``: one part is enough."""
+    quantity = p.get("quantity", "error")
+    finding = Finding(f"ratio of mean {quantity}")
+    subjects = [item for role in _list(p["subject"]) for item in source.runs(role, p, finding)]
+    for name, runs in subjects:
+        for role in p["rivals"]:
+            for rival, theirs in source.runs(role, p, finding):
+                both = paired(runs, theirs, quantity)
+                if p.get("closed"):
+                    closed = set(theirs.loc[theirs["certified"], "instance_id"])
+                    both = both[both["certified"] & both["instance_id"].isin(closed)]
+                kept = set(both["instance_id"])
+                finding.rest_on(*(t[t["instance_id"].isin(kept)] for t in (runs, theirs)))
+                for where, part in groups(both, p):
+                    values = part[quantity].to_numpy(), part[f"{quantity}_rival"].to_numpy()
+                    finding.add(
+                        f"{name} / {rival}, {where}", intervals.ratio(*values), p["claimed"]
+                    )
+    return finding
+
+
+@check("value")
+def value(source: Source, p: Parameters) -> Finding:
+    """Mean (or median, or share) of a quantity of every method against a threshold."""
+    quantity, statistic = p.get("quantity", "error"), p.get("statistic", "mean")
+    finding = Finding(f"{statistic} {words(quantity)}")
+    for role in p["methods"]:
+        for name, runs in source.runs(role, p, finding):
+            finding.rest_on(runs)
+            for where, part in groups(runs, p):
+                values = part[quantity].to_numpy(dtype=float)
+                values = values[np.isfinite(values)]
+                if len(values):
+                    interval = getattr(intervals, statistic)(values)
+                    finding.add(f"{name}, {where}", interval, p["claimed"])
+    return finding
+
+
+@check("rise")
+def rise(source: Source, p: Parameters) -> Finding:
+    """Error at a level over that at a lower one, paired by trial. Levels: two, or top and the next."""
+    finding = Finding("error at the higher level / at the lower")
+    for role in p["methods"]:
+        for name, runs in source.runs(role, {**p, "levels": p.get("levels")}, finding):
+            for test, part in runs.groupby("test", sort=False):
+                levels = sorted(part["level"].unique())[-2:]
+                if len(levels) < 2:
+                    continue
+                low, high = (part[part["level"] == level] for level in levels)
+                both = high.merge(low[[*SHARED, "error"]], on=SHARED, suffixes=("", "_low"))
+                if both.empty:
+                    continue
+                finding.rest_on(low, high)
+                interval = intervals.ratio(both["error"].to_numpy(), both["error_low"].to_numpy())
+                where = f"{name}, {words(str(test))} {levels[1]:g} / {levels[0]:g}"
+                finding.add(where, interval, p["claimed"])
+    return finding
+
+
+Statistic = Callable[
+    [np.ndarray, np.ndarray], np.ndarray
+]  # of level means (draws × levels), levels
+
+
+@check("spread")
+def spread(source: Source, p: Parameters) -> Finding:
+    """Greatest over least level mean of the error; with ``rivals``, that of the subject over theirs."""
+    return _over_levels(source, p, "greatest / least level error", _spread, np.divide)
+
+
+@check("slope")
+def slope(source: Source, p: Parameters) -> Finding:
+    """Slope of the error over the level; with ``rivals``, that of the subject less theirs."""
+    return _over_levels(source, p, "slope of error over level", _slope, np.subtract)
+
+
+def _spread(means: np.ndarray, _: np.ndarray) -> np.ndarray:
+    return means.max(axis=-1) / means.min(axis=-1)
+
+
+def _slope(means: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    centred = levels - levels.mean()
+    return means @ centred / (centred @ centred)
+
+
+def _over_levels(
+    source: Source, p: Parameters, figure: str, statistic: Statistic, against: np.ufunc
+) -> Finding:
+    """A statistic of the level means, alone or against that of rivals, a part per test."""
+    finding = Finding(figure)
+    for role in p["methods"]:
+        for name, runs in source.runs(role, p, finding):
+            rivals = [
+                item for rival in p.get("rivals", []) for item in source.runs(rival, p, finding)
+            ]
+            finding.rest_on(runs, *(theirs for _, theirs in rivals))
+            for test, part in runs.groupby("test", sort=False):
+                mine = _by_level(part, p)
+                if mine is None:
+                    continue
+                if not p.get("rivals"):
+                    found = intervals.bootstrap(_of_rows(statistic, mine), len(mine))
+                    finding.add(f"{name}, {words(str(test))}", found, p["claimed"])
+                for rival, theirs in rivals:
+                    table = _by_level(theirs[theirs["test"] == test], p)
+                    if table is None or list(table) != list(mine):
+                        continue
+                    common = mine.index.intersection(table.index)
+                    one, other = (_of_rows(statistic, t.loc[common]) for t in (mine, table))
+                    both = partial(_compared, against, one, other)
+                    where = f"{name} against {rival}, {words(str(test))}"
+                    finding.add(where, intervals.bootstrap(both, len(common)), p["claimed"])
+    return finding
+
+
+def _of_rows(statistic: Statistic, table: pd.DataFrame) -> Callable[[np.ndarray], np.ndarray]:
+    """The statistic of the level means, for drawn rows of the table."""
+    values, levels = table.to_numpy(), table.columns.to_numpy(dtype=float)
+    return lambda rows: statistic(np.nanmean(values[rows], axis=1), levels)
+
+
+def _compared(
+    against: np.ufunc,
+    one: Callable[[np.ndarray], np.ndarray],
+    other: Callable[[np.ndarray], np.ndarray],
+    rows: np.ndarray,
+) -> np.ndarray:
+    return against(one(rows), other(rows))
+
+
+def _by_level(runs: pd.DataFrame, p: Parameters) -> pd.DataFrame | None:
+    """A column per level and a row per trial, drawn together; without pairs, a row per instance."""
+    paired_levels = p.get("paired_levels", True)
+    index = SHARED if paired_levels else "instance_id"
+    table = runs.pivot_table(index=index, columns="level", values=p.get("quantity", "error"))
+    table = table.dropna() if paired_levels else table
+    return table if table.shape[1] > 1 and len(table) else None
+
+
+@check("trend")
+def trend(source: Source, p: Parameters) -> Finding:
+    """Spearman's rank correlation of time or work with the level."""
+    finding = Finding("rank correlation with the level")
+    for role in p["methods"]:
+        for name, runs in source.runs(role, p, finding):
+            finding.rest_on(runs)
+            for quantity in p["quantities"]:
+                for test, part in runs.dropna(subset=quantity).groupby("test", sort=False):
+                    if part["level"].nunique() < 2 or part[quantity].nunique() < 2:
+                        continue
+                    ranks = part[["level", quantity]].rank().to_numpy()
+                    finding.add(f"{name}, {words(str(test))}, {words(quantity)}",
+                                intervals.bootstrap(partial(_correlations, ranks), len(part)),
+                                p["claimed"])  # fmt: skip
+    return finding
+
+
+def _correlations(ranks: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    drawn = ranks[rows]
+    centred = drawn - drawn.mean(axis=1, keepdims=True)
+    above = (centred[..., 0] * centred[..., 1]).sum(axis=1)
+    below = np.sqrt((centred[..., 0] ** 2).sum(axis=1) * (centred[..., 1] ** 2).sum(axis=1))
+    return np.divide(above, below, out=np.zeros_like(above), where=below > 0)
+
+
+@check("race")
+def race(source: Source, p: Parameters) -> Finding:
+    """Ratio of times to the smallest relative gap that both searches of an instance reached."""
+    finding = Finding("ratio of mean time to equal gap")
+    assert source.experiment is not None
+    traces = source.experiment.tables.traces
+    traces = traces[traces["upper_bound"] > 0]
+    gap = (traces["upper_bound"] - traces["lower_bound"]) / traces["upper_bound"]
+    histories = dict(list(traces.assign(gap=gap).groupby("run_id")))
+    for name, runs in source.runs(p["subject"], p, finding):
+        for role in p["rivals"]:
+            for rival, theirs in source.runs(role, p, finding):
+                both = paired(runs, theirs, "run_id")
+                both = both[both["run_id"].isin(histories) & both["run_id_rival"].isin(histories)]
+                times = np.array(
+                    [
+                        _times_to_equal_gap(histories[mine], histories[other])
+                        for mine, other in zip(both["run_id"], both["run_id_rival"], strict=True)
+                    ]
+                )
+                for part, kept in ((runs, both["run_id"]), (theirs, both["run_id_rival"])):
+                    finding.rest_on(part[part["run_id"].isin(set(kept))])
+                if len(times):
+                    interval = intervals.ratio(times[:, 0], times[:, 1])
+                    finding.add(f"{name} / {rival}", interval, p["claimed"])
+                else:
+                    finding.missing.append(f"bound histories of {rival}")
+    return finding
+
+
+def _times_to_equal_gap(one: pd.DataFrame, other: pd.DataFrame) -> tuple[float, float]:
+    reached = max(one["gap"].min(), other["gap"].min())
+    first = [float(h.loc[h["gap"] <= reached, "time_s"].iloc[0]) for h in (one, other)]
+    return max(first[0], 1e-6), max(first[1], 1e-6)
+
+
+@check("regret")
+def regret(source: Source, p: Parameters) -> Finding:
+    """Share of instances that a reference closed where the subject's objective is within its gap."""
+    finding = Finding("share within the tolerance")
+    for name, runs in source.runs(p["subject"], p, finding):
+        for against, theirs in source.runs(p["reference"], p, finding):
+            closed = theirs[theirs["certified"]]
+            both = runs.merge(
+                closed[["instance_id", "objective", "gap_tol"]],
+                on="instance_id",
+                suffixes=("", "_ref"),
+            )
+            within = both["objective"] - both["objective_ref"] <= both["gap_tol_ref"] * (1 + 1e-9)
+            finding.rest_on(runs[runs["instance_id"].isin(set(both["instance_id"]))])
+            if len(both):
+                interval = intervals.mean(within.to_numpy(dtype=float))
+                finding.add(f"{name} where {against} closed", interval, p["claimed"])
+            else:
+                finding.missing.append(f"runs that {against} closed")
+    return finding
+
+
+# --- over the study of bounds -------------------------------------------------------------------
+
+
+@check("boxes", of_study=True)
+def boxes(source: Source, p: Parameters) -> Finding:
+    """Share of the same boxes in which one bound is at least the others, a part per width."""
+    finding = Finding("share of boxes")
+    table = source.evidence.study["boxes"].dropna(subset="value")
+    axes = ["instance", "place", "draw", "width"]
+    wide = table.pivot_table(index=axes, columns="bound", values="value").reset_index()
+    if pattern := p.get("instances"):
+        wide = wide[wide["instance"].str.startswith(pattern)]
+    for rival in p["rivals"]:
+        if not {p["subject"], rival} <= set(wide.columns):
+            finding.missing.append(f"bound {rival}")
+            continue
+        both = wide.dropna(subset=[p["subject"], rival])
+        above = both[p["subject"]] >= both[rival] - 1e-9 * (1 + both[rival].abs())
+        for width, part in above.groupby(both["width"]):
+            where = f"{p['subject']} ≥ {rival}, width {width:.2g}"
+            finding.add(where, intervals.mean(part.to_numpy(dtype=float)), p["claimed"])
+    return finding
+
+
+@check("orders", of_study=True)
+def orders(source: Source, p: Parameters) -> Finding:
+    """Mean slope of log loss over log box width, over instances and places of boxes."""
+    finding = Finding("slope of log loss over log width")
+    table = source.evidence.study["orders"].dropna(subset="order")
+    for name, claimed in p["bounds"].items():
+        values = table.loc[table["bound"] == name, "order"].to_numpy()
+        if len(values):
+            finding.add(name, intervals.mean(values), claimed)
+        else:
+            finding.missing.append(f"bound {name}")
+    return finding
+
+
+@check("work", of_study=True)
+def work(source: Source, p: Parameters) -> Finding:
+    """Ratio of gaps after as many assignments as both searches of an instance solved."""
+    finding = Finding("ratio of mean gap at equal assignments")
+    table = source.evidence.study["searches"]
+    for rival in p["rivals"]:
+        gaps = []
+        for _, part in table.groupby("instance", sort=False):
+            mine, theirs = (part[part["bound"] == name] for name in (p["subject"], rival))
+            if len(mine) and len(theirs):
+                shared = min(mine["n_assignments"].max(), theirs["n_assignments"].max())
+                gaps.append([h.loc[h["n_assignments"] <= shared, "gap"].iloc[-1]
+                             if (h["n_assignments"] <= shared).any() else h["gap"].iloc[0]
+                             for h in (mine, theirs)])  # fmt: skip
+        if gaps:
+            above, below = np.array(gaps).T
+            finding.add(f"{p['subject']} / {rival}", intervals.ratio(above, below), p["claimed"])
+        else:
+            finding.missing.append(f"bound {rival}")
+    return finding
+
+
+def _list(value: str | Sequence[str]) -> list[str]:
+    return [value] if isinstance(value, str) else list(value)

@@ -1,0 +1,147 @@
+"""The tables that claims are judged by: runs of experiments, and the study of bounds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from reports.tables import Tables, counted_time
+
+STUDY = "bounds"  # of which no runs are planned: its tables lie beside the experiments'
+QUICK = "-quick"
+LONGEST = (
+    1.0  # errors in longest sides are capped there, which is also that of a run without a pose
+)
+SHORTEST = 1e-3  # below it, errors count as equal
+
+
+@dataclass(frozen=True)
+class Role:
+    """A part that methods play in claims, and by what they are recognised in any experiment."""
+
+    name: str
+    title: str
+    baseline: tuple[str, ...]
+    n_inliers_ratio: float = 1.0
+    options: Mapping[str, Sequence[Any]] = field(
+        default_factory=dict
+    )  # admitted values, best first
+    without: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    every: bool = False  # all that fit take part; otherwise the best one
+
+    def fit(self, card: Mapping[str, Any]) -> tuple[int, ...] | None:
+        """Ranks of a method's baseline and options in this role; None: it does not play it."""
+        options, baseline = card.get("options", {}), card.get("baseline")
+        if baseline not in self.baseline or card.get("n_inliers_ratio", 1) != self.n_inliers_ratio:
+            return None
+        if any(options.get(key) in values for key, values in self.without.items()):
+            return None
+        if any(options.get(key) not in values for key, values in self.options.items()):
+            return None
+        ranks = [list(values).index(options.get(key)) for key, values in self.options.items()]
+        extra = len(set(options) - set(self.options))  # plain methods before tuned ones
+        return (self.baseline.index(baseline), *ranks, extra)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Runs of one experiment with the quantities that claims speak of."""
+
+    tables: Tables
+
+    @cached_property
+    def runs(self) -> pd.DataFrame:
+        """Attempted runs with ``error``, ``time``, ``wrong``, ``search_error``, ``violation``."""
+        runs = self.tables.runs
+        runs = runs[runs["outcome"].isin(("finished", "limited", "failed"))]
+        scale = np.array([_scale(text) for text in runs["T_reference"]])
+        sides = (runs["rmse_excess"] / scale).fillna(LONGEST)
+        violated = (runs["bound_violation"] > 0) | (
+            runs["lower_bound"].where(runs["status"].eq("optimal"))
+            > runs["objective_best"] * (1 + 1e-9) + 1e-12
+        )
+        worst = runs["rmse"].max()
+        speaks = runs["certificate_scope"].isin(("similarity pose", "rigid pose"))
+        return runs.assign(
+            error=sides.clip(SHORTEST, LONGEST),
+            rmse=runs["rmse"].fillna(worst),
+            time=counted_time(runs, self.tables.cards),
+            success=runs["success"].astype(float),
+            wrong=~runs["success"].astype(bool),
+            search_error=runs["verdict"].eq("search_error").astype(float),
+            certified=(runs["status"].eq("optimal") & speaks),
+            violation=(violated & speaks).astype(float),
+            source=runs["shape"].str.extract(r"^(sun3d|7-scenes|rgbd-scenes|bundlefusion|analysis)",
+                                             expand=False).fillna(runs["dataset"]),
+        )  # fmt: skip
+
+    def playing(self, role: Role) -> list[str]:
+        """Methods of the experiment that play `role` and were attempted, best first."""
+        present = set(self.runs["method"])
+        ranked = sorted(
+            (rank, label)
+            for label, card in self.tables.cards.items()
+            if label in present and (rank := role.fit({"baseline": label, **card})) is not None
+        )
+        return [label for _, label in (ranked if role.every else ranked[:1])]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All tables at hand: experiments by name, and tables of the study of bounds by name."""
+
+    experiments: dict[str, Experiment]
+    study: dict[str, pd.DataFrame]
+
+    @classmethod
+    def of_tables(cls, tables: Tables) -> Evidence:
+        """The tables of one report, and those of the study of bounds beside them."""
+        root = next(
+            (p.parent for p in tables.directory.parents if p.name == tables.experiment), None
+        )
+        study = _read_study(root / STUDY) if root else {}
+        return cls({_plain(tables.experiment): Experiment(tables)}, study)
+
+    @classmethod
+    def of_folders(cls, folders: Sequence[Path]) -> Evidence:
+        """Tables below `folders`: results of experiments, or folders of such results.
+
+        The whole of an experiment goes before its quick part.
+        """
+        found: dict[str, Experiment] = {}
+        study: dict[str, pd.DataFrame] = {}
+        for folder in folders:
+            inner = [folder, *sorted(path for path in folder.glob("*") if path.is_dir())]
+            for place in sorted(inner, key=lambda path: path.name.endswith(QUICK)):
+                if (place / "tables" / "accounting.csv").is_file():
+                    tables = Tables.load(place / "tables")
+                    found.setdefault(_plain(tables.experiment), Experiment(tables))
+                study = study or _read_study(place)
+        return cls(found, study)
+
+
+def _plain(name: str) -> str:
+    return name.removesuffix(QUICK)
+
+
+def _read_study(folder: Path) -> dict[str, pd.DataFrame]:
+    paths = {name: folder / f"{name}.csv" for name in ("boxes", "orders", "searches")}
+    if not all(path.is_file() for path in paths.values()):
+        return {}
+    return {name: pd.read_csv(path) for name, path in paths.items()}
+
+
+def _scale(text: str) -> float:
+    """Scale of a reference pose: lengths over it are in units of the source."""
+    pose = np.array(json.loads(text or "[]"), dtype=float)
+    if pose.size == 0:
+        return 1.0
+    d = len(pose) - 1
+    return float(abs(np.linalg.det(pose[:d, :d])) ** (1 / d))

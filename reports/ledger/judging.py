@@ -1,0 +1,201 @@
+"""From claims and tables to verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+
+from reports.ledger.checks import CHECKS, STUDY_CHECKS, Finding, Part, Source
+from reports.ledger.evidence import STUDY, Evidence, Role
+from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED
+from reports.tables import ReportError
+
+LEDGER = Path(__file__).parents[1] / "claims.yaml"
+MOST_LIMITED = 0.05  # share of the deciding runs that may end at a limit
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim of the paper, and how this project checks it. Thresholds are this project's."""
+
+    id: str
+    quote: str
+    test: str  # the check in words
+    experiment: str
+    checks: tuple[dict[str, Any], ...]
+    note: str = ""
+    limits_decide: bool = False  # runs at their limit are what the claim is about
+    reconstruction: str = ""  # beside what the cards of the deciding methods say
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A verdict with the figure that decides it, the command that makes the tables, and the reason."""
+
+    id: str
+    verdict: str
+    quote: str
+    test: str
+    evidence: str
+    reason: str
+    reconstruction: str  # what the verdict relies on that is a reconstruction; empty: nothing
+    runs: int
+    limited: int
+    command: str
+    note: str
+
+
+@dataclass(frozen=True)
+class Ledger:
+    claims: tuple[Claim, ...]
+    roles: dict[str, Role]
+    commands: dict[str, str]
+    facts: tuple[str, ...]
+
+    @classmethod
+    def read(cls, path: Path = LEDGER) -> Ledger:
+        """Read the ledger; raises ReportError for a claim that names what does not exist."""
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        roles = {name: Role(name, **role) for name, role in content["roles"].items()}
+        claims = tuple(
+            Claim(**{**entry, "checks": tuple(entry["checks"])}) for entry in content["claims"]
+        )
+        ledger = cls(claims, roles, content["commands"], tuple(content["facts"]))
+        for claim in claims:
+            ledger._check(claim, path)
+        return ledger
+
+    def _check(self, claim: Claim, path: Path) -> None:
+        for entry in claim.checks:
+            if entry.get("kind") not in CHECKS:
+                raise ReportError(
+                    f"{path}: {claim.id}: no check {entry.get('kind')!r}; known: {', '.join(CHECKS)}"
+                )
+            if entry["kind"] in STUDY_CHECKS:
+                continue
+            named = [entry.get(key, []) for key in ("subject", "reference", "methods", "rivals")]
+            for role in (
+                r for names in named for r in ([names] if isinstance(names, str) else names)
+            ):
+                if role not in self.roles:
+                    raise ReportError(f"{path}: {claim.id}: no role {role!r}; add it to roles")
+        if claim.experiment not in self.commands:
+            raise ReportError(f"{path}: {claim.id}: no command makes {claim.experiment!r}; add it")
+
+
+@cache
+def ledger() -> Ledger:
+    """The ledger of this project."""
+    return Ledger.read()
+
+
+def judge(book: Ledger, evidence: Evidence, experiments: set[str] | None = None) -> list[Judgement]:
+    """A verdict for every claim, or for those about `experiments`."""
+    return [
+        judge_claim(book, claim, evidence)
+        for claim in book.claims
+        if experiments is None or claim.experiment in experiments
+    ]
+
+
+def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
+    """The verdict of one claim."""
+    experiment = evidence.experiments.get(claim.experiment)
+    findings: list[Finding] = []
+    if (claim.experiment == STUDY and evidence.study) or experiment is not None:
+        source = Source(evidence, experiment, book.roles)
+        findings = [CHECKS[entry["kind"]](source, entry) for entry in claim.checks]
+    runs = {run: outcome for finding in findings for run, outcome in finding.runs.items()}
+    limited = sum(outcome == "limited" for outcome in runs.values())
+    verdict, reason = _verdict(claim, findings, len(runs), limited)
+    return Judgement(
+        id=claim.id,
+        verdict=verdict,
+        quote=claim.quote,
+        test=claim.test,
+        evidence=_shown(findings, verdict),
+        reason=reason,
+        reconstruction=_reconstructed(claim, findings, experiment),
+        runs=len(runs),
+        limited=limited,
+        command=book.commands[claim.experiment],
+        note=claim.note,
+    )
+
+
+def as_table(judgements: list[Judgement]) -> pd.DataFrame:
+    """One row per claim."""
+    return pd.DataFrame([asdict(judgement) for judgement in judgements])
+
+
+def _verdict(claim: Claim, findings: list[Finding], runs: int, limited: int) -> tuple[str, str]:
+    parts = [part for finding in findings for part in finding.parts]
+    missing = list(dict.fromkeys(name for finding in findings for name in finding.missing))
+    if not findings:
+        return NOT_RUN, f"no tables of {claim.experiment}"
+    if not parts:
+        return NOT_RUN, "; ".join(["not in the tables", *missing]).replace("; ", ": ", 1)
+    verdict, reason = _of_parts(parts)
+    lacking = [f.figure for f in findings if not f.parts]
+    if verdict == REPRODUCED and (missing or lacking):
+        what = ", ".join(missing or lacking)
+        return OPEN, f"holds as far as it could be tried; not in the tables: {what}"
+    if missing:
+        reason += f"; not in the tables: {', '.join(missing)}"
+    if runs and limited > MOST_LIMITED * runs and not claim.limits_decide:
+        share = f"{limited} of {runs} deciding runs ended at a limit"
+        return OPEN, share + ("" if verdict == OPEN else f"; otherwise {verdict}: {reason}")
+    return verdict, reason
+
+
+def _of_parts(parts: list[Part]) -> tuple[str, str]:
+    """All parts must be on the claimed side; one wholly on the other refutes."""
+    count = {name: sum(p.verdict == name for p in parts) for name in (REPRODUCED, NOT, OPEN)}
+    verdict = NOT if count[NOT] else OPEN if count[OPEN] else REPRODUCED
+    if len(parts) == 1:
+        n = parts[0].interval.n
+        texts = {
+            REPRODUCED: "the interval lies on the claimed side",
+            NOT: "the interval lies on the other side",
+            OPEN: f"the interval holds both sides (n = {n})",
+        }
+        return verdict, texts[verdict]
+    told = [
+        f"{count[name]} {text}"
+        for name, text in ((REPRODUCED, "as claimed"), (NOT, "against"), (OPEN, "open"))
+        if count[name]
+    ]
+    return verdict, f"of {len(parts)} comparisons {', '.join(told)}"
+
+
+def _shown(findings: list[Finding], verdict: str) -> str:
+    """The figure that decides each check: the one farthest from the claimed side."""
+    texts = []
+    for finding in findings:
+        parts = [p for p in finding.parts if p.verdict == verdict] or finding.parts
+        if parts:
+            part = min(parts, key=lambda p: p.margin)
+            count = (
+                f", the least favourable of {len(finding.parts)}" if len(finding.parts) > 1 else ""
+            )
+            texts.append(f"{finding.figure} {part.interval} ({part.where}{count})")
+    return "; ".join(texts)
+
+
+def _reconstructed(claim: Claim, findings: list[Finding], experiment: Any) -> str:
+    names = [claim.reconstruction] if claim.reconstruction and findings else []
+    if experiment is not None:
+        cards: Mapping[str, Any] = experiment.tables.cards
+        used = dict.fromkeys(method for finding in findings for method in finding.methods)
+        names += [
+            cards[method].get("display_name", method)
+            for method in used
+            if cards.get(method, {}).get("provenance") == "reconstruction"
+        ]
+    return ", ".join(names)

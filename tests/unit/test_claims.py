@@ -1,0 +1,368 @@
+"""The ledger of claims: every kind of check brought to each of its verdicts by made-up tables."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import report_fixture
+from typer.testing import CliRunner
+
+from reports import claims
+from reports.ledger import intervals
+from reports.ledger.checks import CHECKS, STUDY_CHECKS
+from reports.ledger.evidence import Evidence, Experiment
+from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED, Interval
+from reports.ledger.judging import Claim, Ledger, judge_claim, ledger
+from reports.tables import PENALTY, ReportError, Tables, counted_time
+from workflows import records
+
+TRIALS = 30
+LEVELS = (0.0, 0.1, 0.2)
+CARDS = {
+    "ours": {"baseline": "dcreg", "options": {}, "limits": {"time_s": 10.0}},
+    "half": {"baseline": "dcreg", "options": {}, "n_inliers_ratio": 0.5},
+    "bound": {"baseline": "dcreg", "options": {"bound": "paper"}},
+    "rival": {"baseline": "rpm_htb", "provenance": "reconstruction", "display_name": "RPM-HTB"},
+}
+ROLES = {"ours": "dcreg", "half": "dcreg_half", "bound": "dcreg_bound", "rival": "rpm_htb"}
+
+
+def runs_of(method: str, **columns) -> pd.DataFrame:
+    """Runs of one method on the grid; a column is a value, or a function of level and random draw."""
+    rng = np.random.default_rng(sum(map(ord, method)))
+    rows = []
+    for level in LEVELS:
+        for trial in range(TRIALS):
+            row = {
+                "run_id": f"{method}-{level}-{trial}", "instance_id": f"{level}-{trial}",
+                "method": method, "display_name": method, "dataset": "d", "shape": "fish",
+                "test": "noise", "level": level, "trial": trial, "model": "similarity2d",
+                "experiment": "paper2d", "outcome": "finished", "status": "optimal",
+                "success": True, "rmse_excess": 0.01, "T_reference": "[]", "time_solve_s": 1.0,
+                "certificate_scope": "similarity pose", "verdict": "right", "n_nodes": 100.0,
+                "objective": 1.0, "gap_tol": 0.1, "lower_bound": 0.95, "objective_best": 1.0,
+                "bound_violation": 0.0, "rmse": 0.02,
+            }  # fmt: skip
+            draw = 1 + 0.1 * rng.random()
+            for name, value in columns.items():
+                row[name] = value(level, draw) if callable(value) else value
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def evidence(*tables: pd.DataFrame, traces: pd.DataFrame | None = None) -> Evidence:
+    made = Tables(
+        directory=Path("nowhere"),
+        runs=pd.concat(tables, ignore_index=True),
+        traces=pd.DataFrame(columns=list(records.TRACES)) if traces is None else traces,
+        accounting=pd.DataFrame(),
+        provenance={"methods": CARDS},
+        overlays=[],
+    )
+    return Evidence({"paper2d": Experiment(made)}, {})
+
+
+def judged(found: Evidence, *checks: dict, experiment: str = "paper2d", **fields):
+    claim = Claim("c", "q", "t", experiment, checks, **fields)
+    return judge_claim(ledger(), claim, found)
+
+
+def trace(method: str, seconds: float) -> pd.DataFrame:
+    """Bound histories that close at once after `seconds`."""
+    rows = [
+        {"run_id": run, "time_s": time, "lower_bound": low, "upper_bound": 1.0}
+        for run in runs_of(method)["run_id"]
+        for time, low in ((0.0, 0.0), (seconds, 1.0))
+    ]
+    return pd.DataFrame(rows)
+
+
+def error(value):
+    return lambda level, draw: value * draw
+
+
+RATIO = {"kind": "ratio", "subject": "dcreg", "rivals": ["rpm_htb"], "claimed": {"below": 1.0}}
+VALUE = {"kind": "value", "methods": ["dcreg"], "claimed": {"below": 0.02}}
+RISE = {"kind": "rise", "methods": ["rpm_htb"], "claimed": {"at_least": 3}}
+SPREAD = {"kind": "spread", "methods": ["dcreg"], "claimed": {"below": 1.5}}
+SLOPE = {"kind": "slope", "methods": ["dcreg"], "rivals": ["rpm_htb"], "claimed": {"below": 0}}
+TREND = {"kind": "trend", "methods": ["dcreg"], "quantities": ["time"], "claimed": {"above": 0}}
+RACE = {"kind": "race", "subject": "dcreg", "rivals": ["rpm_htb"], "claimed": {"below": 0.5}}
+REGRET = {
+    "kind": "regret", "subject": "dcreg_half", "reference": "dcreg", "claimed": {"at_least": 0.99},
+}  # fmt: skip
+
+
+def noisy(level, draw):
+    return 0.001 + 0.1 * (draw - 1)
+
+
+CASES = [
+    (RATIO, [("ours", {}), ("rival", {"rmse_excess": error(0.1)})], REPRODUCED),
+    (RATIO, [("ours", {"rmse_excess": error(0.1)}), ("rival", {})], NOT),
+    (RATIO, [("ours", {}), ("rival", {})], OPEN),
+    (VALUE, [("ours", {"rmse_excess": error(0.01)})], REPRODUCED),
+    (VALUE, [("ours", {"rmse_excess": error(0.03)})], NOT),
+    (VALUE, [("ours", {"rmse_excess": lambda level, draw: 0.4 * (draw - 1)})], OPEN),
+    (RISE, [("rival", {"rmse_excess": lambda level, draw: draw * 10 ** (10 * level - 2)})], REPRODUCED),
+    (RISE, [("rival", {"rmse_excess": error(0.1)})], NOT),
+    (RISE, [("rival", {"rmse_excess": lambda level, draw: (0.01, 0.03)[level > 0.1] * draw**9})], OPEN),
+    (SPREAD, [("ours", {"rmse_excess": error(0.1)})], REPRODUCED),
+    (SPREAD, [("ours", {"rmse_excess": lambda level, draw: draw * (0.1 + level)})], NOT),
+    (SPREAD, [("ours", {"rmse_excess": lambda level, draw: draw**9 * (0.02 + 0.05 * level)})], OPEN),
+    (SLOPE, [("ours", {}), ("rival", {"rmse_excess": lambda level, draw: draw * level})], REPRODUCED),
+    (SLOPE, [("ours", {"rmse_excess": lambda level, draw: draw * level}), ("rival", {})], NOT),
+    (SLOPE, [("ours", {"rmse_excess": noisy}), ("rival", {"rmse_excess": noisy})], OPEN),
+    (TREND, [("ours", {"time_solve_s": lambda level, draw: draw + 10 * level})], REPRODUCED),
+    (TREND, [("ours", {"time_solve_s": lambda level, draw: draw - level})], NOT),
+    (TREND, [("ours", {"time_solve_s": lambda level, draw: draw})], OPEN),
+    (REGRET, [("ours", {}), ("half", {"objective": 1.05})], REPRODUCED),
+    (REGRET, [("ours", {}), ("half", {"objective": 1.2})], NOT),
+    (REGRET, [("ours", {}), ("half", {"objective": lambda level, draw: 2.0 if draw > 1.098 else 1.05})], OPEN),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("check", "methods", "verdict"), CASES)
+def test_every_check_over_runs_can_say_all_three(check, methods, verdict):
+    tables = [runs_of(name, **columns) for name, columns in methods]
+    found = judged(evidence(*tables), check)
+    assert found.verdict == verdict, found
+    assert found.evidence
+    assert found.reason
+
+
+@pytest.mark.parametrize(
+    ("mine", "theirs", "verdict"), [(0.1, 1.0, REPRODUCED), (1.0, 0.1, NOT), (0.5, 1.0, OPEN)]
+)
+def test_race_compares_times_to_the_same_gap(mine, theirs, verdict):
+    traces = pd.concat([trace("ours", mine), trace("rival", theirs)])
+    found = judged(evidence(runs_of("ours"), runs_of("rival"), traces=traces), RACE)
+    assert found.verdict == verdict
+    assert f"{mine / theirs:.3g}" in found.evidence
+
+
+STUDY = [
+    ({"kind": "boxes", "subject": "paper", "rivals": ["termwise-r1"], "claimed": {"at_least": 0.9}},
+     "boxes", lambda sign: pd.DataFrame([
+         {"instance": "i", "place": "p", "draw": d, "width": 1.0, "bound": b, "value": v}
+         for d in range(20)
+         for b, v in (("paper", 1.0), ("termwise-r1", 1.0 - (sign if sign else d % 10 - 0.5)))
+     ])),
+    ({"kind": "orders", "bounds": {"paper": {"at_least": 1.8}}},
+     "orders", lambda sign: pd.DataFrame({"bound": "paper", "order": 1.8 + 0.1 * (
+         np.arange(8) % 4 - 1.5 if sign == 0 else sign * np.ones(8))})),
+    ({"kind": "work", "subject": "paper", "rivals": ["edges"], "claimed": {"below": 1.0}},
+     "searches", lambda sign: pd.DataFrame([
+         {"instance": i, "bound": b, "n_assignments": n, "gap": g if n else 100.0}
+         for i in range(8) for n in (0, 10)
+         for b, g in (("paper", 2.0 - (sign if sign else i % 2 - 0.5)), ("edges", 2.0))
+     ])),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("check", "table", "make"), STUDY)
+def test_every_check_over_the_study_can_say_all_three(check, table, make):
+    for sign, verdict in ((1, REPRODUCED), (-1, NOT), (0, OPEN)):
+        found = judged(Evidence({}, {table: make(sign)}), check, experiment="bounds")
+        assert found.verdict == verdict, (sign, found)
+
+
+def test_every_kind_of_check_is_tried_here():
+    tried = {check["kind"] for check, *_ in (*CASES, *STUDY)} | {"race"}
+    assert tried == set(CHECKS)
+    assert {check["kind"] for check, *_ in STUDY} == STUDY_CHECKS
+
+
+@pytest.mark.parametrize("check", [RATIO, VALUE, RISE, SPREAD, SLOPE, TREND, RACE, REGRET])
+def test_without_the_method_a_claim_is_not_run(check):
+    bystander = runs_of("bound")
+    found = judged(evidence(bystander), check)
+    assert found.verdict == NOT_RUN
+    assert "not in the tables" in found.reason
+    assert judged(Evidence({}, {}), check).verdict == NOT_RUN
+
+
+def test_a_method_that_never_ran_is_not_in_the_tables():
+    absent = runs_of("rival", outcome="unavailable", status="unavailable")
+    found = judged(evidence(runs_of("ours"), absent), RATIO)
+    assert (found.verdict, found.reason) == (NOT_RUN, "not in the tables: RPM-HTB")
+
+
+def test_holding_against_some_rivals_only_is_inconclusive():
+    check = {**RATIO, "rivals": ["rpm_htb", "rpm_pa"]}
+    found = judged(evidence(runs_of("ours"), runs_of("rival", rmse_excess=0.1)), check)
+    assert found.verdict == OPEN
+    assert "RPM-PA" in found.reason
+
+
+def test_more_than_five_percent_at_a_limit_is_inconclusive_and_says_what_it_would_be():
+    rival = runs_of("rival", rmse_excess=0.1)
+    few = rival.assign(outcome=["limited" if i < 9 else "finished" for i in range(len(rival))])
+    many = rival.assign(outcome=["limited" if i < 10 else "finished" for i in range(len(rival))])
+    assert judged(evidence(runs_of("ours"), few), RATIO).verdict == REPRODUCED
+    found = judged(evidence(runs_of("ours"), many), RATIO)
+    assert (found.verdict, found.limited, found.runs) == (OPEN, 10, 180)
+    assert "10 of 180" in found.reason
+    assert "otherwise reproduced" in found.reason
+    assert judged(evidence(runs_of("ours"), many), RATIO, limits_decide=True).verdict == REPRODUCED
+
+
+def test_one_part_against_refutes_and_is_the_evidence():
+    ours = runs_of("ours", rmse_excess=lambda level, draw: draw * (0.3 if level == 0.1 else 0.01))
+    found = judged(evidence(ours, runs_of("rival", rmse_excess=error(0.1))), RATIO)
+    assert found.verdict == NOT
+    assert "noise, 0.1, the least favourable of 3" in found.evidence
+    assert found.reason == "of 3 comparisons 2 as claimed, 1 against"
+
+
+def test_a_verdict_that_rests_on_a_reconstruction_says_so():
+    both = evidence(runs_of("ours"), runs_of("rival", rmse_excess=0.1))
+    assert judged(both, RATIO).reconstruction == "RPM-HTB"
+    assert judged(both, VALUE).reconstruction == ""
+
+
+def test_few_instances_decide_nothing():
+    few = [
+        runs_of(m, rmse_excess=e).query("trial < 4") for m, e in (("ours", 0.01), ("rival", 0.5))
+    ]
+    assert judged(evidence(*few), RATIO).verdict == OPEN
+
+
+def test_instances_are_paired():
+    ours = runs_of("ours", rmse_excess=error(0.01))
+    rival = runs_of("rival", rmse_excess=error(0.1))
+    unmatched = rival.assign(instance_id="other", rmse_excess=0.001)
+    found = judged(evidence(ours, pd.concat([rival, unmatched])), RATIO)
+    assert found.verdict == REPRODUCED
+    assert found.runs == 180
+
+
+def test_no_pose_counts_as_a_longest_side_and_lengths_as_sides_of_the_source():
+    pose = json.dumps([[0.0, -2.0, 5.0], [2.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    runs = runs_of("ours", rmse_excess=0.1, T_reference=pose)
+    runs.loc[0, "rmse_excess"] = np.nan
+    errors = evidence(runs).experiments["paper2d"].runs["error"]
+    assert errors.iloc[0] == 1.0
+    np.testing.assert_allclose(errors.iloc[1:], 0.05)
+
+
+def test_times_of_unfinished_runs_count_as_twice_the_limit():
+    runs = runs_of("ours", time_solve_s=3.0)
+    runs.loc[0, "outcome"], runs.loc[1, ["outcome", "time_solve_s"]] = "limited", ["failed", np.nan]
+    times = counted_time(runs, CARDS)
+    assert list(times[:3]) == [PENALTY * 10, PENALTY * 10, 3.0]
+
+
+def test_interval_covers_the_mean_as_often_as_it_says():
+    rng = np.random.default_rng(1)
+    inside = [
+        (found := intervals.mean(rng.normal(1.0, 1.0, 40))).low <= 1.0 <= found.high
+        for _ in range(200)
+    ]
+    assert 0.88 <= np.mean(inside) <= 0.99
+
+
+@pytest.mark.parametrize(
+    ("claimed", "inside", "outside", "across"),
+    [
+        ({"below": 1}, (0.2, 0.9), (1.1, 2), (0.5, 1.5)),
+        ({"above": 1}, (1.1, 2), (0.2, 0.9), (0.5, 1.5)),
+        ({"at_most": 1}, (1, 1), (1.1, 2), (0.5, 1.5)),
+        ({"at_least": 1}, (1, 1), (0.2, 0.9), (0.5, 1.5)),
+        ({"within": [0.8, 1.25]}, (0.8, 1.25), (1.3, 2), (0.7, 1.0)),
+        ({"contains": 0}, (-1, 1), (0.1, 1), None),
+    ],
+)
+def test_sides(claimed, inside, outside, across):
+    def verdict(ends, n=10):
+        return intervals.judge(Interval(sum(ends) / 2, *ends, n), claimed)
+
+    assert verdict(inside) == REPRODUCED
+    assert verdict(outside) == NOT
+    assert across is None or verdict(across) == OPEN
+    assert verdict(inside, n=4) == OPEN
+
+
+# --- the ledger itself --------------------------------------------------------------------------
+
+
+def test_ledger_holds_the_36_claims_with_command_and_check():
+    book = ledger()
+    assert len({claim.id for claim in book.claims}) == 36
+    for claim in book.claims:
+        assert claim.checks
+        assert claim.quote
+        assert claim.test
+        assert claim.experiment in book.commands
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("kind: boxes", "kind: boxen", "no check 'boxen'"),
+        ("subject: dcreg_half", "subject: dcreg_third", "no role 'dcreg_third'"),
+        ("experiment: bounds", "experiment: bonds", "no command makes 'bonds'"),
+    ],
+)
+def test_ledger_that_names_what_is_not_there_is_refused(tmp_path, old, new, message):
+    from reports.ledger.judging import LEDGER
+
+    path = tmp_path / "claims.yaml"
+    path.write_text(LEDGER.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ReportError, match=re.escape(message)):
+        Ledger.read(path)
+
+
+def test_every_role_is_found_in_the_cards():
+    from baselines import registry
+
+    named = {name for role in ledger().roles.values() for name in role.baseline}
+    assert named <= set(registry.names())
+
+
+def test_roles_prefer_the_plain_method_and_leave_out_oracles():
+    roles = ledger().roles
+    teaser = {"baseline": "teaser", "options": {"front_end": "oracle"}}
+    assert roles["teaser"].fit(teaser) is None
+    plain, tuned = (
+        roles["teaser"].fit({"baseline": "teaser", "options": options})
+        for options in ({}, {"threshold": "paper"})
+    )
+    assert plain < tuned
+    assert roles["dcreg"].fit({"baseline": "dcreg", "options": {"bound": "paper"}}) is None
+    assert roles["dcreg_half"].fit({"baseline": "dcreg", "n_inliers_ratio": 0.5, "options": {}})
+
+
+def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick_part(tmp_path):
+    for name in ("paper2d-quick", "paper2d", "other"):
+        report_fixture.write_tables(tmp_path / name / "tables", experiment=name)
+    study = tmp_path / "bounds"
+    study.mkdir()
+    for check, name, make in STUDY:
+        make(1).to_csv(study / f"{name}.csv", index=False)
+    found = Evidence.of_folders([tmp_path])
+    assert set(found.experiments) == {"paper2d", "other"}
+    assert found.experiments["paper2d"].tables.experiment == "paper2d"
+    out = tmp_path / "out"
+    answer = CliRunner().invoke(claims_app(), [str(tmp_path), "--out", str(out)])
+    assert answer.exit_code == 0, answer.output
+    table = pd.read_csv(out / "claims.csv")
+    assert len(table) == 36
+    verdicts = table.set_index("id")["verdict"]
+    assert verdicts["tighter-bnb"] in (REPRODUCED, OPEN)
+    assert verdicts["low-3d"] == NOT_RUN
+    page = (out / "index.html").read_text(encoding="utf-8")
+    assert all(identity in page for identity in table["id"])
+
+
+def claims_app():
+    import typer
+
+    app = typer.Typer()
+    app.command()(claims.main)
+    return app
