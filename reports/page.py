@@ -6,10 +6,13 @@ import base64
 import gzip
 import json
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from reports.figures import printing
+from reports.figures.grid import Grid
 from reports.tables import Tables
 from reports.theme import Style
 
@@ -22,6 +25,13 @@ class Figure:
     title: str
     builder: str
     payload: dict[str, Any]
+    grid: Grid | None = None  # of figures that also go to print
+
+    @property
+    def methods(self) -> set[str]:
+        """Labels of the methods that any view of the figure draws."""
+        drawn = [trace for view in self.payload.get("views", {}).values() for trace in view["data"]]
+        return {trace["meta"]["method"] for trace in drawn if "method" in trace["meta"]}
 
 
 @dataclass(frozen=True)
@@ -47,6 +57,20 @@ class Page:
     def add_figure(self, figure: Figure) -> Figure:
         self.figures[figure.id] = figure
         return figure
+
+    def add_print(
+        self, figure: Figure, view: str, roles: Collection[str], name: str, text: str
+    ) -> list[Download]:
+        """A view of a figure as SVG and PDF: files beside the page, and downloads within it."""
+        assert figure.grid is not None
+        drawing = printing.draw(
+            figure.payload["views"][view]["data"], figure.grid, self.styles,
+            f"{self.tables.experiment}: {text}", roles,
+        )  # fmt: skip
+        return [
+            self.add_download(path.name, path.read_bytes(), f"{text}, {path.suffix[1:].upper()}")
+            for path in printing.save(drawing, self.folder / name)
+        ]
 
     def add_download(self, name: str, content: bytes, description: str) -> Download:
         download = Download(name, description, len(content), pack(content))

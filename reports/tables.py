@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from data import registry
+from data.contract import RecordedDataset
 from workflows import records
+from workflows.disturb import DISTURBANCES
 from workflows.records import OUTCOMES
-
 
 PENALTY = 2.0  # of time limits, for runs that did not finish: PAR2
 
@@ -134,6 +136,16 @@ def row_names(runs: pd.DataFrame, most: int = 4) -> pd.Series:
     crowded = runs.groupby("dataset")["shape"].transform("nunique") > most
     named = runs["dataset"] + " · " + runs["shape"] if several else runs["shape"]
     return named.where(~crowded, runs["dataset"])
+
+
+def level_titles(runs: pd.DataFrame) -> dict[str, str]:
+    """What the levels of each test measure, with their unit."""
+    titles = {name: disturbance.label for name, disturbance in DISTURBANCES.items()}
+    known = registry.datasets()
+    for name in runs["dataset"].unique():
+        if isinstance(recorded := known.get(name), RecordedDataset):
+            titles |= {test: axis.label for test, axis in recorded.tests().items()}
+    return {test: titles.get(test, "level") for test in runs["test"].unique()}
 
 
 def thin_trace(events: pd.DataFrame, most: int = 200) -> pd.DataFrame:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from reports.tables import Tables
 
@@ -20,33 +21,51 @@ OUTCOME_COLOR = {
 }
 FALLBACK_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#6a51a3")
 
-# matplotlib marker -> plotly symbol; a card states the former.
-_SYMBOLS = {
-    "o": "circle",
-    "s": "square",
-    "^": "triangle-up",
-    "v": "triangle-down",
-    "<": "triangle-left",
-    ">": "triangle-right",
-    "D": "diamond",
-    "d": "diamond-tall",
-    "P": "cross",
-    "X": "x",
-    "x": "x",
-    "+": "cross",
-    "*": "star",
-    "p": "pentagon",
-    "h": "hexagon",
+# matplotlib marker -> plotly symbol, corners of its outline on the unit circle (turns and radii). Only
+# filled shapes: an open one says that runs ended at a limit.
+_MARKERS: dict[str, tuple[str, int, float, float]] = {
+    # symbol, corners, turn of the first one, inner radius of a star (1: a polygon)
+    "o": ("circle", 24, 0.0, 1.0),
+    "s": ("square", 4, 0.125, 1.0),
+    "^": ("triangle-up", 3, 0.0, 1.0),
+    "v": ("triangle-down", 3, 0.5, 1.0),
+    "<": ("triangle-left", 3, 0.75, 1.0),
+    ">": ("triangle-right", 3, 0.25, 1.0),
+    "D": ("diamond", 4, 0.0, 1.0),
+    "d": ("diamond-tall", 4, 0.0, 0.55),
+    "P": ("cross", 4, 0.0, 0.3),
+    "X": ("x", 4, 0.125, 0.3),
+    "*": ("star", 5, 0.0, 0.4),
+    "p": ("pentagon", 5, 0.0, 1.0),
+    "h": ("hexagon", 6, 0.0, 1.0),
+    "H": ("hexagon2", 6, 1 / 12, 1.0),
+    "8": ("octagon", 8, 1 / 16, 1.0),
 }
-# Variants of one method share its colour family and differ by dash.
-_DASHES = ("solid", "dash", "dot", "dashdot")
+MARKERS = tuple(_MARKERS)
+# Variants of one method keep its colour family and marker and differ by dash, then by shade: plotly's
+# name of the dash -> lengths of strokes and gaps, in line widths.
+DASHES: dict[str, tuple[float, ...]] = {
+    "solid": (),
+    "dash": (5, 2),
+    "dot": (1, 1.5),
+    "dashdot": (5, 2, 1, 2),
+    "longdash": (9, 2),
+    "longdashdot": (9, 2, 1, 2),
+}
+_SHADES = (("#000000", 0.0), ("#000000", 0.3), ("#ffffff", 0.3))
+# Words in the names of variants -> looks, the same in every experiment.
+_VARIANTS = {
+    "half": 1, "tuned": 1, "exact": 1, "100": 1, "mutual": 1, "quarter": 3,
+    "paper": 2, "oracle": 2, "200": 2,
+    "full": 3, "nearest": 3, "tight": 4, "multi": 4, "all": 4, "auto": 5, "fpfh": 5,
+}  # fmt: skip
 
 MISSING = "–"
 
 
 @dataclass(frozen=True)
 class Style:
-    """How one method looks everywhere."""
+    """How one method looks everywhere: colour × marker × dash."""
 
     label: str
     name: str
@@ -54,39 +73,87 @@ class Style:
     light: str
     dark: str
     marker: str
-    symbol: str
     dash: str
 
     @property
-    def mpl_line(self) -> str:
-        return {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}[self.dash]
+    def symbol(self) -> str:
+        return _MARKERS[self.marker][0]
+
+    @property
+    def mpl_line(self) -> Any:
+        return (0, DASHES[self.dash]) if DASHES[self.dash] else "-"
+
+    @property
+    def strokes(self) -> str:
+        """The dash as SVG knows it."""
+        return " ".join(f"{1.6 * length:g}" for length in DASHES[self.dash])
+
+    @property
+    def outline(self) -> str:
+        """The marker as corners of an SVG polygon around 0, radius 1."""
+        _, corners, turn, inner = _MARKERS[self.marker]
+        points = []
+        for corner in range(corners if inner == 1 else 2 * corners):
+            angle = 2 * math.pi * (turn + corner / (corners if inner == 1 else 2 * corners))
+            radius = inner if corner % 2 and inner != 1 else 1.0
+            points.append(f"{radius * math.sin(angle):.2f},{-radius * math.cos(angle):.2f}")
+        return " ".join(points)
 
 
 def method_styles(tables: Tables) -> dict[str, Style]:
     """A style per method label, from the method cards; variants stay distinguishable."""
     first = tables.runs.drop_duplicates("method").set_index("method")
     names = first["display_name"].to_dict()
-    used: dict[str, int] = {}
+    used: set[tuple[str, int]] = set()
     styles = {}
     for index, label in enumerate(tables.methods):
         card = tables.cards.get(label, {})
         color = str(card.get("color") or FALLBACK_COLORS[index % len(FALLBACK_COLORS)])
-        variant = used.get(color, 0)
-        used[color] = variant + 1
-        shared = list(names.values()).count(names[label]) > 1
-        shade = mix(color, "#ffffff" if variant % 2 else "#000000", 0.28 * min(variant, 2))
+        look = _look(label, card)
+        while (color, look) in used:
+            look += 1
+        used.add((color, look))
+        shade = mix(color, *_SHADES[look // len(DASHES) % len(_SHADES)])
         marker = str(card.get("marker", "o"))
+        shared = list(names.values()).count(names[label]) > 1
         styles[label] = Style(
             label=label,
             name=label if shared or not names[label] else names[label],
             variable=f"--method-{index}",
             light=readable(shade, SURFACE["light"]),
             dark=readable(shade, SURFACE["dark"]),
-            marker=marker if marker in _SYMBOLS else "o",
-            symbol=_SYMBOLS.get(marker, "circle"),
-            dash=_DASHES[variant % len(_DASHES)],
+            marker=marker if marker in _MARKERS else "o",
+            dash=list(DASHES)[look % len(DASHES)],
         )
     return styles
+
+
+def _look(label: str, card: dict[str, Any]) -> int:
+    """0 for a method as it is, otherwise by the words of its name; a second word shades the first."""
+    if not card.get("options") and card.get("n_inliers_ratio", 1) == 1:
+        return 0
+    known = [_VARIANTS[word] for word in label.split("-")[1:] if word in _VARIANTS]
+    return sum(look * len(DASHES) ** place for place, look in enumerate(known[:2])) or 1
+
+
+def difference(one: str, other: str) -> float:
+    """Distance of two colours in OKLab, where 0.02 is just seen side by side."""
+    return math.dist(_oklab(one), _oklab(other))
+
+
+def _oklab(color: str) -> tuple[float, ...]:
+    r, g, b = (
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in _channels(color)
+    )
+    l, m, s = (
+        (x * r + y * g + z * b) ** (1 / 3)
+        for x, y, z in ((0.4122, 0.5363, 0.0514), (0.2119, 0.6807, 0.1074), (0.0883, 0.2817, 0.63))
+    )
+    return (
+        0.2105 * l + 0.7936 * m - 0.0041 * s,
+        1.978 * l - 2.4286 * m + 0.4506 * s,
+        0.0259 * l + 0.7828 * m - 0.8087 * s,
+    )
 
 
 def readable(color: str, surface: str, ratio: float = 3.2) -> str:

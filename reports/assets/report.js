@@ -52,7 +52,7 @@ function themed(layout) {
   const text = color("--text"), quiet = color("--quiet"), grid = color("--grid");
   const axis = {
     gridcolor: grid, zerolinecolor: grid, linecolor: color("--line"), showline: true,
-    tickfont: { color: quiet },
+    tickfont: { color: quiet }, exponentformat: "none",
   };
   const themedLayout = {
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", showlegend: false,
@@ -69,7 +69,7 @@ function themed(layout) {
 
 function styled(trace) {
   const { method, role } = trace.meta;
-  const hue = method ? methodColor(method) : color("--quiet");
+  const hue = method ? methodColor(method) : color(/source|target/.test(role) ? `--${role}` : "--quiet");
   const copy = { ...trace, type: "scatter", line: { ...trace.line, color: hue } };
   if (trace.mode.includes("markers")) copy.marker = { ...trace.marker, color: hue };
   if (role === "band") copy.fillcolor = methodColor(method, 0.14);
@@ -232,7 +232,7 @@ function runTraces(run, stage, work) {
     // with markers, as a search may end at its first event
     const line = (y, axis, dash, what, width = 2) => ({
       x, y, xaxis: `x${axis}`, yaxis: `y${axis}`, mode: "lines+markers", name: nameOf(run.method),
-      line: { shape: "hv", dash, width }, marker: { size: 4 }, meta: { method: run.method, role: what },
+      line: { shape: "hv", dash, width }, marker: { size: 6, symbol: run.symbol, maxdisplayed: 12 }, meta: { method: run.method, role: what },
       hovertemplate: `<b>${nameOf(run.method)}</b> ${what}<br>%{y:.5g} at %{x:.4g}<br>${run.run}<extra></extra>`,
     });
     const flat = (value, axis, what, method, dash) => ({
@@ -259,7 +259,7 @@ function tellRuns(instance, stage) {
     row.dataset.method = run.method;
     row.hidden = hidden.has(run.method);
     const name = text("th", nameOf(run.method));
-    name.prepend($(`[data-toggle-method="${CSS.escape(run.method)}"] .dot`).cloneNode());
+    name.prepend($(`[data-toggle-method="${CSS.escape(run.method)}"] .dot`).cloneNode(true));
     row.append(name, text("td", run.status), text("td", run.scope || "–"),
       ...[low, high, high - low, run.gap_tol, nodes.at(-1)].map((value) => text("td", short(value))), text("td", run.run));
     return row;
@@ -395,12 +395,22 @@ document.addEventListener("change", ({ target }) => {
   if (figure?.dataset.drawn) draw(figure);
 });
 
-$$("[data-toggle-method]").forEach((chip) => chip.addEventListener("click", () => {
-  const method = chip.dataset.toggleMethod;
-  if (!hidden.delete(method)) hidden.add(method);
-  chip.setAttribute("aria-pressed", String(!hidden.has(method)));
+const chips = $$("[data-toggle-method]");
+function showMethods() {
+  for (const chip of chips) chip.setAttribute("aria-pressed", String(!hidden.has(chip.dataset.toggleMethod)));
+  $("#shown-methods").textContent = `${variableOf.size - hidden.size} of ${variableOf.size}`;
   $$("[data-filters]").forEach(filter);
   redraw();
+}
+chips.forEach((chip) => chip.addEventListener("click", () => {
+  const method = chip.dataset.toggleMethod;
+  if (!hidden.delete(method)) hidden.add(method);
+  showMethods();
+}));
+$$("[data-all-methods]").forEach((button) => button.addEventListener("click", () => {
+  hidden.clear();
+  if (button.dataset.allMethods === "hide") for (const method of variableOf.keys()) hidden.add(method);
+  showMethods();
 }));
 
 const dark = matchMedia("(prefers-color-scheme: dark)");

@@ -98,7 +98,7 @@ def _run(run: pd.Series, stages: dict[str, pd.DataFrame], style: Style) -> dict[
         "n_inliers": run["n_inliers"],
         "gap_tol": run["gap_tol"],
         "truth": run["objective_true"] if comparable else None,
-        "dash": style.dash,
+        "symbol": style.symbol,
         "stages": {
             str(stage): {
                 "time": list(part["time_s"]),

@@ -22,6 +22,9 @@ class Panel:
     share_x: bool = True
     share_y: bool = True
     y_from_zero: bool = False
+    x_ticks: list[float] = field(default_factory=list)  # where empty, the axis chooses
+    equal: bool = False  # both axes in the same unit
+    hidden: bool = False  # axes without numbers, for clouds
 
 
 @dataclass
@@ -123,22 +126,39 @@ class Grid:
         }
         if panel.y_from_zero:
             y_axis["rangemode"] = "tozero"
-        first_x = self._first(column=panel.column) if panel.share_x else index
-        first_y = self._first(row=panel.row) if panel.share_y else index
+        if panel.x_ticks:
+            x_axis |= {"tickvals": panel.x_ticks, "ticktext": [f"{x:g}" for x in panel.x_ticks]}
+        if panel.equal:
+            y_axis["scaleanchor"] = _axis("x", index)
+        if panel.hidden:
+            for axis in (x_axis, y_axis):
+                axis |= {"showticklabels": False, "showgrid": False, "zeroline": False, "ticks": ""}
+        first_x, first_y = self.first_of_column(index - 1) + 1, self.first_of_row(index - 1) + 1
         if first_x != index:
             x_axis["matches"] = _axis("x", first_x)
         if first_y != index:
             y_axis["matches"] = _axis("y", first_y)
         layout[_key("x", index)], layout[_key("y", index)] = x_axis, y_axis
 
-    def _first(self, *, row: int | None = None, column: int | None = None) -> int:
-        """Index of the first panel of a row or column that shares its axis there."""
-        for index, panel in enumerate(self.panels, 1):
-            in_row = row is not None and panel.row == row and panel.share_y
-            in_column = column is not None and panel.column == column and panel.share_x
-            if in_row or in_column:
-                return index
-        raise ValueError("no such panel")
+    def first_of_column(self, which: int) -> int:
+        """Place in `panels` of the first one that shares its x axis with this one."""
+        panel = self.panels[which]
+        if not panel.share_x:
+            return which
+        return next(
+            i
+            for i, other in enumerate(self.panels)
+            if other.column == panel.column and other.share_x
+        )
+
+    def first_of_row(self, which: int) -> int:
+        """Place in `panels` of the first one that shares its y axis with this one."""
+        panel = self.panels[which]
+        if not panel.share_y:
+            return which
+        return next(
+            i for i, other in enumerate(self.panels) if other.row == panel.row and other.share_y
+        )
 
 
 def _axis(letter: str, index: int) -> str:

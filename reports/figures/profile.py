@@ -41,7 +41,8 @@ def _steps(part: pd.DataFrame, name: str, axes: tuple[str, str], style: Style) -
         values, share = values[index], share[index]
     return {
         "x": np.maximum(values, 1e-6), "y": share, "xaxis": axes[0], "yaxis": axes[1],
-        "mode": "lines", "name": style.name,
+        "mode": "lines+markers", "name": style.name,
+        "marker": {"symbol": style.symbol, "size": 7, "maxdisplayed": 6},
         "line": {"shape": "hv", "width": 2, "dash": style.dash},
         "hovertemplate": f"{style.name}<br>%{{y:.0%}} of {len(part)} runs ≤ %{{x:.3g}}"
         "<extra></extra>",

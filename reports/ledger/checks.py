@@ -120,11 +120,10 @@ def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[str, pd.DataFra
     if not by:
         yield "all", table
         return
-    for key, part in table.groupby(by, sort=False):
-        yield (
-            ", ".join(words(f"{value:g}" if isinstance(value, float) else value) for value in key),
-            part,
-        )
+    for _, part in table.groupby(by, sort=False):
+        key = part.iloc[0][by]
+        texts = [f"{value:g}" if isinstance(value, float) else words(str(value)) for value in key]
+        yield ", ".join(texts), part
 
 
 def paired(one: pd.DataFrame, other: pd.DataFrame, quantity: str) -> pd.DataFrame:

@@ -9,12 +9,16 @@ from reports.sections import (
     failures,
     gallery,
     levels,
+    outcome,
     overview,
+    paper,
     parameters,
     provenance,
 )
 
 ORDER = (
+    outcome,
+    paper,
     overview,
     levels,
     bounds,

@@ -25,7 +25,7 @@ def context(page: Page) -> dict[str, Any]:
                 "outcome": outcome,
                 "method": method,
                 "status": status,
-                "message": message,
+                "reason": message or _reason(outcome, page.tables.cards.get(str(method), {})),
                 "count": len(part),
                 "where": ", ".join(f"{words(str(test))} ({n})" for test, n in tests.items()),
                 "runs": list(part["run_id"]),
@@ -34,4 +34,17 @@ def context(page: Page) -> dict[str, Any]:
     groups.sort(
         key=lambda g: (OUTCOMES.index(g["outcome"]), page.tables.methods.index(g["method"]))
     )
-    return {"groups": groups, "count": len(rest), "planned": len(runs)}
+    return {
+        "groups": groups,
+        "count": len(rest),
+        "planned": len(runs),
+        "replay": page.tables.provenance.get("replay", ""),
+    }
+
+
+def _reason(outcome: str, card: dict[str, Any]) -> str:
+    """What a run without a message ended at."""
+    limit = card.get("limits", {}).get("time_s")
+    if outcome == "limited" and limit is not None:
+        return f"ended at its limit of {limit:g} s, with the best pose until then"
+    return "no reason given"

@@ -10,7 +10,7 @@ from reports.page import Page
 ID = "levels"
 TITLE = "Error and time versus level"
 
-_MIME = {".svg": "SVG", ".pdf": "PDF"}
+SUFFIX = {"median": "", "mean": "-mean"}
 
 
 def context(page: Page) -> dict[str, Any]:
@@ -19,22 +19,24 @@ def context(page: Page) -> dict[str, Any]:
         runs = levels.prepare(page.tables, model)
         if runs["rmse"].isna().all():
             continue
+        figure = page.add_figure(levels.build(page.tables, page.styles, model))
+        prints = [
+            download
+            for statistic in ("median", "mean")
+            for download in page.add_print(
+                figure,
+                "rmse",
+                (statistic, "band", "floor"),
+                f"levels-{model}{SUFFIX[statistic]}",
+                f"{model}, {statistic} over trials",
+            )
+        ]
         figures.append(
             {
-                "figure": page.add_figure(levels.build(page.tables, page.styles, model)),
+                "figure": figure,
                 "model": model,
                 "errors": {name: levels.ERRORS[name][0] for name in levels.available_errors(runs)},
-                "prints": [
-                    page.add_download(
-                        path.name,
-                        path.read_bytes(),
-                        f"{statistic} over trials, {_MIME[path.suffix]}",
-                    )
-                    for statistic in ("median", "mean")
-                    for path in levels.save_static(
-                        page.tables, page.styles, model, statistic, page.folder
-                    )
-                ],
+                "prints": prints,
                 "floor": bool(runs["rmse_floor"].notna().any()),
             }
         )

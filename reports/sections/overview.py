@@ -13,19 +13,17 @@ from workflows.records import OUTCOMES
 from workflows.summary import summarise
 
 ID = "overview"
-TITLE = "Overview"
+TITLE = "Accounting"
 
 
 def context(page: Page) -> dict[str, Any]:
     counts = count_outcomes(page.tables.runs).loc[page.tables.methods]
     models = list(dict.fromkeys(page.tables.runs["model"]))
-    wrong = page.tables.runs["bound_violation"].fillna(0) > 0
     solved = attempted(page.tables.runs)["model"]
     return {
         "outcomes": OUTCOMES,
         "accounting": [(method, row) for method, row in counts.iterrows()],
         "total": counts.sum(),
-        "wrong_certificates": list(page.tables.runs.loc[wrong, "run_id"]),
         "summary": summary(page.tables),
         "models": models,
         "tests": list(dict.fromkeys(page.tables.runs["test"])),
@@ -41,6 +39,7 @@ def summary(tables: Tables) -> list[dict[str, Any]]:
     """Model × test × method, as the harness summarises them, with what could not be attempted."""
     keys = ["model", "test", "method"]
     planned = tables.runs.groupby(keys, sort=False)["outcome"].agg(_outcomes).reset_index()
+    floors = tables.runs.groupby(keys, sort=False)["rmse_floor"].median()
     sizes = tables.runs.groupby(keys, sort=False).size()
     done = summarise(tables.runs).set_index(keys)
     rows: list[dict[str, Any]] = []
@@ -50,6 +49,7 @@ def summary(tables: Tables) -> list[dict[str, Any]]:
             {
                 **{str(name): value for name, value in row.items()},
                 "planned": int(sizes[key]),
+                "floor": float(floors[key]),
                 "complete": row["outcome"] == f"{sizes[key]} finished",
                 "result": done.loc[key] if key in done.index else None,
             }

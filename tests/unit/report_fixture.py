@@ -153,6 +153,7 @@ def _provenance():
         "git": {"commit": "0" * 40, "dirty": True},
         "created": "2026-01-01T00:00:00Z",
         "commands": ["python -m workflows run made-up"],
+        "replay": "python -m workflows replay made-up",
         "methods": {
             label: {
                 "display_name": name, "summary": "A made-up method.", "provenance": origin,

@@ -176,6 +176,7 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
         "git": provenance.git_state(),
         "created": provenance.now(),
         "commands": [run_command(plan)],
+        "replay": f"python -m workflows replay {shlex.quote(plan.config)}",
         "methods": {
             method.name: {
                 **methods.card(method.baseline).model_dump(),

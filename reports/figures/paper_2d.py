@@ -1,0 +1,34 @@
+"""The paper's figure of 2D tests: mean error per shape, and mean time, against the level."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from reports.figures import levels
+from reports.ledger.evidence import Experiment
+from reports.ledger.judging import ledger
+from reports.page import Figure
+from reports.tables import Tables
+from reports.theme import Style
+from workflows.disturb import DISTURBANCES
+
+TITLE = "2D tests"
+CAPTION = (
+    "Means over trials, as in the paper; the grid of levels is ours. Bands: 10 to 90 % of the runs."
+)
+DRAWN = ("mean", "band", "floor")
+METHODS = ("dcreg", "dcreg_half", "rpm_htb", "rpm_pa", "rpm_cav")
+
+
+def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
+    """The figure, with the paper's methods as far as they ran; None without such runs."""
+    runs = chosen(tables, "similarity2d", METHODS)
+    return None if runs.empty else levels.assemble("paper-2d", TITLE, runs, styles, scale="linear")
+
+
+def chosen(tables: Tables, model: str, roles: tuple[str, ...]) -> pd.DataFrame:
+    """Runs of the paper's five tests by the methods that play `roles` in the ledger."""
+    experiment, known = Experiment(tables), ledger().roles
+    methods = [method for role in roles for method in experiment.playing(known[role])]
+    runs = levels.prepare(tables, model)
+    return runs[runs["method"].isin(methods) & runs["test"].isin(list(DISTURBANCES))]

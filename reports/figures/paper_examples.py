@@ -1,0 +1,43 @@
+"""The paper's figure of the tests themselves: a source and a target of each, brought back together."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from reports.figures import clouds
+from reports.page import Figure
+from reports.tables import Tables
+from reports.theme import Style, words
+from workflows.disturb import DISTURBANCES
+
+TITLE = "Examples of the tests"
+CAPTION = (
+    "Source (red circles) and target (blue crosses) at the reference pose, highest level kept."
+)
+DRAWN = clouds.DRAWN
+
+
+def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
+    """A row per shape and a column per test; None where no overlay of such a test was kept."""
+    poses = tables.runs.set_index("run_id")["T_reference"]
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for item in tables.overlays:
+        key = item["shape"], item["test"]
+        known = item["test"] in DISTURBANCES and json.loads(poses[item["run_id"]] or "[]")
+        if known and (key not in found or item["level"] > found[key]["level"]):
+            found[key] = item
+    if not found:
+        return None
+    shapes = list(dict.fromkeys(shape for shape, _ in found))
+    tests = [test for test in DISTURBANCES if any(test == other for _, other in found)]
+    panels = []
+    for (shape, test), item in sorted(found.items()):
+        pose = np.array(json.loads(poses[item["run_id"]]))
+        source, target = np.array(item["source"]), np.array(item["target"])
+        row, column = shapes.index(shape), tests.index(test)
+        back = clouds.move(target, np.linalg.inv(pose))
+        panels.append((row, column, f"{shape}<br>{item['level']:g}", source, back))
+    return clouds.assemble("paper-examples", TITLE, [words(test) for test in tests], panels)

@@ -1,0 +1,42 @@
+"""The paper's figure of edges of photographs: the turned source laid over the target by each method."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from reports.figures import clouds
+from reports.ledger.evidence import QUICK, Experiment
+from reports.ledger.judging import ledger
+from reports.page import Figure
+from reports.tables import Tables
+from reports.theme import Style
+
+TITLE = "Edges of photographs"
+CAPTION = "Best, median and worst run of each method: source (red circles), target (blue crosses)."
+DRAWN = clouds.DRAWN
+METHODS = ("dcreg_image", "rpm_htb", "rpm_pa", "rpm_cav")
+EXPERIMENT = "paper2d_images"
+
+
+def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
+    """A row per rank and a column per method; None in other experiments."""
+    if tables.experiment.removesuffix(QUICK) != EXPERIMENT:
+        return None
+    experiment, known = Experiment(tables), ledger().roles
+    methods = [method for role in METHODS for method in experiment.playing(known[role])]
+    shown = [item for item in tables.overlays if item["method"] in methods]
+    ranks = list(dict.fromkeys(item["rank"] for item in shown))
+    panels = []
+    for item in shown:
+        pose = item["T_target_source"]
+        pose = np.array(json.loads(pose) if isinstance(pose, str) else pose)
+        moved = clouds.move(np.array(item["source"]), pose)
+        row, column = ranks.index(item["rank"]), methods.index(item["method"])
+        panels.append(
+            (row, column, f"{item['rank']}<br>{item['shape']}", moved, np.array(item["target"]))
+        )
+    panels = list({panel[:2]: panel for panel in panels}.values())  # the first test of a method
+    titles = [styles[method].name for method in methods]
+    return clouds.assemble("paper-images", TITLE, titles, panels) if panels else None

@@ -1,0 +1,190 @@
+"""An interactive figure in print: the same traces and axes, drawn with matplotlib.
+
+What a reader sees on the page and on paper is one description, so the two cannot differ. Open markers
+say that runs ended at a limit, open ones with a dot that runs gave no pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import seaborn as sns
+from matplotlib.figure import Figure as MplFigure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, NullFormatter
+
+from reports.figures.grid import Grid
+from reports.theme import DASHES, SOURCE_COLOR, TARGET_COLOR, Style
+
+FLOOR_COLOR = "#666666"
+LIMITED, NO_POSE = "-open", "-open-dot"  # endings of plotly's symbols
+_LEGEND_COLUMNS = 3
+_SETTINGS: dict[Any, Any] = {
+    "font.size": 8,
+    "axes.titlesize": 9,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "dcreg",
+    "figure.constrained_layout.use": True,
+}
+
+
+def save(figure: MplFigure, stem: Path) -> list[Path]:
+    """Write the figure as SVG and PDF; the same tables give the same files."""
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in ("svg", "pdf")]
+    for path in paths:
+        date = "Date" if path.suffix == ".svg" else "CreationDate"
+        with matplotlib.rc_context(_SETTINGS):
+            figure.savefig(path, metadata={date: None})
+        figure.set_layout_engine("none")  # the layout is done; the second file shares it
+    return paths
+
+
+def draw(
+    traces: list[dict[str, Any]],
+    grid: Grid,
+    styles: Mapping[str, Style],
+    title: str,
+    roles: Collection[str] | None = None,
+) -> MplFigure:
+    """The panels of `grid` with `traces`, those of `roles` where given."""
+    rows = max(panel.row for panel in grid.panels) + 1
+    columns = len(grid.column_titles)
+    with sns.axes_style("whitegrid"), matplotlib.rc_context(_SETTINGS):
+        figure = MplFigure(figsize=(2.3 * columns + 0.8, 1.7 * rows + 1.1))
+        axes = figure.subplots(rows, columns, squeeze=False)
+        placed = [axes[panel.row][panel.column] for panel in grid.panels]
+        _share(grid, placed)
+        for trace in traces:
+            if roles is None or trace["meta"]["role"] in roles:
+                _draw(placed[_index(trace["xaxis"])], trace, styles)
+        for axis in set(axes.flat) - set(placed):
+            axis.set_axis_off()
+        _label(grid, placed)
+        shown = dict.fromkeys(trace["meta"].get("method") for trace in traces)
+        handles = [_key(styles[method]) for method in shown if method]
+        handles += _marks(traces, roles)
+        if handles:
+            figure.legend(
+                handles=handles, loc="outside lower center", ncols=_LEGEND_COLUMNS, frameon=False,
+                handlelength=3.4,
+            )  # fmt: skip
+        figure.suptitle(title)
+    return figure
+
+
+def _index(name: str) -> int:
+    """Panel of an axis called x, x2, x3, ..."""
+    return int(name[1:] or 1) - 1
+
+
+def _share(grid: Grid, placed: list[Any]) -> None:
+    for index, panel in enumerate(grid.panels):
+        axis = placed[index]
+        if panel.equal:
+            axis.set_aspect("equal", adjustable="datalim")
+        first_x, first_y = grid.first_of_column(index), grid.first_of_row(index)
+        if first_x != index:
+            axis.sharex(placed[first_x])
+        if first_y != index:
+            axis.sharey(placed[first_y])
+        axis.set_xscale(panel.x_type)
+        axis.set_yscale(panel.y_type)
+
+
+def _label(grid: Grid, placed: list[Any]) -> None:
+    for index, panel in enumerate(grid.panels):
+        axis = placed[index]
+        lowest = max(p.row for p in grid.panels if p.column == panel.column)
+        alone_x, alone_y = not panel.share_x, not panel.share_y
+        axis.set_xlabel(panel.x_title if panel.row == lowest or alone_x else "")
+        axis.set_ylabel(panel.y_title.replace("<br>", "\n") if panel.column == 0 or alone_y else "")
+        axis.set_title(grid.column_titles[panel.column] if panel.row == 0 else "")
+        if panel.hidden:
+            axis.set_xticks([])
+            axis.set_yticks([])
+        if panel.x_ticks and panel.x_type == "linear":
+            axis.set_xticks(panel.x_ticks, [f"{tick:g}" for tick in panel.x_ticks])
+        for which, kind in ((axis.xaxis, panel.x_type), (axis.yaxis, panel.y_type)):
+            if kind == "log":
+                which.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+                which.set_minor_formatter(NullFormatter())
+        if panel.y_from_zero and panel.y_type == "linear":
+            axis.set_ylim(bottom=0)
+
+
+def _draw(axis: Any, trace: dict[str, Any], styles: Mapping[str, Style]) -> None:
+    method, role = trace["meta"].get("method"), trace["meta"]["role"]
+    style = styles[method] if method else None
+    color = style.light if style else _COLORS.get(role, FLOOR_COLOR)
+    x, y = (np.asarray(trace[name], dtype=float) for name in "xy")
+    if trace.get("fill"):
+        axis.fill(x, y, color=color, alpha=0.13, linewidth=0)
+        return
+    if "lines" in trace["mode"]:
+        stroke = DASHES[trace["line"].get("dash", "solid")]
+        axis.plot(
+            x, y, color=color, linestyle=(0, stroke) if stroke else "-", linewidth=1.2,
+            drawstyle="steps-post" if trace["line"].get("shape") == "hv" else "default",
+        )  # fmt: skip
+    if "markers" in trace["mode"]:
+        _draw_markers(axis, x, y, trace, style, color)
+
+
+def _draw_markers(
+    axis: Any, x: np.ndarray, y: np.ndarray, trace: dict[str, Any], style: Style | None, color: str
+) -> None:
+    symbols = np.broadcast_to(np.asarray(trace["marker"]["symbol"]), x.shape)
+    opened = np.array([LIMITED in symbol for symbol in symbols])
+    dotted = np.array([symbol.endswith(NO_POSE) for symbol in symbols])
+    marker = style.marker if style else "+" if trace["meta"]["role"] == "target" else "o"
+    for which, face in ((~opened, color), (opened, "white")):
+        axis.plot(
+            x[which], y[which], linestyle="none", marker=marker, markersize=4,
+            markerfacecolor="none" if style is None else face, markeredgecolor=color,
+            markeredgewidth=0.9,
+        )  # fmt: skip
+    axis.plot(x[dotted], y[dotted], linestyle="none", marker=".", markersize=2, color=color)
+
+
+_COLORS = {"source": SOURCE_COLOR["light"], "target": TARGET_COLOR["light"]}
+
+
+def _key(style: Style) -> Line2D:
+    return Line2D(
+        [], [], color=style.light, linestyle=style.mpl_line, marker=style.marker, markersize=4,
+        linewidth=1.2, label=style.name,
+    )  # fmt: skip
+
+
+def _marks(traces: list[dict[str, Any]], roles: Collection[str] | None) -> list[Line2D]:
+    """Keys of what no method's line explains: floor, clouds, open markers."""
+    drawn = [trace for trace in traces if roles is None or trace["meta"]["role"] in roles]
+    keys = []
+    floor = [trace["name"] for trace in drawn if trace["meta"]["role"] == "floor"]
+    if floor:
+        keys.append(Line2D([], [], color=FLOOR_COLOR, linestyle="--", label=floor[0]))
+    for role, marker in (("source", "o"), ("target", "+")):
+        if any(trace["meta"]["role"] == role for trace in drawn):
+            keys.append(Line2D([], [], color=_COLORS[role], linestyle="none", marker=marker,
+                               markerfacecolor="none", label=role))  # fmt: skip
+    symbols = {
+        str(symbol)
+        for trace in drawn
+        if "markers" in trace["mode"] and trace["meta"].get("method")
+        for symbol in np.atleast_1d(trace["marker"]["symbol"])
+    }
+    for ending, text in (
+        (LIMITED, "open: some runs at a limit"),
+        (NO_POSE, "dotted: some runs without a pose"),
+    ):
+        if any(symbol.endswith(ending) for symbol in symbols):
+            keys.append(
+                Line2D([], [], color="black", linestyle="none", marker="o", markersize=4,
+                       markerfacecolor="white", label=text)
+            )  # fmt: skip
+    return keys

@@ -1,0 +1,110 @@
+"""What was run, what it says of the paper's claims, and one row per method: the first screen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from reports.ledger.evidence import QUICK, STUDY, Evidence
+from reports.ledger.intervals import VERDICTS
+from reports.ledger.judging import judge, ledger
+from reports.page import Page
+from reports.tables import PENALTY, Tables, attempted, counted_time
+from workflows.metrics import SUCCESS_LENGTH, SUCCESS_SHARE
+
+ID = "outcome"
+TITLE = "Outcome"
+MOST_NAMED = 4
+
+
+def context(page: Page) -> dict[str, Any]:
+    tables = page.tables
+    evidence = Evidence.of_tables(tables)
+    about = set(evidence.experiments) | ({STUDY} if evidence.study else set())
+    judgements = judge(ledger(), evidence, about)
+    counts = [(name, sum(j.verdict == name for j in judgements)) for name in VERDICTS]
+    return {
+        "facts": facts(tables),
+        "judgements": judgements,
+        "counts": counts,
+        "claims": len(ledger().claims),
+        "experiment": tables.experiment.removesuffix(QUICK),
+        "outcomes": outcomes(tables),
+        "penalty": PENALTY,
+        "wrong_certificates": list(
+            tables.runs.loc[tables.runs["bound_violation"].fillna(0) > 0, "run_id"]
+        ),
+    }
+
+
+def facts(tables: Tables) -> list[tuple[str, str]]:
+    """Data, points, limit, threshold and prior of the experiment, in a few words each."""
+    runs, data, points = tables.runs, [], []
+    for (dataset, model), part in runs.groupby(["dataset", "model"], sort=False):
+        tests = part["test"].nunique()
+        grid = f"{tests} test{'s' * (tests > 1)}, {part['instance_id'].nunique()} instances"
+        data.append(f"{_named(part['shape'].unique())} of {dataset} ({model}; {grid})")
+        both = part[["n_source", "n_target"]].to_numpy()
+        points.append(f"{both.min()}" + (f" to {both.max()}" if both.max() > both.min() else ""))
+    limits = [card.get("limits", {}).get("time_s") for card in tables.cards.values()]
+    known = sorted({limit for limit in limits if limit is not None})
+    ratios = sorted(runs["n_inliers_ratio"].unique(), reverse=True)
+    return [
+        ("data", "; ".join(data)),
+        ("points per cloud", "; ".join(points)),
+        ("limit", _range(known, " s a run") if known else "not stated"),
+        ("success", _success(runs)),
+        ("n_p", " and ".join(f"{ratio:g}" for ratio in ratios) + " × the true pairs"),
+    ]
+
+
+def _named(names: np.ndarray) -> str:
+    few = [str(name) for name in names[:MOST_NAMED]]
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(few) + more
+
+
+def _range(values: list[float], unit: str) -> str:
+    shown = f"{values[0]:g}" + (f" to {values[-1]:g}" if len(values) > 1 else "")
+    return shown + unit
+
+
+def _success(runs: pd.DataFrame) -> str:
+    published = [name for name in runs["dataset"].unique() if name in SUCCESS_LENGTH]
+    texts = [f"RMSE < {SUCCESS_LENGTH[name]:g} m ({name}, as published)" for name in published]
+    if len(published) < runs["dataset"].nunique():
+        texts.append(f"error above the floor < {SUCCESS_SHARE:g} of the longest side")
+    return "; ".join(texts)
+
+
+def outcomes(tables: Tables) -> list[dict[str, Any]]:
+    """Per model and method: shares over attempted runs; a run without a pose is no success."""
+    runs = attempted(tables.runs)
+    runs = runs.assign(time=counted_time(runs, tables.cards))
+    rows = []
+    for model in runs["model"].unique():
+        here = runs[runs["model"] == model]
+        for method in tables.methods:
+            part = here[here["method"] == method]
+            if len(part):
+                rows.append({"model": model, "method": method, **_outcome(part)})
+    models = list(runs["model"].unique())
+    return sorted(rows, key=lambda row: (models.index(row["model"]), -row["success"]))
+
+
+def _outcome(part: pd.DataFrame) -> dict[str, Any]:
+    bounding = bool(part["gap"].notna().any())
+    return {
+        "runs": len(part),
+        "success": float(part["success"].astype(float).mean()),
+        "certified": float(part["status"].eq("optimal").mean()) if bounding else None,
+        "scopes": ", ".join(filter(None, part["certificate_scope"].unique())),
+        "excess": float(part["rmse_excess"].fillna(np.inf).median()),
+        "floor": float(part["rmse_floor"].median()),
+        "time": float(part["time"].mean()),
+        "median_time": float(part["time_solve_s"].median()),
+        "limited": int(part["outcome"].eq("limited").sum()),
+        "failed": int(part["outcome"].eq("failed").sum()),
+    }
