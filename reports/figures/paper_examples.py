@@ -31,7 +31,7 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
             found[key] = item
     if not found:
         return None
-    shapes = list(dict.fromkeys(shape for shape, _ in found))
+    shapes = [shape for shape in tables.runs["shape"].unique() if any(shape == s for s, _ in found)]
     tests = [test for test in DISTURBANCES if any(test == other for _, other in found)]
     panels = []
     for (shape, test), item in sorted(found.items()):

@@ -25,7 +25,7 @@ def context(page: Page) -> dict[str, Any]:
                 "outcome": outcome,
                 "method": method,
                 "status": status,
-                "reason": message or _reason(outcome, page.tables.cards.get(str(method), {})),
+                "reason": message or _reason(str(outcome), page.tables.cards.get(str(method), {})),
                 "count": len(part),
                 "where": ", ".join(f"{words(str(test))} ({n})" for test, n in tests.items()),
                 "runs": list(part["run_id"]),
