@@ -132,7 +132,12 @@ class Grid:
             y_axis["scaleanchor"] = _axis("x", index)
         if panel.hidden:
             for axis in (x_axis, y_axis):
-                axis |= {"showticklabels": False, "showgrid": False, "zeroline": False, "showline": False}
+                axis |= {
+                    "showticklabels": False,
+                    "showgrid": False,
+                    "zeroline": False,
+                    "showline": False,
+                }
         first_x, first_y = self.first_of_column(index - 1) + 1, self.first_of_row(index - 1) + 1
         if first_x != index:
             x_axis["matches"] = _axis("x", first_x)

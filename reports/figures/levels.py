@@ -115,13 +115,12 @@ def _cell_traces(
     cell: pd.DataFrame, column: str, axes: tuple[str, str], styles: dict[str, Style]
 ) -> list[dict[str, Any]]:
     traces = []
-    is_error = column != "time_solve_s"
-    if is_error and column == "rmse":
-        traces += _floor(cell, axes)
     for method, style in styles.items():
         part = cell[cell["method"] == method]
         if part[column].notna().any():
             traces += _method_traces(part, column, axes, style)
+    if column == "rmse":  # last: a curve on the floor must not hide it
+        traces += _floor(cell, axes)
     return traces
 
 

@@ -22,8 +22,8 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
     """The figure; None where the experiment has no scans."""
     experiment, known = Experiment(tables), ledger().roles
     methods = [method for role in METHODS for method in experiment.playing(known[role])]
-    runs = experiment.runs[experiment.runs["dataset"].eq("threedmatch")]
-    runs = runs[runs["method"].isin(methods)]
+    runs = experiment.runs[experiment.runs["model"].eq("rigid3d")]
+    runs = runs[runs["dataset"].eq("threedmatch") & runs["method"].isin(methods)]
     if runs.empty:
         return None
     sources = runs["source"].unique()

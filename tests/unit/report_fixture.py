@@ -119,7 +119,7 @@ def _status(method, model, level, trial):
         return "failed", "worker killed: signal 11 <b>segfault</b>"
     if method in BOUNDING:
         late = level == LEVELS[-1] and trial == 0
-        return ("time_limit", "stopped at 10 s") if late else ("optimal", "")
+        return ("time_limit", "") if late else ("optimal", "")
     return "converged", ""
 
 
@@ -160,7 +160,7 @@ def _provenance():
                 "certifies": scope, "provides_bounds": label in BOUNDING,
                 "citation": "Nobody, Nowhere, 2026", "licence": "MIT", "color": color,
                 "marker": marker, "options": {"made_up_weight": 0.25, "threshold": "paper"},
-                "unavailable": None,
+                "unavailable": None, "limits": {"time_s": 10.0},
                 "n_inliers_ratio": 1.0, "parameters": {"made_up_weight": 0.5},
                 "threshold_rule": {"text": "2 σ (nobody)", "confidence": 0.9},
             }

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import gzip
+import itertools
 import json
 import re
 import sys
@@ -17,12 +19,25 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 import report_fixture
 
+from baselines import registry
 from reports import theme
 from reports.build import build
-from reports.figures import attribution, levels
+from reports.figures import (
+    attribution,
+    levels,
+    paper_2d,
+    paper_3d,
+    paper_examples,
+    paper_images,
+    paper_scans,
+    printing,
+)
+from reports.ledger.judging import ledger
 from reports.page import pack_json
+from reports.sections import outcome
 from reports.tables import ReportError, Tables, attempted, row_names, thin_trace
 from workflows.attribution import VERDICTS
+from workflows.config import load
 from workflows.records import SchemaError
 
 
@@ -208,7 +223,9 @@ def test_level_figure_shows_the_numbers_of_the_table(tables):
 @pytest.mark.parametrize("statistic", ["median", "mean"])
 def test_print_figure_cuts_no_data(tables, statistic):
     styles = theme.method_styles(tables)
-    figure = levels.draw_static(tables, styles, "similarity2d", statistic)
+    figure = levels.build(tables, styles, "similarity2d")
+    view = figure.payload["views"]["rmse"]["data"]
+    figure = printing.draw(view, figure.grid, styles, "", (statistic, "floor"))
     lines = [(axes, line) for axes in figure.axes for line in axes.lines]
     assert len(lines) > 20
     for axes, line in lines:
@@ -228,11 +245,162 @@ def test_levels_with_a_limited_run_have_open_markers(tables):
     ]
 
 
+def test_print_shows_what_the_page_shows_and_its_open_markers(tables):
+    styles = theme.method_styles(tables)
+    figure = levels.build(tables, styles, "similarity2d")
+    view = figure.payload["views"]["rmse"]["data"]
+    drawn = printing.draw(view, figure.grid, styles, "", ("median",))
+    shown = [t for t in view if t["meta"]["role"] == "median"]
+    expected = sorted(y for trace in shown for y in trace["y"])
+    markers = [line for axis in drawn.axes for line in axis.lines if line.get_linestyle() == "None"]
+    full = [line for line in markers if line.get_marker() != "."]
+    np.testing.assert_allclose(sorted(y for line in full for y in line.get_ydata()), expected)
+    opened = sum(len(m.get_ydata()) for m in full if m.get_markerfacecolor() == "white")
+    assert opened == sum("-open" in symbol for t in shown for symbol in t["marker"]["symbol"]) > 0
+    texts = [text.get_text() for text in drawn.legends[0].get_texts()]
+    assert "open: some runs at a limit" in texts
+
+
+def test_levels_with_a_failed_run_are_dotted_on_the_page_and_in_print(tables):
+    styles = theme.method_styles(tables)
+    figure = levels.build(tables, styles, "rigid3d")
+    view = figure.payload["views"]["rmse"]["data"]
+    (trace, *_) = (t for t in view if t["meta"] == {"role": "median", "method": "fgr"})
+    assert trace["marker"]["symbol"][-1].endswith("-open-dot")
+    assert "(1 without a pose)" in trace["text"][-1]
+    drawn = printing.draw(view, figure.grid, styles, "", ("median",))
+    dots = [line for axis in drawn.axes for line in axis.lines if line.get_marker() == "."]
+    assert sum(len(line.get_ydata()) for line in dots) > 0
+
+
+def test_levels_are_named_with_their_unit(tables):
+    figure = levels.build(tables, theme.method_styles(tables), "similarity2d")
+    titles = {panel.x_title for panel in figure.grid.panels}
+    assert titles == {
+        "warp, in longest sides", "noise σ, in longest sides", "outliers per inlier, each set",
+    }  # fmt: skip
+
+
+def test_outcome_counts_limits_and_missing_poses(tables):
+    rows = {(row["model"], row["method"]): row for row in outcome.outcomes(tables)}
+    runs = tables.runs[(tables.runs["model"] == "rigid3d") & (tables.runs["method"] == "fgr")]
+    row = rows["rigid3d", "fgr"]
+    assert row["runs"] == len(runs)
+    assert row["failed"] == runs["outcome"].eq("failed").sum() == 2
+    assert row["success"] == pytest.approx(runs["success"].sum() / len(runs))
+    finished = runs["time_solve_s"][runs["outcome"] == "finished"].sum()
+    assert row["time"] == pytest.approx((finished + 2 * 2 * 10.0) / len(runs))
+    assert row["certified"] is None
+    assert ("similarity2d", "fgr") not in rows  # never attempted
+    success = [r["success"] for r in outcome.outcomes(tables) if r["model"] == "similarity2d"]
+    assert success == sorted(success, reverse=True)
+
+
+def test_first_screen_says_what_was_run(html):
+    shown = re.sub(r"<[^>]*>", " ", html.split('class="run"')[1].split("</dl>")[0])
+    for text in ("fish-like, glyph-like of demo", "98", "10 s a run", "0.05 of the longest side",
+                 "1 and 0.5 × the true pairs"):  # fmt: skip
+        assert text in shown
+    assert html.index('id="outcomes"') < html.index('id="accounting"')
+
+
+def test_ledger_is_on_the_first_page_of_its_experiment(folder, tmp_path):
+    tables = report_fixture.write_tables(tmp_path / "paper2d" / "tables", experiment="paper2d")
+    build(tables, tmp_path / "index.html")
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    about = [claim for claim in ledger().claims if claim.experiment == "paper2d"]
+    assert all(f"<code>{claim.id}</code>" in page for claim in about)
+    assert page.index('class="tally"') < page.index('id="outcomes"')
+    assert "<code>low-3d</code>" not in page
+
+
+def test_a_run_at_its_limit_says_so_and_how_to_repeat_it(html):
+    text = html.split('id="unfinished"')[1].split("</table>")[0]
+    assert "–" not in re.findall(r'class="reason">([^<]*)', text)
+    assert "python -m workflows replay made-up" in text
+
+
+def scans(tables, experiment, dataset):
+    """The made-up tables as if their solid shapes were scans, with cards of the paper's methods."""
+    cards = {label: {**card, "baseline": base, "options": options, "n_inliers_ratio": ratio}
+             for (label, card), (base, options, ratio) in zip(tables.cards.items(), (
+                 ("dcreg", {}, 1), ("dcreg", {}, 0.9), ("rpm_htb", {}, 1), ("icp", {}, 1),
+                 ("frs", {}, 1), ("teaserpp", {}, 1)), strict=True)}  # fmt: skip
+    shape = tables.runs["shape"].replace("horse-like", "sun3d-home")
+    runs = tables.runs.assign(experiment=experiment, dataset=dataset, shape=shape)
+    return dataclasses.replace(tables, runs=runs, provenance={"methods": cards})
+
+
+def test_every_figure_of_the_paper_is_drawn_where_its_runs_are(tables):
+    plain = scans(tables, "paper2d", "embedded")
+    styles = theme.method_styles(plain)
+    flat = paper_2d.build(plain, styles)
+    assert flat.methods == {"dcreg-full", "bilinear"}  # DC-Reg and RPM-HTB by their cards
+    assert {panel.y_type for panel in flat.grid.panels} == {"linear", "log"}
+    assert paper_3d.build(plain, styles).methods == {"bilinear", "fgr"}
+    assert paper_scans.build(plain, styles) is None
+    assert paper_images.build(plain, styles) is None
+    found = paper_scans.build(scans(tables, "threedmatch", "threedmatch"), styles)
+    assert found.grid.column_titles[-1] == "sun3d"
+    assert {panel.x_title for panel in found.grid.panels} == {"overlap"}
+    images = paper_images.build(scans(tables, "paper2d_images-quick", "embedded"), styles)
+    assert len(images.grid.panels) == 3 * 2  # ranks by methods
+    assert paper_examples.build(plain, styles) is None  # no reference poses in the made-up tables
+
+
+def test_examples_are_brought_back_by_the_reference_pose(tables):
+    poses = {item["run_id"]: json.dumps(item["T_target_source"]) for item in tables.overlays}
+    runs = tables.runs.assign(T_reference=tables.runs["run_id"].map(poses).fillna("[]"))
+    figure = paper_examples.build(dataclasses.replace(tables, runs=runs), {})
+    assert figure.grid.column_titles == ["deformation", "noise", "mixed outliers"]
+    by_axis = {}
+    for trace in figure.payload["views"][""]["data"]:
+        by_axis.setdefault(trace["xaxis"], []).append(trace)
+    for source, target in by_axis.values():
+        assert np.abs(source["x"] - target["x"]).max() < 0.5  # the warped one, no longer turned
+
+
 def test_variants_of_one_method_look_different(tables):
     styles = theme.method_styles(tables)
     one, other = styles["dcreg-full"], styles["dcreg-half"]
     assert (one.light, one.dash) != (other.light, other.dash)
     assert {one.name, other.name} == {"dcreg-full", "dcreg-half"}  # shared display name
+
+
+def test_a_method_looks_the_same_in_every_experiment(tables):
+    styles = theme.method_styles(tables)
+    without = dataclasses.replace(tables, runs=tables.runs[tables.runs["method"] != "dcreg-full"])
+    fewer = theme.method_styles(without)
+    assert "dcreg-full" not in fewer
+    for label, style in fewer.items():
+        for look in ("light", "dark", "marker", "dash"):
+            assert getattr(style, look) == getattr(styles[label], look), label
+
+
+def test_methods_of_all_cards_are_told_apart_by_colour_and_marker():
+    cards = {name: registry.read_card(name) for name in registry.names()}
+    assert len(cards) > 20
+    assert {card.marker for card in cards.values()} <= set(theme.MARKERS)
+    for one, other in itertools.combinations(cards, 2):
+        for surface in theme.SURFACE.values():
+            colours = (theme.readable(cards[name].color, surface) for name in (one, other))
+            apart = theme.difference(*colours)
+            same_marker = cards[one].marker == cards[other].marker
+            assert apart > (0.1 if same_marker else 0.03), (one, other, apart)
+
+
+def test_more_than_twenty_variants_differ_in_colour_marker_or_dash(tables):
+    """Every method of the experiment with all of them, whose variants share a card."""
+    experiment = load("all")
+    cards = {
+        method.name: {**registry.read_card(method.baseline).model_dump(), "options": method.options}
+        for method in experiment.methods
+    }
+    runs = pd.DataFrame({"method": list(cards), "display_name": list(cards)})
+    many = dataclasses.replace(tables, runs=runs, provenance={"methods": cards})
+    styles = theme.method_styles(many).values()
+    looks = {(style.light, style.marker, style.dash) for style in styles}
+    assert len(looks) == len(styles) > 35
 
 
 def test_method_colours_are_legible_in_both_themes(tables):
