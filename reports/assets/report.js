@@ -482,6 +482,14 @@ for (const table of $$("table.sortable")) {
   });
 }
 
+// On a narrow screen a row is a card: each cell says what it is.
+for (const table of $$("table.stack")) {
+  const titles = [...table.tHead.rows[0].cells].map((head) => ("alone" in head.dataset ? "" : head.textContent));
+  for (const row of [...table.tBodies[0].rows, ...(table.tFoot?.rows ?? [])]) {
+    [...row.cells].forEach((cell, i) => { if (titles[i] && cell.tagName === "TD" && cell.textContent.trim()) cell.dataset.title = titles[i]; });
+  }
+}
+
 // ---- downloads ---------------------------------------------------------------------------------
 
 const MIME = { csv: "text/csv", json: "application/json", svg: "image/svg+xml", pdf: "application/pdf" };

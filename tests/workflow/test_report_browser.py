@@ -141,12 +141,22 @@ def test_every_figure_is_drawn_when_reached(page):
         assert page.execute_script(f"return {element}.querySelectorAll('.trace').length") > 0
 
 
+def test_first_screen_is_the_outcome(page):
+    lowest = page.execute_script(
+        "return $('#outcomes tbody tr:nth-child(4)').getBoundingClientRect().bottom"
+    )
+    assert 0 < lowest < 900
+    assert "10 s a run" in page.find_element("css selector", ".run").text
+    times = [float(value) for value in column(page, "outcomes", 6)]
+    assert max(times) > 1.0  # limits and missing poses count twice the limit
+
+
 def test_sorting_puts_missing_values_last_both_ways(page):
-    head = page.find_elements("css selector", "#summary thead th button")[4]
+    head = page.find_elements("css selector", "#summary thead th button")[5]
     for way in ("ascending", "descending"):
         page.execute_script("arguments[0].click()", head)
         assert head.find_element("xpath", "..").get_attribute("aria-sort") == way
-        values = column(page, "summary", 4)
+        values = column(page, "summary", 5)
         known = [float(value) for value in values if value]
         assert known == sorted(known, reverse=way == "descending")
         assert known
@@ -154,6 +164,7 @@ def test_sorting_puts_missing_values_last_both_ways(page):
 
 
 def test_filter_narrows_the_summary(page):
+    page.execute_script("$('#summary').closest('details').open = true")
     page.find_element("css selector", "[data-filter-text]").send_keys("icp noise")
     rows = page.execute_script(
         "return $$('#summary tbody tr').filter(r => !r.hidden).map(r => r.innerText)"
@@ -205,9 +216,9 @@ def test_statistic_and_scale_switches(page):
     redrawn(page, element, f'{base}[data-role="mean"]', "c.checked = true")
     redrawn(page, element, f'{base}[data-role="band"]', "c.checked = false")
     assert roles() == {"median", "mean", "floor"}
-    assert page.execute_script(f"return {element}.layout.yaxis.type") == "linear"
-    redrawn(page, element, f'{base}[data-scale="error"]', "c.checked = true")
     assert page.execute_script(f"return {element}.layout.yaxis.type") == "log"
+    redrawn(page, element, f'{base}[data-scale="error"]', "c.checked = false")
+    assert page.execute_script(f"return {element}.layout.yaxis.type") == "linear"
     redrawn(page, element, f"{base}[data-view]", "c.value = 'rotation_error_deg'")
     assert "°" in page.execute_script(f"return {element}.layout.yaxis.title.text")
 
@@ -219,6 +230,21 @@ def test_a_method_is_hidden_everywhere(page):
     assert page.execute_script(
         "return $$('#summary tr[data-method=icp], .card[data-method=icp]').every(r => r.hidden)"
     )
+    pressed = page.execute_script(
+        "return $$('[data-toggle-method=icp]').map(c => c.getAttribute('aria-pressed'))"
+    )
+    assert set(pressed) == {"false"}
+    assert len(pressed) > 2  # above the page and under its figures
+    assert page.execute_script("return $('#shown-methods').textContent") == "5 of 6"
+    for which, left in (("hide", "0 of 6"), ("show", "6 of 6")):
+        page.execute_script(f"$('[data-all-methods={which}]').click()")
+        assert page.execute_script("return $('#shown-methods').textContent") == left
+
+
+def test_methods_wrap_within_the_screen(page):
+    page.execute_script("$('details.methods').open = true")
+    edges = page.execute_script("return chips.map(c => c.getBoundingClientRect().right)")
+    assert max(edges) <= page.execute_script("return document.documentElement.clientWidth")
 
 
 @pytest.mark.parametrize(("test", "kind"), [("deformation", "scatter"), ("noise", "scatter3d")])
@@ -289,3 +315,9 @@ def test_phone_has_no_sideways_scroll_and_stacked_panels(page, scheme):
     assert all(domain == [0, 1] for domain in domains)
     height = page.execute_script(f"return [{element}.layout.height, {element}.clientHeight]")
     assert height[1] >= height[0] > 1000
+    page.execute_script("$$('details').forEach(d => { d.open = true; })")
+    for table in ("outcomes", "accounting", "summary", "unfinished"):
+        edges = page.execute_script(
+            "return $$(`#${arguments[0]} td`).map(c => c.getBoundingClientRect().right)", table
+        )
+        assert max(edges) <= 390, table
