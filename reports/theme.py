@@ -55,9 +55,9 @@ DASHES: dict[str, tuple[float, ...]] = {
 _SHADES = (("#000000", 0.0), ("#000000", 0.3), ("#ffffff", 0.3))
 # Words in the names of variants -> looks, the same in every experiment.
 _VARIANTS = {
-    "half": 1, "tuned": 1, "exact": 1, "100": 1, "mutual": 1, "quarter": 3,
+    "half": 1, "tuned": 1, "exact": 1, "100": 1, "mutual": 1,
     "paper": 2, "oracle": 2, "200": 2,
-    "full": 3, "nearest": 3, "tight": 4, "multi": 4, "all": 4, "auto": 5, "fpfh": 5,
+    "full": 3, "nearest": 3, "tight": 4, "multi": 4, "all": 4, "auto": 5, "fpfh": 5, "several": 5, "norm": 6,
 }  # fmt: skip
 
 MISSING = "–"

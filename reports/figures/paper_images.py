@@ -16,8 +16,9 @@ from reports.theme import Style
 TITLE = "Edges of photographs"
 CAPTION = "Best, median and worst run of each method: source (red circles), target (blue crosses)."
 DRAWN = clouds.DRAWN
-METHODS = ("dcreg_image", "rpm_htb", "rpm_pa", "rpm_cav")
+METHODS = ("dcreg", "rpm_htb", "rpm_pa", "rpm_cav")
 EXPERIMENT = "paper2d_images"
+TEST = "canny"
 
 
 def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
@@ -26,7 +27,7 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
         return None
     experiment, known = Experiment(tables), ledger().roles
     methods = [method for role in METHODS for method in experiment.playing(known[role])]
-    shown = [item for item in tables.overlays if item["method"] in methods]
+    shown = [item for item in tables.overlays if item["method"] in methods and item["test"] == TEST]
     ranks = list(dict.fromkeys(item["rank"] for item in shown))
     panels = []
     for item in shown:
@@ -37,6 +38,5 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
         panels.append(
             (row, column, f"{item['rank']}<br>{item['shape']}", moved, np.array(item["target"]))
         )
-    panels = list({panel[:2]: panel for panel in panels}.values())  # the first test of a method
     titles = [styles[method].name for method in methods]
     return clouds.assemble("paper-images", TITLE, titles, panels) if panels else None

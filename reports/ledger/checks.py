@@ -22,6 +22,12 @@ from reports.ledger.intervals import Interval
 from reports.theme import words
 
 Parameters = Mapping[str, Any]
+UNITS = {
+    "error": "error (longest sides)",
+    "time": "time (s)",
+    "rmse": "RMSE (m)",
+    "n_nodes": "boxes",
+}
 SHARED = ["dataset", "shape", "trial"]  # what draws of different levels have in common
 
 
@@ -118,7 +124,8 @@ def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[str, pd.DataFra
     """The parts of a table by the columns of ``by``, with a name each."""
     by = p.get("by", ["test", "level"])
     if not by:
-        yield "all", table
+        if len(table):
+            yield "all", table
         return
     for _, part in table.groupby(by, sort=False):
         key = part.iloc[0][by]
@@ -139,7 +146,7 @@ def paired(one: pd.DataFrame, other: pd.DataFrame, quantity: str) -> pd.DataFram
 def ratio(source: Source, p: Parameters) -> Finding:
     """Ratio of means of a subject and each rival, paired by instance. ``any``: one part is enough."""
     quantity = p.get("quantity", "error")
-    finding = Finding(f"ratio of mean {quantity}")
+    finding = Finding(f"ratio of mean {UNITS.get(quantity, quantity).split(' (')[0]}")
     subjects = [item for role in _list(p["subject"]) for item in source.runs(role, p, finding)]
     for name, runs in subjects:
         for role in p["rivals"]:
@@ -162,7 +169,7 @@ def ratio(source: Source, p: Parameters) -> Finding:
 def value(source: Source, p: Parameters) -> Finding:
     """Mean (or median, or share) of a quantity of every method against a threshold."""
     quantity, statistic = p.get("quantity", "error"), p.get("statistic", "mean")
-    finding = Finding(f"{statistic} {words(quantity)}")
+    finding = Finding(f"{statistic} {UNITS.get(quantity, words(quantity))}")
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
             finding.rest_on(runs)

@@ -53,7 +53,7 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
     ratios = sorted(runs["n_inliers_ratio"].unique(), reverse=True)
     return [
         ("data", "; ".join(data)),
-        ("points per cloud", "; ".join(points)),
+        ("points per cloud", "; ".join(dict.fromkeys(points))),
         ("limit", _range(known, " s a run") if known else "not stated"),
         ("success", _success(runs)),
         ("n_p", " and ".join(f"{ratio:g}" for ratio in ratios) + " × the true pairs"),

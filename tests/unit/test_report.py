@@ -343,7 +343,13 @@ def test_every_figure_of_the_paper_is_drawn_where_its_runs_are(tables):
     found = paper_scans.build(scans(tables, "threedmatch", "threedmatch"), styles)
     assert found.grid.column_titles[-1] == "sun3d"
     assert {panel.x_title for panel in found.grid.panels} == {"overlap"}
-    images = paper_images.build(scans(tables, "paper2d_images-quick", "embedded"), styles)
+    edges = scans(tables, "paper2d_images-quick", "lian_images")
+    overlays = [
+        item | {"test": "canny"}
+        for item in tables.overlays
+        if (item["model"], item["test"]) == ("similarity2d", "noise")
+    ]
+    images = paper_images.build(dataclasses.replace(edges, overlays=overlays), styles)
     assert len(images.grid.panels) == 3 * 2  # ranks by methods
     assert paper_examples.build(plain, styles) is None  # no reference poses in the made-up tables
 
