@@ -57,7 +57,8 @@ _SHADES = (("#000000", 0.0), ("#000000", 0.3), ("#ffffff", 0.3))
 _VARIANTS = {
     "half": 1, "tuned": 1, "exact": 1, "100": 1, "mutual": 1,
     "paper": 2, "oracle": 2, "200": 2,
-    "full": 3, "nearest": 3, "tight": 4, "multi": 4, "all": 4, "auto": 5, "fpfh": 5, "several": 5, "norm": 6,
+    "full": 3, "nearest": 3, "tight": 4, "multi": 4, "all": 4, "auto": 5, "fpfh": 5,
+    "several": 5, "norm": 6,
 }  # fmt: skip
 
 MISSING = "–"

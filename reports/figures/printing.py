@@ -22,7 +22,8 @@ from reports.theme import DASHES, SOURCE_COLOR, TARGET_COLOR, Style
 
 FLOOR_COLOR = "#666666"
 LIMITED, NO_POSE = "-open", "-open-dot"  # endings of plotly's symbols
-_LEGEND_COLUMNS = 3
+_LEGEND_COLUMNS = 3  # at least
+_LEGEND_ROW = 0.18  # inches
 _SETTINGS: dict[Any, Any] = {
     "font.size": 8,
     "axes.titlesize": 9,
@@ -55,7 +56,10 @@ def draw(
     rows = max(panel.row for panel in grid.panels) + 1
     columns = len(grid.column_titles)
     with sns.axes_style("whitegrid"), matplotlib.rc_context(_SETTINGS):
-        figure = MplFigure(figsize=(2.3 * columns + 0.8, 1.7 * rows + 1.1))
+        keys = _keys(traces, styles, roles)
+        ncols = max(_LEGEND_COLUMNS, columns - 1)
+        height = 1.7 * rows + 0.7 + _LEGEND_ROW * -(-len(keys) // ncols)
+        figure = MplFigure(figsize=(2.3 * columns + 0.8, height))
         axes = figure.subplots(rows, columns, squeeze=False)
         placed = [axes[panel.row][panel.column] for panel in grid.panels]
         _share(grid, placed)
@@ -65,14 +69,14 @@ def draw(
         for axis in set(axes.flat) - set(placed):
             axis.set_axis_off()
         _label(grid, placed)
-        shown = dict.fromkeys(trace["meta"].get("method") for trace in traces)
-        handles = [_key(styles[method]) for method in shown if method]
-        handles += _marks(traces, roles)
-        if handles:
+        if keys:
             figure.legend(
-                handles=handles, loc="outside lower center", ncols=_LEGEND_COLUMNS, frameon=False,
+                handles=keys,
+                loc="outside lower center",
+                ncols=ncols,
+                frameon=False,
                 handlelength=3.4,
-            )  # fmt: skip
+            )
         figure.suptitle(title)
     return figure
 
@@ -154,17 +158,13 @@ def _draw_markers(
 _COLORS = {"source": SOURCE_COLOR["light"], "target": TARGET_COLOR["light"]}
 
 
-def _key(style: Style) -> Line2D:
-    return Line2D(
-        [], [], color=style.light, linestyle=style.mpl_line, marker=style.marker, markersize=4,
-        linewidth=1.2, label=style.name,
-    )  # fmt: skip
-
-
-def _marks(traces: list[dict[str, Any]], roles: Collection[str] | None) -> list[Line2D]:
-    """Keys of what no method's line explains: floor, clouds, open markers."""
+def _keys(
+    traces: list[dict[str, Any]], styles: Mapping[str, Style], roles: Collection[str] | None
+) -> list[Line2D]:
+    """Keys of the methods drawn, and of what no method's line explains: floor, clouds, open markers."""
     drawn = [trace for trace in traces if roles is None or trace["meta"]["role"] in roles]
-    keys = []
+    methods = dict.fromkeys(trace["meta"].get("method") for trace in drawn)
+    keys = [_key(styles[method]) for method in methods if method]
     floor = [trace["name"] for trace in drawn if trace["meta"]["role"] == "floor"]
     if floor:
         keys.append(Line2D([], [], color=FLOOR_COLOR, linestyle="--", label=floor[0]))
@@ -188,3 +188,10 @@ def _marks(traces: list[dict[str, Any]], roles: Collection[str] | None) -> list[
                        markerfacecolor="white", label=text)
             )  # fmt: skip
     return keys
+
+
+def _key(style: Style) -> Line2D:
+    return Line2D(
+        [], [], color=style.light, linestyle=style.mpl_line, marker=style.marker, markersize=4,
+        linewidth=1.2, label=style.name,
+    )  # fmt: skip

@@ -145,8 +145,8 @@ def paired(one: pd.DataFrame, other: pd.DataFrame, quantity: str) -> pd.DataFram
 @check("ratio")
 def ratio(source: Source, p: Parameters) -> Finding:
     """Ratio of means of a subject and each rival, paired by instance. ``any``: one part is enough."""
-    quantity = p.get("quantity", "error")
-    finding = Finding(f"ratio of mean {UNITS.get(quantity, quantity).split(' (')[0]}")
+    quantity: str = p.get("quantity", "error")
+    finding = Finding(f"ratio of mean {UNITS.get(quantity, words(quantity)).partition(' (')[0]}")
     subjects = [item for role in _list(p["subject"]) for item in source.runs(role, p, finding)]
     for name, runs in subjects:
         for role in p["rivals"]:

@@ -13,7 +13,7 @@ import yaml
 
 from reports.ledger.checks import CHECKS, STUDY_CHECKS, Finding, Part, Source
 from reports.ledger.evidence import STUDY, Evidence, Role
-from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED
+from reports.ledger.intervals import LEAST_PAIRS, NOT, NOT_RUN, OPEN, REPRODUCED
 from reports.tables import ReportError
 
 LEDGER = Path(__file__).parents[1] / "claims.yaml"
@@ -171,6 +171,8 @@ def _of_parts(parts: list[Part]) -> tuple[str, str]:
         for name, text in ((REPRODUCED, "as claimed"), (NOT, "against"), (OPEN, "open"))
         if count[name]
     ]
+    if count[OPEN] and all(p.interval.n < LEAST_PAIRS for p in parts if p.verdict == OPEN):
+        told[-1] += f" for fewer than {LEAST_PAIRS} instances"
     return verdict, f"of {len(parts)} comparisons {', '.join(told)}"
 
 

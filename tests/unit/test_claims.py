@@ -231,7 +231,9 @@ def test_few_instances_decide_nothing():
     few = [
         runs_of(m, rmse_excess=e).query("trial < 4") for m, e in (("ours", 0.01), ("rival", 0.5))
     ]
-    assert judged(evidence(*few), RATIO).verdict == OPEN
+    found = judged(evidence(*few), RATIO)
+    assert found.verdict == OPEN
+    assert found.reason == "of 3 comparisons 3 open for fewer than 5 instances"
 
 
 def test_instances_are_paired():

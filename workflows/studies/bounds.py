@@ -48,8 +48,10 @@ SHOWING = 1e-3  # ... at which the loss is above this share of the optimum
 CASES = {  # shape, disturbance, level, points, options of the disturbance
     "2D, all points match": ("fish", "noise", 0.03, 30, {}),
     "2D, outliers": ("glyph", "mixed_outliers", 0.2, 20, {"base_deformation": 0.03}),
+    "2D, deformed": ("glyph", "deformation", 0.03, 25, {}),
     "3D norms, all points match": ("pony", "noise", 0.02, 40, {}),
     "3D norms, outliers": ("pony", "mixed_outliers", 0.3, 30, {}),
+    "3D norms, deformed": ("saurian", "deformation", 0.03, 30, {}),
 }
 
 
