@@ -88,7 +88,7 @@ function shown(trace, roles) {
 const builders = {
   plain(data, id) {
     const select = controls(id).find((element) => "view" in element.dataset);
-    return data.views[select ? select.value : ""];
+    return data.views[select ? select.value : Object.keys(data.views)[0]];
   },
   bounds: boundsView,
 };

@@ -25,7 +25,9 @@ def context(page: Page) -> dict[str, Any]:
                 "outcome": outcome,
                 "method": method,
                 "status": status,
-                "reason": message or _reason(str(outcome), page.tables.cards.get(str(method), {})),
+                "reason": _reason(
+                    str(outcome), str(message), page.tables.cards.get(str(method), {})
+                ),
                 "count": len(part),
                 "where": ", ".join(f"{words(str(test))} ({n})" for test, n in tests.items()),
                 "runs": list(part["run_id"]),
@@ -42,9 +44,9 @@ def context(page: Page) -> dict[str, Any]:
     }
 
 
-def _reason(outcome: str, card: dict[str, Any]) -> str:
-    """What a run without a message ended at."""
+def _reason(outcome: str, message: str, card: dict[str, Any]) -> str:
+    """Why runs did not finish: the limit they ended at, or what they say."""
     limit = card.get("limits", {}).get("time_s")
     if outcome == "limited" and limit is not None:
-        return f"ended at its limit of {limit:g} s, with the best pose until then"
-    return "no reason given"
+        return f"met its limit of {limit:g} s" + (f" ({message})" if message else "")
+    return message or "no reason given"

@@ -136,6 +136,8 @@ def test_accounting_is_visible_and_adds_up(page):
 
 
 def test_every_figure_is_drawn_when_reached(page):
+    names = page.execute_script("return figures.map(f => f.dataset.figure)")
+    assert {"paper-examples", "paper-2d", "paper-3d", "levels-similarity2d", "bounds"} <= set(names)
     for figure in page.execute_script("return figures.map(f => f.dataset.figure)"):
         element = drawn(page, figure)
         assert page.execute_script(f"return {element}.querySelectorAll('.trace').length") > 0
