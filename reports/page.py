@@ -28,6 +28,12 @@ class Figure:
     grid: Grid | None = None  # of figures that also go to print
 
     @property
+    def heights(self) -> dict[str, int]:
+        """Pixels of the wide and the narrow arrangement: room to keep until the figure is drawn."""
+        first = next(iter(self.payload.get("views", {}).values()), self.payload)
+        return {name: layout["height"] for name, layout in first["layouts"].items()}
+
+    @property
     def methods(self) -> set[str]:
         """Labels of the methods that any view of the figure draws."""
         drawn = [trace for view in self.payload.get("views", {}).values() for trace in view["data"]]

@@ -169,7 +169,7 @@ def _method_traces(
         },
         {
             **line, "y": list(mean), "line": {"width": 1.5, "dash": style.dash},
-            "marker": {"size": 5, "symbol": symbols},
+            "marker": {"size": 7, "symbol": symbols},
             "meta": {"role": "mean", "method": style.label},
         },
     ]  # fmt: skip

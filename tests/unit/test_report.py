@@ -234,6 +234,15 @@ def test_print_figure_cuts_no_data(tables, statistic):
         assert (line.get_ydata() <= high).all()
 
 
+def test_figures_keep_their_room_until_they_are_drawn(html, tables):
+    """Or else what lies below moves away from a reader who jumps to it."""
+    figure = levels.build(tables, theme.method_styles(tables), "similarity2d")
+    wide = figure.payload["views"]["rmse"]["layouts"]["wide"]["height"]
+    tag = html.split('id="fig-levels-similarity2d"')[1].split(">")[0]
+    assert f"--wide: {wide}px" in tag
+    assert len(re.findall(r"--narrow: \d{3,}px", html)) == html.count('class="plot"')
+
+
 def test_levels_with_a_limited_run_have_open_markers(tables):
     styles = theme.method_styles(tables)
     view = levels.build(tables, styles, "similarity2d").payload["views"]["rmse"]
