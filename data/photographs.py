@@ -18,7 +18,7 @@ PICTURES = {".jpg", ".jpeg", ".png"}
 
 
 @lru_cache(maxsize=32)
-def edge_points(path: Path, sigma: float, n_points: int) -> np.ndarray:
+def edge_points(path: Path, sigma: float, n_points: int, parity: int | None = None) -> np.ndarray:
     """Canny edges of a picture, thinned to `n_points` spread ones; pixels x to the right, y down.
 
     Parameters
@@ -27,6 +27,8 @@ def edge_points(path: Path, sigma: float, n_points: int) -> np.ndarray:
     sigma : float
         Of the Gaussian before the gradient, in pixels.
     n_points : int
+    parity : 0 or 1, optional
+        Only of pixels with x + y even or odd: two sets of one picture without a common point.
 
     Raises
     ------
@@ -35,6 +37,8 @@ def edge_points(path: Path, sigma: float, n_points: int) -> np.ndarray:
     """
     y, x = np.nonzero(_edges(_grey(path), sigma))
     points = np.column_stack([x, y]).astype(float)
+    if parity is not None:
+        points = points[(x + y) % 2 == parity]
     if len(points) < n_points:
         raise DataError(
             f"{path}: {len(points)} edge points at sigma {sigma:g}; {n_points} were asked for, lower "
@@ -63,8 +67,8 @@ def near_pairs(T_true: np.ndarray, source: np.ndarray, target: np.ndarray) -> np
 class Photographs(RecordedDataset):
     """A folder of VOC2007 or Caltech-256: each photograph against itself, turned by 180 degrees.
 
-    The edges of the turned picture are thinned on their own. Test ``turned``, level 0; a shape is a
-    class, trial k its k-th photograph.
+    Source and target are of different pixels. Test ``turned``, level 0; a shape is a class, trial k its
+    k-th photograph.
 
     Card parameters: ``folder`` (below the data set's place in the cache), ``layout`` (``voc`` or
     ``caltech``), ``shapes``, ``n_trials``, ``n_points``, ``sigma``.
@@ -94,11 +98,9 @@ class Photographs(RecordedDataset):
     ) -> RawInstance:
         (path,) = self.files(shape, test, level, trial)
         count = n_points or self.card.parameters["n_points"]
-        target = edge_points(path, self.card.parameters["sigma"], count)
-        turn = half_turn(path)
-        # Another start of the thinning than the target's, so that the points are not the same ones.
-        dense = edge_points(path, self.card.parameters["sigma"], 2 * count)[::-1]
-        source = transform(turn, dense[farthest_points(dense[:-1], count)])
+        sigma, turn = self.card.parameters["sigma"], half_turn(path)
+        source = transform(turn, edge_points(path, sigma, count, parity=1))
+        target = edge_points(path, sigma, count, parity=0).copy()
         pairs = near_pairs(turn, source, target)
         return RawInstance(
             source, target, pairs, turn, SCALE_RANGE, n_inliers=told_pairs(source, target)
