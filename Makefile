@@ -36,16 +36,13 @@ threedmatch: setup
 	@$(BIN)/python -m workflows run threedmatch --cores $(CORES) $(PART)
 	@$(BIN)/python -m workflows.studies.threedmatch $(PART)
 
-# An experiment of the paper: as a whole, or its quick part.
-EXPERIMENTS := paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity
-
 ## paper-2d: the paper's tests in the plane (this and the next four: QUICK=1 for at most 15 minutes on 2 cores)
 ## paper-2d-cr: the public sets of Chui and Rangarajan, all kinds
 ## paper-2d-images: edges and hand-marked points of photographs
 ## paper-3d: the paper's tests in space
 ## sensitivity: wrong numbers of pairs and wrong noise bounds
-.PHONY: $(EXPERIMENTS)
-$(EXPERIMENTS): setup
+.PHONY: paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity
+paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity: setup
 	@$(BIN)/python -m workflows run $(subst -,_,$(subst paper-,paper,$@))$(if $(QUICK),-quick) --cores $(CORES) $(PART)
 
 ## plan: runs of CONFIG=… and the hours they take, from medians of runs so far, without running it
