@@ -17,7 +17,7 @@ from rich.table import Table
 from dcreg.status import Status
 from workflows import methods, records
 from workflows.compose import QUICK, ConfigError
-from workflows.config import load
+from workflows.config import MethodSettings, load
 from workflows.metrics import METRICS
 from workflows.stages.plan import Plan, PlannedRun, expand
 from workflows.stages.solve import journalled
@@ -132,23 +132,27 @@ def outlook_of(plan: Plan, folder: Path) -> list[Outlook]:
     for (name, model), runs in rows.items():
         method = runs[0].method
         fingerprint = methods.fingerprint(method.baseline)
-        if methods.load(method.baseline, method.options).available() is not None:
-            measured |= {
-                (name, model, run.instance.test): [0.0] for run in runs
-            }  # they only say so
+        runs_here = _runs_here(method)
         finished, seconds, known = 0, 0.0, True
         for run in runs:
             if kept[name].get(run.run_id, {}).get("fingerprint") == fingerprint:
                 finished += 1
                 continue
-            times = measured.get((name, model, run.instance.test))
-            known = known and times is not None
-            seconds += (
-                float(np.median(times)) if times else plan.experiment.limits_of(method).time_s
-            )
+            if not runs_here:  # it only says so
+                continue
+            taken = measured.get((name, model, run.instance.test))
+            known = known and taken is not None
+            seconds += np.median(taken) if taken else plan.experiment.limits_of(method).time_s
         tests = list(dict.fromkeys(run.instance.test for run in runs))
-        outlook.append(Outlook(name, model, tests, len(runs), finished, seconds, known))
+        outlook.append(Outlook(name, model, tests, len(runs), finished, float(seconds), known))
     return outlook
+
+
+def _runs_here(method: MethodSettings) -> bool:
+    try:
+        return methods.load(method.baseline, method.options).available() is None
+    except ImportError:
+        return False
 
 
 def _kept(folder: Path, method: str) -> dict[str, dict[str, Any]]:
