@@ -122,7 +122,8 @@ class Experiment(Part):
     limits: LimitSettings = LimitSettings()
     datasets: Annotated[list[DatasetSettings], Field(min_length=1)]
     methods: Annotated[list[MethodSettings], Field(min_length=1)]
-    # A method that takes such a setting, n_inliers_ratio or an option, runs once with each value.
+    # A method that takes such a setting, n_inliers_ratio or an option that is not null by default, runs
+    # once with each value.
     vary: dict[str, Annotated[list[float | str], Field(min_length=1)]] = {}
 
     def method(self, name: str) -> MethodSettings:
@@ -250,7 +251,7 @@ def _takes(method: MethodSettings, key: str) -> bool:
     card = methods.card(method.baseline)
     if key == "n_inliers_ratio":
         return card.uses_n_inliers and key not in method.model_fields_set
-    return key in card.parameters and key not in method.options
+    return card.parameters.get(key) is not None and key not in method.options
 
 
 def _with_setting(method: MethodSettings, key: str, value: float | str) -> MethodSettings:
