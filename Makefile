@@ -24,7 +24,7 @@ test: dev browser
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n $(CORES) --dist loadgroup
 
-## run: run the experiment CONFIG=demo|real2d (METHODS=a,b DATASETS=… TESTS=… select a part)
+## run: run the experiment CONFIG=demo|real2d|paper3d-quick|… (METHODS=a,b DATASETS=… TESTS=… select a part)
 .PHONY: run
 run: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART)
@@ -36,7 +36,16 @@ threedmatch: setup
 	@$(BIN)/python -m workflows run threedmatch --cores $(CORES) $(PART)
 	@$(BIN)/python -m workflows.studies.threedmatch $(PART)
 
-## plan: print what the same would run and how long it takes, without running it
+## paper-2d: the paper's tests in the plane (this and the next four: QUICK=1 for at most 15 minutes on 2 cores)
+## paper-2d-cr: the public sets of Chui and Rangarajan, all kinds
+## paper-2d-images: edges and hand-marked points of photographs
+## paper-3d: the paper's tests in space
+## sensitivity: wrong numbers of pairs and wrong noise bounds
+.PHONY: paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity
+paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity: setup
+	@$(BIN)/python -m workflows run $(subst -,_,$(subst paper-,paper,$@))$(if $(QUICK),-quick) --cores $(CORES) $(PART)
+
+## plan: runs of CONFIG=… and the hours they take, from medians of runs so far, without running it
 .PHONY: plan
 plan: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART) --dry-run
@@ -158,4 +167,4 @@ clean:
 ## help: this list
 .PHONY: help
 help:
-	@grep -hE '^## ' $(MAKEFILE_LIST) | sed -E 's/^## ([a-z-]+): (.*)/  make \1\t\2/' | expand -t 22
+	@grep -hE '^## ' $(MAKEFILE_LIST) | sed -E 's/^## ([a-z0-9-]+): (.*)/  make \1\t\2/' | expand -t 22

@@ -105,6 +105,11 @@ class RawInstance:
         Inlier distance that the benchmark's protocol gives all methods; default: from the true pairs.
     match_radii : (of normals, of features), optional
         Where all methods share matches by FPFH features: the radii of these.
+    n_inliers : int, optional
+        The number of pairs that the benchmark's protocol tells methods; default: the true one.
+    marks : ((k, d), (k, d)) arrays, optional
+        Points of source and target that belong together and that poses are judged by, where they are
+        not among the points to register; default: the true pairs.
     """
 
     source: np.ndarray
@@ -115,6 +120,15 @@ class RawInstance:
     info: dict[str, float | str] = field(default_factory=dict)
     noise_bound: float | None = None
     match_radii: tuple[float, float] | None = None
+    n_inliers: int | None = None
+    marks: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def judged(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points of source and target that belong together, row by row: what poses are judged by."""
+        if self.marks is not None:
+            return self.marks
+        return self.source[self.pairs[:, 0]], self.target[self.pairs[:, 1]]
 
 
 @dataclass(frozen=True)

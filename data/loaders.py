@@ -10,6 +10,7 @@ import numpy as np
 from data.contract import Axis, DataError, Dataset, PrototypeDataset, RawInstance, RecordedDataset
 from data.fetch import fetch
 from data.pairs import CloudPairs
+from data.photographs import Photographs
 from data.sampling import farthest_points
 from data.scans import scan_instance
 from dcreg.io import read_points
@@ -88,4 +89,5 @@ STOCK: dict[str, type[Dataset]] = {
     "points": PointFiles,
     "scan_pair": ScanPair,
     "pairs": CloudPairs,
+    "photographs": Photographs,
 }

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-import yaml
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -19,7 +18,8 @@ from pydantic import (
 )
 
 from dcreg.problem import suggestion
-from workflows import CHECKOUT, UserError, methods
+from workflows import CHECKOUT, methods, shown
+from workflows.compose import QUICK, ConfigError, read
 
 CONFIGS = CHECKOUT / "workflows" / "configs"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$")]
@@ -27,10 +27,6 @@ Seconds = Annotated[float, Field(gt=0, le=1e7)]
 Model = Literal["similarity2d", "rigid3d"]
 MAX_RUNS = 1_000_000  # of an experiment; a plan holds all of them in memory
 MAX_LEVEL = 10.0  # of our own tests: lengths in sides of the shape, or points per point
-
-
-class ConfigError(UserError):
-    """The experiment cannot be run; the message names file, key, value and remedy."""
 
 
 class Part(BaseModel):
@@ -126,6 +122,9 @@ class Experiment(Part):
     limits: LimitSettings = LimitSettings()
     datasets: Annotated[list[DatasetSettings], Field(min_length=1)]
     methods: Annotated[list[MethodSettings], Field(min_length=1)]
+    # A method that takes such a setting, n_inliers_ratio or an option that is not null by default, runs
+    # once with each value.
+    vary: dict[str, Annotated[list[float | str], Field(min_length=1)]] = {}
 
     def method(self, name: str) -> MethodSettings:
         return next(method for method in self.methods if method.name == name)
@@ -134,21 +133,26 @@ class Experiment(Part):
         return LimitSettings(**{**self.limits.model_dump(), **method.limits})
 
 
-def find(experiment: str) -> Path:
-    """Path of a config given by name (``demo``) or by path."""
+def find(experiment: str) -> tuple[Path, bool]:
+    """Path of a config given by name (``demo``) or by path, and whether its quick part is meant.
+
+    The name of the quick part ends with ``-quick``.
+    """
     path = Path(experiment)
     if path.suffix in (".yaml", ".yml") and path.is_file():
-        return path
+        return path, False
+    name = experiment.removesuffix(QUICK)
     known = sorted(file.stem for file in CONFIGS.glob("*.yaml"))
-    if experiment in known:
-        return CONFIGS / f"{experiment}.yaml"
+    if name in known:
+        return CONFIGS / f"{name}.yaml", name != experiment
     raise ConfigError(f"no experiment {experiment!r}{suggestion(experiment, known)}")
 
 
 def origin(experiment: str) -> str:
     """Name of a config of the checkout, or path of another one: what finds it again."""
-    path = find(experiment).resolve()
-    return path.stem if path.parent == CONFIGS else _shown(path)
+    path, quick = find(experiment)
+    path = path.resolve()
+    return path.stem + QUICK * quick if path.parent == CONFIGS else shown(path)
 
 
 def load(experiment: str) -> Experiment:
@@ -159,23 +163,18 @@ def load(experiment: str) -> Experiment:
     ConfigError
         Lists everything that is wrong, not only the first thing.
     """
-    path = find(experiment)
-    try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(
-            f"{_shown(path)}: not valid YAML: {error}; correct it, see workflows/configs/demo.yaml"
-        ) from error
-    except OSError as error:
-        raise ConfigError(f"{_shown(path)}: {error.strerror}; make the file readable") from error
-    if not isinstance(content, dict):
-        raise ConfigError(f"{_shown(path)}: must be a mapping of keys to values")
+    path, quick = find(experiment)
+    content = read(path, quick)
     try:
         settings = Experiment.model_validate(content)
     except ValidationError as error:
         raise _config_error(path, [_explain(problem) for problem in error.errors()]) from error
     problems = [*_check_name(settings, path), *_check_methods(settings), *_check_datasets(settings)]
-    if problems or (problems := list(_check_size(settings))):
+    problems = problems or [*_check_variations(settings)]
+    if not problems:
+        settings = settings.model_copy(update={"methods": list(_varied(settings)), "vary": {}})
+        problems = [*_check_labels(settings), *_check_size(settings)]
+    if problems:
         raise _config_error(path, problems)
     return settings
 
@@ -202,15 +201,12 @@ def _check_name(settings: Experiment, path: Path) -> Iterable[str]:
     """Results are kept by name: no other config may have that of one of the checkout."""
     namesake = CONFIGS / f"{settings.name}.yaml"
     if namesake.is_file() and namesake != path.resolve():
-        yield f"name: {settings.name!r} is that of {_shown(namesake)}; give another name"
+        yield f"name: {settings.name!r} is that of {shown(namesake)}; give another name"
 
 
 def _check_methods(settings: Experiment) -> Iterable[str]:
     from baselines.registry import BaselineError
 
-    labels = [method.name for method in settings.methods]
-    for label in sorted({label for label in labels if labels.count(label) > 1}):
-        yield f"methods: name {label!r} is used {labels.count(label)} times; give different names"
     known = methods.names()
     for index, method in enumerate(settings.methods):
         key = f"methods[{index}]"
@@ -233,6 +229,56 @@ def _check_methods(settings: Experiment) -> Iterable[str]:
             for problem in error.errors():
                 problem["loc"] = ("limits", *problem["loc"])
                 yield f"{key}.{_explain(problem)}"
+
+
+def _check_labels(settings: Experiment) -> Iterable[str]:
+    labels = [method.name for method in settings.methods]
+    for label in sorted({label for label in labels if labels.count(label) > 1}):
+        yield f"methods: name {label!r} is used {labels.count(label)} times; give different names"
+
+
+def _varied(settings: Experiment) -> Iterable[MethodSettings]:
+    """The methods, each that takes a setting of ``vary`` once with every value of it."""
+    for method in settings.methods:
+        takes = [key for key in settings.vary if _takes(method, key)]
+        if not takes:
+            yield method
+        for key in takes:
+            yield from (_with_setting(method, key, value) for value in settings.vary[key])
+
+
+def _takes(method: MethodSettings, key: str) -> bool:
+    card = methods.card(method.baseline)
+    if key == "n_inliers_ratio":
+        return card.uses_n_inliers and key not in method.model_fields_set
+    return card.parameters.get(key) is not None and key not in method.options
+
+
+def _with_setting(method: MethodSettings, key: str, value: float | str) -> MethodSettings:
+    text = isinstance(value, str)
+    label = method.label or methods.card(method.baseline).display_name
+    said = value if text else f"{'n_p' if key == 'n_inliers_ratio' else key} × {value:g}"
+    label = f"{label[:-1]}, {said})" if label.endswith(")") else f"{label} ({said})"
+    changed = {"name": f"{method.name}-{value if text else f'{key}{value:g}'}", "label": label}
+    if key == "n_inliers_ratio":
+        return MethodSettings(**{**method.model_dump(), **changed, key: value})
+    options = {**method.options, key: value}
+    return MethodSettings(**{**method.model_dump(), **changed, "options": options})
+
+
+def _check_variations(settings: Experiment) -> Iterable[str]:
+    """Settings that no method takes, and values that one of them refuses."""
+    for key, values in settings.vary.items():
+        takers = [method for method in settings.methods if _takes(method, key)]
+        if not takers:
+            yield f"vary.{key}: no method takes it; name n_inliers_ratio or an option, or leave it out"
+        for method, value in ((method, value) for method in takers for value in values):
+            try:
+                varied = _with_setting(method, key, value)
+            except ValidationError as error:
+                yield from (f"vary.{_explain(problem)}" for problem in error.errors())
+            else:
+                yield from _check_options(f"vary.{key}, method {method.name}", varied)
 
 
 def _check_options(key: str, method: MethodSettings) -> Iterable[str]:
@@ -324,7 +370,7 @@ def _check_size(settings: Experiment) -> Iterable[str]:
 
 
 def _config_error(path: Path, problems: Sequence[str]) -> ConfigError:
-    return ConfigError("\n".join(f"{_shown(path)}: {problem}" for problem in problems))
+    return ConfigError("\n".join(f"{shown(path)}: {problem}" for problem in problems))
 
 
 def _explain(problem: Any) -> str:
@@ -357,27 +403,3 @@ def _part_of(annotation: Any) -> Any:
     if isinstance(annotation, type) and issubclass(annotation, Part):
         return annotation
     return next((part for inner in get_args(annotation) if (part := _part_of(inner))), None)
-
-
-def _shown(path: Path) -> str:
-    path = path.resolve()
-    return str(path.relative_to(CHECKOUT) if path.is_relative_to(CHECKOUT) else path)
-
-
-class _StrictLoader(yaml.SafeLoader):
-    """YAML in which a key given twice is an error, not a silent override."""
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        seen = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, Hashable):
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key!r} is no name", key_node.start_mark
-                )
-            if key in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key!r} is given twice", key_node.start_mark
-                )
-            seen.add(key)
-        return super().construct_mapping(node, deep)

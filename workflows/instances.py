@@ -63,11 +63,15 @@ class Problem:
 
 @dataclass(frozen=True)
 class Truth:
-    """What only the evaluation sees: the pose and the true pairs (rows of source and target)."""
+    """What only the evaluation sees: the pose and the true pairs (rows of source and target).
+
+    ``marks``: points of both side by side, (k, 2 d), that poses are judged by instead of the pairs.
+    """
 
     instance_id: str
     T_true: np.ndarray
     pairs: np.ndarray
+    marks: np.ndarray | None = None
 
 
 def with_oracle(instance: Instance, truth: Truth, outliers: float) -> Instance:
@@ -142,6 +146,7 @@ def write_truths(path: Path, truths: Iterable[Truth]) -> None:
             instance_id=[t.instance_id for t in truths],
             T_true=[t.T_true for t in truths],
             **_packed("pairs", [t.pairs for t in truths]),
+            **_packed("marks", [_no_marks(t) if t.marks is None else t.marks for t in truths]),
         )
 
 
@@ -149,8 +154,15 @@ def read_truths(path: Path) -> dict[str, Truth]:
     with np.load(path, allow_pickle=False) as archive:
         file = dict(archive)
     names = [str(name) for name in file["instance_id"]]
-    rows = zip(names, file["T_true"], _unpacked("pairs", file), strict=True)
-    return {name: Truth(name, T_true, pairs) for name, T_true, pairs in rows}
+    parts = file["T_true"], _unpacked("pairs", file), _unpacked("marks", file)
+    return {
+        name: Truth(name, T_true, pairs, marks if len(marks) else None)
+        for name, T_true, pairs, marks in zip(names, *parts, strict=True)
+    }
+
+
+def _no_marks(truth: Truth) -> np.ndarray:
+    return np.empty((0, 2 * (truth.T_true.shape[0] - 1)))
 
 
 def _packed(name: str, arrays: list[np.ndarray]) -> dict[str, Any]:

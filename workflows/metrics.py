@@ -37,6 +37,7 @@ class Case:
     scale_range: tuple[float, float]
     dataset: str
     lower_bound: float = np.nan
+    marks: np.ndarray | None = None  # (k, 2 d): see `workflows.instances.Truth`
 
     @property
     def dim(self) -> int:
@@ -61,6 +62,8 @@ class Case:
 
     @cached_property
     def _inliers(self) -> tuple[np.ndarray, np.ndarray]:
+        if self.marks is not None:
+            return self.marks[:, : self.dim], self.marks[:, self.dim :]
         return self.source[self.pairs[:, 0]], self.target[self.pairs[:, 1]]
 
 
@@ -87,10 +90,11 @@ def rmse_true(case: Case) -> float:
 
 
 def rmse_floor(case: Case) -> float:
-    if len(case.pairs) < case.dim:
-        return float("nan")
-    best = reference_pose(case.source, case.target, case.pairs, case.scale_range)
     source, target = case._inliers
+    if len(source) < case.dim:
+        return float("nan")
+    rows = np.column_stack([np.arange(len(source))] * 2)
+    best = reference_pose(source, target, rows, case.scale_range)
     return _rms(transform(best, source) - target)
 
 

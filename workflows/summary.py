@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from dcreg.status import Status
 from workflows import methods, records
+from workflows.compose import QUICK, ConfigError
+from workflows.config import MethodSettings, load
 from workflows.metrics import METRICS
-from workflows.stages.plan import Plan, PlannedRun
+from workflows.stages.plan import Plan, PlannedRun, expand
 from workflows.stages.solve import journalled
 
 
@@ -98,7 +104,9 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
 class Outlook:
     """What runs of a method on one model are to be expected, and the seconds of those not finished.
 
-    ``known``: from runs of this method that finished; otherwise from its limit.
+    ``known``: each takes the median time of the method's runs on its test so far, those of the quick part
+    of the experiment included, a run that met its limit counted as long as the limit allows; otherwise
+    the limit.
     """
 
     method: str
@@ -115,20 +123,64 @@ def outlook_of(plan: Plan, folder: Path) -> list[Outlook]:
     rows: dict[tuple[str, str], list[PlannedRun]] = {}
     for run in plan.runs():
         rows.setdefault((run.method.name, run.chunk.model), []).append(run)
+    kept = {name: _kept(folder, name) for name, _ in rows}
+    measured = _times(plan, folder)
+    for quick in _quick_part(plan):
+        for key, times in _times(quick, folder.with_name(quick.experiment.name), plan).items():
+            measured.setdefault(key, times)
     outlook = []
     for (name, model), runs in rows.items():
         method = runs[0].method
         fingerprint = methods.fingerprint(method.baseline)
-        ids = {run.run_id for run in runs}
-        kept = [row for row in journalled(folder / "runs" / name).values() if row["run_id"] in ids]
-        finished = len({row["run_id"] for row in kept if row["fingerprint"] == fingerprint})
-        times = [row["time_solve_s"] for row in kept if row.get("time_solve_s") is not None]
-        each = float(np.mean(times)) if times else plan.experiment.limits_of(method).time_s
+        runs_here = _runs_here(method)
+        finished, seconds, known = 0, 0.0, True
+        for run in runs:
+            if kept[name].get(run.run_id, {}).get("fingerprint") == fingerprint:
+                finished += 1
+                continue
+            if not runs_here:  # it only says so
+                continue
+            taken = measured.get((name, model, run.instance.test))
+            known = known and taken is not None
+            seconds += np.median(taken) if taken else plan.experiment.limits_of(method).time_s
         tests = list(dict.fromkeys(run.instance.test for run in runs))
-        seconds = (len(runs) - finished) * each
-        known = bool(times) or finished == len(runs)
-        outlook.append(Outlook(name, model, tests, len(runs), finished, seconds, known))
+        outlook.append(Outlook(name, model, tests, len(runs), finished, float(seconds), known))
     return outlook
+
+
+def _runs_here(method: MethodSettings) -> bool:
+    try:
+        return methods.load(method.baseline, method.options).available() is None
+    except ImportError:
+        return False
+
+
+def _kept(folder: Path, method: str) -> dict[str, dict[str, Any]]:
+    """Finished runs of a method by their run_id."""
+    return {row["run_id"]: row for row in journalled(folder / "runs" / method).values()}
+
+
+def _times(
+    plan: Plan, folder: Path, under: Plan | None = None
+) -> dict[tuple[str, str, str], list[float]]:
+    """Seconds of finished runs per method, model and test, as if under the limits of another plan."""
+    kept = {method.name: _kept(folder, method.name) for method in plan.methods}
+    times: dict[tuple[str, str, str], list[float]] = {}
+    for run in plan.runs():
+        row = kept[run.method.name].get(run.run_id, {})
+        if (time := row.get("time_solve_s")) is None:
+            continue
+        if row["status"] == Status.TIME_LIMIT:
+            time = (under or plan).experiment.limits_of(run.method).time_s
+        key = run.method.name, run.chunk.model, run.instance.test
+        times.setdefault(key, []).append(time)
+    return times
+
+
+def _quick_part(plan: Plan) -> Iterator[Plan]:
+    """The plan of the experiment's quick part, where it has one and is not it itself."""
+    with suppress(ConfigError):
+        yield expand(load(f"{plan.config}{QUICK}"))
 
 
 def print_baselines(console: Console | None = None) -> None:

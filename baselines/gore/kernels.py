@@ -33,8 +33,11 @@ def directions(source, target, tolerance):
 
 
 @jit
-def drop_by_arcs(x, y, spread, wanted, alive, rotation, state, budget):
-    """Whether it came to the end; pauses after `budget` arcs."""
+def drop_by_arcs(x, y, spread, linked, wanted, alive, rotation, state, budget):
+    """Whether it came to the end; pauses after `budget` arcs.
+
+    ``linked[k, i]``: whether a set may hold both k and i.
+    """
     n = len(x)
     starts, ends = np.empty(2 * n), np.empty(2 * n)
     while True:
@@ -44,13 +47,22 @@ def drop_by_arcs(x, y, spread, wanted, alive, rotation, state, budget):
                 return False
             if not alive[k]:
                 continue
-            if spread[k] >= np.pi / 2:  # no rotation is ruled out
-                state[MOST] = max(state[MOST], state[LEFT])
+            reach = 1
+            for i in range(n):
+                reach += linked[k, i] and alive[i] and i != k
+            if reach >= wanted and spread[k] >= np.pi / 2:  # no rotation is ruled out
+                state[MOST] = max(state[MOST], reach)
+                continue
+            budget -= reach
+            if reach < wanted:
+                alive[k] = False
+                state[LEFT] -= 1
+                state[CHANGED] = 1
                 continue
             align = _rotation_between(x[k], y[k])
             always, count = 1, 0
             for i in range(n):
-                if i == k or not alive[i]:
+                if i == k or not alive[i] or not linked[k, i]:
                     continue
                 centre, half = arc(align @ x[i], y[i], y[k], spread[i] + spread[k])
                 if half >= np.pi:
@@ -63,7 +75,6 @@ def drop_by_arcs(x, y, spread, wanted, alive, rotation, state, budget):
                     if high > 2 * np.pi:
                         starts[count], ends[count] = 0.0, high - 2 * np.pi
                         count += 1
-            budget -= state[LEFT]
             stabbed, angle = _stab(np.sort(starts[:count]), np.sort(ends[:count]))
             reach = always + stabbed
             if reach > state[BEST]:

@@ -30,6 +30,8 @@ from dcreg.search import Budget
 MARGIN = 1e-9
 LENGTH_MARGIN = 1e-15
 
+# By intervals, a correspondence is tried again when no more than this share of its partners is left.
+WORTHWHILE = 0.95
 _ARCS_PER_SLICE = 100_000  # between two looks at the clock: some 15 ms
 
 
@@ -96,6 +98,7 @@ class _Removing:
         self.best: np.ndarray | None = None
         self.most = 0
         self.agreeing = np.zeros(n, dtype=bool)  # with the best pose: they reach that many
+        self.bounded = np.zeros((n, 2), dtype=int)  # partners and `most` at the last intervals
         self.searched = np.full(n, -1)  # number of partners at the last search
 
     def settle(self, bound_on_others: BoundOnOthers) -> None:
@@ -122,8 +125,13 @@ class _Removing:
 
     def arcs(self, k: int, others: np.ndarray) -> tuple[int, np.ndarray]:
         """Bound on the others in a set with k of more than the best one's size, by intervals."""
+        known, most = self.bounded[k]
+        if len(others) > WORTHWHILE * known and self.most == most:
+            return len(others), np.eye(3)  # hardly anything changed: the bound stands
+        self.bounded[k] = len(others), self.most
         x, y = self.source[others] - self.source[k], self.target[others] - self.target[k]
-        return _rotation_reach(x, y, self.tolerance, self.most - 1, self.budget)
+        linked = self.graph[np.ix_(others, others)]
+        return _rotation_reach(x, y, self.tolerance, self.most - 1, self.budget, linked)
 
     def search(self, k: int, others: np.ndarray) -> tuple[int, np.ndarray]:
         """The same by branch and bound: exact, unless it is too small for k to stay."""
@@ -154,17 +162,20 @@ def _rotation_reach(
     tolerance: float,
     wanted: int,
     budget: Budget,
+    linked: np.ndarray | None = None,
 ) -> tuple[int, np.ndarray]:
     """Bound on ``|{i: |R x_i - y_i| <= tolerance}|`` over all rotations, and the best R met.
 
     Correspondences that reach fewer than `wanted` are dropped until none is; the bound holds for
-    all sets of `wanted` and more.
+    all sets of `wanted` and more whose members are all ``linked`` with each other (by default: any).
     """
+    if linked is None:
+        linked = np.ones((len(source), len(source)), dtype=bool)
     x, y, spread = directions(source, target, tolerance)
     alive = np.ones(len(x), dtype=bool)
     rotation = np.eye(3)
     state = np.array([0, len(x), 0, 0, 0])
-    while not drop_by_arcs(x, y, spread, wanted, alive, rotation, state, _ARCS_PER_SLICE):
+    while not drop_by_arcs(x, y, spread, linked, wanted, alive, rotation, state, _ARCS_PER_SLICE):
         if budget.is_over:
             return len(x), rotation  # no bound, but a rotation worth trying
     return int(min(state[LEFT], state[MOST])), rotation

@@ -54,15 +54,24 @@ def best_pose(
     """The pose of the seed with the most residuals within `bound`, and whether all were tried."""
     best, most = None, 0
     for seed in seeds:
-        members, weights = _consensus(rows, seed, *sizes)
-        if len(members) >= source.shape[1] and weights.sum() > 0:
-            pose = fit_pose(source[members], target[members], (1.0, 1.0), weights)
+        pose = seed_pose(source, target, rows, seed, sizes)
+        if pose is not None:
             count = int(count_within(source, target, pose, bound))
             if count > most:
                 best, most = pose, count
         if budget.is_over:
             return best, False
     return best, True
+
+
+def seed_pose(
+    source: np.ndarray, target: np.ndarray, rows: np.ndarray, seed: int, sizes: tuple[int, int]
+) -> np.ndarray | None:
+    """The weighted pose of a seed's consensus set; None where that is too small."""
+    members, weights = _consensus(rows, seed, *sizes)
+    if len(members) < source.shape[1] or weights.sum() <= 0:
+        return None
+    return fit_pose(source[members], target[members], (1.0, 1.0), weights)
 
 
 def refine(pose: np.ndarray, source: np.ndarray, target: np.ndarray, bound: float) -> np.ndarray:

@@ -21,7 +21,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 def targets() -> str:
     """What the Makefile offers, from the lines that `make help` prints."""
-    found = re.findall(r"^## ([a-z-]+): (.*)$", (ROOT / "Makefile").read_text("utf-8"), re.M)
+    found = re.findall(r"^## ([a-z0-9-]+): (.*)$", (ROOT / "Makefile").read_text("utf-8"), re.M)
     return table(("target", "does"), ((f"`make {name}`", text) for name, text in found))
 
 

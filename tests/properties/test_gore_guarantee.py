@@ -84,6 +84,17 @@ def test_reach_is_no_less_than_the_planted_consensus(problem: tuple) -> None:
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
 
 
+def test_only_correspondences_that_agree_with_one_another_are_counted() -> None:
+    generator = np.random.default_rng(0)
+    x = generator.uniform(0.5, 1.0, (12, 3))
+    y = Rotation.from_rotvec([0.3, -1.0, 0.4]).apply(x)
+    linked = np.zeros((12, 12), dtype=bool)
+    linked[:5, :5] = linked[5:, 5:] = True
+    assert _rotation_reach(x, y, 0.01, 0, Budget())[0] == 12
+    assert _rotation_reach(x, y, 0.01, 0, Budget(), linked)[0] == 7
+    assert _rotation_reach(x, y, 0.01, 8, Budget(), linked)[0] == 0
+
+
 @given(st.integers(0, 2**32 - 1), st.floats(0.001, 3.2))
 @settings(max_examples=300, deadline=None)
 def test_arcs_hold_exactly_the_angles_that_come_near(seed: int, reach: float) -> None:
@@ -145,7 +156,7 @@ def test_searched_reach_is_no_less_than_the_planted_consensus(problem: tuple, cu
 def test_search_removes_and_finds_what_intervals_do_not() -> None:
     tighter = larger = 0
     for seed in range(20):
-        source, target, bound, _ = sparse(seed, 40, 6, 0.1)
+        source, target, bound, _ = sparse(seed, 80, 6, 0.07)
         arcs = remove_outliers(source, target, bound, Budget(), rotation_search=False)
         both = remove_outliers(source, target, bound, Budget())
         assert both.consensus >= arcs.consensus

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+from pathlib import Path
 
 import pytest
 import yaml
 
-from workflows import config
+from workflows import config, methods
 from workflows.config import ConfigError
+from workflows.stages.plan import expand
 
 GOOD = {
     "name": "small",
@@ -27,9 +29,107 @@ def write(tmp_path):
     return write
 
 
-@pytest.mark.parametrize("name", ["demo", "real2d"])
+CONFIGS = sorted(path.stem for path in config.CONFIGS.glob("*.yaml"))
+WITH_QUICK = [
+    path.stem
+    for path in sorted(config.CONFIGS.glob("*.yaml"))
+    if "quick" in yaml.safe_load(path.read_text("utf-8"))
+]
+
+
+@pytest.mark.parametrize("name", CONFIGS)
 def test_the_configs_of_the_checkout_are_valid(name):
     assert config.load(name).name == name
+    assert config.origin(name) == name
+
+
+@pytest.mark.parametrize("name", WITH_QUICK)
+def test_quick_parts_have_every_method_and_test_and_end_within_15_minutes(name):
+    """On two cores, if every run took its limit, or, of most methods, what they are known to take."""
+    whole, quick = config.load(name), config.load(f"{name}-quick")
+    assert quick.name == config.origin(quick.name) == f"{name}-quick"
+    assert [method.name for method in quick.methods] == [method.name for method in whole.methods]
+    tests = [{t for entry in each.datasets for t in entry.tests} for each in (whole, quick)]
+    assert tests[0] == tests[1]
+    plan = expand(quick)
+    # Methods of the harness that treat pairs, or are local, take less than a second at these sizes.
+    short = {"teaser", "gnc_tls", "clipper", "sc2_pcr", "sc2_pcr_pp", "turboreg", "ransac", "icp"}
+    short |= {name for name in methods.names() if methods.card(name).requires}
+    seconds = sum(
+        min(1.0, quick.limits.time_s) if run.method.baseline in short else quick.limits.time_s
+        for run in plan.runs()
+    )
+    start_s = 3.0  # of a job, on one core
+    assert seconds + start_s * len(list(plan.jobs())) < 2 * 14 * 60
+
+
+def test_quick_part_overrides_limits_key_by_key_and_all_else_as_a_whole(write, monkeypatch):
+    quick = {"limits": {"time_s": 1}, "methods": [{"name": "icp", "baseline": "icp"}]}
+    path = write({**GOOD, "title": "Small", "limits": {"memory_mb": 900}, "quick": quick})
+    assert config.load(path).limits.time_s == 10.0
+    monkeypatch.setattr(config, "CONFIGS", Path(path).parent)
+    small = config.load("small-quick")
+    assert (small.limits.time_s, small.limits.memory_mb) == (1, 900)
+    assert [method.name for method in small.methods] == ["icp"]
+    assert small.datasets == config.load("small").datasets
+    assert (small.name, small.title) == ("small-quick", "Small, quick part")
+
+
+def test_a_config_without_a_quick_part_says_so():
+    with pytest.raises(ConfigError, match=r"demo\.yaml: has no quick part; add the key quick"):
+        config.load("demo-quick")
+
+
+def test_shared_lists_of_methods_are_read_from_beside_the_config(write):
+    path = write({**GOOD, "methods": ["local", {"name": "dcreg", "baseline": "dcreg"}]})
+    with pytest.raises(ConfigError, match=r"small\.yaml: methods: no list 'local' in .*methods"):
+        config.load(path)
+    folder = Path(path).parent / "methods"
+    folder.mkdir()
+    (folder / "local.yaml").write_text(
+        "- {name: icp, baseline: icp}\n- {name: cpd, baseline: cpd}\n"
+    )
+    assert [m.name for m in config.load(path).methods] == ["icp", "cpd", "dcreg"]
+    (folder / "local.yaml").write_text("name: icp\n")
+    with pytest.raises(ConfigError, match=r"local\.yaml: must be a list of methods"):
+        config.load(path)
+
+
+def test_settings_are_varied_one_at_a_time_for_the_methods_that_take_them(write):
+    listed = [
+        {"name": "icp", "baseline": "icp"},
+        {"name": "mac", "baseline": "mac"},
+        {"name": "told", "baseline": "icp", "n_inliers_ratio": 1.0},
+    ]
+    vary = {"front_end": ["oracle"], "n_inliers_ratio": [0.5, 1], "noise_factor": [2]}
+    varied = config.load(write({**GOOD, "methods": listed, "vary": vary})).methods
+    assert [(m.name, m.n_inliers_ratio, m.options) for m in varied] == [
+        ("icp-n_inliers_ratio0.5", 0.5, {}),
+        ("icp-n_inliers_ratio1", 1.0, {}),
+        ("mac-oracle", 1.0, {"front_end": "oracle"}),
+        ("mac-noise_factor2", 1.0, {"noise_factor": 2.0}),
+        ("told", 1.0, {}),
+    ]
+    assert [m.label for m in varied[2:4]] == ["MAC (oracle)", "MAC (noise_factor × 2)"]
+
+
+@pytest.mark.parametrize(
+    ("vary", "expected"),
+    [
+        ({"noise": [1]}, "vary.noise: no method takes it; name n_inliers_ratio or an option"),
+        ({"n_inliers_ratio": [3]}, "vary.n_inliers_ratio: Input should be less than or equal to 2"),
+        (
+            {"front_end": ["fpfh"]},
+            "vary.front_end, method mac.options: mac: option front_end = 'fpf",
+        ),
+        ({"noise_factor": []}, "vary.noise_factor: List should have at least 1 item"),
+    ],
+)
+def test_variations_that_cannot_be_are_refused(write, vary, expected):
+    listed = [{"name": "icp", "baseline": "icp"}, {"name": "mac", "baseline": "mac"}]
+    with pytest.raises(ConfigError) as error:
+        config.load(write({**GOOD, "methods": listed, "vary": vary}))
+    assert expected in str(error.value)
 
 
 def test_a_small_config_gets_the_documented_defaults(write):

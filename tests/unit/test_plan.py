@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 
 import pytest
 
 from workflows import CHECKOUT
-from workflows.config import ConfigError, Experiment, parse_selection
+from workflows.config import ConfigError, Experiment, load, parse_selection
 from workflows.stages.plan import expand
+from workflows.summary import outlook_of
 
 
 def experiment(**changes) -> Experiment:
@@ -146,3 +148,38 @@ def test_a_part_has_a_folder_of_its_own():
     assert view() == "."
     assert view("methods=half,dcreg", "levels=0.01") == "parts/methods-dcreg+half_levels-0.01"
     assert view("methods=dcreg,half", "levels=0.01") == view("methods=half,dcreg", "levels=0.01")
+
+
+def test_expected_times_are_medians_of_the_quick_part_with_limited_runs_at_the_limit(tmp_path):
+    whole = expand(
+        load("paper2d_images"), parse_selection(["methods=icp", "shapes=car"]), "paper2d_images"
+    )
+    folder = tmp_path / "paper2d_images"
+    (before,) = outlook_of(whole, folder)
+    assert (before.seconds, before.known) == (10 * 60.0, False)
+
+    quick = [run for run in expand(load("paper2d_images-quick")).runs() if run.method.name == "icp"]
+    times = {"canny": iter([0.5, 9, 0.5, 0.5, 9, 0.5, 0.5, 0.5]), "marked": iter([4.0] * 4)}
+    rows = [
+        {
+            "run_id": run.run_id,
+            "instance_digest": "",
+            "fingerprint": "",
+            "status": "time_limit" if run.instance.test == "marked" else "converged",
+            "time_solve_s": next(times[run.instance.test]),
+        }
+        for run in quick
+    ]
+    journal = tmp_path / "paper2d_images-quick" / "runs" / "icp" / "x.journal.jsonl"
+    journal.parent.mkdir(parents=True)
+    journal.write_text("".join(f"{json.dumps(row)}\n" for row in rows))
+    (after,) = outlook_of(whole, folder)
+    assert (after.runs, after.finished, after.known) == (10, 0, True)
+    assert after.seconds == 5 * 0.5 + 5 * 60.0
+
+
+def test_methods_that_cannot_run_here_are_expected_to_take_no_time(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygcransac", None)
+    whole = expand(load("paper3d"), parse_selection(["methods=pygcransac-oracle"]), "paper3d")
+    (outlook,) = outlook_of(whole, tmp_path / "paper3d")
+    assert (outlook.seconds, outlook.known) == (0.0, True)

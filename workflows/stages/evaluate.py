@@ -52,6 +52,7 @@ def judge(run: Mapping[Any, Any], problem: Problem, truth: Truth, dataset: str) 
         source=problem.source,
         target=problem.target,
         pairs=truth.pairs,
+        marks=truth.marks,
         n_inliers=run["n_inliers"],
         scale_range=problem.scale_range,
         dataset=dataset,

@@ -37,7 +37,7 @@ def problem_of(spec: InstanceSpec, raw: RawInstance) -> Problem:
         source=np.ascontiguousarray(raw.source, dtype=float),
         target=np.ascontiguousarray(raw.target, dtype=float),
         scale_range=raw.scale_range,
-        n_inliers_prior=len(raw.pairs),
+        n_inliers_prior=len(raw.pairs) if raw.n_inliers is None else raw.n_inliers,
         noise_bound=raw.noise_bound or noise_bound(raw),
         matches=shared_matches(raw.source, raw.target, raw.match_radii) if raw.match_radii else {},
     )
@@ -59,12 +59,13 @@ def instance_of(
 
 
 def truth_of(spec: InstanceSpec, raw: RawInstance) -> Truth:
-    return Truth(spec.instance_id, raw.T_true, raw.pairs)
+    marks = None if raw.marks is None else np.hstack(raw.marks)
+    return Truth(spec.instance_id, raw.T_true, raw.pairs, marks)
 
 
 def noise_bound(raw: RawInstance) -> float:
     """`NOISE_FACTOR` times the RMS residual of the true pairs at the reference pose, or a floor."""
-    source, target = raw.source[raw.pairs[:, 0]], raw.target[raw.pairs[:, 1]]
+    source, target = raw.judged
     residuals = transform(raw.T_true, source) - target
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     return max(NOISE_FACTOR * rms, LEAST_NOISE_BOUND * float(np.ptp(raw.target, axis=0).max()))
@@ -74,6 +75,7 @@ def sources_digest(datasets: list[str]) -> str:
     """Hash of all code and cards that decide the content of instances from these datasets."""
     shared = [
         *("baselines/contract.py", "data/contract.py", "data/loaders.py", "data/pairs.py"),
+        "data/photographs.py",
         *("data/sampling.py", "data/scans.py", "dcreg/local/fit.py"),
         "baselines/_shared/front_ends.py",
         *("workflows/disturb.py", "workflows/instances.py", "workflows/stages/generate.py"),

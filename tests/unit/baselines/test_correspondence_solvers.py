@@ -26,7 +26,9 @@ from dcreg.search import Budget
 from dcreg.status import Status
 
 NOISE = 0.01
-METHODS = ["teaser", "gnc_tls", "clipper", "sc2_pcr", "mac", "gore", "ransac"]
+METHODS = [
+    *("teaser", "gnc_tls", "clipper", "sc2_pcr", "sc2_pcr_pp", "turboreg", "mac", "gore", "ransac"),
+]
 BOTH = [name for name in METHODS if "similarity2d" in registry.read_card(name).models]
 
 

@@ -1,0 +1,74 @@
+"""Photographs of four objects with hand-marked points: edges, or the marks themselves, to register."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy.io import loadmat
+
+from data.contract import Axis, DataError, RawInstance, RecordedDataset
+from data.fetch import fetch
+from data.photographs import edge_points, half_turn, near_pairs, told_pairs
+from data.sampling import reference_pose, transform
+
+LEVELS = (1.0, 2.0, 3.0, 4.0, 5.0)
+
+
+@lru_cache(maxsize=4)
+def _marks(path: Path) -> dict[str, np.ndarray]:
+    return {name: marks.astype(float) for name, marks in loadmat(path).items() if name[0] == "X"}
+
+
+class Loader(RecordedDataset):
+    """``car``, ``motobike``, ``revolver``, ``eiffel``: the first photograph, turned, to the others."""
+
+    def shapes(self) -> list[str]:
+        return list(self.card.parameters["shapes"])
+
+    def tests(self) -> dict[str, Axis]:
+        axis = Axis(LEVELS, LEVELS, "photograph", 1)
+        return {"canny": axis, "marked": axis}
+
+    def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
+        """The marks, the first photograph, and for edges the other one."""
+        first, other = self._numbers(shape, level)
+        names = [f"data_{shape}_match.mat", f"{first}.jpg"]
+        if test == "canny":
+            names.append(f"{other}.jpg")
+        known = {file.path for file in self.card.files}
+        paths = [f"images/lian-apm/{shape}/{name}" for name in names]
+        if missing := [path for path in paths if path not in known]:
+            raise DataError(
+                f"dataset {self.name}: there is no photograph {missing[0]}; leave out {test} "
+                f"{level:g} of {shape}"
+            )
+        return [fetch(self.card.file(path)) for path in paths]
+
+    def load(
+        self, shape: str, test: str, level: float, trial: int, n_points: int | None
+    ) -> RawInstance:
+        marks_path, *photographs = self.files(shape, test, level, trial)
+        first, other = (_marks(marks_path)[f"X{number}"] for number in self._numbers(shape, level))
+        turn = half_turn(photographs[0])
+        marked = transform(turn, first), other[: len(first)]
+        rows = np.column_stack([np.arange(len(first))] * 2)
+        scale_range = tuple(self.card.parameters["scale_range"])
+        T_true = reference_pose(*marked, rows, scale_range)
+        if test == "marked":
+            if n_points is not None:
+                raise DataError(f"dataset {self.name}: marks are not thinned; leave n_points out")
+            return RawInstance(marked[0], other.copy(), rows, T_true, scale_range)
+        sigma, count = self.card.parameters["sigma"], n_points or self.card.parameters["n_points"]
+        edges = [edge_points(path, sigma, count) for path in photographs]
+        source, target = transform(turn, edges[0]), edges[1].copy()
+        pairs = near_pairs(T_true, source, target)
+        return RawInstance(
+            source, target, pairs, T_true, scale_range,
+            n_inliers=told_pairs(source, target), marks=marked,
+        )  # fmt: skip
+
+    def _numbers(self, shape: str, level: float) -> tuple[int, int]:
+        entry = self.card.parameters["shapes"][shape]
+        return entry["first"], entry["others"][int(level) - 1]

@@ -1,0 +1,142 @@
+"""Photographs as point sets: edge points, also of a picture turned by 180 degrees."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from data.contract import Axis, Card, DataError, RawInstance, RecordedDataset
+from data.fetch import UnavailableError, cache_root
+from data.sampling import farthest_points, mutual_nearest, transform
+
+SHARE = 0.9  # of the smaller set: the number of pairs that methods are told
+TOLERANCE = 0.02  # of the longest side: edge points so near at the reference pose are pairs
+SCALE_RANGE = (0.5, 1.5)
+PICTURES = {".jpg", ".jpeg", ".png"}
+
+
+@lru_cache(maxsize=32)
+def edge_points(path: Path, sigma: float, n_points: int, parity: int | None = None) -> np.ndarray:
+    """Canny edges of a picture, thinned to `n_points` spread ones; pixels x to the right, y down.
+
+    Parameters
+    ----------
+    path : Path
+    sigma : float
+        Of the Gaussian before the gradient, in pixels.
+    n_points : int
+    parity : 0 or 1, optional
+        Only of pixels with x + y even or odd: two sets of one picture without a common point.
+
+    Raises
+    ------
+    DataError
+        The picture cannot be read, or has fewer edge points.
+    """
+    y, x = np.nonzero(_edges(_grey(path), sigma))
+    points = np.column_stack([x, y]).astype(float)
+    if parity is not None:
+        points = points[(x + y) % 2 == parity]
+    if len(points) < n_points:
+        raise DataError(
+            f"{path}: {len(points)} edge points at sigma {sigma:g}; {n_points} were asked for, lower "
+            "n_points or sigma"
+        )
+    return points[farthest_points(points, n_points)]
+
+
+def half_turn(path: Path) -> np.ndarray:
+    """The pose that turns a picture by 180 degrees about its centre; its own inverse."""
+    height, width = _grey(path).shape
+    return np.array([[-1.0, 0.0, width - 1], [0.0, -1.0, height - 1], [0.0, 0.0, 1.0]])
+
+
+def told_pairs(source: np.ndarray, target: np.ndarray) -> int:
+    """The number of pairs that methods are told, as the paper sets it for photographs."""
+    return round(SHARE * min(len(source), len(target)))
+
+
+def near_pairs(T_true: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Points that coincide at the reference pose; not what poses are judged by."""
+    reach = TOLERANCE * float(np.ptp(target, axis=0).max())
+    return mutual_nearest(transform(T_true, source), target, reach)
+
+
+class Photographs(RecordedDataset):
+    """A folder of VOC2007 or Caltech-256: each photograph against itself, turned by 180 degrees.
+
+    Source and target are of different pixels. Test ``turned``, level 0; a shape is a class, trial k its
+    k-th photograph.
+
+    Card parameters: ``folder`` (below the data set's place in the cache), ``layout`` (``voc`` or
+    ``caltech``), ``shapes``, ``n_trials``, ``n_points``, ``sigma``.
+    """
+
+    def __init__(self, card: Card) -> None:
+        super().__init__(card)
+        self.folder = Path(card.parameters["folder"])
+
+    def shapes(self) -> list[str]:
+        return list(self.card.parameters["shapes"])
+
+    def tests(self) -> dict[str, Axis]:
+        return {"turned": Axis((0.0,), (0.0,), "-", self.card.parameters["n_trials"])}
+
+    def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
+        listed = self._listed(shape)
+        if trial >= len(listed):
+            raise DataError(
+                f"dataset {self.name}: {shape} has {len(listed)} photographs, none of number {trial}; "
+                "lower trials"
+            )
+        return [listed[trial]]
+
+    def load(
+        self, shape: str, test: str, level: float, trial: int, n_points: int | None
+    ) -> RawInstance:
+        (path,) = self.files(shape, test, level, trial)
+        count = n_points or self.card.parameters["n_points"]
+        sigma, turn = self.card.parameters["sigma"], half_turn(path)
+        source = transform(turn, edge_points(path, sigma, count, parity=1))
+        target = edge_points(path, sigma, count, parity=0).copy()
+        pairs = near_pairs(turn, source, target)
+        return RawInstance(
+            source, target, pairs, turn, SCALE_RANGE, n_inliers=told_pairs(source, target)
+        )
+
+    def _listed(self, shape: str) -> list[Path]:
+        """The photographs of a class, in the order of the data set's own lists."""
+        place = cache_root() / self.name / self.folder
+        if not place.is_dir():
+            raise UnavailableError(
+                f"dataset {self.name}: no folder {place}. {self.card.notes.strip()}"
+            )
+        if self.card.parameters["layout"] == "caltech":
+            folders = [path for path in place.iterdir() if path.name.endswith(f".{shape}")]
+            found = sorted(path for folder in folders for path in folder.iterdir())
+            return [path for path in found if path.suffix.lower() in PICTURES]
+        names = place / "ImageSets" / "Main" / f"{shape}_trainval.txt"
+        if not names.is_file():
+            raise DataError(f"{names}: no such list; put the whole folder {place.name} there")
+        rows = [line.split() for line in names.read_text(encoding="utf-8").splitlines()]
+        with_object = [row[0] for row in rows if len(row) == 2 and row[1] == "1"]
+        return [place / "JPEGImages" / f"{name}.jpg" for name in with_object]
+
+
+@lru_cache(maxsize=4)
+def _grey(path: Path) -> np.ndarray:
+    from skimage import color, io
+
+    try:
+        picture = io.imread(path)
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: no picture that can be read ({error})") from error
+    return color.rgb2gray(picture[..., :3]) if picture.ndim == 3 else picture / 255.0
+
+
+def _edges(grey: np.ndarray, sigma: float) -> np.ndarray:
+    from skimage.feature import canny
+
+    return canny(grey, sigma=sigma)

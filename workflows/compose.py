@@ -1,0 +1,93 @@
+"""From the text of an experiment to plain content: its quick part, and lists of methods it shares."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dcreg.problem import suggestion
+from workflows import UserError, shown
+
+QUICK = "-quick"  # ends the name of the quick part of an experiment
+METHOD_LISTS = "methods"  # folder, beside the configs, of the lists they share
+
+
+class ConfigError(UserError):
+    """The experiment cannot be run; the message names file, key, value and remedy."""
+
+
+def read(path: Path, quick: bool = False) -> dict[str, Any]:
+    """The content of a config, or of its quick part, with the shared lists it names written out.
+
+    The key ``quick`` holds what the quick part has instead: ``limits`` key by key, all else as a whole.
+    A text among ``methods`` is the name of a list in ``methods/`` beside the config.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read, has no quick part, or names no list.
+    """
+    content = _yaml(path)
+    if not isinstance(content, dict):
+        raise ConfigError(f"{shown(path)}: must be a mapping of keys to values")
+    instead = content.pop("quick", None)
+    if quick:
+        if not isinstance(instead, dict):
+            raise ConfigError(f"{shown(path)}: has no quick part; add the key quick, a mapping")
+        limits = {**content.get("limits", {}), **instead.get("limits", {})}
+        name, title = f"{content.get('name')}{QUICK}", f"{content.get('title', '')}, quick part"
+        content = {**content, **instead, "limits": limits, "name": name, "title": title}
+    if isinstance(content.get("methods"), list):
+        content["methods"] = [
+            method for entry in content["methods"] for method in _methods(entry, path)
+        ]
+    return content
+
+
+def _methods(entry: Any, path: Path) -> list[Any]:
+    """One entry of ``methods``: itself, or the shared list of that name."""
+    if not isinstance(entry, str):
+        return [entry]
+    folder = path.parent / METHOD_LISTS
+    known = sorted(file.stem for file in folder.glob("*.yaml"))
+    if entry not in known:
+        raise ConfigError(
+            f"{shown(path)}: methods: no list {entry!r} in {shown(folder)}{suggestion(entry, known)}"
+        )
+    listed = _yaml(folder / f"{entry}.yaml")
+    if not isinstance(listed, list):
+        raise ConfigError(f"{shown(folder / entry)}.yaml: must be a list of methods")
+    return listed
+
+
+def _yaml(path: Path) -> Any:
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(
+            f"{shown(path)}: not valid YAML: {error}; correct it, see workflows/configs/demo.yaml"
+        ) from error
+    except OSError as error:
+        raise ConfigError(f"{shown(path)}: {error.strerror}; make the file readable") from error
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """YAML in which a key given twice is an error, not a silent override."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, Hashable):
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key!r} is no name", key_node.start_mark
+                )
+            if key in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key!r} is given twice", key_node.start_mark
+                )
+            seen.add(key)
+        return super().construct_mapping(node, deep)
