@@ -234,7 +234,7 @@ class TestWhatAMethodDependsOn:
                 {"icp", "cpd", "dcp"},
             ),
             ("dcreg/local/fit.py", {"dcreg", "rpm_cav", "teaser", "icp"}, {"kiss_icp"}),
-            ("baselines/_shared/poses.py", {"icp", "gore", "teaserpp"}, {"dcreg", "rpm_htb"}),
+            ("baselines/_shared/poses.py", {"icp", "gore", "teaserpp"}, {"rpm_htb"}),
             # imported within a function
             ("baselines/_shared/open3d_clouds.py", {"fpfh_ransac", "gore"}, {"icp", "goicp"}),
             # a child process
