@@ -265,7 +265,7 @@ class _Sweep:
         for level in self.levels:
             began = self.budget.elapsed()
             level.space.heed(self.budget.stop)
-            level.take(*level.space.start(self.budget))
+            level.take(*level.space.start(self.budget.named(f"start of k={level.k}")))
             level.descending_s += self.budget.elapsed() - began
         self._exchange()
 

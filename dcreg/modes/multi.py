@@ -251,7 +251,7 @@ def _try_basin(
     if norm_value >= worth:
         return
     space = Rotation3D(task.source + translation, task.target, task.n_inliers, task.candidates)
-    theta, value, spent = space.start(budget)
+    theta, value, spent = space.start(budget.named(f"start of {name}"))
     value = min(value, worth)
     turned = minimise(
         space, RotationBound(space, threads=task.threads), budget,
@@ -260,7 +260,7 @@ def _try_basin(
     T = pose_of(Rotation3D.matrix(turned.theta), translation)
     theta, value, refining = rigid.refine(rigid.theta(T))
     if value < best:
-        task.budget.found(value, "best pose")
+        task.budget.named("best pose").found(value)
     answer.basins.append(Basin(translation, norm_value, rigid.pose(theta), value))
     turned.n_assignments += spent + refining
     answer.add(name, turned)

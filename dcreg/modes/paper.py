@@ -54,6 +54,7 @@ def turn(task: Task, shifted: np.ndarray, budget: Budget) -> Outcome:
         )
     space = Rotation3D(shifted, task.target, task.n_inliers, task.candidates)
     bound = RotationBound(space, threads=task.threads)
+    budget = budget.named("start of rotation")
     return minimise(space, bound, budget, gap_tol=task.turning_tol, stage="rotation")
 
 

@@ -71,6 +71,7 @@ class Budget:
         self._closing_s = _CLOSING_S + _CLOSING_SHARE * (time_s or 0.0)
         self._root = self  # of all parts: the one that knows whether the caller asked to stop
         self._stopped = False
+        self._stage = "start"
         self._event = Event("tick", "start", 0.0, 0, 0, 0, 0.0, np.inf)
         self._lock = threading.RLock()
         self._ended = threading.Event()
@@ -138,9 +139,15 @@ class Budget:
         part._deadline = None if left is None else time.perf_counter() + share * left
         return part
 
-    def found(self, value: float, stage: str = "start") -> None:
+    def named(self, stage: str) -> Budget:
+        """The same budget, with a name of its own for what is `found` under it."""
+        part = self.part(1.0)
+        part._stage = stage
+        return part
+
+    def found(self, value: float) -> None:
         """Tell of a better pose outside of a search; its objective bounds the optimum from above."""
-        self.tell(Event("bound", stage, self.elapsed(), 0, 0, 0, 0.0, value))
+        self.tell(Event("bound", self._stage, self.elapsed(), 0, 0, 0, 0.0, value))
 
     def tell(self, event: Event) -> None:
         """Pass an event on to the listener."""

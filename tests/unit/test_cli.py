@@ -1,5 +1,6 @@
 """The command line: options, exit codes, outputs, messages; with a made-up and the real search."""
 
+import inspect
 import io
 import json
 import logging
@@ -125,10 +126,13 @@ def test_defaults(call, clouds, fake):
     assert fake.called["polish"] is True
     assert fake.called["threads"] == 1
     left_to_the_library = (
-        *("scale_range", "mode", "bound", "gap_tol", "time_limit", "node_limit", "candidates"),
+        *("scale_range", "mode", "bound", "gap_tol", "node_limit", "candidates"),
         "downsample",
     )
-    assert [fake.called[name] for name in left_to_the_library] == [None] * 8
+    assert [fake.called[name] for name in left_to_the_library] == [None] * 7
+    for function in (dcreg.register, dcreg.sweep):
+        assert inspect.signature(function).parameters["time_limit"].default == 60.0
+    assert fake.called["time_limit"] == 60.0
 
 
 @pytest.mark.parametrize(("text", "pairs"), [("1", 1), ("1.0", 12), ("7", 7), ("0.5", 6)])

@@ -173,7 +173,7 @@ def test_the_whole_warm_up_meets_every_bound():
         met = {
             part
             for work in _works()
-            if work.args[0] == model and len(work.args[2]) > 1
+            if work.args and work.args[0] == model and len(work.args[2]) > 1
             for bound in work.args[2]
             for part in bound_parts(bound or DEFAULT_BOUND)
         }

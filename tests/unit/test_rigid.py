@@ -156,7 +156,7 @@ def test_listener_stops_the_search(rng):
         source, target, 6, gap_tol=1e-9, listener=lambda event: events.append(event) or True
     )
     assert result.status is Status.STOPPED
-    assert {event.stage for event in events} == {"rigid"}
+    assert {event.stage for event in events} == {"start", "rigid"}
 
 
 def test_duplicates_that_nearest_neighbours_cannot_tell(rng):

@@ -158,7 +158,7 @@ def test_listener_sees_the_search_and_may_stop_it(rng):
 
     result = search_rotation(source, target, 10, gap_tol=1e-9, listener=listener)
     assert result.status is Status.STOPPED
-    assert {event.stage for event in seen} == {"rotation"}
+    assert {event.stage for event in seen} == {"start", "rotation"}
     assert result.events[-1].kind == "end"
     lower = [event.lower_bound for event in seen]
     upper = [event.upper_bound for event in seen]

@@ -55,7 +55,9 @@ class GoICP:
 def install(folder: Path, monkeypatch: pytest.MonkeyPatch, behaviour: str = "pass") -> None:
     (folder / "py_goicp.py").write_text(STAND_IN.replace("BEHAVIOUR", behaviour))
     monkeypatch.syspath_prepend(str(folder))
-    monkeypatch.delitem(sys.modules, "py_goicp", raising=False)
+    # set before it is deleted: so the stand-in that gets imported is gone when the test is over
+    monkeypatch.setitem(sys.modules, "py_goicp", None)
+    monkeypatch.delitem(sys.modules, "py_goicp")
 
 
 def problem(n_inliers: int = 20) -> Instance:
