@@ -110,6 +110,9 @@ class RawInstance:
     marks : ((k, d), (k, d)) arrays, optional
         Points of source and target that belong together and that poses are judged by, where they are
         not among the points to register; default: the true pairs.
+    viewpoint : (3,) floats, optional
+        Of the shared matches' features: the sensor's place in the frame of either cloud, towards which normals are
+        turned. None: their signs are left as they come.
     """
 
     source: np.ndarray
@@ -122,6 +125,7 @@ class RawInstance:
     match_radii: tuple[float, float] | None = None
     n_inliers: int | None = None
     marks: tuple[np.ndarray, np.ndarray] | None = None
+    viewpoint: tuple[float, float, float] | None = None
 
     @property
     def judged(self) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@
 
 ``shared-mutual``, ``shared-nearest``, ``shared-several``
     Matches that come with the instance, the same for all methods: nearest neighbours by FPFH features
-    of the whole clouds, made once by the harness with the radii of the data set. Mutual ones; of every
+    of the whole clouds, made once by the harness with the settings of the data set. Mutual ones; of every
     source point the nearest one; of every source point the five nearest. 3D only.
 
 No front end gives more than `max_pairs`: the least similar are dropped, and the message says so.
@@ -45,6 +45,7 @@ SHARED = ("shared-mutual", "shared-nearest", "shared-several")
 FRONT_ENDS = ("fpfh-mutual", "norm-signature", "all-pairs", "oracle", *SHARED)
 SEVERAL = 5  # matches of a source point in shared-several
 OPEN3D = "pip install open3d; on a bare Debian also apt-get install libusb-1.0-0 libgl1 libegl1"
+Viewpoint = tuple[float, float, float] | None
 SIGNATURE_NEAREST = 8  # neighbours whose distances enter a signature
 SIGNATURE_QUANTILES = np.linspace(0.1, 0.9, 9)
 
@@ -111,11 +112,11 @@ def fpfh_mutual(instance: Instance, normal_radius: float, feature_radius: float)
     """Mutual nearest FPFH matches; radii in median spacings of the target."""
     spacing = median_spacing(instance.target)
     radii = normal_radius * spacing, feature_radius * spacing
-    return _nearest_features(instance.source, instance.target, radii, 1)["shared-mutual"]
+    return _nearest_features(instance.source, instance.target, 1, radii)["shared-mutual"]
 
 
 def shared_matches(
-    source: np.ndarray, target: np.ndarray, radii: tuple[float, float]
+    source: np.ndarray, target: np.ndarray, radii: tuple[float, float], viewpoint: Viewpoint = None
 ) -> dict[str, np.ndarray]:
     """The matches of the shared front ends, the most similar first.
 
@@ -125,14 +126,20 @@ def shared_matches(
         The whole clouds.
     radii : (of normals, of features)
         In the unit of the clouds.
+    viewpoint : (3,) floats, optional
+        Where in the frame of either cloud its sensor was: normals are turned towards it.
     """
-    return _nearest_features(source, target, radii, SEVERAL)
+    return _nearest_features(source, target, SEVERAL, radii, viewpoint)
 
 
 def _nearest_features(
-    source: np.ndarray, target: np.ndarray, radii: tuple[float, float], several: int
+    source: np.ndarray,
+    target: np.ndarray,
+    several: int,
+    radii: tuple[float, float],
+    viewpoint: Viewpoint = None,
 ) -> dict[str, np.ndarray]:
-    features = [_fpfh(points, *radii) for points in (source, target)]
+    features = [_fpfh(points, radii, viewpoint) for points in (source, target)]
     several = min(several, len(target))
     distances, to_target = cKDTree(features[1]).query(features[0], k=range(1, several + 1))
     to_source = cKDTree(features[0]).query(features[1])[1]
@@ -204,14 +211,17 @@ def oracle_pairs(true_pairs: np.ndarray, n: int, m: int, outliers: float, seed: 
     return generator.permutation(np.vstack([true, np.column_stack([drawn // m, drawn % m])]))
 
 
-def _fpfh(points: np.ndarray, normal_radius: float, feature_radius: float) -> np.ndarray:
+def _fpfh(points: np.ndarray, radii: tuple[float, float], viewpoint: Viewpoint) -> np.ndarray:
     """FPFH of every point, (n, 33)."""
     import open3d
 
     open3d_clouds.quiet()
     search = open3d.geometry.KDTreeSearchParamHybrid
+    normal_radius, feature_radius = radii
     cloud = open3d_clouds.cloud(points)
     cloud.estimate_normals(search(radius=normal_radius, max_nn=30))
+    if viewpoint is not None:
+        cloud.orient_normals_towards_camera_location(viewpoint)
     # its stub declares the optional `indices` as required
     describe: Any = open3d.pipelines.registration.compute_fpfh_feature
     features = describe(cloud, search(radius=feature_radius, max_nn=100))

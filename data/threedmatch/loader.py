@@ -24,6 +24,7 @@ from dcreg.problem import nearest_rotation
 HERE = Path(__file__).parent
 LISTS = ("3DMatch", "3DLoMatch")
 QUICK = 16  # every so many-th pair of a list makes its quick version
+ORIENTED = "-oriented"  # tests whose features are made with oriented normals
 BINS = 10  # of the overlap, which are the levels of the official lists
 
 
@@ -70,8 +71,12 @@ def _fragment(path: Path, number: int) -> np.ndarray:
 
 def official_tests() -> dict[str, tuple[str, int]]:
     """Tests on the official lists: which list, and every how many-th pair of it."""
-    whole = {name: (name, 1) for name in LISTS}
-    return {**whole, **{f"{name}-quick": (name, QUICK) for name in LISTS}}
+    return {
+        f"{name}{size}{normals}": (name, step)
+        for normals in ("", ORIENTED)
+        for size, step in (("", 1), ("-quick", QUICK))
+        for name in LISTS
+    }
 
 
 class Loader(RecordedDataset):
@@ -79,7 +84,8 @@ class Loader(RecordedDataset):
 
     Test ``overlap``: one pair for every scene and level, the nominal overlap, few points of each
     fragment. Tests ``3DMatch`` and ``3DLoMatch``: all pairs of the official lists on their whole
-    clouds, with the matches that all methods share; ``-quick``: every 16th of a list. A level there
+    clouds, with the matches that all methods share; ``-quick``: every 16th of a list. ``-oriented``: the
+    same pairs, but normals are turned towards the sensor before features are made of them. A level there
     is the least overlap of a bin, a trial the place among the scene's pairs in it: the grid has holes.
 
     ``info["overlap"]`` is the official one, a fraction of the target. Lengths are metres.
@@ -176,4 +182,7 @@ class Loader(RecordedDataset):
         threshold = parameters["inlier_distance"]
         pairs = mutual_nearest(transform(T_true, x), y, threshold)
         radii = parameters["normal_radius"], parameters["feature_radius"]
-        return RawInstance(x, y, pairs, T_true, (1.0, 1.0), info, threshold, radii)
+        viewpoint = tuple(parameters["viewpoint"]) if test.endswith(ORIENTED) else None
+        return RawInstance(
+            x, y, pairs, T_true, (1.0, 1.0), info, threshold, radii, viewpoint=viewpoint
+        )

@@ -474,6 +474,12 @@ def test_official_pair_comes_whole_with_the_protocols_threshold():
     assert min(len(made.source), len(made.target)) > 4000
     assert made.noise_bound == 0.1
     assert made.match_radii == (0.1, 0.25)
+    assert made.viewpoint is None
+    oriented = dataset("threedmatch").instance("7-scenes-redkitchen", "3DMatch-oriented", 0.4, 0)
+    assert oriented.viewpoint == (0.0, 0.0, 0.0)
+    np.testing.assert_array_equal(oriented.source, made.source)
+    for cloud in (made.source, made.target):  # all that the sensor saw lies before it
+        assert (cloud[:, 2] > oriented.viewpoint[2]).all()
     i, j = made.pairs.T
     distance = np.linalg.norm(transform(made.T_true, made.source[i]) - made.target[j], axis=1)
     assert distance.max() <= 0.1

@@ -39,7 +39,11 @@ def problem_of(spec: InstanceSpec, raw: RawInstance) -> Problem:
         scale_range=raw.scale_range,
         n_inliers_prior=len(raw.pairs) if raw.n_inliers is None else raw.n_inliers,
         noise_bound=raw.noise_bound or noise_bound(raw),
-        matches=shared_matches(raw.source, raw.target, raw.match_radii) if raw.match_radii else {},
+        matches=(
+            shared_matches(raw.source, raw.target, raw.match_radii, raw.viewpoint)
+            if raw.match_radii
+            else {}
+        ),
     )
 
 
