@@ -1,7 +1,7 @@
 """The public names and where they live; ``__init__.py`` loads each of them on its first use."""
 
 from .certificate import Certificate, Report, verify
-from .io import read_candidates, read_points
+from .io import read_candidates, read_matches, read_points
 from .local import objective
 from .matching import register_matches
 from .names import bound_names, mode_names
@@ -39,6 +39,7 @@ __all__ = [
     "plot_registration",
     "plot_sweep",
     "read_candidates",
+    "read_matches",
     "read_points",
     "register",
     "register_matches",

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
-from dcreg.matches import MatchBound, MatchProblem, promising_poses
+from dcreg.matches import MatchBound, MatchProblem, doubts, is_near, promising_poses
 from dcreg.names import DEFAULT_TIME_LIMIT_S
 from dcreg.registration import check_settings
 from dcreg.result import Result, Stage
-from dcreg.search import Budget, LongestEdge, Trace, branch_and_bound
+from dcreg.search import Budget, Event, Listener, LongestEdge, Trace, branch_and_bound
 from dcreg.status import Status
 from dcreg.warm_up import warm_up_matches
 
@@ -29,6 +30,7 @@ def register_matches(
     gap_tol: float | None = None,
     time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
+    listener: Listener | None = None,
 ) -> Result:
     """Register two clouds in space over a list of matches of which many may be wrong.
 
@@ -58,12 +60,17 @@ def register_matches(
         Seconds for the solve, 60 unless told otherwise; None or inf: no limit.
     node_limit : int, optional
         Boxes bounded.
+    listener : callable, optional
+        Called with every `dcreg.Event`, and at least every half second, then from another thread;
+        returning True stops (status ``stopped``). Its bounds speak of the whole cost, with the price of
+        matches that are not chosen.
 
     Returns
     -------
     Result
         `n_inliers` is the number of matches chosen, `assignment` which; bounds speak of their sum of
-        squared residuals.
+        squared residuals, in `trace` too. `warnings` name, beside what is not proven or not determined,
+        another pose that agrees with the matches nearly as well.
 
     Raises
     ------
@@ -87,19 +94,21 @@ def register_matches(
     setup = time.perf_counter() - began
     if time_limit == np.inf:
         time_limit = None
-    return _solved(problem, certify, gap_tol, Budget(time_limit, node_limit), setup)
+    with Budget(time_limit, node_limit, listener=listener) as budget:
+        return _solved(problem, certify, gap_tol, budget, setup)
 
 
 def _solved(
     problem: MatchProblem, certify: bool, gap_tol: float | None, budget: Budget, setup: float
 ) -> Result:
     starts = promising_poses(problem, budget)
-    pose = starts[0][1] if starts else np.eye(3, 4)
+    pose = starts[0][1]
     value, chosen = problem.cost(pose)
     stages = [Stage("start", budget.elapsed(), n_assignments=len(starts))]
     if gap_tol is None:
         gap_tol = TOLERATED * problem.reach**2 * max(1, len(chosen))
-    status, lower, events = Status.CONVERGED, 0.0, []
+    status = budget.ended_by if budget.is_over else Status.CONVERGED
+    lower, events = 0.0, []
     if certify:
         bound = MatchBound(problem, value, gap_tol)
         found = branch_and_bound(
@@ -110,14 +119,28 @@ def _solved(
         lower, events = found.lower_bound, found.events
         stages.append(Stage.of("rotation", found))
         value, chosen = problem.cost(pose)
-    unchosen = problem.reach**2 * (problem.most - len(chosen))
+    price = problem.reach**2 * (problem.most - len(chosen))
+    lower = max(0.0, lower - price)
+    others = [cost for cost, other in starts if not is_near(other, pose, problem.reach)]
+    nothing_proven = certify and status is not Status.OPTIMAL and lower == 0.0
     T = problem.pose(pose)
     return Result(
         status=status, model="rigid3d", mode=MODE, bound=BOUND, T_target_source=T, T_certified=T,
         assignment=problem.pairs[chosen], n_inliers=len(chosen),
-        lower_bound=max(0.0, lower - unchosen), upper_bound=value - unchosen, gap_tol=gap_tol,
-        certificate_scope=SCOPE, objective=value - unchosen, objective_certified=value - unchosen,
+        lower_bound=lower, upper_bound=value - price, gap_tol=gap_tol,
+        certificate_scope=SCOPE, objective=value - price, objective_certified=value - price,
         n_nodes=sum(stage.n_nodes for stage in stages),
         n_assignments=sum(stage.n_assignments for stage in stages),
-        time_setup_s=setup, time_solve_s=budget.elapsed(), trace=Trace(events), stages=stages,
+        time_setup_s=setup, time_solve_s=budget.elapsed(), stages=stages,
+        trace=Trace([_without(price, event) for event in events]),
+        warnings=doubts(problem, value, chosen, others, nothing_proven),
     )  # fmt: skip
+
+
+def _without(price: float, event: Event) -> Event:
+    """The event, with bounds on the sum of squared residuals alone."""
+    return replace(
+        event,
+        lower_bound=max(0.0, event.lower_bound - price),
+        upper_bound=event.upper_bound - price,
+    )

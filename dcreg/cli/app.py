@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 import dcreg
 from dcreg.cli.interrupts import EXIT_INTERRUPTED
+from dcreg.cli.matches import register_matches
 from dcreg.cli.register import register
 from dcreg.cli.sweep import sweep
 from dcreg.cli.verify import verify
@@ -38,6 +39,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command()(register)
+app.command()(register_matches)
 app.command()(sweep)
 app.command()(verify)
 

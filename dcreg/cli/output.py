@@ -19,7 +19,14 @@ STDOUT = Path("-")
 MAX_NAME = 200  # bytes of the name of an output; its neighbour while writing has a longer one
 # The library's messages begin with the name of the argument; these are options here.
 _OPTIONS = {"model", "n_inliers", "scale_range", "mode", "bound", "gap_tol", "tol", "threads"}
-_OPTIONS |= {"time_limit", "node_limit", "candidates", "certificate", "downsample"}
+_OPTIONS |= {
+    "time_limit",
+    "node_limit",
+    "candidates",
+    "certificate",
+    "downsample",
+    "inlier_distance",
+}
 
 # Writes one file, whole or not at all.
 Writer = Callable[[Path], object]

@@ -4,7 +4,7 @@ One small module per format, which needs nothing but NumPy (and SciPy for ``.mat
 as one more reader in the table of `dcreg.io.points`.
 """
 
-from dcreg.io.pairs import read_candidates
+from dcreg.io.pairs import read_candidates, read_matches
 from dcreg.io.points import READERS, read_points
 
-__all__ = ["READERS", "read_candidates", "read_points"]
+__all__ = ["READERS", "read_candidates", "read_matches", "read_points"]

@@ -1,7 +1,8 @@
 """Rigid registration over a list of given matches: sparse feasible pairs of large clouds."""
 
 from dcreg.matches.bound import MatchBound
+from dcreg.matches.doubts import doubts
 from dcreg.matches.problem import MatchProblem
-from dcreg.matches.start import promising_poses
+from dcreg.matches.start import is_near, promising_poses
 
-__all__ = ["MatchBound", "MatchProblem", "promising_poses"]
+__all__ = ["MatchBound", "MatchProblem", "doubts", "is_near", "promising_poses"]

@@ -27,18 +27,29 @@ WIDE = 4.0  # residual in reaches, at its start, up to which a match can pull in
 
 
 def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, np.ndarray]]:
-    """Costs and centred (3, 4) poses of descents from distinct poses, the best first; maybe none."""
+    """Costs and centred (3, 4) poses of descents from distinct poses, the best first.
+
+    At least one, which chooses a match at least. The budget is told of every better one.
+    """
     poses = _agreed_poses(problem)
     order = np.argsort(-problem.scores(poses), kind="stable")
+    best = problem.most * problem.reach**2  # of choosing nothing
     ends: list[tuple[float, np.ndarray]] = []
     seen: list[np.ndarray] = []  # where descents began and ended
     for pose in poses[order]:
         if len(ends) == MAX_DESCENTS or (ends and budget.is_over):
             break
-        if not any(_is_near(pose, other, problem.reach) for other in seen):
+        if not any(is_near(pose, other, problem.reach) for other in seen):
             end, value = descend(problem, pose)
             ends.append((value, end))
             seen += [pose, end]
+            if value < best:
+                best = value
+                budget.found(value)
+    if best == problem.most * problem.reach**2:
+        first = problem.list.target[0] - problem.list.source[0]
+        end, value = descend(problem, np.column_stack([np.eye(3), first]))
+        ends.append((value, end))
     return sorted(ends, key=lambda end: end[0])
 
 
@@ -102,7 +113,8 @@ def _distances(points: np.ndarray) -> np.ndarray:
     return np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
 
 
-def _is_near(a: np.ndarray, b: np.ndarray, reach: float) -> bool:
+def is_near(a: np.ndarray, b: np.ndarray, reach: float) -> bool:
+    """Whether two centred poses count as one."""
     if np.linalg.norm(a[:, 3] - b[:, 3]) >= SHIFT * reach:
         return False
     return bool(Rotation.from_matrix(a[:, :3] @ b[:, :3].T).magnitude() < TURN)

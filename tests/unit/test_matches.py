@@ -179,6 +179,64 @@ def test_without_certificate_nothing_is_claimed():
     assert found.n_nodes == 0
 
 
+def test_listener_hears_of_starts_and_search_and_can_stop():
+    source, target, matches, _ = planted(20, 60, 1, noise=0.01)
+    given = {"inlier_distance": REACH, "gap_tol": 4e-3}
+    heard = []
+    found = dcreg.register_matches(source, target, matches, listener=heard.append, **given)
+    assert {event.stage for event in heard} == {"start", "rotation"}
+    assert heard[-1].status == found.status == dcreg.Status.OPTIMAL
+    # the trace speaks of squared residuals alone, as the result does
+    last = list(found.trace)[-1]
+    assert last.upper_bound == pytest.approx(found.upper_bound)
+    assert last.lower_bound == pytest.approx(found.lower_bound)
+    least = min(len(np.unique(column)) for column in matches.T)
+    price = (least - found.n_inliers) * REACH**2
+    assert heard[-1].upper_bound == pytest.approx(found.upper_bound + price)
+    stopped = dcreg.register_matches(source, target, matches, listener=lambda event: True, **given)
+    assert stopped.status is dcreg.Status.STOPPED
+
+
+def test_starts_that_are_cut_short_have_not_come_to_their_end():
+    source, target, matches, _ = planted(40, 400, 1, noise=0.01)
+    found = dcreg.register_matches(
+        source, target, matches, inlier_distance=REACH, certify=False, listener=lambda event: True
+    )
+    assert found.status is dcreg.Status.STOPPED
+    assert found.stages[0].n_assignments == 1
+
+
+def test_sure_answers_have_no_warnings():
+    source, target, matches, _ = planted(30, 70, noise=0.01)
+    found = dcreg.register_matches(source, target, matches, inlier_distance=REACH)
+    assert found.warnings == []
+
+
+def test_poses_that_agree_nearly_as_well_are_told():
+    source, target, matches, _ = planted(25, 0, noise=0.005)
+    elsewhere = np.vstack([target, target[:22] + 5.0])
+    twice = np.vstack([matches, [(i, 25 + i) for i in range(22)]])
+    found = dcreg.register_matches(source, elsewhere, twice, inlier_distance=REACH, certify=False)
+    (line,) = found.warnings
+    assert "another pose agrees with the matches nearly as well, 88% of this one" in line
+    assert "another pose" in str(found)
+
+
+def test_matches_that_determine_no_pose_are_told():
+    source, target, matches, _ = planted(0, 10, 4)
+    found = dcreg.register_matches(source, target, matches, inlier_distance=1e-6, node_limit=20)
+    assert 1 <= found.n_inliers < 3
+    assert any("do not determine the pose" in line for line in found.warnings)
+    assert "do not determine" in str(found)
+
+
+def test_a_search_that_proves_nothing_is_told():
+    source, target, matches, _ = planted(12, 150, noise=0.02)
+    found = dcreg.register_matches(source, target, matches, inlier_distance=REACH, node_limit=16)
+    assert found.status is dcreg.Status.NODE_LIMIT
+    assert any("the lower bound is 0" in line and "more time" in line for line in found.warnings)
+
+
 def test_unit_of_length_does_not_matter():
     source, target, matches, _ = planted(20, 60, 1, noise=0.01)
     small = dcreg.register_matches(source, target, matches, inlier_distance=REACH, certify=False)

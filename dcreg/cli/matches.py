@@ -1,0 +1,118 @@
+"""``dcreg register-matches``."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import dcreg
+from dcreg.cli import options
+from dcreg.cli.inputs import read_cloud
+from dcreg.cli.output import (
+    STDOUT,
+    check_outputs,
+    check_packages,
+    check_suffix,
+    exit_code,
+    exit_on_bad_input,
+    print_tolerance_advice,
+    write_outputs,
+)
+from dcreg.names import DEFAULT_TIME_LIMIT_S
+
+MODEL = "rigid3d"
+
+
+def register_matches(
+    source: options.SourceArgument,
+    target: options.TargetArgument,
+    matches: Annotated[
+        str,
+        typer.Argument(
+            metavar="MATCHES",
+            help="Matches, the likely ones first: two columns, source row and target row, from 0.",
+        ),
+    ],
+    inlier_distance: Annotated[
+        float,
+        typer.Option(
+            metavar="D",
+            parser=options.number,
+            help="Residual from which on a match counts as wrong, in units of the target.",
+        ),
+    ],
+    certify: Annotated[
+        bool, typer.Option(help="Branch and bound after the first pose, for bounds.")
+    ] = True,
+    gap_tol: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X",
+            parser=options.number,
+            help="Absolute gap to close, in squared units of the target. Default: D^2 / 10 for every "
+            "match that the first pose chooses.",
+        ),
+    ] = None,
+    time_limit: options.TimeLimitOption = DEFAULT_TIME_LIMIT_S,
+    node_limit: options.NodeLimitOption = None,
+    source_key: options.SourceKeyOption = None,
+    target_key: options.TargetKeyOption = None,
+    json_path: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="OUT", help="Write the result; '-' is standard output."),
+    ] = None,
+    trace_path: Annotated[
+        Path | None,
+        typer.Option("--trace", metavar="OUT.jsonl", help="Write the bound history."),
+    ] = None,
+    plot_path: Annotated[
+        Path | None, typer.Option("--plot", metavar="OUT.html", help="Write a page with figures.")
+    ] = None,
+    quiet: options.QuietOption = False,
+) -> None:
+    """Register SOURCE to TARGET, clouds in space, over a list of matches of which many may be wrong.
+
+    The pose is rigid. Exit code: as that of `dcreg register`.
+    """
+    from dcreg.cli.progress import Progress
+
+    with exit_on_bad_input():
+        outputs = {"--json": json_path, "--trace": trace_path, "--plot": plot_path}
+        check_outputs(outputs, source, target, matches, stdout="--json")
+        check_suffix("--plot", plot_path, [".html"])
+        check_packages(plot_path, ".html")
+        clouds = (
+            read_cloud(source, source_key, MODEL),
+            read_cloud(target, target_key, MODEL),
+        )
+        pairs = dcreg.read_matches(matches, *map(len, clouds))
+        if not quiet:
+            print_tolerance_advice(gap_tol, None)
+        solve = dcreg.register_matches  # loaded before signals are those of the search
+        with Progress(gap_tol=gap_tol, quiet=quiet) as progress:
+            result = progress.run(
+                partial(
+                    solve, *clouds, pairs, inlier_distance=inlier_distance, certify=certify,
+                    gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
+                    listener=progress,
+                )
+            )  # fmt: skip
+    # Standard output belongs to the JSON when it goes there.
+    typer.echo(result, err=json_path == STDOUT)
+    files = {"source": source, "target": target, "matches": matches}
+    if json_path == STDOUT:
+        typer.echo(result.to_json(**files))
+    complete = write_outputs(
+        [
+            (
+                None if json_path == STDOUT else json_path,
+                lambda path: result.write_json(path, **files),
+            ),
+            (trace_path, result.trace.write_jsonl),
+            (plot_path, lambda path: dcreg.plot_registration(*clouds, result, path)),
+        ]
+    )
+    raise typer.Exit(exit_code(result.status, complete))
