@@ -204,10 +204,10 @@ MODULE_LINES, FUNCTION_LINES, PARAMETERS = 400, 80, 8
 OPTIONS = "its parameters are the options of a command, each documented where it is declared"
 LARGE = {
     "dcreg.registration.register": "the public function: every setting by name, and its manual",
-    "dcreg.matching.register_matches": "as dcreg.registration.register",
+    "dcreg.matching.register_matches": "as register",
     "dcreg.sweeping.sweep": "as register",
     "dcreg.cli.register.register": OPTIONS,
-    "dcreg.cli.matches.register_matches": "as dcreg.cli.register.register",
+    "dcreg.cli.matches.register_matches": OPTIONS,
     "dcreg.cli.sweep.sweep": OPTIONS,
 }
 
