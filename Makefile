@@ -5,6 +5,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORES ?= 2
 CONFIG ?= demo
+# All methods of the experiment, without those that need over 10 s a pair.
+THREEDMATCH_QUICK := dcreg-100,dcreg-200,dcreg-mutual,dcreg-nearest,dcreg-several,teaser,teaserpp,sc2_pcr,mac,clipper,ransac,$\
+gnc_tls,gore,fpfh_fgr,kiss_matcher,sc2_pcr-nearest,ransac-nearest
 PART = $(if $(METHODS),--methods $(METHODS)) $(if $(DATASETS),--datasets $(DATASETS)) $(if $(TESTS),--tests $(TESTS))
 SYSTEM_PACKAGES := libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6
 BROWSER_PACKAGES := chromium chromium-driver
@@ -29,9 +32,11 @@ test: dev browser
 run: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART)
 
-## threedmatch: the official 3DMatch and 3DLoMatch lists, recalls and figure (QUICK=1: every 16th pair of 3DMatch)
+## threedmatch: the official 3DMatch and 3DLoMatch lists, recalls and figure (QUICK=1: every 16th pair of 3DMatch; NORMALS=oriented)
 .PHONY: threedmatch
-threedmatch: TESTS = $(if $(QUICK),3DMatch-quick,3DMatch,3DLoMatch)
+threedmatch: ENDING = $(if $(NORMALS),-$(NORMALS))
+threedmatch: TESTS = $(if $(QUICK),3DMatch-quick$(ENDING),3DMatch$(ENDING),3DLoMatch$(ENDING))
+threedmatch: METHODS = $(if $(QUICK),$(THREEDMATCH_QUICK))
 threedmatch: setup
 	@$(BIN)/python -m workflows run threedmatch --cores $(CORES) $(PART)
 	@$(BIN)/python -m workflows.studies.threedmatch $(PART)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,12 +17,14 @@ from data.contract import UnknownNameError
 from data.registry import dataset
 from data.threedmatch.loader import read_csv
 from dcreg.status import Status
-from workflows.config import DatasetSettings, Experiment, MethodSettings
+from workflows import CHECKOUT
+from workflows.config import DatasetSettings, Experiment, MethodSettings, load, parse_selection
 from workflows.instances import Problem, content_digest, read_problems, write_problems
 from workflows.metrics import METRICS, Case
 from workflows.stages.plan import expand, run_identity
 from workflows.studies.threedmatch import against_overlap, draw, recalls, with_pairs
 
+MAKEFILE = (CHECKOUT / "Makefile").read_text(encoding="utf-8")
 MATCHES = np.column_stack([np.arange(30), np.arange(30)])
 
 
@@ -49,6 +54,23 @@ def test_plan_has_every_pair_of_a_list_once(test, count):
     wanted = rows[::16] if "-quick" in test else rows
     assert len(instances) == len(wanted) == count
     assert sorted(map(str, named)) == sorted(map(str, wanted))
+
+
+def test_config_has_every_pair_of_every_list():
+    plan = expand(load("threedmatch"), parse_selection(["methods=ransac"]))
+    planned = Counter(instance.test for chunk in plan.chunks for instance in chunk.instances)
+    lists = [test for _, test, *_ in dataset("threedmatch").pairs if test != "overlap"]
+    assert planned == Counter(lists)
+
+
+def test_quick_run_leaves_out_slow_variants_but_no_method():
+    listed = re.search(r"THREEDMATCH_QUICK := (.*?)\n\n?(?=\S)", MAKEFILE.replace("$\\\n", ""))
+    quick = listed[1].strip().split(",")
+    methods = load("threedmatch").methods
+    left_out = [method for method in methods if method.name not in quick]
+    assert [method.name for method in left_out] == ["teaser-nearest", "mac-nearest"]
+    assert {m.baseline for m in methods} == {m.baseline for m in methods if m.name in quick}
+    assert set(quick) < {method.name for method in methods}
 
 
 def test_level_is_the_bin_of_the_overlap():
