@@ -111,8 +111,8 @@ class RawInstance:
         Points of source and target that belong together and that poses are judged by, where they are
         not among the points to register; default: the true pairs.
     viewpoint : (3,) floats, optional
-        Of the shared matches' features: the sensor's place in the frame of either cloud, towards which normals are
-        turned. None: their signs are left as they come.
+        Of the features of shared matches: the sensor's place in the frame of either cloud, towards which
+        normals are turned. None: their signs are left as they come.
     """
 
     source: np.ndarray
