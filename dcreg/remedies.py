@@ -60,13 +60,13 @@ def nothing_proven(case: Case) -> str | None:
 def misled(case: Case) -> str | None:
     """The pose does not do what the bounds in norm space promise."""
     result = case.result
-    floor = max(result.upper_bound, np.finfo(float).tiny)
+    floor = float(max(result.upper_bound, np.finfo(float).tiny))
     if not case.in_norm_space or result.objective <= _MUCH_LARGER * floor:
         return None
     if result.objective <= result.n_inliers * _EXACT * rms_radius(case.problem.target) ** 2:
         return None
     return (
-        f"the objective of the pose, {result.objective:.3g}, is {result.objective / floor:.0f} times "
+        f"the objective of the pose, {result.objective:.3g}, is {float(result.objective) / floor:.3g} times "
         f"the upper bound {result.upper_bound:.3g} in norm space: the norms do not determine the "
         "pose, which may be wrong. Use mode 'full', or another n_inliers"
     )
@@ -134,6 +134,20 @@ def no_elbow(case: Case) -> str | None:
     )
 
 
+def all_matched(case: Case) -> str | None:
+    """Every point of the smaller cloud is matched, and nothing proves that it should be."""
+    problem, result = case.problem, case.result
+    if result.n_inliers < min(len(problem.source), len(problem.target)):
+        return None
+    if result.status is Status.OPTIMAL:
+        return None
+    return (
+        f"all {result.n_inliers} points of the smaller cloud are matched, and the pose is not proven: if "
+        "the clouds overlap in part, it may be wrong. Try a smaller n_inliers, such as 0.6, or "
+        "`dcreg sweep`"
+    )
+
+
 def too_many_points(case: Case) -> str | None:
     """A smaller sample would have been solved."""
     n, m = len(case.problem.source), len(case.problem.target)
@@ -153,6 +167,7 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
     undetermined,
     other_size,
     no_elbow,
+    all_matched,
     too_many_points,
 )
 

@@ -102,7 +102,8 @@ def register(
             read_pairs(candidates_path, len(points)),
         )
         if not quiet:
-            print_advice(problem)
+            if downsample is None:
+                print_advice(problem)
             print_tolerance_advice(gap_tol, tol)
         gap_tol = dcreg.gap_tol_of(tol, gap_tol, problem.n_inliers)
         solve = dcreg.register  # loaded before signals are those of the search

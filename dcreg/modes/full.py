@@ -20,7 +20,8 @@ def rigid_space(task: Task) -> tuple[Rigid3D, bool]:
     swapped = len(source) > len(target)
     if swapped:
         source, target = target, source
-        candidates = None if candidates is None else candidates.T
+        # in C order: kernels are compiled for no other
+        candidates = None if candidates is None else np.ascontiguousarray(candidates.T)
     return Rigid3D.centred(source, target, task.n_inliers, task.reduced_box, candidates), swapped
 
 

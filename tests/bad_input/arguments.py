@@ -27,7 +27,7 @@ NUMBERS = {  # options that both commands have: value, what the message shows, r
         "0": ("--time-limit: 0.0", "give a positive number"),
         "-5": ("--time-limit: -5.0", "give a positive number"),
         "nan": ("--time-limit: nan", "give a positive number"),
-        "inf": ("--time-limit: inf", "give a positive number"),
+        "-inf": ("--time-limit: -inf", "give a positive number"),
         "1h": ("'1h' is not a number", "give one such as"),
     },
     "node_limit": {

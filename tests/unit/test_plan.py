@@ -128,6 +128,7 @@ def test_an_instance_planned_twice_is_refused():
 def test_make_passes_the_selection_on(target):
     words = [
         "make",
+        "--no-print-directory",
         "-n",
         target,
         "CONFIG=demo",

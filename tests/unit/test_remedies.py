@@ -90,3 +90,13 @@ def test_too_many_points():
     late = case(result, source, target, status=Status.TIME_LIMIT)
     assert "--downsample" in remedies.too_many_points(late)
     assert remedies.too_many_points(case(result, source, target)) is None
+
+
+def test_all_points_matched_without_a_proof():
+    source, target = clouds()
+    result = solve(source, target, 30)
+    limited = case(result, source, target, status=Status.TIME_LIMIT)
+    assert "smaller n_inliers" in str(remedies.all_matched(limited))
+    assert remedies.all_matched(case(result, source, target)) is None
+    fewer = solve(source, target, 25)
+    assert remedies.all_matched(case(fewer, source, target, status=Status.TIME_LIMIT)) is None
