@@ -60,13 +60,13 @@ def nothing_proven(case: Case) -> str | None:
 def misled(case: Case) -> str | None:
     """The pose does not do what the bounds in norm space promise."""
     result = case.result
-    floor = float(max(result.upper_bound, np.finfo(float).tiny))
-    if not case.in_norm_space or result.objective <= _MUCH_LARGER * floor:
+    ratio = float(result.objective) / float(max(result.upper_bound, np.finfo(float).tiny))
+    if not case.in_norm_space or ratio <= _MUCH_LARGER:
         return None
     if result.objective <= result.n_inliers * _EXACT * rms_radius(case.problem.target) ** 2:
         return None
     return (
-        f"the objective of the pose, {result.objective:.3g}, is {float(result.objective) / floor:.3g} times "
+        f"the objective of the pose, {result.objective:.3g}, is {ratio:.3g} times "
         f"the upper bound {result.upper_bound:.3g} in norm space: the norms do not determine the "
         "pose, which may be wrong. Use mode 'full', or another n_inliers"
     )
