@@ -11,7 +11,8 @@ from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.local import objective
 from dcreg.local import polish as polish_pose
-from dcreg.modes import AUTO, Answer, Mode, Task, choose_mode, find_mode
+from dcreg.modes import AUTO, Answer, Mode, Task
+from dcreg.modes.table import choose_mode, default_sample, find_mode
 from dcreg.names import DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
     Candidates,
@@ -112,6 +113,7 @@ def register(
         Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verify`.
         Mode ``paper`` only; in 3D it certifies the translation.
     downsample : int, optional
+        Where no mode is asked for, 1,000 for clouds of more than 4,000,000 pairs of which not all match.
         Search with this many points of each cloud at most, farthest points, and refine the pose on all.
         A counted `n_inliers` speaks of all points and is scaled down with them.
     listener : callable, optional
@@ -138,6 +140,8 @@ def register(
     """
     began = time.perf_counter()
     problem = Problem(source, target, n_inliers, model, scale_range, candidates)
+    if (mode is None or mode == AUTO) and downsample is None:
+        downsample = default_sample(problem, bound, certificate)
     searched = problem if downsample is None else _sampled(problem, downsample, certificate)
     if mode is None or mode == AUTO:
         mode = choose_mode(searched, bound, certificate)

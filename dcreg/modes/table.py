@@ -25,6 +25,8 @@ MAX_PAIRS = 100_000_000
 MATRIX_FREE_BOUNDS = {"tight", "tight-exact", "shared"}
 # Beyond this a single assignment of mode `full` takes seconds.
 RIGID_PAIRS = 4_000_000
+# Points of each cloud that are searched instead, where that many pairs do not all match.
+LARGE_SAMPLE = 1_000
 
 
 @dataclass(frozen=True)
@@ -148,3 +150,16 @@ def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = 
     if problem.model == "similarity2d" or only_paper or pairs > RIGID_PAIRS:
         return "paper"
     return "full"
+
+
+def default_sample(problem: Problem, bound: str | None, certificate: bool) -> int | None:
+    """Points that are searched instead of all; None: all.
+
+    Of large clouds that match in part only norms could be searched, and these mislead: some of the points
+    give a better pose than all of them.
+    """
+    n, m = len(problem.source), len(problem.target)
+    free = bound is None and not certificate and problem.candidates is None
+    if problem.dim == 2 or not free or n * m <= RIGID_PAIRS or problem.n_inliers == n == m:
+        return None
+    return LARGE_SAMPLE

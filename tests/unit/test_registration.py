@@ -426,3 +426,16 @@ def test_downsampling_refuses_what_it_would_ignore(rng, options, words):
     source = rng.random((20, 2))
     with pytest.raises(dcreg.InputError, match=words):
         dcreg.register(source, source, n_inliers=20, model="similarity2d", **options)
+
+
+def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
+    """All their points would leave only norms, which mislead there."""
+    monkeypatch.setattr("dcreg.modes.table.RIGID_PAIRS", 900)
+    monkeypatch.setattr("dcreg.modes.table.LARGE_SAMPLE", 25)
+    generator = np.random.default_rng(0)
+    source = generator.random((40, 3)) * [2.0, 1.0, 0.5]
+    target = source[:, [1, 2, 0]] + 1.0
+    part = dcreg.register(source, target, n_inliers=0.8, model="rigid3d", time_limit=5.0)
+    assert (part.mode, part.downsampled) == ("full", (25, 25))
+    whole = dcreg.register(source, target, n_inliers=40, model="rigid3d", time_limit=5.0)
+    assert (whole.mode, whole.downsampled) == ("paper", None)
