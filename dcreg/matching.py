@@ -92,8 +92,6 @@ def register_matches(
     check_settings(gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit)
     warm_up_matches()
     setup = time.perf_counter() - began
-    if time_limit == np.inf:
-        time_limit = None
     with Budget(time_limit, node_limit, listener=listener) as budget:
         return _solved(problem, certify, gap_tol, budget, setup)
 

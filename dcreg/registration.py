@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import replace
 
@@ -15,10 +16,12 @@ from dcreg.modes import AUTO, Answer, Mode, Task
 from dcreg.modes.table import choose_mode, default_sample, find_mode
 from dcreg.names import DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
+    EXACT,
     Candidates,
     Frame,
     InputError,
     Problem,
+    advice,
     default_gap_tol,
     farthest_points,
     gap_tol_of,
@@ -31,11 +34,8 @@ from dcreg.status import Status
 from dcreg.warm_up import special, warm_up_mode
 
 START_BOXES = ("reduced", "safe")
-# Boxes after which a search to the default tolerance ends in norm space where nothing else limits it.
-NORM_NODES = 50_000
-# A squared residual this small, in squared units of the frame, is rounding.
-_EXACT = 1e-9
 MAX_THREADS = 1024
+_LOGGER = logging.getLogger("dcreg")
 
 
 def register(
@@ -90,8 +90,7 @@ def register(
     gap_tol : float, optional
         Absolute tolerance on the gap of the objective, in squared units of the target; default
         ``n_inliers * (0.03 * RMS radius of the target)^2`` (`dcreg.default_gap_tol`), and with 0.003
-        where the bounds speak of norms, which fit better than points. Such a search ends after
-        50,000 boxes where neither time nor boxes are limited.
+        where the bounds speak of norms, which fit better than points.
     tol : float, optional
         The same as a length, the RMS residual per pair in units of the target:
         ``gap_tol = n_inliers * tol^2``. Only one of the two can be given.
@@ -113,9 +112,9 @@ def register(
         Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verify`.
         Mode ``paper`` only; in 3D it certifies the translation.
     downsample : int, optional
-        Where no mode is asked for, 1,000 for clouds of more than 4,000,000 pairs of which not all match.
         Search with this many points of each cloud at most, farthest points, and refine the pose on all.
-        A counted `n_inliers` speaks of all points and is scaled down with them.
+        A counted `n_inliers` speaks of all points and is scaled down with them. Default: 1,000 for
+        clouds in space of more than 4,000,000 pairs that match in part, where no mode is asked for.
     listener : callable, optional
         Called with every `dcreg.Event`, and at least every half second, then from another thread;
         returning True stops (status ``stopped``).
@@ -140,12 +139,11 @@ def register(
     """
     began = time.perf_counter()
     problem = Problem(source, target, n_inliers, model, scale_range, candidates)
-    if (mode is None or mode == AUTO) and downsample is None:
+    asked = None if mode == AUTO else mode
+    if asked is None and downsample is None:
         downsample = default_sample(problem, bound, certificate)
     searched = problem if downsample is None else _sampled(problem, downsample, certificate)
-    if mode is None or mode == AUTO:
-        mode = choose_mode(searched, bound, certificate)
-    way = find_mode(model, mode)
+    way = find_mode(model, asked or choose_mode(searched, bound, certificate))
     way.check(searched, bound, certificate)
     if start_box not in START_BOXES:
         raise InputError(f"start_box: {start_box!r} is unknown{suggestion(start_box, START_BOXES)}")
@@ -154,13 +152,11 @@ def register(
         gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
     )  # fmt: skip
-    if time_limit == np.inf:
-        time_limit = None
     rotation_tol = gap_tol
     if gap_tol is None:
         gap_tol, rotation_tol = default_tolerances(searched, way)
-        if way.in_norm_space and time_limit is None and node_limit is None:
-            node_limit = NORM_NODES
+    for line in advice(searched):
+        _LOGGER.info(line)
     warm_up_mode(way, bound, *special(searched))
     time_setup = time.perf_counter() - began
 
@@ -350,7 +346,7 @@ def _status(mode: Mode, answer: Answer, upper_bound: float, n_inliers: int) -> S
     of the pose, unless the norms agree exactly.
     """
     trivial = mode.in_norm_space and answer.lower_bound <= 0.0
-    if answer.status is Status.OPTIMAL and trivial and upper_bound > _EXACT * n_inliers:
+    if answer.status is Status.OPTIMAL and trivial and upper_bound > EXACT * n_inliers:
         return Status.CONVERGED
     return answer.status
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dcreg.problem import Problem, rms_radius
+from dcreg.problem import EXACT, Problem, rms_radius, unit_length
 from dcreg.result import Result
 from dcreg.status import Status
 
@@ -20,7 +20,6 @@ _MANY_POINTS = 1000
 _MUCH_LARGER = 100.0
 _OTHER_SIZE = 10.0
 _ELBOW = 3.0  # points left out are farther than the worst matched ones by more than this factor
-_EXACT = 1e-9  # a squared residual this small, in squared RMS radii, is rounding
 
 
 @dataclass(frozen=True)
@@ -41,12 +40,16 @@ class Case:
     in_norm_space: bool
 
 
+def _is_rounding(value: float, case: Case) -> bool:
+    """Whether a sum over the pairs is no more than rounding leaves of a perfect fit."""
+    unit = unit_length(case.problem.source, case.problem.target)
+    return value <= EXACT * case.result.n_inliers * unit**2
+
+
 def nothing_proven(case: Case) -> str | None:
     """The lower bound is that of any sum of squares."""
     result = case.result
-    unit = rms_radius(case.problem.target) or rms_radius(case.problem.source)
-    exact = result.upper_bound <= _EXACT * result.n_inliers * unit**2
-    if result.lower_bound > 0.0 or exact:
+    if result.lower_bound > 0.0 or _is_rounding(result.upper_bound, case):
         return None
     known = "the lower bound is 0, which holds for every sum of squares: nothing is proven"
     if result.gap_tol >= result.upper_bound:
@@ -61,9 +64,7 @@ def misled(case: Case) -> str | None:
     """The pose does not do what the bounds in norm space promise."""
     result = case.result
     ratio = float(result.objective) / float(max(result.upper_bound, np.finfo(float).tiny))
-    if not case.in_norm_space or ratio <= _MUCH_LARGER:
-        return None
-    if result.objective <= result.n_inliers * _EXACT * rms_radius(case.problem.target) ** 2:
+    if not case.in_norm_space or ratio <= _MUCH_LARGER or _is_rounding(result.objective, case):
         return None
     return (
         f"the objective of the pose, {result.objective:.3g}, is {ratio:.3g} times "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,14 +11,11 @@ import dcreg
 from dcreg.cli import options
 from dcreg.cli.inputs import read_cloud
 from dcreg.cli.output import (
-    STDOUT,
     check_outputs,
-    check_packages,
-    check_suffix,
-    exit_code,
+    check_page,
     exit_on_bad_input,
+    finish,
     print_tolerance_advice,
-    write_outputs,
 )
 from dcreg.names import DEFAULT_TIME_LIMIT_S
 
@@ -60,17 +56,9 @@ def register_matches(
     node_limit: options.NodeLimitOption = None,
     source_key: options.SourceKeyOption = None,
     target_key: options.TargetKeyOption = None,
-    json_path: Annotated[
-        Path | None,
-        typer.Option("--json", metavar="OUT", help="Write the result; '-' is standard output."),
-    ] = None,
-    trace_path: Annotated[
-        Path | None,
-        typer.Option("--trace", metavar="OUT.jsonl", help="Write the bound history."),
-    ] = None,
-    plot_path: Annotated[
-        Path | None, typer.Option("--plot", metavar="OUT.html", help="Write a page with figures.")
-    ] = None,
+    json_path: options.JsonOption = None,
+    trace_path: options.TraceOption = None,
+    plot_path: options.PageOption = None,
     quiet: options.QuietOption = False,
 ) -> None:
     """Register SOURCE to TARGET, clouds in space, over a list of matches of which many may be wrong.
@@ -82,8 +70,7 @@ def register_matches(
     with exit_on_bad_input():
         outputs = {"--json": json_path, "--trace": trace_path, "--plot": plot_path}
         check_outputs(outputs, source, target, matches, stdout="--json")
-        check_suffix("--plot", plot_path, [".html"])
-        check_packages(plot_path, ".html")
+        check_page(plot_path)
         clouds = (
             read_cloud(source, source_key, MODEL),
             read_cloud(target, target_key, MODEL),
@@ -100,19 +87,11 @@ def register_matches(
                     listener=progress,
                 )
             )  # fmt: skip
-    # Standard output belongs to the JSON when it goes there.
-    typer.echo(result, err=json_path == STDOUT)
-    files = {"source": source, "target": target, "matches": matches}
-    if json_path == STDOUT:
-        typer.echo(result.to_json(**files))
-    complete = write_outputs(
-        [
-            (
-                None if json_path == STDOUT else json_path,
-                lambda path: result.write_json(path, **files),
-            ),
-            (trace_path, result.trace.write_jsonl),
-            (plot_path, lambda path: dcreg.plot_registration(*clouds, result, path)),
-        ]
+    finish(
+        result,
+        clouds,
+        {"source": source, "target": target, "matches": matches},
+        json_path,
+        [(trace_path, result.trace.write_jsonl)],
+        plot_path,
     )
-    raise typer.Exit(exit_code(result.status, complete))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -119,3 +120,13 @@ TargetKeyOption = Annotated[
     str | None, typer.Option(metavar="KEY", help="Array of an .npz or .mat target.")
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no advice.")]
+JsonOption = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="OUT", help="Write the result; '-' is standard output."),
+]
+TraceOption = Annotated[
+    Path | None, typer.Option("--trace", metavar="OUT.jsonl", help="Write the bound history.")
+]
+PageOption = Annotated[
+    Path | None, typer.Option("--plot", metavar="OUT.html", help="Write a page with figures.")
+]

@@ -7,12 +7,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
 
 import typer
 
 import dcreg
 from dcreg.cli.interrupts import raise_again
 from dcreg.names import FIGURE_PACKAGES
+
+if TYPE_CHECKING:
+    import numpy as np
 
 EXIT_OK, EXIT_OUTPUT, EXIT_INPUT, EXIT_LIMIT = 0, 1, 2, 3
 STDOUT = Path("-")
@@ -50,12 +54,6 @@ def _with_option_names(message: str) -> str:
 def print_error(message: str) -> None:
     """One red line on standard error."""
     typer.secho(f"error: {message}", err=True, fg="red")
-
-
-def print_advice(problem: dcreg.Problem) -> None:
-    """What looks odd about the clouds, on standard error."""
-    for line in dcreg.advice(problem):
-        typer.secho(line, err=True, fg="yellow")
 
 
 def print_tolerance_advice(gap_tol: float | None, tol: float | None) -> None:
@@ -126,6 +124,48 @@ def check_packages(path: Path | None, kind: str) -> None:
             f"--plot {path}: {kind} files need {' and '.join(missing)}; install with: "
             f"pip install {' '.join(missing)}"
         )
+
+
+def check_page(path: Path | None) -> None:
+    """Refuse a page that could not be written: another suffix, or packages missing."""
+    check_suffix("--plot", path, [".html"])
+    check_packages(path, ".html")
+
+
+def finish(
+    result: dcreg.Result,
+    clouds: tuple[np.ndarray, np.ndarray],
+    inputs: dict[str, str],
+    json_path: Path | None,
+    others: list[tuple[Path | None, Writer]],
+    plot_path: Path | None,
+) -> NoReturn:
+    """Print a registration, write its files and exit.
+
+    Parameters
+    ----------
+    result : Result
+    clouds : (source, target)
+    inputs : dict
+        Names of the files by what they are; the JSON and the page state them.
+    json_path, plot_path : Path, optional
+    others : list of (path, writer)
+    """
+    # standard output belongs to the JSON when it goes there
+    to_stdout = json_path == STDOUT
+    typer.echo(result, err=to_stdout)
+    if to_stdout:
+        typer.echo(result.to_json(**inputs))
+        json_path = None
+    names = inputs["source"], inputs["target"]
+    complete = write_outputs(
+        [
+            (json_path, lambda path: result.write_json(path, **inputs)),
+            *others,
+            (plot_path, lambda path: dcreg.plot_registration(*clouds, result, path, names=names)),
+        ]
+    )
+    raise typer.Exit(exit_code(result.status, complete))
 
 
 def write_outputs(writers: list[tuple[Path | None, Writer]]) -> bool:

@@ -12,15 +12,11 @@ import dcreg
 from dcreg.cli import options
 from dcreg.cli.inputs import parse_count, read_cloud, read_pairs
 from dcreg.cli.output import (
-    STDOUT,
     check_outputs,
-    check_packages,
-    check_suffix,
-    exit_code,
+    check_page,
     exit_on_bad_input,
-    print_advice,
+    finish,
     print_tolerance_advice,
-    write_outputs,
 )
 from dcreg.names import DEFAULT_TIME_LIMIT_S
 
@@ -51,17 +47,9 @@ def register(
     candidates_path: options.CandidatesOption = None,
     source_key: options.SourceKeyOption = None,
     target_key: options.TargetKeyOption = None,
-    json_path: Annotated[
-        Path | None,
-        typer.Option("--json", metavar="OUT", help="Write the result; '-' is standard output."),
-    ] = None,
-    trace_path: Annotated[
-        Path | None,
-        typer.Option("--trace", metavar="OUT.jsonl", help="Write the bound history."),
-    ] = None,
-    plot_path: Annotated[
-        Path | None, typer.Option("--plot", metavar="OUT.html", help="Write a page with figures.")
-    ] = None,
+    json_path: options.JsonOption = None,
+    trace_path: options.TraceOption = None,
+    plot_path: options.PageOption = None,
     certificate_path: Annotated[
         Path | None,
         typer.Option("--certificate", metavar="OUT.npz", help="Write what `dcreg verify` checks."),
@@ -85,8 +73,7 @@ def register(
             "--certificate": certificate_path,
         }
         check_outputs(outputs, source, target, candidates_path, stdout="--json")
-        check_suffix("--plot", plot_path, [".html"])
-        check_packages(plot_path, ".html")
+        check_page(plot_path)
         if n_inliers is None:
             raise dcreg.InputError(
                 "--n-inliers: missing; give the number of pairs to match, such as 40 or 0.8, or let "
@@ -102,10 +89,7 @@ def register(
             read_pairs(candidates_path, len(points)),
         )
         if not quiet:
-            if downsample is None:
-                print_advice(problem)
             print_tolerance_advice(gap_tol, tol)
-        gap_tol = dcreg.gap_tol_of(tol, gap_tol, problem.n_inliers)
         solve = dcreg.register  # loaded before signals are those of the search
         with Progress(gap_tol=gap_tol, quiet=quiet) as progress:
             result = progress.run(
@@ -119,6 +103,7 @@ def register(
                     bound=bound,
                     scale_range=scale_range,
                     gap_tol=gap_tol,
+                    tol=tol,
                     time_limit=time_limit,
                     node_limit=node_limit,
                     threads=threads,
@@ -129,25 +114,11 @@ def register(
                     listener=progress,
                 )
             )
-    # Standard output belongs to the JSON when it goes there.
-    typer.echo(result, err=json_path == STDOUT)
-    files = {"source": source, "target": target}
-    if json_path == STDOUT:
-        typer.echo(result.to_json(**files))
-    complete = write_outputs(
-        [
-            (
-                None if json_path == STDOUT else json_path,
-                lambda path: result.write_json(path, **files),
-            ),
-            (trace_path, result.trace.write_jsonl),
-            (certificate_path, result.write_certificate),
-            (
-                plot_path,
-                lambda path: dcreg.plot_registration(
-                    problem.source, problem.target, result, path, names=(source, target)
-                ),
-            ),
-        ]
+    finish(
+        result,
+        (problem.source, problem.target),
+        {"source": source, "target": target},
+        json_path,
+        [(trace_path, result.trace.write_jsonl), (certificate_path, result.write_certificate)],
+        plot_path,
     )
-    raise typer.Exit(exit_code(result.status, complete))

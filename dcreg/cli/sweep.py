@@ -18,7 +18,6 @@ from dcreg.cli.output import (
     check_suffix,
     exit_code,
     exit_on_bad_input,
-    print_advice,
     print_tolerance_advice,
     write_outputs,
 )
@@ -91,7 +90,6 @@ def sweep(
         target_points = read_cloud(target, target_key, model)
         candidates = read_pairs(candidates_path, len(points))
         if not quiet:
-            print_advice(dcreg.Problem(points, target_points, 1.0, model.value, scale_range))
             print_tolerance_advice(gap_tol, tol)
         solve = dcreg.sweep  # loaded before signals are those of the search
         with Progress(gap_tol=gap_tol, quiet=quiet) as progress:

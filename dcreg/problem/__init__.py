@@ -8,6 +8,7 @@ from dcreg.problem.pose import nearest_rotation, rotation_angle_deg, scale_of
 from dcreg.problem.problem import MODEL_DIM, ModelName, Problem
 from dcreg.problem.sample import farthest_points
 from dcreg.problem.tolerance import (
+    EXACT,
     TOLERATED_NORM_RESIDUAL,
     TOLERATED_RESIDUAL,
     default_gap_tol,
@@ -17,6 +18,7 @@ from dcreg.problem.tolerance import (
 )
 
 __all__ = [
+    "EXACT",
     "MODEL_DIM",
     "TOLERATED_NORM_RESIDUAL",
     "TOLERATED_RESIDUAL",

@@ -39,8 +39,8 @@ def advice(problem: Problem) -> Iterator[str]:
             f"warning: {n} x {m} points. Each exact assignment takes {_bytes(8.0 * n * m)} and up "
             f"to K n m = {work:.0e} operations (at worst about "
             f"{_duration(work / _OPERATIONS_PER_SECOND)}), and a "
-            "search takes hundreds of them. Downsample both clouds to some hundred points first "
-            "(voxel grid or every k-th point) and scale a counted K with them."
+            "search takes hundreds of them. Search with some of the points: downsample=200, "
+            "--downsample 200."
         )
     radii = rms_radius(problem.source), rms_radius(problem.target)
     ratio = radii[0] / radii[1] if radii[1] > 0 else math.inf

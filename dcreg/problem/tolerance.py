@@ -11,6 +11,7 @@ from dcreg.problem.errors import InputError
 TOLERATED_RESIDUAL = 0.03  # RMS residual per pair, in RMS radii of the target
 # The same of norms, which fit far better than points: as much as little noise leaves.
 TOLERATED_NORM_RESIDUAL = 0.003
+EXACT = 1e-9  # a squared residual this small, in squared RMS radii, is rounding
 
 
 def rms_radius(points: np.ndarray) -> float:

@@ -37,7 +37,7 @@ class Budget:
     Parameters
     ----------
     time_s : float, optional
-        Seconds from now on; None: no limit.
+        Seconds from now on; None or inf: no limit.
     nodes : int, optional
         Boxes bounded by every search.
     memory_mb : float, optional
@@ -67,6 +67,7 @@ class Budget:
         self.stop, self.closed = np.zeros(1, np.uint8), np.zeros(1, np.uint8)
         self._listener = listener
         self._began = self._told = time.perf_counter()
+        time_s = None if time_s == np.inf else time_s
         self._deadline = None if time_s is None else self._began + time_s
         self._closing_s = _CLOSING_S + _CLOSING_SHARE * (time_s or 0.0)
         self._root = self  # of all parts: the one that knows whether the caller asked to stop

@@ -400,24 +400,28 @@ def test_full_disk_is_reported_after_the_pose(call, tmp_path, fake, monkeypatch)
 # --- advice ---------------------------------------------------------------------------------------
 
 
-def test_advice_on_large_clouds_and_units(tmp_path, fake):
-    cloud = np.random.default_rng(0).random((4500, 3))
+def test_advice_speaks_of_what_is_searched(tmp_path, monkeypatch):
+    """Of large clouds, but not where some of their points are searched; of units; never when quiet."""
+    monkeypatch.setattr(sys.modules["dcreg.problem.advice"], "_MANY_POINTS", 40)
+    cloud = np.random.default_rng(0).random((45, 3))
     np.save(tmp_path / "a.npy", cloud)
-    np.save(tmp_path / "b.npy", 1000 * cloud[:50])
-    arguments = ["register", tmp_path / "a.npy", tmp_path / "b.npy"]
-    arguments += ["--model", "rigid3d", "--n-inliers", "20"]
-    outcome = run(*arguments)
-    assert outcome.exit_code == 0
-    assert "warning: 4500 x 50 points" in outcome.stderr
-    assert "Downsample" in outcome.stderr
-    assert "hint: the RMS radii differ a lot" in outcome.stderr
+    np.save(tmp_path / "b.npy", 1000 * cloud[:30])
+    arguments = ["register", tmp_path / "a.npy", tmp_path / "b.npy", "--model", "rigid3d"]
+    arguments += ["--n-inliers", "20", "--time-limit", "0.5"]
+    whole = run(*arguments).stderr
+    assert "warning: 45 x 30 points" in whole
+    assert "--downsample 200" in whole
+    assert "hint: the RMS radii differ a lot" in whole
+    some = run(*arguments, "--downsample", "15").stderr
+    assert "warning: 45 x 30 points" not in some
+    assert "hint: the RMS radii differ a lot" in some
     assert run(*arguments, "--quiet").stderr == ""
 
 
-def test_no_advice_without_reason(call, fake):
+def test_no_advice_without_reason(call):
     outcome = run(*call)
-    assert "warning" not in outcome.stderr
     assert "hint" not in outcome.stderr
+    assert "points. Each exact assignment" not in outcome.stderr
 
 
 # --- progress -------------------------------------------------------------------------------------
@@ -864,9 +868,11 @@ def test_the_command_prints_what_the_result_prints(call, fake):
     assert printed == f"{fake(source, target, **fake.called)}\n"
 
 
-def test_a_tolerance_as_a_length(call, fake):
-    assert run(*call, "--tol", "0.1").exit_code == 0
-    assert fake.called["gap_tol"] == pytest.approx(9 * 0.01)
+@pytest.mark.parametrize(("more", "pairs"), [([], 9), (["--downsample", "5"], 4)])
+def test_a_tolerance_as_a_length(call, more, pairs):
+    """Of the pairs that are searched."""
+    found = json.loads(run(*call, "--tol", "0.1", "--json", "-", *more).stdout)
+    assert found["gap_tol"] == pytest.approx(pairs * 0.01)
 
 
 def test_no_tolerance_is_warned_of(call, fake):
