@@ -120,7 +120,12 @@ def test_a_worker_starts_with_capped_threads(tmp_path, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     worker = Worker(threads=1, memory_mb=600, log=tmp_path / "log")
     try:
-        environ = psutil.Process(worker.process.pid).environ()
+        environ = {}
+        until = time.monotonic() + 20.0
+        while (
+            "OMP_NUM_THREADS" not in environ and time.monotonic() < until
+        ):  # before its start: none
+            environ = psutil.Process(worker.process.pid).environ()
     finally:
         worker.kill()
     assert environ["OMP_NUM_THREADS"] == environ["NUMBA_NUM_THREADS"] == "1"
