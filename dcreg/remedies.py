@@ -124,8 +124,8 @@ def loose_pairs(case: Case) -> str | None:
         return None
     return (
         f"matched points lie {result.rmse_matched:.3g} apart (RMS), neighbours in the target "
-        f"{spacing:.3g}: {result.n_inliers} pairs are probably too many, and the pose may be wrong. Try a smaller "
-        "n_inliers, or several with `dcreg sweep`"
+        f"{spacing:.3g}: {result.n_inliers} pairs are probably too many, and the pose may be wrong. Try "
+        "a smaller n_inliers, or several with `dcreg sweep`"
     )
 
 
