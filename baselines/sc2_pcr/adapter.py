@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._shared.consistency import length_differences, vote_scale
+from baselines._shared.consistency import vote_scale
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
 from baselines._shared.kernels.lengths import consistency_graph
 from baselines._shared.poses import homogeneous
 from baselines.contract import Instance
-from baselines.sc2_pcr.consensus import best_pose, choose_seeds, leading_eigenvector, refine
+from baselines.sc2_pcr.consensus import best_pose, choose_seeds, refine
 from dcreg.search import Budget
 
 
@@ -22,14 +22,8 @@ class Adapter(CorrespondenceMethod):
         scale = vote_scale(source, target, 2 * bound, instance.scale_range)
         source = scale * source  # rigid from here on
         rows = consistency_graph(source, target, pairs, 2 * bound, 1.0)
-        differences = length_differences(source, target)
-        compatibility = np.maximum(0.0, 1 - (differences / (2 * bound)) ** 2)
-        seeds = choose_seeds(
-            source,
-            leading_eigenvector(compatibility),
-            2 * bound,
-            max(1, round(self.options["seed_ratio"] * len(pairs))),
-        )
+        most_seeds = max(1, round(self.options["seed_ratio"] * len(pairs)))
+        seeds = choose_seeds(source, target, 2 * bound, most_seeds)
         sizes = self.options["first_neighbours"], self.options["second_neighbours"]
         pose, finished = best_pose(source, target, rows, seeds, sizes, bound, budget)
         if pose is None:

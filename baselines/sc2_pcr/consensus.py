@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from baselines._shared.consistency import length_differences
 from baselines._shared.kernels.samples import count_within
 from baselines._shared.robust import squared_residuals
 from baselines.sc2_pcr.kernels import common_neighbours, submatrix
@@ -26,10 +27,13 @@ def leading_eigenvector(matrix: np.ndarray) -> np.ndarray:
     return u
 
 
-def choose_seeds(
-    source: np.ndarray, confidence: np.ndarray, radius: float, most: int
-) -> np.ndarray:
-    """Correspondences that no other within `radius` of their source beats in confidence."""
+def choose_seeds(source: np.ndarray, target: np.ndarray, tolerance: float, most: int) -> np.ndarray:
+    """Correspondences that none nearby, their sources within `tolerance`, beats in confidence.
+
+    Their confidence is the leading eigenvector of how well they agree in lengths, to within `tolerance`.
+    """
+    differences = length_differences(source, target)
+    confidence = leading_eigenvector(np.maximum(0.0, 1 - (differences / tolerance) ** 2))
     order = np.argsort(-confidence, kind="stable")
     free = np.ones(len(source), dtype=bool)
     seeds: list[int] = []
@@ -38,7 +42,7 @@ def choose_seeds(
             break
         if free[i]:
             seeds.append(int(i))
-            free &= ((source - source[i]) ** 2).sum(axis=1) > radius**2
+            free &= ((source - source[i]) ** 2).sum(axis=1) > tolerance**2
     return np.array(seeds)
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._shared.consistency import length_differences
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
 from baselines._shared.kernels.lengths import consistency_graph
 from baselines._shared.kernels.samples import count_within
 from baselines._shared.robust import squared_residuals
 from baselines.contract import Instance
-from baselines.sc2_pcr.consensus import choose_seeds, leading_eigenvector, refine, seed_pose
+from baselines.sc2_pcr.consensus import choose_seeds, refine, seed_pose
 from dcreg.search import Budget
 
 
@@ -21,14 +20,8 @@ class Adapter(CorrespondenceMethod):
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
         bound = self.inlier_distance(instance)
         rows = consistency_graph(source, target, pairs, 2 * bound, 1.0)
-        differences = length_differences(source, target)
-        compatibility = np.maximum(0.0, 1 - (differences / (2 * bound)) ** 2)
-        seeds = choose_seeds(
-            source,
-            leading_eigenvector(compatibility),
-            2 * bound,
-            max(1, round(self.options["seed_ratio"] * len(pairs))),
-        )
+        most_seeds = max(1, round(self.options["seed_ratio"] * len(pairs)))
+        seeds = choose_seeds(source, target, 2 * bound, most_seeds)
         sizes = self.options["first_neighbours"], self.options["second_neighbours"]
         poses: list[tuple[int, np.ndarray]] = []  # with their numbers of inliers
         for seed in seeds:
@@ -36,7 +29,6 @@ class Adapter(CorrespondenceMethod):
                 poses.append((int(count_within(source, target, pose, bound)), pose))
             if budget.is_over:
                 break
-        finished = not budget.is_over
         poses.sort(key=lambda counted: -counted[0])
         best, most = None, 0.0
         for _, pose in poses[: self.options["refined"]]:
@@ -44,7 +36,9 @@ class Adapter(CorrespondenceMethod):
             closeness = candidate_closeness(pose, source, target, pairs[:, 0], bound)
             if closeness > most:
                 best, most = pose, closeness
-        return Estimate(best, finished, extra={"seeds": float(len(seeds))})
+            if budget.is_over:
+                break
+        return Estimate(best, not budget.is_over, extra={"seeds": float(len(seeds))})
 
 
 def candidate_closeness(

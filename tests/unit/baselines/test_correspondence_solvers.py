@@ -21,6 +21,7 @@ from baselines._shared.robust import gnc_pose
 from baselines.clipper.dense import dense_clique
 from baselines.contract import Instance, Limits
 from baselines.mac.enumerate import HeaviestCliques
+from baselines.sc2_pcr_pp.adapter import candidate_closeness
 from dcreg.local import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
@@ -199,6 +200,31 @@ def test_voted_scale_is_within_its_range() -> None:
         0.7, abs=0.02
     )
     assert vote_scale(instance.source, instance.target, 2 * NOISE, (0.9, 1.5)) >= 0.9
+
+
+def test_a_source_point_is_as_close_as_its_nearest_candidate() -> None:
+    source = np.zeros((5, 3))
+    target = np.zeros((5, 3))
+    target[:, 0] = [0.05, 0.0, 0.3, 0.1, 5.0]
+    points = np.array([0, 0, 0, 2, 3])  # of bound 0.2: point 0 is met, 2 half-way, 3 not at all
+    assert candidate_closeness(np.eye(4), source, target, points, 0.2) == pytest.approx(1.5)
+
+
+def test_no_further_pose_is_refined_past_the_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    budget = Budget(listener=lambda _: True)
+    refined = []
+
+    def late(pose: np.ndarray, *_: object) -> np.ndarray:
+        refined.append(pose)
+        budget.found(0.0)  # whose listener stops the run
+        return pose
+
+    monkeypatch.setattr("baselines.sc2_pcr_pp.adapter.refine", late)
+    instance, _ = planted("rigid3d", 60, 0.5)
+    found = registry.load("sc2_pcr_pp").estimate(instance, rows_as_pairs(60), budget)
+    assert found.pose is not None
+    assert not found.finished
+    assert len(refined) == 1
 
 
 def test_pairs_that_share_a_point_are_never_both_taken() -> None:
