@@ -18,7 +18,7 @@ from dcreg.matches import MatchBound, MatchProblem, promising_poses
 from dcreg.modes import MODES, Mode, Task, find_mode
 from dcreg.modes.sampled_rotation import search_sampled_rotation
 from dcreg.problem import Problem
-from dcreg.search import Budget
+from dcreg.search import Budget, LongestEdge, branch_and_bound
 
 _LOGGER = logging.getLogger("dcreg")
 _MESSAGE = "compiling the kernels that this search needs; once, they are kept for later runs"
@@ -119,9 +119,12 @@ def warm_up_matches() -> None:
     problem = MatchProblem(points, points, np.column_stack([rows, rows]), 0.5)
     with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
         promising_poses(problem, Budget())
-        bound = MatchBound(problem, problem.reach**2 * problem.most, 0.1)
-        root = bound.roots[0]
-        bound.evaluate(root.lower[None], root.upper[None], 0.0)
+        worst = problem.reach**2 * problem.most
+        bound = MatchBound(problem, worst, 0.0)
+        branch_and_bound(
+            bound, Budget(nodes=8), branching=LongestEdge(bound.axis_weights), gap_tol=0.0,
+            refine=bound.refine, start=(np.eye(3, 4).ravel(), worst),
+        )  # fmt: skip
 
 
 if __name__ == "__main__":

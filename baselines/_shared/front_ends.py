@@ -83,6 +83,13 @@ def unavailable(front_end: str) -> str | None:
     return None
 
 
+def missing_matches(instance: Instance, front_end: str | None) -> str | None:
+    """Why a shared front end has no matches for the instance; None: it has, or is another front end."""
+    if front_end in SHARED and front_end not in instance.matches:
+        return f"front end {front_end}: the data set of this instance has no shared matches"
+    return None
+
+
 def putative_pairs(instance: Instance, options: dict[str, Any]) -> Putative:
     """Pairs from the front end and settings named in `options`, the most similar first."""
     front_end, most = options["front_end"], options["max_pairs"]
@@ -96,8 +103,8 @@ def putative_pairs(instance: Instance, options: dict[str, Any]) -> Putative:
             )
         pairs = instance.oracle_pairs
     elif front_end in SHARED:
-        if front_end not in instance.matches:
-            raise FrontEndError(f"front end {front_end}: the data set of this instance has none")
+        if reason := missing_matches(instance, front_end):
+            raise FrontEndError(reason)
         pairs = instance.matches[front_end]
     elif front_end == "norm-signature":
         pairs = norm_signature(instance, options["signature_neighbours"])
@@ -277,9 +284,7 @@ class CorrespondenceMethod(Baseline):
         front_end = self.options["front_end"]
         if front_end == "fpfh-mutual" and instance.dim != 3:
             return f"front end fpfh-mutual does not treat {instance.model}"
-        if front_end in SHARED and front_end not in instance.matches:
-            return f"front end {front_end}: the data set of this instance has no shared matches"
-        return None
+        return missing_matches(instance, front_end)
 
     def warm_up(self, instance: Instance) -> None:
         small = tiny(instance)

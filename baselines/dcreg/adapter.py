@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 import dcreg
-from baselines._shared.front_ends import SHARED, FrontEndError, putative_pairs
+from baselines._shared.front_ends import SHARED, FrontEndError, missing_matches, putative_pairs
 from baselines._shared.library_search import BranchAndBound, solution_of
-from baselines.contract import Card, Instance, Limits, Solution, tiny
+from baselines.contract import Card, Instance, Limits, Solution
 from dcreg.status import Status
+from dcreg.warm_up import warm_up_matches
 
 
 class Adapter(BranchAndBound):
@@ -25,36 +24,31 @@ class Adapter(BranchAndBound):
             )
 
     def supports(self, instance: Instance) -> str | None:
-        front_end = self.options["front_end"]
-        if front_end is not None and front_end not in instance.matches:
-            return f"front end {front_end}: the data set of this instance has no shared matches"
-        return super().supports(instance)
+        return missing_matches(instance, self.options["front_end"]) or super().supports(instance)
 
     def warm_up(self, instance: Instance) -> None:
         if self.options["front_end"] is None:
             super().warm_up(instance)
         else:
-            small = tiny(instance)
-            rows = np.arange(len(small.source))
-            matches = np.column_stack([rows, rows])
-            dcreg.register_matches(small.source, small.target, matches, inlier_distance=0.1)
+            warm_up_matches()
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         if self.options["front_end"] is None:
             return super().solve(instance, limits)
         try:
-            matches = putative_pairs(instance, self.options).pairs
+            putative = putative_pairs(instance, self.options)
         except FrontEndError as error:
             return Solution(Status.FAILED, None, str(error))
         result = dcreg.register_matches(
             instance.source,
             instance.target,
-            matches,
+            putative.pairs,
             inlier_distance=instance.noise_bound,
             certify=self.options["certify"],
             time_limit=limits.time_s,
             node_limit=limits.nodes,
         )
         solution = solution_of(result)
-        solution.counters["n_correspondences"] = len(matches)
+        solution.message = "; ".join(filter(None, [putative.note, solution.message]))
+        solution.counters["n_correspondences"] = len(putative.pairs)
         return solution

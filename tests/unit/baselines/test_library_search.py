@@ -31,7 +31,8 @@ def loaded():
     return {{(each.py_func.__name__, form) for each in found for form in each.overloads}}
 
 points = np.random.default_rng(0).standard_normal((60, {dim}))
-instance = Instance("i", points, points + 0.1, "{model}", {k}, {scales}, 0.05, 0)
+matches = {{"shared-mutual": np.column_stack([np.arange(60)] * 2)}}
+instance = Instance("i", points, points + 0.1, "{model}", {k}, {scales}, 0.05, 0, matches=matches)
 method = registry.load("dcreg", **{options})
 method.warm_up(instance)
 warm = loaded()
@@ -55,6 +56,7 @@ def instance(dim: int, k: int = 6) -> Instance:
         (3, 60, {}, "mode full, bound rigid"),
         (3, 50, {"mode": "multi"}, "mode multi, bound tight"),
         (3, 50, {"bound": "paper"}, "mode paper, bound paper"),
+        (3, 50, {"front_end": "shared-mutual"}, "mode matches, bound nested"),
     ],
 )
 def test_a_timed_solve_meets_no_kernel_that_its_warm_up_did_not(dim, k, options, ran):
