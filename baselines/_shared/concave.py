@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.kernels.statistics import N_STATISTICS, concave, least_linear, statistics
 from baselines.contract import Instance, Solution
 from dcreg.local import fit_pose, polish
@@ -37,10 +38,6 @@ SCOPE = "similarity pose"
 _FLAT = 1e-8  # relative extent below which all matchings agree in a statistic
 
 
-class OutOfTimeError(Exception):
-    """The time limit came before the search had its first region; the incumbent stands."""
-
-
 class Clouds(NamedTuple):
     """A normalised problem as the kernels take it."""
 
@@ -50,15 +47,16 @@ class Clouds(NamedTuple):
     low: float  # admissible scale
     high: float
 
+    @property
+    def scale_range(self) -> tuple[float, float]:
+        return self.low, self.high
+
 
 @dataclass
 class Incumbent:
     """The best matching's pose so far, in normalised coordinates, and the work spent."""
 
-    source: np.ndarray
-    target: np.ndarray
-    k: int
-    scale_range: tuple[float, float]
+    clouds: Clouds
     pose: np.ndarray
     value: float
     n_assignments: int
@@ -70,10 +68,11 @@ class Incumbent:
 
     def offer(self, col_of: np.ndarray) -> bool:
         """Descend from a matching that is better than the incumbent; True: it became the incumbent."""
+        source, target, k, *_ = self.clouds
         pairs = pairs_of(col_of)
-        pose = fit_pose(self.source[pairs[:, 0]], self.target[pairs[:, 1]], self.scale_range)
+        pose = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], self.clouds.scale_range)
         pose, value, _, spent = polish(
-            self.source, self.target, pose, self.k, self.scale_range, budget=self.budget
+            source, target, pose, k, self.clouds.scale_range, budget=self.budget
         )
         self.n_assignments += spent
         if value >= self.value:
@@ -87,7 +86,6 @@ class Reduced:
     """An instance as concave minimisation, in the library's normalised coordinates."""
 
     frame: Frame
-    clouds: Clouds
     incumbent: Incumbent
 
     @classmethod
@@ -100,12 +98,14 @@ class Reduced:
         )  # fmt: skip
         frame = Frame.of(problem)
         source, target = frame.source(problem.source), frame.target(problem.target)
-        k, scale_range = problem.n_inliers, problem.scale_range
-        space = Similarity2D(source, target, k, scale_range)
+        clouds = Clouds(source, target, problem.n_inliers, *problem.scale_range)
+        space = Similarity2D(source, target, clouds.k, clouds.scale_range)
         theta, value, spent = space.start(budget)
-        pose = space.pose(theta)
-        start = Incumbent(source, target, k, scale_range, pose, value, spent, budget)
-        return cls(frame, Clouds(source, target, k, *scale_range), start)
+        return cls(frame, Incumbent(clouds, space.pose(theta), value, spent, budget))
+
+    @property
+    def clouds(self) -> Clouds:
+        return self.incumbent.clouds
 
     @property
     def area(self) -> float:
@@ -129,7 +129,6 @@ class ConcaveSearch(abc.ABC):
     Attributes
     ----------
     reduced : Reduced
-    budget : Budget
     gap_tol : float
         In normalised units.
     status : Status or None
@@ -143,7 +142,6 @@ class ConcaveSearch(abc.ABC):
     """
 
     reduced: Reduced
-    budget: Budget
     gap_tol: float
     status: Status | None = field(default=None, init=False)
     lower_bound: float = field(default=0.0, init=False)  # a sum of squares
@@ -151,6 +149,10 @@ class ConcaveSearch(abc.ABC):
     n_assignments: int = field(default=0, init=False)
     dim: int = field(default=0, init=False)
     history: Trace = field(default_factory=Trace, init=False)
+
+    @property
+    def budget(self) -> Budget:
+        return self.reduced.incumbent.budget
 
     @property
     def upper_bound(self) -> float:
@@ -251,9 +253,8 @@ class Support:
     A matching better than the incumbent is offered to it. Points are ``u(P)``, or ``(u, L)(P)``.
     """
 
-    def __init__(self, clouds: Clouds, incumbent: Incumbent, with_fixed: bool = False) -> None:
-        self.clouds, self.incumbent, self.with_fixed = clouds, incumbent, with_fixed
-        self.budget = incumbent.budget
+    def __init__(self, incumbent: Incumbent, with_fixed: bool = False) -> None:
+        self.clouds, self.incumbent, self.with_fixed = incumbent.clouds, incumbent, with_fixed
         self.n_assignments = 0
         self.points: list[np.ndarray] = []
 
@@ -263,7 +264,7 @@ class Support:
 
     def least(self, direction: np.ndarray) -> np.ndarray:
         """The point with the least ``direction . point``."""
-        if self.budget.is_over:
+        if self.incumbent.budget.is_over:
             raise OutOfTimeError
         fixed_weight = float(direction[-1]) if self.with_fixed else 0.0
         weights = np.ascontiguousarray(direction[:N_STATISTICS])

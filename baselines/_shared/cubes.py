@@ -20,7 +20,7 @@ _SHARE_OF_BOXES = 0.5  # of the memory; the rest is for what cubes pass on
 
 
 class OutOfTimeError(Exception):
-    """Raised by a bound when the budget was over before it knew its answer."""
+    """The budget was over before a step of a search knew its answer; what was found before stands."""
 
 
 @dataclass

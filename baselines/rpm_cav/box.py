@@ -28,13 +28,9 @@ class BoxBound:
             np.array(points, dtype=float, order="C")
             for points in (instance.source, instance.target)
         )
-        low, high = instance.scale_range
-        self.clouds = Clouds(source, target, instance.n_inliers, low, high)
+        self.clouds = Clouds(source, target, instance.n_inliers, *instance.scale_range)
         # a value of minus infinity: no matching is worth a descent
-        idle = Incumbent(
-            source, target, self.clouds.k, (low, high), np.eye(3), -np.inf, 0, Budget()
-        )
-        support = Support(self.clouds, idle)
+        support = Support(Incumbent(self.clouds, np.eye(3), -np.inf, 0, Budget()))
         self.z = support.coordinates()
         self.root = root_simplex(support, self.z) if self.z.dim else np.empty((1, 0))
 

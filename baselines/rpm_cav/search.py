@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from baselines._shared.concave import ConcaveSearch, Coordinates, OutOfTimeError, Support
+from baselines._shared.concave import ConcaveSearch, Coordinates, Support
+from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.kernels.statistics import N_STATISTICS, least_linear
 from baselines.rpm_cav.kernels import bound_children, bound_simplex, values_at
 from dcreg.status import Status
@@ -74,7 +75,7 @@ class Search(ConcaveSearch):
     def run(self) -> None:
         clouds, incumbent = self.reduced.clouds, self.reduced.incumbent
         self.record()
-        support = Support(clouds, incumbent)
+        support = Support(incumbent)
         try:
             coordinates = support.coordinates()
             self.dim = coordinates.dim
@@ -82,9 +83,8 @@ class Search(ConcaveSearch):
         except OutOfTimeError:
             self.status = Status.TIME_LIMIT
         self.n_assignments += support.n_assignments
-        if (
-            self.status is None and self.dim == 0
-        ):  # all agree in their statistics: the least L decides
+        if self.status is None and self.dim == 0:
+            # all matchings agree in their statistics: the least L decides
             _, col_of = least_linear(clouds, np.zeros(N_STATISTICS), 1.0)
             incumbent.offer(col_of)
             self.n_assignments += 1

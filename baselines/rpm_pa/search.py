@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from baselines._shared.concave import ConcaveSearch, OutOfTimeError, Support
+from baselines._shared.concave import ConcaveSearch, Support
+from baselines._shared.cubes import OutOfTimeError
 from baselines.rpm_pa.kernels import extensions, test_facets, value_at
 from baselines.rpm_pa.polytope import Polytope
 from dcreg.status import Status
@@ -30,12 +31,11 @@ class Search(ConcaveSearch):
     """
 
     epsilon0: float
-    n_rebuilt: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        clouds, incumbent = self.reduced.clouds, self.reduced.incumbent
+        clouds = self.reduced.clouds
         self.batch = int(np.clip(300_000 // (len(clouds.source) * len(clouds.target)), 1, _BATCH))
-        self.support = Support(clouds, incumbent, with_fixed=True)
+        self.support = Support(self.reduced.incumbent, with_fixed=True)
 
     @property
     def exact(self) -> bool:
@@ -121,7 +121,6 @@ class Search(ConcaveSearch):
 
     def _rebuilt(self) -> Polytope:
         """The polytope of all rays at the present level: the incumbent improved, so it grew."""
-        self.n_rebuilt += 1
         extended = self._extended(np.array(self.rays))
         polytope = Polytope(extended[: self.dim + 1], self.lower_bound)
         for vertex in extended[self.dim + 1 :]:

@@ -81,10 +81,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def support_of(clouds: Clouds, with_fixed: bool = False) -> Support:
-    idle = Incumbent(
-        clouds.source, clouds.target, clouds.k, SCALES, np.eye(3), -np.inf, 0, Budget()
-    )
-    return Support(clouds, idle, with_fixed)
+    return Support(Incumbent(clouds, np.eye(3), -np.inf, 0, Budget()), with_fixed)
 
 
 class TestReduction:
@@ -222,9 +219,8 @@ class TestPolytope:
     @given(seeds, st.sampled_from([0.0, 0.3]))
     def test_bound_of_a_cone_is_below_its_matchings(self, seed: int, epsilon0: float) -> None:
         instance = problem(seed, most=4)
-        budget = Budget(nodes=300)
-        reduced = Reduced.of(instance, budget)
-        search = Search(reduced, budget, 0.01, epsilon0)
+        reduced = Reduced.of(instance, Budget(nodes=300))
+        search = Search(reduced, 0.01, epsilon0)
         kept: list[Polytope] = []
         rebuild = search._rebuilt
         search._rebuilt = lambda: kept.append(rebuild()) or kept[-1]  # type: ignore[method-assign]
@@ -294,9 +290,10 @@ def test_history_is_in_the_columns_of_the_library_and_closes(name: str) -> None:
 
 def test_a_descent_takes_no_step_after_the_time_limit() -> None:
     points = np.random.default_rng(0).standard_normal((8, 2))
+    clouds = Clouds(points, points[::-1], 6, *SCALES)
     spent = []
     for time_s in (60.0, 0.0):
-        incumbent = Incumbent(points, points[::-1], 6, SCALES, np.eye(3), np.inf, 0, Budget(time_s))
+        incumbent = Incumbent(clouds, np.eye(3), np.inf, 0, Budget(time_s))
         incumbent.offer(np.array([0, 1, 2, 3, 4, 5, -1, -1]))
         spent.append(incumbent.n_assignments)
     assert spent[0] > spent[1] == 1
