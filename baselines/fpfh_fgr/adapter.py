@@ -29,7 +29,7 @@ class Adapter(CorrespondenceMethod):
                 # Lengths of the option are in target units only with the absolute scale.
                 use_absolute_scale=True,
                 decrease_mu=True,
-                maximum_correspondence_distance=(self.inlier_distance(instance)),
+                maximum_correspondence_distance=self.inlier_distance(instance),
                 iteration_number=self.options["max_iterations"],
                 maximum_tuple_count=self.options["max_tuples"],
                 tuple_test=self.options["tuple_test"],

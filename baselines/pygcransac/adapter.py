@@ -18,12 +18,10 @@ class Adapter(CorrespondenceMethod):
     ) -> np.ndarray | None:
         import pygcransac
 
-        source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
-        low_source, low_target = source.min(axis=0), target.min(axis=0)
         bound = self.inlier_distance(instance)
-        # Its grids of neighbours want coordinates from 0.
-        pose, _ = pygcransac.findRigidTransform(
-            np.ascontiguousarray(np.hstack([source - low_source, target - low_target])),
+        rows, *origins = from_zero(instance, pairs)  # as its grids of neighbours want them
+        found, _ = pygcransac.findRigidTransform(
+            rows,
             probabilities=[],
             threshold=bound,
             conf=self.options["confidence"],
@@ -34,13 +32,22 @@ class Adapter(CorrespondenceMethod):
             neighborhood=0,
             neighborhood_size=self.options["neighbourhood"] * bound,
         )
-        return None if pose is None else moved_back(np.asarray(pose).T, low_source, low_target)
+        return moved_back(found, *origins)
+
+
+def from_zero(instance: Instance, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs as (N, 6) rows of coordinates from 0 on, and where source and target began."""
+    source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
+    low_source, low_target = source.min(axis=0), target.min(axis=0)
+    return np.hstack([source - low_source, target - low_target]), low_source, low_target
 
 
 def moved_back(
-    pose: np.ndarray, origin_source: np.ndarray, origin_target: np.ndarray
+    found: np.ndarray | None, origin_source: np.ndarray, origin_target: np.ndarray
 ) -> np.ndarray | None:
-    """A pose between clouds measured from these origins, for the clouds as they are."""
-    pose = pose.copy()
+    """The pose that was found, for row vectors from these origins, as that of the clouds."""
+    if found is None:
+        return None
+    pose = np.array(found).T
     pose[:3, 3] += origin_target - pose[:3, :3] @ origin_source
     return rigid_pose(pose)

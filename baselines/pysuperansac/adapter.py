@@ -6,7 +6,7 @@ import numpy as np
 
 from baselines._shared.front_ends import CorrespondenceMethod
 from baselines.contract import Instance
-from baselines.pygcransac.adapter import moved_back
+from baselines.pygcransac.adapter import from_zero, moved_back
 from dcreg.search import Budget
 
 
@@ -26,9 +26,6 @@ class Adapter(CorrespondenceMethod):
         settings.scoring = package.ScoringType.MAGSAC
         settings.local_optimization = package.LocalOptimizationType.NestedRANSAC
         settings.final_optimization = package.LocalOptimizationType.LSQ
-        source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
-        low_source, low_target = source.min(axis=0), target.min(axis=0)
-        both = np.ascontiguousarray(np.hstack([source - low_source, target - low_target]))
-        # It takes boxes from 0, with their sizes.
-        pose = package.estimateRigidTransform(both, both.max(axis=0), config=settings)[0]
-        return None if pose is None else moved_back(np.asarray(pose).T, low_source, low_target)
+        rows, *origins = from_zero(instance, pairs)  # it takes boxes from 0, with their sizes
+        found = package.estimateRigidTransform(rows, rows.max(axis=0), config=settings)[0]
+        return moved_back(found, *origins)
