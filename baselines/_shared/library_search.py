@@ -85,7 +85,7 @@ class BranchAndBound(LibraryMethod):
         return super().supports(instance)
 
     def warm_up(self, instance: Instance) -> None:
-        """The kernels of the mode, or of all modes that the library may choose by size."""
+        """The kernels of the mode, or of all modes where the library chooses among them."""
         bound, names = self.options["bound"], [self.mode or AUTO]
         if names == [AUTO]:
             names = mode_names(instance.model) if bound is None else ["paper"]

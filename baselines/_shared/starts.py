@@ -1,4 +1,4 @@
-"""Start poses of the local methods: one documented list, the same for all of them.
+"""Start poses of the local methods: their option `starts` names one of these lists.
 
 ``identity``
     The given coordinates as they are, one start.
