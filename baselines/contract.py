@@ -53,7 +53,6 @@ class Card(BaseModel):
     # reconstruction: body of the paper not read, a faithful member of the described family.
     provenance: Literal["official", "library", "port", "reconstruction"]
     input: str = "raw point sets"  # e.g. "FPFH correspondences"
-    global_search: bool = False
     provides_bounds: bool = False
     certifies: str = "nothing"  # scope of the certificate
     uses_n_inliers: bool = False
