@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -11,8 +12,6 @@ A2, B2 = (np.random.default_rng(seed).random((8, 2)) for seed in (0, 1))
 A3, B3 = (np.random.default_rng(seed).random((8, 3)) for seed in (2, 3))
 # Good files that lie in the folder of every case.
 CLOUDS = {"a2.txt": A2, "b2.txt": B2, "a3.txt": A3, "b3.txt": B3}
-
-Content = bytes | Callable[[], bytes]
 
 
 @dataclass(frozen=True)
@@ -49,6 +48,13 @@ def register(*options: str, dim: int = 2, **changes: str | None) -> list[str]:
 def sweep(*options: str, dim: int = 2, **changes: str | None) -> list[str]:
     """A good call of ``dcreg sweep``."""
     return _call("sweep", options, dim, changes, n_inliers="4:8:2")
+
+
+def npz(**arrays: object) -> bytes:
+    """Content of an .npz file."""
+    stream = io.BytesIO()
+    np.savez(stream, **{name: np.asarray(array) for name, array in arrays.items()})
+    return stream.getvalue()
 
 
 def _call(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from dcreg.io import READERS
-from tests.bad_input.case import A2, Case, register
+from tests.bad_input.case import A2, Case, npz, register
 
 TEXT = {
     "nan": (b"1 2\n3 nan\n", "line 2 holds NaN", "remove that point"),
@@ -151,12 +151,6 @@ def _npy(array: object) -> bytes:
     return stream.getvalue()
 
 
-def _npz(**arrays: object) -> bytes:
-    stream = io.BytesIO()
-    np.savez(stream, **{name: np.asarray(array) for name, array in arrays.items()})
-    return stream.getvalue()
-
-
 def _mat(**arrays: object) -> bytes:
     from scipy.io import savemat
 
@@ -181,18 +175,18 @@ NPY: dict[str, tuple[bytes, str, str]] = {
     "objects": (_npy(OBJECTS), "is not a readable .npy file", "save it again"),
     "records": (_npy(np.zeros(2, "f8,f8")), "store real numbers", "type"),
     "cut off": (_npy(A2)[:-8], "is not a readable .npy file", "save it again"),
-    "archive": (_npz(a=A2), "holds several arrays", "rename it to .npz"),
+    "archive": (npz(a=A2), "holds several arrays", "rename it to .npz"),
     "text file": (b"1 2\n3 4\n", "is not a readable .npy file", "save it again"),
 }
 NPZ = {
-    "no arrays": (_npz(), "holds no numeric array", "arrays found: none"),
-    "no cloud": (_npz(a=np.zeros(3)), "holds no numeric array", "arrays found: a"),
-    "two clouds": (_npz(a=A2, b=A2), "several arrays can be point clouds: a, b", "--source-key"),
-    "objects": (_npz(a=OBJECTS), "holds no numeric array", "arrays found: a"),
-    "cut off": (_npz(a=A2)[:-40], "is not a readable .npz file", "save it again"),
+    "no arrays": (npz(), "holds no numeric array", "arrays found: none"),
+    "no cloud": (npz(a=np.zeros(3)), "holds no numeric array", "arrays found: a"),
+    "two clouds": (npz(a=A2, b=A2), "several arrays can be point clouds: a, b", "--source-key"),
+    "objects": (npz(a=OBJECTS), "holds no numeric array", "arrays found: a"),
+    "cut off": (npz(a=A2)[:-40], "is not a readable .npz file", "save it again"),
     "single array": (_npy(A2), "holds a single array", "rename it to .npy"),
     "text file": (b"1 2\n", "is not a readable .npz file", "save it again"),
-    "nan": (_npz(a=np.full((3, 2), np.nan)), "NaN or infinity in 3 of 3", "remove these"),
+    "nan": (npz(a=np.full((3, 2), np.nan)), "NaN or infinity in 3 of 3", "remove these"),
 }
 MAT = {
     "no arrays": (_mat(), "holds no numeric array", "arrays found: none"),
@@ -260,7 +254,7 @@ def _cases() -> Iterator[Case]:
     for suffix, table in tables:
         for name, (content, *words) in table.items():
             yield _case(f"{suffix} {name}", f"bad{suffix}", content, *words)
-    packers: list[tuple[str, Callable[..., bytes]]] = [(".npz", _npz), (".mat", _mat)]
+    packers: list[tuple[str, Callable[..., bytes]]] = [(".npz", npz), (".mat", _mat)]
     for suffix, pack in packers:
         file = f"bad{suffix}"
         for name, key, words in (

@@ -16,8 +16,8 @@ import typer
 
 import dcreg
 from data.registry import dataset
-from dcreg.local import fit_pose, objective
 from workflows.disturb import make_instance
+from workflows.metrics import Case, rmse_excess
 
 RIGHT = 0.05  # RMSE above that of the best fit to the true pairs, in longest sides of the prototype
 TESTS = {
@@ -102,10 +102,11 @@ def _solved(label: str, instance, part: float, mode: str, limit: float) -> dict[
         instance.source, instance.target, n_inliers=k, model="rigid3d", mode=mode, time_limit=limit,
         threads=1, listener=trace.append,
     )  # fmt: skip
-    x, y = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
-    reference = fit_pose(x, y, (1.0, 1.0))
-    excess = _squares(result.T_target_source, x, y) - _squares(reference, x, y)
-    value = objective(instance.source, instance.target, result.T_target_source, k)[0]
+    judged = Case(
+        result.T_target_source, instance.T_true, instance.source, instance.target, pairs, k,
+        (1.0, 1.0), label.split()[0],
+    )  # fmt: skip
+    error = rmse_excess(judged)
     # in the other modes upper bounds are those of another objective
     found = [event.time_s for event in trace if event.upper_bound <= SAME * result.upper_bound]
     first = min(found, default=np.nan) if result.mode == "full" else np.nan
@@ -118,19 +119,14 @@ def _solved(label: str, instance, part: float, mode: str, limit: float) -> dict[
         "ran": result.mode,
         "status": str(result.status),
         "n_inliers": k,
-        "error": float(np.sqrt(max(0.0, excess))),
-        "right": bool(np.sqrt(max(0.0, excess)) < RIGHT),
-        "value": value,
-        "reference_value": objective(instance.source, instance.target, reference, k)[0],
+        "error": error,
+        "right": error < RIGHT,
+        "value": judged.objective,
+        "reference_value": judged.objective_true,
         "certified": str(result.status) == "optimal",
         "found_s": first,
         "time_s": time.perf_counter() - began,
     }
-
-
-def _squares(T: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
-    residuals = x @ T[:3, :3].T + T[:3, 3] - y
-    return float((residuals**2).sum(axis=1).mean())
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from data.threedmatch.loader import read_torch_array
 from dcreg.io import read_points
 from dcreg.problem import rotation_angle_deg
 
+SIZES = [100, 300, 1000, 5000, 0]
 KILLED_AFTER = 5.0  # limits; a run still there is killed and counted as a hang
 
 
@@ -44,13 +45,7 @@ class CloudPair:
 
 def main(
     out: Annotated[Path, typer.Argument(help="folder for the table")],
-    size: Annotated[list[int], typer.Option(help="points per cloud, 0: all")] = [  # noqa: B006
-        100,
-        300,
-        1000,
-        5000,
-        0,
-    ],
+    size: Annotated[list[int], typer.Option(help="points per cloud, 0: all")] = SIZES,
     limit: Annotated[float, typer.Option(help="seconds per run")] = 10.0,
     only: Annotated[str, typer.Option(help="part of a pair's name")] = "",
 ) -> None:

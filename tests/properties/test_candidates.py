@@ -287,8 +287,8 @@ def test_a_feasible_optimum_stays_the_optimum_and_a_forbidden_one_does_not(mode)
     assert other.objective > free.objective + 1e-3
 
 
-@pytest.mark.parametrize(("clutter", "mode"), [(0, "full"), (40, "full")])
-def test_mode_auto_takes_candidates(clutter, mode):
+@pytest.mark.parametrize("clutter", [0, 40])
+def test_mode_auto_takes_candidates(clutter):
     generator = np.random.default_rng(0)
     x = generator.random((20, 3)) * [1.0, 0.7, 0.4]
     y = x[:, [1, 2, 0]] + [0.3, -0.2, 0.1] + 0.005 * generator.standard_normal((20, 3))
@@ -296,7 +296,7 @@ def test_mode_auto_takes_candidates(clutter, mode):
     mask = generator.random((len(x), len(y))) < 0.1
     np.fill_diagonal(mask[:20, :20], True)
     found = dcreg.register(x, y, n_inliers=20, model="rigid3d", gap_tol=0.01, candidates=mask)
-    assert found.mode == mode
+    assert found.mode == "full"
     assert found.status is dcreg.Status.OPTIMAL
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
     assert found.rotation == pytest.approx(np.eye(3)[[1, 2, 0]], abs=0.02)
