@@ -297,3 +297,23 @@ def test_a_descent_takes_no_step_after_the_time_limit() -> None:
         incumbent.offer(np.array([0, 1, 2, 3, 4, 5, -1, -1]))
         spent.append(incumbent.n_assignments)
     assert spent[0] > spent[1] == 1
+
+
+@pytest.mark.parametrize("name", ["rpm_cav", "rpm_pa"])
+@pytest.mark.parametrize(
+    ("limits", "status"),
+    [
+        (Limits(60.0, nodes=2), Status.NODE_LIMIT),
+        (Limits(60.0, memory_mb=0), Status.MEMORY_LIMIT),
+        (Limits(0.0), Status.TIME_LIMIT),
+    ],
+)
+def test_limits_end_the_search_with_a_pose_and_what_is_proven(
+    name: str, limits: Limits, status: Status
+) -> None:
+    source, target = np.random.default_rng(4).standard_normal((2, 9, 2))
+    instance = Instance("noise", source, target, "similarity2d", 6, SCALES, 0.05, 0)
+    solution = registry.load(name).solve(instance, limits)
+    assert solution.status is status
+    value, _ = objective(source, target, solution.T_target_source, 6)
+    assert 0.0 <= solution.lower_bound <= value == pytest.approx(solution.upper_bound)
