@@ -12,6 +12,7 @@ import pytest
 from baselines import registry
 from baselines.contract import Instance, Limits
 from baselines.hbsp.rotation import SemidefiniteRotationBound
+from dcreg.local import objective
 from dcreg.modes import table
 from dcreg.problem import InputError
 from dcreg.search import LongestEdge
@@ -105,6 +106,17 @@ def test_hbsp_bounds_rotations_alike_with_any_threads(rng):
     np.testing.assert_array_equal(one.lower_bounds, two.lower_bounds)
     np.testing.assert_array_equal(one.values, two.values)
     assert bounds[0].n_assignments == bounds[1].n_assignments
+
+
+def test_hbsp_bounds_the_objective_about_its_translation_not_the_norms():
+    x, y = np.random.default_rng(0).normal(size=(2, 5, 3))
+    noise = Instance("i", x, y, "rigid3d", 4, (1.0, 1.0), 0.05, 0)
+    solution = registry.load("hbsp", polish=False).solve(noise, Limits(30.0, nodes=2000))
+    ends = {row["stage"]: row for row in solution.trace if row["kind"] == "end"}
+    value, _ = objective(x, y, solution.T_target_source, 4)
+    assert solution.upper_bound == pytest.approx(value)
+    assert solution.upper_bound == ends["rotation"]["upper_bound"] > ends["search"]["upper_bound"]
+    assert solution.lower_bound == ends["rotation"]["lower_bound"] != ends["search"]["lower_bound"]
 
 
 def test_hbsp_turns_with_the_threads_it_is_given(monkeypatch):
