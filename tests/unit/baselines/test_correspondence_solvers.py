@@ -22,6 +22,7 @@ from baselines.clipper.dense import dense_clique
 from baselines.contract import Instance, Limits
 from baselines.mac.enumerate import HeaviestCliques
 from baselines.sc2_pcr_pp.adapter import candidate_closeness
+from baselines.turboreg.adapter import ordered_scores
 from dcreg.local import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
@@ -233,6 +234,8 @@ def test_pairs_that_share_a_point_are_never_both_taken() -> None:
     rows = consistency_graph(points[:4], points[:4], pairs, 10.0, 1.0)
     joined = np.unpackbits(rows.view(np.uint8), axis=1, bitorder="little")[:, :4]
     np.testing.assert_array_equal(joined, [[0, 1, 1, 1], [1, 0, 0, 1], [1, 0, 0, 0], [1, 1, 0, 0]])
+    scores = ordered_scores(points[:4], points[:4], pairs, 10.0)
+    np.testing.assert_array_equal(scores, [[0, 1, 0, 1], [0, 0, 0, 1], [0] * 4, [0] * 4])
 
 
 def test_gnc_without_outliers_is_least_squares() -> None:
