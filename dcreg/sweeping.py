@@ -28,7 +28,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dcreg.bounds import RigidBound, make_bound
-from dcreg.modes import AUTO, Answer, Mode, Task, choose_mode, find_mode
+from dcreg.modes import AUTO, CHOSEN, Answer, Mode, Task, choose_mode, find_mode
 from dcreg.modes.full import pose_in, rigid_space
 from dcreg.modes.paper import TRANSLATION_SHARE, place, space_of
 from dcreg.names import DEFAULT_TIME_LIMIT_S, mode_names
@@ -47,7 +47,6 @@ from dcreg.status import Status
 from dcreg.sweep_result import SweepResult
 from dcreg.warm_up import special, warm_up_mode
 
-MODES = ("full", "paper")
 # A search may be asked for this share of its own tolerance to prove larger cardinalities as well;
 # with less, the one search costs more than those it saves.
 TIGHTEST_SHARE = 0.5
@@ -151,9 +150,9 @@ def sweep(
 def _mode(problem: Problem, name: str | None, bound: str | None) -> Mode:
     if name is None or name == AUTO:
         name = choose_mode(problem, bound)
-    if name not in MODES and name in mode_names(problem.model):
+    if name not in CHOSEN and name in mode_names(problem.model):
         raise InputError(
-            f"mode: {name!r} serves one cardinality; a sweep takes {' or '.join(MODES)}"
+            f"mode: {name!r} serves one cardinality; a sweep takes {' or '.join(CHOSEN)}"
         )
     return find_mode(problem.model, name)
 

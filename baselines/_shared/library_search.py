@@ -11,7 +11,7 @@ import dcreg
 from baselines._shared.single_boxes import bound_of_box
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
 from dcreg.bounds import DEFAULT_BOUND, bound_names, bound_parts, make_bound
-from dcreg.modes import AUTO, MODES, Answer, Mode, Task, find_mode, mode_names
+from dcreg.modes import AUTO, CHOSEN, MODES, Answer, Mode, Task, find_mode, mode_names
 from dcreg.problem import InputError, Problem, default_gap_tol, suggestion
 from dcreg.registration import result_of, task_of
 from dcreg.result import Result
@@ -85,12 +85,14 @@ class BranchAndBound(LibraryMethod):
         return super().supports(instance)
 
     def warm_up(self, instance: Instance) -> None:
-        """The kernels of the mode, or of all modes where the library chooses among them."""
-        bound, names = self.options["bound"], [self.mode or AUTO]
-        if names == [AUTO]:
-            names = mode_names(instance.model) if bound is None else ["paper"]
-        for name in names:
-            warm_up_mode(find_mode(instance.model, name), bound)
+        """The kernels of the mode, or of those that the library chooses among."""
+        bound = self.options["bound"]
+        names = set(CHOSEN if bound is None else ["paper"])
+        if self.mode not in (None, AUTO):
+            names = {self.mode}
+        for name in mode_names(instance.model):
+            if name in names:
+                warm_up_mode(find_mode(instance.model, name), bound)
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         result = dcreg.register(

@@ -1,6 +1,7 @@
 """The modes: ways from a problem to a pose, and what each of them accepts."""
 
 from dcreg.modes.table import (
+    CHOSEN,
     MODES,
     Mode,
     choose_mode,
@@ -11,6 +12,7 @@ from dcreg.names import AUTO, mode_names
 
 __all__ = [
     "AUTO",
+    "CHOSEN",
     "MODES",
     "Answer",
     "Mode",

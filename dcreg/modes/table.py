@@ -138,6 +138,10 @@ def find_mode(model: str, name: str) -> Mode:
     )
 
 
+# What `choose_mode` chooses among.
+CHOSEN = ("full", "paper")
+
+
 def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = False) -> str:
     """The mode that gives the best pose for the time.
 
