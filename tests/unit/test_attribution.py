@@ -35,6 +35,8 @@ def judged(proof: dict, **changes) -> pd.Series:
         ({"objective": 1.05}, "model_error"),
         ({"objective": 1.05, "objective_true": 1.02}, "undecided"),
         ({"objective": 0.2, "admissible": False}, "inadmissible"),
+        ({"objective": np.nan}, "not_evaluated"),
+        ({"objective": np.nan, "success": True}, "not_evaluated"),
         ({"objective": np.nan, "rmse": np.nan, "outcome": "failed"}, "no_pose"),
         ({"objective": np.nan, "rmse": np.nan, "outcome": "unavailable"}, ""),
     ],
