@@ -43,6 +43,12 @@ def test_the_grid_is_complete_and_has_no_run_twice():
     assert len({run.instance.instance_id for run in runs}) == 8
 
 
+def test_a_stage_of_one_chunk_identifies_no_run(monkeypatch):
+    """Every stage expands the plan, and some have half a million runs."""
+    monkeypatch.delattr("workflows.stages.plan.run_identity")
+    assert len(expand(experiment()).chunks) == 4
+
+
 def test_methods_share_their_instances():
     plan = expand(experiment())
     seen = {
