@@ -80,6 +80,14 @@ def test_a_config_without_a_quick_part_says_so():
         config.load("demo-quick")
 
 
+@pytest.mark.parametrize("limits", [5, None])
+def test_limits_of_a_quick_part_are_checked_like_others(write, monkeypatch, limits):
+    path = write({**GOOD, "limits": {"time_s": 1}, "quick": {"limits": limits}})
+    monkeypatch.setattr(config, "CONFIGS", Path(path).parent)
+    with pytest.raises(ConfigError, match=r"small\.yaml: limits: Input should be a valid dict"):
+        config.load("small-quick")
+
+
 def test_shared_lists_of_methods_are_read_from_beside_the_config(write):
     path = write({**GOOD, "methods": ["local", {"name": "dcreg", "baseline": "dcreg"}]})
     with pytest.raises(ConfigError, match=r"small\.yaml: methods: no list 'local' in .*methods"):
