@@ -80,9 +80,7 @@ def test_level_is_the_bin_of_the_overlap():
 
 
 def test_holes_of_the_grid_are_named():
-    with pytest.raises(
-        UnknownNameError, match=r"has no trial 289 of 3DMatch 0\.3; use a lower one"
-    ):
+    with pytest.raises(UnknownNameError, match=r"has no trial 289 of 3DMatch 0\.3; use another"):
         dataset("threedmatch").instance("7-scenes-redkitchen", "3DMatch", 0.3, 289)
 
 
