@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from workflows.attribution import COLUMNS, attribute
+from workflows.attribution import COLUMNS, attribute, tolerance
 
 RUN = {
     "instance_id": "i", "n_inliers": 10, "status": "converged", "outcome": "finished",
@@ -43,6 +43,20 @@ def judged(proof: dict, **changes) -> pd.Series:
 )
 def test_errors_are_attributed(changes, verdict):
     assert judged(PROOF, **changes)["verdict"] == verdict
+
+
+@pytest.mark.parametrize(
+    ("proof", "gap_tol", "expected"),
+    [
+        (PROOF, 0.01, 0.1),  # of the proof, although another run states less
+        (PROOF | {"certificate_scope": "translation in norm space"}, 0.01, 0.01),
+        (PROOF | {"status": "time_limit"}, 0.01, 0.01),
+        (PROOF | {"gap_tol": np.nan}, np.nan, 0.015),  # none stated: 1 % of that at the reference
+    ],
+)
+def test_the_tolerance_is_that_of_proofs_or_else_the_least_or_a_share(proof, gap_tol, expected):
+    runs = pd.DataFrame([proof, RUN | {"gap_tol": gap_tol}])
+    np.testing.assert_allclose(tolerance(runs), expected, rtol=1e-6)
 
 
 def test_another_runs_certificate_bounds_the_regret():

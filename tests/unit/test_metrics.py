@@ -182,6 +182,24 @@ def test_a_run_without_pose_has_no_metrics_and_no_success(rng):
     assert row["objective_true"] == pytest.approx(0, abs=1e-12)  # known without any pose
 
 
+def test_a_run_is_judged_by_the_marks_and_the_told_range(rng):
+    source = rng.random((8, 2))
+    problem = Problem(
+        instance_id="i", source=source, target=source, model="similarity2d",
+        scale_range=(0.5, 0.9), n_inliers_prior=8, noise_bound=0.1,
+    )  # fmt: skip
+    run = {
+        "run_id": "r", "instance_id": "i", "n_inliers": 8, "lower_bound": np.nan,
+        "T_target_source": json.dumps(np.eye(3).tolist()),
+    }  # fmt: skip
+    rows = np.column_stack([np.arange(8)] * 2)
+    marks = np.hstack([source, source + np.array([0.3, 0.4])])
+    row = judge(run, problem, Truth("i", np.eye(3), rows, marks), "embedded")
+    assert row["rmse"] == pytest.approx(0.5)
+    assert row["admissible"] is False
+    assert judge(run, problem, Truth("i", np.eye(3), rows), "embedded")["rmse"] == 0.0
+
+
 def test_regret_is_against_every_known_pose_of_the_same_prior():
     table = pd.DataFrame(
         {

@@ -10,7 +10,7 @@ import pytest
 
 from workflows import CHECKOUT
 from workflows.config import ConfigError, Experiment, load, parse_selection
-from workflows.stages.plan import expand
+from workflows.stages.plan import MAX_NAME, expand
 from workflows.summary import outlook_of
 
 
@@ -155,6 +155,15 @@ def test_a_part_has_a_folder_of_its_own():
     assert view() == "."
     assert view("methods=half,dcreg", "levels=0.01") == "parts/methods-dcreg+half_levels-0.01"
     assert view("methods=dcreg,half", "levels=0.01") == view("methods=half,dcreg", "levels=0.01")
+
+
+def test_parts_with_long_names_have_different_folders():
+    grid = {"dataset": "embedded", "shapes": ["fish"], "tests": {"noise": [0.0]}, "trials": 100}
+    many = experiment(datasets=[grid])
+    trials = [",".join(map(str, range(start, 99))) for start in (0, 1)]
+    names = [expand(many, parse_selection([f"trials={each}"])).view.name for each in trials]
+    assert len(set(names)) == 2
+    assert max(map(len, names)) <= MAX_NAME
 
 
 def test_expected_times_are_medians_of_the_quick_part_with_limited_runs_at_the_limit(tmp_path):
