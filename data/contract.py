@@ -287,5 +287,5 @@ class RecordedDataset(Dataset):
         self._known(f"trial of test {test}", trial, range(axis.n_trials))
         if not self.has(shape, test, level, trial):
             raise UnknownNameError(
-                f"dataset {self.name}: {shape} has no trial {trial} of {test} {level:g}; use a lower one"
+                f"dataset {self.name}: {shape} has no trial {trial} of {test} {level:g}; use another"
             )

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from data.contract import Axis, Card, DataError, RawInstance, RecordedDataset
 from data.sampling import farthest_points, mutual_nearest, transform
 from dcreg.io import read_points
-from dcreg.problem import InputError
+from dcreg.problem import InputError, scale_of
 
 MAX_POINTS = 200  # of a cloud, by default
 SCALE_RANGE_2D = (0.5, 1.5)  # the default
@@ -118,7 +118,7 @@ class CloudPairs(RecordedDataset):
                 f"{'0 ' * d}1, but has shape {T.shape}; correct it"
             )
         linear = T[:d, :d]
-        scale = abs(np.linalg.det(linear)) ** (1 / d)
+        scale = scale_of(T)
         low, high = (1.0, 1.0) if d == 3 else self._scale_range()
         if not np.allclose(
             linear @ linear.T, scale**2 * np.eye(d), atol=RIGID * max(1.0, scale**2)

@@ -101,7 +101,7 @@ def run(
         )
         return
     print(
-        f"plan      {name}: {len(list(plan.runs()))} runs of "
+        f"plan      {name}: {sum(len(chunk.instances) for _, chunk in plan.jobs())} runs of "
         f"{sum(len(chunk.instances) for chunk in plan.chunks)} instances "
         f"and {len(plan.methods)} methods",
         flush=True,

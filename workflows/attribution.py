@@ -29,6 +29,7 @@ VERDICTS = {
         "wrong pose, objective within the tolerance of the best known but above E(reference)",
     ),
     "inadmissible": ("inadmissible", "wrong pose, outside the told range of scales"),
+    "not_evaluated": ("not evaluated", "a pose of clouds too large for the objective"),
     "no_pose": ("no pose", "the run was started and gave no pose"),
 }
 
@@ -87,13 +88,13 @@ def verdicts(runs: pd.DataFrame) -> pd.Series:
     The best known objective is an upper bound on the optimum: a value above it by more than the
     tolerance proves an error of the search, whether the optimum is certified or not.
     """
-    posed = runs["objective"].notna() & runs["rmse"].notna()
     success, admissible = runs["success"].astype(bool), runs["admissible"].astype(bool)
     behind = runs["objective"] - runs["objective_best"] > tolerance(runs)
     preferred = runs["objective"] <= runs["objective_true"]
     conditions = {
         "": runs["outcome"].isin(("unsupported", "unavailable")),
-        "no_pose": ~posed,
+        "no_pose": runs["rmse"].isna(),
+        "not_evaluated": runs["objective"].isna(),
         "right_not_optimal": success & behind,
         "right": success,
         "inadmissible": ~admissible,

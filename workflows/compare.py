@@ -197,9 +197,7 @@ def judge_method(
     yield verdict("wrong bounds", "runs", "lower", *_wrong_bounds(pairs))
     if pairs[["gap_base", "gap_head"]].notna().any(axis=None):
         yield verdict("certified", "runs", "higher", *_certified(pairs))
-
-    old, new, word, why = _success(pairs)
-    yield verdict("success", "runs", "higher", old, new, word, why)
+    yield verdict("success", "runs", "higher", *_success(pairs))
 
     clocked = pairs[["status_base", "status_head"]].isin(["time_limit", "memory_limit"]).any(axis=1)
     steady = pairs[~clocked]

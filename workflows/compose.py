@@ -37,9 +37,11 @@ def read(path: Path, quick: bool = False) -> dict[str, Any]:
     if quick:
         if not isinstance(instead, dict):
             raise ConfigError(f"{shown(path)}: has no quick part; add the key quick, a mapping")
-        limits = {**content.get("limits", {}), **instead.get("limits", {})}
+        whole, part = content.get("limits"), instead.get("limits")
+        if isinstance(whole, dict) and isinstance(part, dict):
+            instead["limits"] = {**whole, **part}
         name, title = f"{content.get('name')}{QUICK}", f"{content.get('title', '')}, quick part"
-        content = {**content, **instead, "limits": limits, "name": name, "title": title}
+        content = {**content, **instead, "name": name, "title": title}
     if isinstance(content.get("methods"), list):
         content["methods"] = [
             method for entry in content["methods"] for method in _methods(entry, path)

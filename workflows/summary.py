@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from rich.table import Table
 from dcreg.status import Status
 from workflows import methods, records
 from workflows.compose import QUICK, ConfigError
-from workflows.config import MethodSettings, load
+from workflows.config import Experiment, MethodSettings, load
 from workflows.metrics import METRICS
 from workflows.stages.plan import Plan, PlannedRun, expand
 from workflows.stages.solve import journalled
@@ -69,9 +69,8 @@ def print_summary(folder: Path, console: Console | None = None) -> None:
             console.print(f"{outcome}: {name} ({len(group)} runs): {message}", markup=False)
     report = folder / "report" / "index.html"
     if folder.parent.name == "parts":
-        console.print(f"a part; all of the experiment is in {os.path.relpath(folder.parents[1])}")
-    shown = os.path.relpath(report)
-    console.print(f"report: {shown}" if report.is_file() else f"no report yet at {shown}")
+        _print_path("a part; all of the experiment is in", folder.parents[1], console)
+    _print_path("report:" if report.is_file() else "no report yet at", report, console)
 
 
 def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = None) -> None:
@@ -97,7 +96,12 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
         f"finished; the others take {at_most}about {_duration(seconds / cores)} on {cores} cores, "
         "start and compilation of methods aside"
     )
-    console.print(f"report: {os.path.relpath(folder / plan.view / 'report' / 'index.html')}")
+    _print_path("report:", folder / plan.view / "report" / "index.html", console)
+
+
+def _print_path(words: str, path: Path, console: Console) -> None:
+    """On one line of whatever length, so that it can be copied."""
+    console.print(f"{words} {os.path.relpath(path)}", soft_wrap=True, markup=False)
 
 
 @dataclass(frozen=True)
@@ -120,14 +124,16 @@ class Outlook:
 
 def outlook_of(plan: Plan, folder: Path) -> list[Outlook]:
     """What is to be expected of each method and model of a plan, given the runs in `folder`."""
+    planned = list(plan.runs())
     rows: dict[tuple[str, str], list[PlannedRun]] = {}
-    for run in plan.runs():
+    for run in planned:
         rows.setdefault((run.method.name, run.chunk.model), []).append(run)
-    kept = {name: _kept(folder, name) for name, _ in rows}
-    measured = _times(plan, folder)
+    kept = _kept(plan, folder)
+    measured = _times(planned, kept, plan.experiment)
     for quick in _quick_part(plan):
-        for key, times in _times(quick, folder.with_name(quick.experiment.name), plan).items():
-            measured.setdefault(key, times)
+        rows_of_quick = _kept(quick, folder.with_name(quick.experiment.name))
+        of_quick = _times(quick.runs(), rows_of_quick, plan.experiment)
+        measured = {**of_quick, **measured}
     outlook = []
     for (name, model), runs in rows.items():
         method = runs[0].method
@@ -135,7 +141,7 @@ def outlook_of(plan: Plan, folder: Path) -> list[Outlook]:
         runs_here = _runs_here(method)
         finished, seconds, known = 0, 0.0, True
         for run in runs:
-            if kept[name].get(run.run_id, {}).get("fingerprint") == fingerprint:
+            if kept.get(run.run_id, {}).get("fingerprint") == fingerprint:
                 finished += 1
                 continue
             if not runs_here:  # it only says so
@@ -155,23 +161,26 @@ def _runs_here(method: MethodSettings) -> bool:
         return False
 
 
-def _kept(folder: Path, method: str) -> dict[str, dict[str, Any]]:
-    """Finished runs of a method by their run_id."""
-    return {row["run_id"]: row for row in journalled(folder / "runs" / method).values()}
+def _kept(plan: Plan, folder: Path) -> dict[str, dict[str, Any]]:
+    """Finished runs of the plan's methods by their run_id."""
+    return {
+        row["run_id"]: row
+        for method in plan.methods
+        for row in journalled(folder / "runs" / method.name).values()
+    }
 
 
 def _times(
-    plan: Plan, folder: Path, under: Plan | None = None
+    runs: Iterable[PlannedRun], kept: dict[str, dict[str, Any]], experiment: Experiment
 ) -> dict[tuple[str, str, str], list[float]]:
-    """Seconds of finished runs per method, model and test, as if under the limits of another plan."""
-    kept = {method.name: _kept(folder, method.name) for method in plan.methods}
+    """Seconds of finished runs per method, model and test, as if under the limits of an experiment."""
     times: dict[tuple[str, str, str], list[float]] = {}
-    for run in plan.runs():
-        row = kept[run.method.name].get(run.run_id, {})
+    for run in runs:
+        row = kept.get(run.run_id, {})
         if (time := row.get("time_solve_s")) is None:
             continue
         if row["status"] == Status.TIME_LIMIT:
-            time = (under or plan).experiment.limits_of(run.method).time_s
+            time = experiment.limits_of(run.method).time_s
         key = run.method.name, run.chunk.model, run.instance.test
         times.setdefault(key, []).append(time)
     return times

@@ -31,20 +31,14 @@ class Loader(RecordedDataset):
         axis = Axis(LEVELS, LEVELS, "photograph", 1)
         return {"canny": axis, "marked": axis}
 
+    def has(self, shape: str, test: str, level: float, trial: int) -> bool:
+        """Of one photograph there are marks only."""
+        known = {file.path for file in self.card.files}
+        return known.issuperset(self._paths(shape, test, level))
+
     def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
         """The marks, the first photograph, and for edges the other one."""
-        first, other = self._numbers(shape, level)
-        names = [f"data_{shape}_match.mat", f"{first}.jpg"]
-        if test == "canny":
-            names.append(f"{other}.jpg")
-        known = {file.path for file in self.card.files}
-        paths = [f"images/lian-apm/{shape}/{name}" for name in names]
-        if missing := [path for path in paths if path not in known]:
-            raise DataError(
-                f"dataset {self.name}: there is no photograph {missing[0]}; leave out {test} "
-                f"{level:g} of {shape}"
-            )
-        return [fetch(self.card.file(path)) for path in paths]
+        return [fetch(self.card.file(path)) for path in self._paths(shape, test, level)]
 
     def load(
         self, shape: str, test: str, level: float, trial: int, n_points: int | None
@@ -68,6 +62,13 @@ class Loader(RecordedDataset):
             source, target, pairs, T_true, scale_range,
             n_inliers=told_pairs(source, target), marks=marked,
         )  # fmt: skip
+
+    def _paths(self, shape: str, test: str, level: float) -> list[str]:
+        first, other = self._numbers(shape, level)
+        names = [f"data_{shape}_match.mat", f"{first}.jpg"]
+        if test == "canny":
+            names.append(f"{other}.jpg")
+        return [f"images/lian-apm/{shape}/{name}" for name in names]
 
     def _numbers(self, shape: str, level: float) -> tuple[int, int]:
         entry = self.card.parameters["shapes"][shape]

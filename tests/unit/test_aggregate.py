@@ -1,6 +1,7 @@
 """How the lines of figures and tables are called, and the commands that repeat them."""
 
 import json
+import os
 import shlex
 
 import pytest
@@ -35,7 +36,7 @@ def test_no_label_hides_a_reconstruction(settings, expected):
 
 
 def test_the_commands_of_a_config_given_by_path_work(tmp_path):
-    path = tmp_path / "a folder" / "mine.yaml"
+    path = tmp_path / "a folder whose name is longer than a line of the table" / "mine.yaml"
     path.parent.mkdir()
     path.write_text(CONFIG)
     selection = parse_selection(["tests=noise", "levels=0.01"])
@@ -46,9 +47,8 @@ def test_the_commands_of_a_config_given_by_path_work(tmp_path):
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["status"] == "converged"
     words = shlex.split(run_command(plan))
-    done = CliRunner().invoke(app, [*words[3:], "--dry-run", "--directory", str(tmp_path)])
+    done = CliRunner().invoke(app, [*words[3:], "--dry-run", "--directory", str(path.parent)])
     assert done.exit_code == 0, done.output
     assert "1 runs, 0 of them finished" in done.output
-    assert "parts/tests-noise_levels-0.01/report" in "".join(
-        done.output.split()
-    )  # long paths are wrapped
+    report = path.parent / "results/mine/parts/tests-noise_levels-0.01/report/index.html"
+    assert f"report: {os.path.relpath(report)}\n" in done.output

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from workflows.attribution import COLUMNS, attribute
+from workflows.attribution import COLUMNS, attribute, tolerance
 
 RUN = {
     "instance_id": "i", "n_inliers": 10, "status": "converged", "outcome": "finished",
@@ -35,12 +35,28 @@ def judged(proof: dict, **changes) -> pd.Series:
         ({"objective": 1.05}, "model_error"),
         ({"objective": 1.05, "objective_true": 1.02}, "undecided"),
         ({"objective": 0.2, "admissible": False}, "inadmissible"),
+        ({"objective": np.nan}, "not_evaluated"),
+        ({"objective": np.nan, "success": True}, "not_evaluated"),
         ({"objective": np.nan, "rmse": np.nan, "outcome": "failed"}, "no_pose"),
         ({"objective": np.nan, "rmse": np.nan, "outcome": "unavailable"}, ""),
     ],
 )
 def test_errors_are_attributed(changes, verdict):
     assert judged(PROOF, **changes)["verdict"] == verdict
+
+
+@pytest.mark.parametrize(
+    ("proof", "gap_tol", "expected"),
+    [
+        (PROOF, 0.01, 0.1),  # of the proof, although another run states less
+        (PROOF | {"certificate_scope": "translation in norm space"}, 0.01, 0.01),
+        (PROOF | {"status": "time_limit"}, 0.01, 0.01),
+        (PROOF | {"gap_tol": np.nan}, np.nan, 0.015),  # none stated: 1 % of that at the reference
+    ],
+)
+def test_the_tolerance_is_that_of_proofs_or_else_the_least_or_a_share(proof, gap_tol, expected):
+    runs = pd.DataFrame([proof, RUN | {"gap_tol": gap_tol}])
+    np.testing.assert_allclose(tolerance(runs), expected, rtol=1e-6)
 
 
 def test_another_runs_certificate_bounds_the_regret():

@@ -80,6 +80,14 @@ def test_a_config_without_a_quick_part_says_so():
         config.load("demo-quick")
 
 
+@pytest.mark.parametrize("limits", [5, None])
+def test_limits_of_a_quick_part_are_checked_like_others(write, monkeypatch, limits):
+    path = write({**GOOD, "limits": {"time_s": 1}, "quick": {"limits": limits}})
+    monkeypatch.setattr(config, "CONFIGS", Path(path).parent)
+    with pytest.raises(ConfigError, match=r"small\.yaml: limits: Input should be a valid dict"):
+        config.load("small-quick")
+
+
 def test_shared_lists_of_methods_are_read_from_beside_the_config(write):
     path = write({**GOOD, "methods": ["local", {"name": "dcreg", "baseline": "dcreg"}]})
     with pytest.raises(ConfigError, match=r"small\.yaml: methods: no list 'local' in .*methods"):
@@ -100,6 +108,11 @@ def test_settings_are_varied_one_at_a_time_for_the_methods_that_take_them(write)
         {"name": "icp", "baseline": "icp"},
         {"name": "mac", "baseline": "mac"},
         {"name": "told", "baseline": "icp", "n_inliers_ratio": 1.0},
+        {
+            "name": "tuned",
+            "baseline": "mac",
+            "options": {"front_end": "oracle", "noise_factor": 3.0},
+        },
     ]
     vary = {"front_end": ["oracle"], "n_inliers_ratio": [0.5, 1], "noise_factor": [2]}
     varied = config.load(write({**GOOD, "methods": listed, "vary": vary})).methods
@@ -109,6 +122,7 @@ def test_settings_are_varied_one_at_a_time_for_the_methods_that_take_them(write)
         ("mac-oracle", 1.0, {"front_end": "oracle"}),
         ("mac-noise_factor2", 1.0, {"noise_factor": 2.0}),
         ("told", 1.0, {}),
+        ("tuned", 1.0, {"front_end": "oracle", "noise_factor": 3.0}),
     ]
     assert [m.label for m in varied[2:4]] == ["MAC (oracle)", "MAC (noise_factor × 2)"]
 

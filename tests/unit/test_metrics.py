@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from data.sampling import reference_pose
 from workflows.instances import Problem, Truth
-from workflows.metrics import METRICS, Case, rmse, rmse_excess, rmse_floor, rotation_error_deg
+from workflows.metrics import METRICS, Case, rmse, rmse_excess, rotation_error_deg
 from workflows.stages.evaluate import judge, relate
 
 
@@ -105,7 +105,7 @@ def test_the_floor_is_below_every_pose(rng):
         T_true, T_true, judged.source, judged.target + 0.05 * rng.standard_normal((11, 3)),
         judged.pairs, 8, (1.0, 1.0), "embedded",
     )  # fmt: skip
-    assert 0 < rmse_floor(noisy) <= rmse(noisy)
+    assert 0 < noisy.rmse_floor <= rmse(noisy)
 
 
 def warped(rng, T_found: np.ndarray, dataset: str = "embedded") -> Case:
@@ -119,7 +119,7 @@ def warped(rng, T_found: np.ndarray, dataset: str = "embedded") -> Case:
 
 def test_success_does_not_punish_the_deformation_itself(rng):
     at_best = warped(rng, np.eye(3))
-    assert rmse(at_best) == pytest.approx(rmse_floor(at_best))
+    assert rmse(at_best) == pytest.approx(at_best.rmse_floor)
     assert rmse(at_best) > 0.1
     assert rmse_excess(at_best) == pytest.approx(0, abs=1e-7)
     assert METRICS["success"].compute(at_best)
@@ -152,7 +152,8 @@ def test_the_floor_in_space_is_that_of_rigid_poses_in_the_plane_of_similarities(
     def floor(dim, linear):
         points, pairs = rng.random((6, dim)), np.column_stack([np.arange(6), np.arange(6)])
         T, scales = np.eye(dim + 1), (1.0, 1.0) if dim == 3 else (0.5, 1.5)
-        return rmse_floor(Case(T, T, points, points @ linear.T + 3.0, pairs, 6, scales, "embedded"))
+        judged = Case(T, T, points, points @ linear.T + 3.0, pairs, 6, scales, "embedded")
+        return judged.rmse_floor
 
     turn = Rotation.random(rng=rng).as_matrix()
     assert floor(3, turn) < 1e-12
@@ -179,6 +180,24 @@ def test_a_run_without_pose_has_no_metrics_and_no_success(rng):
     assert row["noise_bound"] == 0.1
     assert json.loads(row["T_reference"]) == np.eye(3).tolist()
     assert row["objective_true"] == pytest.approx(0, abs=1e-12)  # known without any pose
+
+
+def test_a_run_is_judged_by_the_marks_and_the_told_range(rng):
+    source = rng.random((8, 2))
+    problem = Problem(
+        instance_id="i", source=source, target=source, model="similarity2d",
+        scale_range=(0.5, 0.9), n_inliers_prior=8, noise_bound=0.1,
+    )  # fmt: skip
+    run = {
+        "run_id": "r", "instance_id": "i", "n_inliers": 8, "lower_bound": np.nan,
+        "T_target_source": json.dumps(np.eye(3).tolist()),
+    }  # fmt: skip
+    rows = np.column_stack([np.arange(8)] * 2)
+    marks = np.hstack([source, source + np.array([0.3, 0.4])])
+    row = judge(run, problem, Truth("i", np.eye(3), rows, marks), "embedded")
+    assert row["rmse"] == pytest.approx(0.5)
+    assert row["admissible"] is False
+    assert judge(run, problem, Truth("i", np.eye(3), rows), "embedded")["rmse"] == 0.0
 
 
 def test_regret_is_against_every_known_pose_of_the_same_prior():

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from data import registry
 from data.contract import Card, DataError
 from data.loaders import STOCK
 from data.registry import read_card
-from data.sampling import transform
+from data.sampling import farthest_points, transform
 from workflows.disturb import make_instance
+from workflows.stages.generate import sources_digest
 
 CARD = "name: mine\ndim: {dim}\nloader: pairs\nparameters: {{folder: {folder}, tolerance: 0.01}}\n"
 
@@ -64,14 +66,21 @@ def test_a_folder_of_pairs_becomes_instances_with_their_truth(mine, dim):
         assert made.scale_range == ((0.5, 1.5) if dim == 2 else (1.0, 1.0))
 
 
-def test_large_clouds_are_thinned(mine):
+def test_large_clouds_are_thinned_to_points_far_apart(mine, folder):
     made = make_instance(mine, "first", "pair", 0.0, 0, 25)
     assert len(made.source) == 25
+    points = np.loadtxt(folder / "first" / "source.txt")
+    np.testing.assert_array_equal(made.source, points[farthest_points(points, 25)])
 
 
-def test_an_edited_cloud_is_noticed(mine, folder):
-    assert folder / "first" / "source.txt" in mine.local_files()
+def test_an_edited_cloud_is_noticed(mine, folder, monkeypatch):
+    monkeypatch.setattr(registry, "dataset", lambda name: mine)
+    before = sources_digest(["mine"])
     assert len(mine.local_files()) == 6
+    assert sources_digest(["mine"]) == before
+    with (folder / "first" / "source.txt").open("a") as cloud:
+        cloud.write("\n")
+    assert sources_digest(["mine"]) != before
 
 
 SPOILT = {
@@ -98,6 +107,12 @@ def test_what_is_wrong_with_a_pair_is_said_with_file_and_remedy(mine, folder, sp
         make_instance(mine, "first", "pair", 0.0, 0)
     assert "first" in str(error.value)
     assert expected in str(error.value)
+
+
+def test_clouds_of_another_dimension_are_refused(mine, folder, dim):
+    np.savetxt(folder / "first/target.txt", np.random.default_rng(0).random((9, 5 - dim)))
+    with pytest.raises(DataError, match=f"have {5 - dim} coordinates, but dim is {dim} in"):
+        make_instance(mine, "first", "pair", 0.0, 0)
 
 
 @pytest.mark.parametrize(

@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 from skimage import draw, io
 
-from data.contract import DataError
+from data.contract import DataError, UnknownNameError
 from data.fetch import UnavailableError
 from data.photographs import edge_points, half_turn
 from data.registry import dataset
 from data.sampling import transform
+from workflows.config import load
 from workflows.disturb import make_instance
 from workflows.instances import Truth, read_truths, write_truths
 from workflows.metrics import METRICS, Case
 from workflows.stages.generate import problem_of, truth_of
-from workflows.stages.plan import InstanceSpec
+from workflows.stages.plan import InstanceSpec, expand
 
 MIRROR = os.environ.get("DCREG_DATA_MIRROR", "")
 needs_mirror = pytest.mark.skipif(
@@ -160,6 +161,9 @@ def test_edges_are_told_nine_tenths_and_judged_by_the_marks(tmp_path):
     assert rmse(np.eye(3)) > 5 * rmse(raw.T_true)
 
 
-def test_a_photograph_that_is_not_there_is_named():
-    with pytest.raises(DataError, match=r"no photograph .*eiffel/20\.jpg; leave out canny 5"):
+def test_a_photograph_that_is_not_there_is_not_planned():
+    planned = [spec for chunk in expand(load("paper2d_images")).chunks for spec in chunk.instances]
+    assert len(planned) == 4 * 2 * 5 - 1
+    assert ("eiffel", "marked", 5.0) in [(spec.shape, spec.test, spec.level) for spec in planned]
+    with pytest.raises(UnknownNameError, match=r"eiffel has no trial 0 of canny 5; use another"):
         make_instance(dataset("lian_images"), "eiffel", "canny", 5.0, 0)

@@ -10,7 +10,7 @@ import pytest
 
 from workflows import CHECKOUT
 from workflows.config import ConfigError, Experiment, load, parse_selection
-from workflows.stages.plan import expand
+from workflows.stages.plan import MAX_NAME, expand
 from workflows.summary import outlook_of
 
 
@@ -41,6 +41,12 @@ def test_the_grid_is_complete_and_has_no_run_twice():
     assert len(runs) == 8 + 8 + 4  # the last method is asked to treat 2D only
     assert len({run.run_id for run in runs}) == len(runs)
     assert len({run.instance.instance_id for run in runs}) == 8
+
+
+def test_a_stage_of_one_chunk_identifies_no_run(monkeypatch):
+    """Every stage expands the plan, and some have half a million runs."""
+    monkeypatch.delattr("workflows.stages.plan.run_identity")
+    assert len(expand(experiment()).chunks) == 4
 
 
 def test_methods_share_their_instances():
@@ -149,6 +155,15 @@ def test_a_part_has_a_folder_of_its_own():
     assert view() == "."
     assert view("methods=half,dcreg", "levels=0.01") == "parts/methods-dcreg+half_levels-0.01"
     assert view("methods=dcreg,half", "levels=0.01") == view("methods=half,dcreg", "levels=0.01")
+
+
+def test_parts_with_long_names_have_different_folders():
+    grid = {"dataset": "embedded", "shapes": ["fish"], "tests": {"noise": [0.0]}, "trials": 100}
+    many = experiment(datasets=[grid])
+    trials = [",".join(map(str, range(start, 99))) for start in (0, 1)]
+    names = [expand(many, parse_selection([f"trials={each}"])).view.name for each in trials]
+    assert len(set(names)) == 2
+    assert max(map(len, names)) <= MAX_NAME
 
 
 def test_expected_times_are_medians_of_the_quick_part_with_limited_runs_at_the_limit(tmp_path):

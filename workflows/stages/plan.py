@@ -91,6 +91,7 @@ class Plan:
                 yield method, chunk
 
     def runs(self) -> Iterator[PlannedRun]:
+        """All of them; a hash each, so seconds for an experiment of the paper."""
         for method, chunk in self.jobs():
             for instance in chunk.instances:
                 run_id = run_identity(self.experiment, method, instance.instance_id)
@@ -151,13 +152,11 @@ def expand(experiment: Experiment, selection: Selection | None = None, config: s
     )
     chunks = tuple(_chunks(chosen, experiment.chunk_size))
     plan = Plan(config or experiment.name, experiment, selection, chunks, chosen_methods)
-    run_ids = [run.run_id for run in plan.runs()]
-    if not run_ids:
+    if next(plan.jobs(), None) is None:
         raise ConfigError(
             f"experiment {experiment.name}: the selection leaves no run; "
             "select a method and tests of the same model"
         )
-    assert len(set(run_ids)) == len(run_ids)
     return plan
 
 
@@ -176,6 +175,7 @@ def plan_table(plan: Plan) -> pd.DataFrame:
         }
         for run in plan.runs()
     ]
+    assert len({row["run_id"] for row in rows}) == len(rows)
     return records.frame(rows, records.PLAN)
 
 
