@@ -80,7 +80,8 @@ def sources_digest(datasets: list[str]) -> str:
     shared = [
         *("baselines/contract.py", "data/contract.py", "data/loaders.py", "data/pairs.py"),
         "data/photographs.py",
-        *("data/sampling.py", "data/scans.py", "dcreg/local/fit.py"),
+        *("data/sampling.py", "data/scans.py"),
+        *("dcreg/io", "dcreg/local/fit.py", "dcreg/problem/pose.py"),
         "baselines/_shared/front_ends.py",
         *("workflows/disturb.py", "workflows/instances.py", "workflows/stages/generate.py"),
     ]
