@@ -351,6 +351,8 @@ def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick
     found = Evidence.of_folders([tmp_path])
     assert set(found.experiments) == {"paper2d", "other"}
     assert found.experiments["paper2d"].tables.experiment == "paper2d"
+    named = Evidence.of_folders([tmp_path / "paper2d-quick", tmp_path / "paper2d"])
+    assert named.experiments["paper2d"].tables.experiment == "paper2d"
     out = tmp_path / "out"
     answer = CliRunner().invoke(claims_app(), [str(tmp_path), "--out", str(out)])
     assert answer.exit_code == 0, answer.output
