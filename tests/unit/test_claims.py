@@ -221,6 +221,14 @@ def test_one_part_against_refutes_and_is_the_evidence():
     assert found.reason == "of 3 comparisons 2 as claimed, 1 against"
 
 
+def test_one_wrong_certificate_refutes_that_there_are_none():
+    (claim,) = (claim for claim in ledger().claims if claim.id == "eps-min")
+    right = [runs_of(name) for name in ("ours", "half", "bound")]
+    assert judge_claim(ledger(), claim, evidence(*right)).verdict == REPRODUCED
+    right[0].loc[7, "bound_violation"] = 0.1
+    assert judge_claim(ledger(), claim, evidence(*right)).verdict == NOT
+
+
 def test_a_verdict_that_rests_on_a_reconstruction_says_so():
     both = evidence(runs_of("ours"), runs_of("rival", rmse_excess=0.1))
     assert judged(both, RATIO).reconstruction == "RPM-HTB"
