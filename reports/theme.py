@@ -32,7 +32,7 @@ _MARKERS: dict[str, tuple[str, int, float, float]] = {
     "<": ("triangle-left", 3, 0.75, 1.0),
     ">": ("triangle-right", 3, 0.25, 1.0),
     "D": ("diamond", 4, 0.0, 1.0),
-    "d": ("diamond-tall", 4, 0.0, 0.55),
+    "d": ("diamond-tall", 2, 0.0, 0.55),
     "P": ("cross", 4, 0.0, 0.3),
     "X": ("x", 4, 0.125, 0.3),
     "*": ("star", 5, 0.0, 0.4),
@@ -80,10 +80,6 @@ class Style:
     @property
     def symbol(self) -> str:
         return _MARKERS[self.marker][0]
-
-    @property
-    def mpl_line(self) -> Any:
-        return (0, DASHES[self.dash]) if DASHES[self.dash] else "-"
 
     @property
     def strokes(self) -> str:
