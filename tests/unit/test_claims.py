@@ -219,10 +219,11 @@ def test_spread_is_set_against_that_of_rivals():
 
 def test_levels_that_share_no_trials_are_compared_as_they_are():
     alone = runs_of("ours", rmse_excess=lambda level, draw: 0.1 + level)
-    alone["shape"] = alone["instance_id"]
     check = {**SLOPE, "rivals": []}
-    assert figures(check, alone) == []
+    assert figures(check, alone) == [(pytest.approx(1.0), TRIALS)]
     assert figures({**check, "paired_levels": False}, alone) == [(pytest.approx(1.0), 90)]
+    alone["shape"] = alone["instance_id"]
+    assert figures(check, alone) == []
 
 
 def test_race_ends_at_the_gap_that_both_reached():
