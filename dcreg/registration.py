@@ -113,8 +113,9 @@ def register(
         Mode ``paper`` only; in 3D it certifies the translation.
     downsample : int, optional
         Search with this many points of each cloud at most, farthest points, and refine the pose on all.
-        A counted `n_inliers` speaks of all points and is scaled down with them. Default: 1,000 for
-        clouds in space of more than 4,000,000 pairs that match in part, where no mode is asked for.
+        A counted `n_inliers` speaks of all points and is scaled down with them. Default: 1,000 for clouds
+        in space of more than 4,000,000 pairs that match in part, where no mode, bound, certificate or
+        candidates are given; all points elsewhere.
     listener : callable, optional
         Called with every `dcreg.Event`, and at least every half second, then from another thread;
         returning True stops (status ``stopped``).

@@ -7,7 +7,6 @@ writes ``claims.csv`` and ``index.html`` to ``results/claims``. Claims whose tab
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
@@ -17,8 +16,7 @@ from rich.table import Table
 
 from reports import templating
 from reports.ledger.evidence import Evidence
-from reports.ledger.intervals import VERDICTS
-from reports.ledger.judging import Judgement, Ledger, as_table, judge, ledger
+from reports.ledger.judging import Judgement, Ledger, as_table, count, judge, ledger
 from reports.tables import ReportError
 from workflows.records import SchemaError
 
@@ -43,12 +41,6 @@ def write(book: Ledger, judgements: list[Judgement], evidence: Evidence, out: Pa
         encoding="utf-8",
     )
     return page
-
-
-def count(judgements: list[Judgement]) -> list[tuple[str, int]]:
-    """How many claims have each verdict."""
-    counts = Counter(judgement.verdict for judgement in judgements)
-    return [(verdict, counts[verdict]) for verdict in VERDICTS]
 
 
 def _print(judgements: list[Judgement]) -> None:

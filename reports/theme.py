@@ -32,7 +32,7 @@ _MARKERS: dict[str, tuple[str, int, float, float]] = {
     "<": ("triangle-left", 3, 0.75, 1.0),
     ">": ("triangle-right", 3, 0.25, 1.0),
     "D": ("diamond", 4, 0.0, 1.0),
-    "d": ("diamond-tall", 4, 0.0, 0.55),
+    "d": ("diamond-tall", 2, 0.0, 0.55),
     "P": ("cross", 4, 0.0, 0.3),
     "X": ("x", 4, 0.125, 0.3),
     "*": ("star", 5, 0.0, 0.4),
@@ -57,9 +57,10 @@ _SHADES = (("#000000", 0.0), ("#000000", 0.3), ("#ffffff", 0.3))
 _VARIANTS = {
     "half": 1, "tuned": 1, "exact": 1, "100": 1, "mutual": 1,
     "paper": 2, "oracle": 2, "200": 2,
-    "full": 3, "nearest": 3, "tight": 4, "multi": 4, "all": 4, "auto": 5, "fpfh": 5,
-    "several": 5, "norm": 6,
+    "full": 3, "nearest": 3, "tight": 4, "all": 4, "auto": 5, "fpfh": 5,
+    "several": 5, "multi": 6, "norm": 6,
 }  # fmt: skip
+_LOOKS = len(DASHES) * len(_SHADES)
 
 MISSING = "–"
 
@@ -79,10 +80,6 @@ class Style:
     @property
     def symbol(self) -> str:
         return _MARKERS[self.marker][0]
-
-    @property
-    def mpl_line(self) -> Any:
-        return (0, DASHES[self.dash]) if DASHES[self.dash] else "-"
 
     @property
     def strokes(self) -> str:
@@ -110,11 +107,11 @@ def method_styles(tables: Tables) -> dict[str, Style]:
     for index, label in enumerate(tables.methods):
         card = tables.cards.get(label, {})
         color = str(card.get("color") or FALLBACK_COLORS[index % len(FALLBACK_COLORS)])
-        look = _look(label, card)
-        while (color, look) in used:
-            look += 1
+        wanted = _look(label, card)
+        looks = [(wanted + step) % _LOOKS for step in range(_LOOKS)]
+        look = next((look for look in looks if (color, look) not in used), looks[0])
         used.add((color, look))
-        shade = mix(color, *_SHADES[look // len(DASHES) % len(_SHADES)])
+        shade = mix(color, *_SHADES[look // len(DASHES)])
         marker = str(card.get("marker", "o"))
         shared = list(names.values()).count(names[label]) > 1
         styles[label] = Style(

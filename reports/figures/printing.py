@@ -130,13 +130,17 @@ def _draw(axis: Any, trace: dict[str, Any], styles: Mapping[str, Style]) -> None
         axis.fill(x, y, color=color, alpha=0.13, linewidth=0)
         return
     if "lines" in trace["mode"]:
-        stroke = DASHES[trace["line"].get("dash", "solid")]
         axis.plot(
-            x, y, color=color, linestyle=(0, stroke) if stroke else "-", linewidth=1.2,
+            x, y, color=color, linestyle=_line(trace["line"].get("dash", "solid")), linewidth=1.2,
             drawstyle="steps-post" if trace["line"].get("shape") == "hv" else "default",
         )  # fmt: skip
     if "markers" in trace["mode"]:
         _draw_markers(axis, x, y, trace, style, color)
+
+
+def _line(dash: str) -> Any:
+    """A dash as matplotlib knows it."""
+    return (0, DASHES[dash]) if DASHES[dash] else "-"
 
 
 def _draw_markers(
@@ -192,6 +196,6 @@ def _keys(
 
 def _key(style: Style) -> Line2D:
     return Line2D(
-        [], [], color=style.light, linestyle=style.mpl_line, marker=style.marker, markersize=4,
+        [], [], color=style.light, linestyle=_line(style.dash), marker=style.marker, markersize=4,
         linewidth=1.2, label=style.name,
     )  # fmt: skip

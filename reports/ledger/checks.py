@@ -167,7 +167,7 @@ def ratio(source: Source, p: Parameters) -> Finding:
 
 @check("value")
 def value(source: Source, p: Parameters) -> Finding:
-    """Mean (or median, or share) of a quantity of every method against a threshold."""
+    """Mean (or median, or greatest value) of a quantity of every method against a threshold."""
     quantity, statistic = p.get("quantity", "error"), p.get("statistic", "mean")
     finding = Finding(f"{statistic} {UNITS.get(quantity, words(quantity))}")
     for role in p["methods"]:
@@ -187,7 +187,7 @@ def rise(source: Source, p: Parameters) -> Finding:
     """Error at a level over that at a lower one, paired by trial. Levels: two, or top and the next."""
     finding = Finding("error at the higher level / at the lower")
     for role in p["methods"]:
-        for name, runs in source.runs(role, {**p, "levels": p.get("levels")}, finding):
+        for name, runs in source.runs(role, p, finding):
             for test, part in runs.groupby("test", sort=False):
                 levels = sorted(part["level"].unique())[-2:]
                 if len(levels) < 2:

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.tables import Tables, counted_time
+from reports.tables import Tables, attempted, counted_time
+from workflows.attribution import POSE_SCOPES
 
 STUDY = "bounds"  # of which no runs are planned: its tables lie beside the experiments'
 QUICK = "-quick"
@@ -59,8 +60,7 @@ class Experiment:
     @cached_property
     def runs(self) -> pd.DataFrame:
         """Attempted runs with ``error``, ``time``, ``wrong``, ``search_error``, ``violation``."""
-        runs = self.tables.runs
-        runs = runs[runs["outcome"].isin(("finished", "limited", "failed"))]
+        runs = attempted(self.tables.runs)
         scale = np.array([_scale(text) for text in runs["T_reference"]])
         sides = (runs["rmse_excess"] / scale).fillna(LONGEST)
         violated = (runs["bound_violation"] > 0) | (
@@ -68,7 +68,7 @@ class Experiment:
             > runs["objective_best"] * (1 + 1e-9) + 1e-12
         )
         worst = runs["rmse"].max()
-        speaks = runs["certificate_scope"].isin(("similarity pose", "rigid pose"))
+        speaks = runs["certificate_scope"].isin(POSE_SCOPES)
         return runs.assign(
             error=sides.clip(SHORTEST, LONGEST),
             rmse=runs["rmse"].fillna(worst),
@@ -84,7 +84,7 @@ class Experiment:
 
     def playing(self, role: Role) -> list[str]:
         """Methods of the experiment that play `role` and were attempted, best first."""
-        present = set(self.runs["method"])
+        present = set(attempted(self.tables.runs)["method"])
         ranked = sorted(
             (rank, label)
             for label, card in self.tables.cards.items()
@@ -117,13 +117,12 @@ class Evidence:
         """
         found: dict[str, Experiment] = {}
         study: dict[str, pd.DataFrame] = {}
-        for folder in folders:
-            inner = [folder, *sorted(path for path in folder.glob("*") if path.is_dir())]
-            for place in sorted(inner, key=lambda path: path.name.endswith(QUICK)):
-                if (place / "tables" / "accounting.csv").is_file():
-                    tables = Tables.load(place / "tables")
-                    found.setdefault(_plain(tables.experiment), Experiment(tables))
-                study = study or _read_study(place)
+        places = [place for folder in folders for place in (folder, *sorted(folder.glob("*")))]
+        for place in sorted(places, key=lambda path: path.name.endswith(QUICK)):
+            if (place / "tables" / "accounting.csv").is_file():
+                tables = Tables.load(place / "tables")
+                found.setdefault(_plain(tables.experiment), Experiment(tables))
+            study = study or _read_study(place)
         return cls(found, study)
 
 

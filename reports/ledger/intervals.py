@@ -51,6 +51,12 @@ def median(values: np.ndarray) -> Interval:
     return bootstrap(lambda rows: np.median(values[rows], axis=1), len(values))
 
 
+def greatest(values: np.ndarray) -> Interval:
+    """The greatest value, which one counterexample decides: no other draw takes it back."""
+    most = float(values.max())
+    return Interval(most, most, most, len(values))
+
+
 def ratio(above: np.ndarray, below: np.ndarray) -> Interval:
     """The ratio of means of paired values."""
     return bootstrap(lambda rows: above[rows].mean(axis=1) / below[rows].mean(axis=1), len(above))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -12,8 +12,8 @@ import pandas as pd
 import yaml
 
 from reports.ledger.checks import CHECKS, STUDY_CHECKS, Finding, Part, Source
-from reports.ledger.evidence import STUDY, Evidence, Role
-from reports.ledger.intervals import LEAST_PAIRS, NOT, NOT_RUN, OPEN, REPRODUCED
+from reports.ledger.evidence import STUDY, Evidence, Experiment, Role
+from reports.ledger.intervals import LEAST_PAIRS, NOT, NOT_RUN, OPEN, REPRODUCED, VERDICTS
 from reports.tables import ReportError
 
 LEDGER = Path(__file__).parents[1] / "claims.yaml"
@@ -129,6 +129,12 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     )
 
 
+def count(judgements: list[Judgement]) -> list[tuple[str, int]]:
+    """How many claims have each verdict."""
+    counts = Counter(judgement.verdict for judgement in judgements)
+    return [(verdict, counts[verdict]) for verdict in VERDICTS]
+
+
 def as_table(judgements: list[Judgement]) -> pd.DataFrame:
     """One row per claim."""
     return pd.DataFrame([asdict(judgement) for judgement in judgements])
@@ -190,10 +196,10 @@ def _shown(findings: list[Finding], verdict: str) -> str:
     return "; ".join(texts)
 
 
-def _reconstructed(claim: Claim, findings: list[Finding], experiment: Any) -> str:
+def _reconstructed(claim: Claim, findings: list[Finding], experiment: Experiment | None) -> str:
     names = [claim.reconstruction] if claim.reconstruction and findings else []
     if experiment is not None:
-        cards: Mapping[str, Any] = experiment.tables.cards
+        cards = experiment.tables.cards
         used = dict.fromkeys(method for finding in findings for method in finding.methods)
         names += [
             cards[method].get("display_name", method)

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.ledger.evidence import QUICK, STUDY, Evidence
-from reports.ledger.intervals import VERDICTS
-from reports.ledger.judging import judge, ledger
+from reports.ledger.evidence import STUDY, Evidence
+from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
 from reports.tables import PENALTY, Tables, attempted, counted_time
 from workflows.metrics import SUCCESS_LENGTH, SUCCESS_SHARE
@@ -24,13 +23,11 @@ def context(page: Page) -> dict[str, Any]:
     evidence = Evidence.of_tables(tables)
     about = set(evidence.experiments) | ({STUDY} if evidence.study else set())
     judgements = judge(ledger(), evidence, about)
-    counts = [(name, sum(j.verdict == name for j in judgements)) for name in VERDICTS]
     return {
         "facts": facts(tables),
         "judgements": judgements,
-        "counts": counts,
+        "counts": count(judgements),
         "claims": len(ledger().claims),
-        "experiment": tables.experiment.removesuffix(QUICK),
         "outcomes": outcomes(tables),
         "penalty": PENALTY,
         "wrong_certificates": list(

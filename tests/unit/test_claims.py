@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from reports import claims
 from reports.ledger import intervals
-from reports.ledger.checks import CHECKS, STUDY_CHECKS
+from reports.ledger.checks import CHECKS, STUDY_CHECKS, Source, select
 from reports.ledger.evidence import Evidence, Experiment
 from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED, Interval
 from reports.ledger.judging import Claim, Ledger, judge_claim, ledger
@@ -70,6 +70,15 @@ def evidence(*tables: pd.DataFrame, traces: pd.DataFrame | None = None) -> Evide
 def judged(found: Evidence, *checks: dict, experiment: str = "paper2d", **fields):
     claim = Claim("c", "q", "t", experiment, checks, **fields)
     return judge_claim(ledger(), claim, found)
+
+
+def figures(check: dict, *tables: pd.DataFrame, **given) -> list[tuple[float, int]]:
+    """Figure and number of instances of every part of a check."""
+    at_hand = evidence(*tables, **given)
+    found = CHECKS[check["kind"]](
+        Source(at_hand, at_hand.experiments["paper2d"], ledger().roles), check
+    )
+    return [(part.interval.value, part.interval.n) for part in found.parts]
 
 
 def trace(method: str, seconds: float) -> pd.DataFrame:
@@ -173,6 +182,72 @@ def test_every_check_over_the_study_can_say_all_three(check, table, make):
         assert found.verdict == verdict, (sign, found)
 
 
+@pytest.mark.parametrize(
+    ("chosen", "levels", "trials"),
+    [
+        ({}, LEVELS, TRIALS),
+        ({"levels": "top"}, [0.2], TRIALS),
+        ({"levels": "bottom"}, [0.0], TRIALS),
+        ({"levels": "disturbed"}, [0.1, 0.2], TRIALS),
+        ({"levels": [0.0, 0.1]}, [0.0, 0.1], TRIALS),
+        ({"tests": ["noise"], "where": {"trial": 3}}, LEVELS, 1),
+        ({"tests": ["deformation"]}, [], 0),
+    ],
+)
+def test_runs_are_chosen_by_test_level_and_column(chosen, levels, trials):
+    runs = select(pd.concat([runs_of("ours"), runs_of("rival")]), "ours", chosen)
+    assert list(runs["level"].unique()) == list(levels)
+    assert len(runs) == len(levels) * trials
+
+
+def test_checks_of_closed_searches_leave_the_others_out():
+    late = runs_of("rival", rmse_excess=0.02)
+    late.loc[late["trial"] < 10, ["status", "rmse_excess"]] = "time_limit", 0.5
+    closed = {**RATIO, "closed": True, "by": []}
+    assert figures(closed, runs_of("ours"), late) == [(pytest.approx(0.5), 60)]
+    ours = runs_of("ours")
+    ours.loc[ours["trial"] < 10, ["status", "objective"]] = "time_limit", 0.1
+    assert figures(REGRET, ours, runs_of("half", objective=1.05)) == [(1.0, 60)]
+
+
+def test_spread_is_set_against_that_of_rivals():
+    two = runs_of("ours", rmse_excess=lambda level, draw: 0.1 + 0.5 * level)
+    four = runs_of("rival", rmse_excess=lambda level, draw: 0.1 + 1.5 * level)
+    check = {**SPREAD, "rivals": ["rpm_htb"], "claimed": {"below": 1}}
+    assert figures(check, two, four) == [(pytest.approx(0.5), TRIALS)]
+
+
+def test_levels_that_share_no_trials_are_compared_as_they_are():
+    alone = runs_of("ours", rmse_excess=lambda level, draw: 0.1 + level)
+    check = {**SLOPE, "rivals": []}
+    assert figures(check, alone) == [(pytest.approx(1.0), TRIALS)]
+    assert figures({**check, "paired_levels": False}, alone) == [(pytest.approx(1.0), 90)]
+    alone["shape"] = alone["instance_id"]
+    assert figures(check, alone) == []
+
+
+def test_race_ends_at_the_gap_that_both_reached():
+    steps = [(0.0, 0.0), (1.0, 0.5), (5.0, 1.0)]
+    rows = [
+        {"run_id": run, "time_s": factor * time, "lower_bound": low, "upper_bound": 1.0}
+        for method, factor, reached in (("ours", 1.0, steps), ("rival", 4.0, steps[:2]))
+        for run in runs_of(method)["run_id"]
+        for time, low in reached
+    ]
+    both = runs_of("ours"), runs_of("rival")
+    assert figures(RACE, *both, traces=pd.DataFrame(rows)) == [(pytest.approx(0.25), 90)]
+
+
+def test_boxes_can_be_of_some_instances_only():
+    check, _, make = STUDY[0]
+    table = pd.concat(
+        [make(1).assign(instance="2D fish"), make(-1).assign(instance="3D horse")]
+    )  # fmt: skip
+    found = Source(Evidence({}, {"boxes": table}), None, {})
+    shares = [CHECKS["boxes"](found, check | {"instances": name}).parts[0] for name in ("2D", "3D")]
+    assert [(part.interval.value, part.interval.n) for part in shares] == [(1.0, 20), (0.0, 20)]
+
+
 def test_every_kind_of_check_is_tried_here():
     tried = {check["kind"] for check, *_ in (*CASES, *STUDY)} | {"race"}
     assert tried == set(CHECKS)
@@ -201,6 +276,13 @@ def test_holding_against_some_rivals_only_is_inconclusive():
     assert "RPM-PA" in found.reason
 
 
+def test_a_check_without_a_comparison_leaves_the_claim_open():
+    ours = runs_of("ours", rmse_excess=error(0.01))
+    found = judged(evidence(ours), VALUE, {**RISE, "methods": ["dcreg"], "levels": [0.1]})
+    assert found.verdict == OPEN
+    assert "error at the higher level" in found.reason
+
+
 def test_more_than_five_percent_at_a_limit_is_inconclusive_and_says_what_it_would_be():
     rival = runs_of("rival", rmse_excess=0.1)
     few = rival.assign(outcome=["limited" if i < 9 else "finished" for i in range(len(rival))])
@@ -219,6 +301,14 @@ def test_one_part_against_refutes_and_is_the_evidence():
     assert found.verdict == NOT
     assert "noise, 0.1, the least favourable of 3" in found.evidence
     assert found.reason == "of 3 comparisons 2 as claimed, 1 against"
+
+
+def test_one_wrong_certificate_refutes_that_there_are_none():
+    (claim,) = (claim for claim in ledger().claims if claim.id == "eps-min")
+    right = [runs_of(name) for name in ("ours", "half", "bound")]
+    assert judge_claim(ledger(), claim, evidence(*right)).verdict == REPRODUCED
+    right[0].loc[7, "bound_violation"] = 0.1
+    assert judge_claim(ledger(), claim, evidence(*right)).verdict == NOT
 
 
 def test_a_verdict_that_rests_on_a_reconstruction_says_so():
@@ -254,11 +344,31 @@ def test_no_pose_counts_as_a_longest_side_and_lengths_as_sides_of_the_source():
     np.testing.assert_allclose(errors.iloc[1:], 0.05)
 
 
+def test_wrong_poses_search_errors_and_certificates_are_told_apart():
+    runs = runs_of("ours")
+    runs.loc[0, ["success", "verdict", "rmse"]] = False, "search_error", np.nan
+    runs.loc[1, ["success", "verdict", "rmse"]] = False, "model_error", 3.0
+    runs.loc[2, "certificate_scope"] = "translation in norm space"
+    runs.loc[3, "status"] = "time_limit"
+    known = evidence(runs).experiments["paper2d"].runs.head(5)
+    assert list(known["wrong"]) == [True, True, False, False, False]
+    assert list(known["search_error"]) == [1, 0, 0, 0, 0]
+    assert list(known["certified"]) == [True, True, False, False, True]
+    assert list(known["rmse"]) == [3.0, 3.0, 0.02, 0.02, 0.02]  # no pose: the worst of all
+
+
 def test_times_of_unfinished_runs_count_as_twice_the_limit():
     runs = runs_of("ours", time_solve_s=3.0)
     runs.loc[0, "outcome"], runs.loc[1, ["outcome", "time_solve_s"]] = "limited", ["failed", np.nan]
     times = counted_time(runs, CARDS)
     assert list(times[:3]) == [PENALTY * 10, PENALTY * 10, 3.0]
+
+
+def test_statistics_are_what_they_are_called():
+    values = np.array([0.0, 1.0, 2.0, 3.0, 94.0])
+    assert [getattr(intervals, name)(values).value for name in ("mean", "median", "greatest")] == [
+        20.0, 2.0, 94.0,
+    ]  # fmt: skip
 
 
 def test_interval_covers_the_mean_as_often_as_it_says():
@@ -351,6 +461,10 @@ def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick
     found = Evidence.of_folders([tmp_path])
     assert set(found.experiments) == {"paper2d", "other"}
     assert found.experiments["paper2d"].tables.experiment == "paper2d"
+    named = Evidence.of_folders([tmp_path / "paper2d-quick", tmp_path / "paper2d"])
+    assert named.experiments["paper2d"].tables.experiment == "paper2d"
+    beside = Evidence.of_tables(found.experiments["paper2d"].tables)
+    assert set(beside.study) == {name for _, name, _ in STUDY}
     out = tmp_path / "out"
     answer = CliRunner().invoke(claims_app(), [str(tmp_path), "--out", str(out)])
     assert answer.exit_code == 0, answer.output

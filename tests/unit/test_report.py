@@ -37,7 +37,7 @@ from reports.page import pack_json
 from reports.sections import outcome
 from reports.tables import ReportError, Tables, attempted, row_names, thin_trace
 from workflows.attribution import VERDICTS
-from workflows.config import load
+from workflows.config import CONFIGS, load
 from workflows.records import SchemaError
 
 
@@ -404,18 +404,24 @@ def test_methods_of_all_cards_are_told_apart_by_colour_and_marker():
             assert apart > (0.1 if same_marker else 0.03), (one, other, apart)
 
 
-def test_more_than_twenty_variants_differ_in_colour_marker_or_dash(tables):
-    """Every method of the experiment with all of them, whose variants share a card."""
-    experiment = load("all")
-    cards = {
-        method.name: {**registry.read_card(method.baseline).model_dump(), "options": method.options}
-        for method in experiment.methods
-    }
-    runs = pd.DataFrame({"method": list(cards), "display_name": list(cards)})
-    many = dataclasses.replace(tables, runs=runs, provenance={"methods": cards})
-    styles = theme.method_styles(many).values()
-    looks = {(style.light, style.marker, style.dash) for style in styles}
-    assert len(looks) == len(styles) > 35
+def test_variants_differ_in_every_experiment_and_look_the_same_in_all(tables):
+    seen = {}
+    for path in sorted(CONFIGS.glob("*.yaml")):
+        cards = {
+            method.name: registry.read_card(method.baseline).model_dump()
+            | {"options": method.options, "n_inliers_ratio": method.n_inliers_ratio}
+            for method in load(path.stem).methods
+        }
+        runs = pd.DataFrame({"method": list(cards), "display_name": list(cards)})
+        many = dataclasses.replace(tables, runs=runs, provenance={"methods": cards})
+        styles = theme.method_styles(many)
+        looks = {name: (style.light, style.marker, style.dash) for name, style in styles.items()}
+        assert len(set(looks.values())) == len(cards), path.stem
+        for name, look in looks.items():
+            # the list of scans sets options of methods that keep their names
+            plain = not cards[name]["options"]
+            assert seen.setdefault((name, plain), look) == look, (path.stem, name)
+    assert len(seen) > 200
 
 
 def test_method_colours_are_legible_in_both_themes(tables):
