@@ -16,12 +16,22 @@ hull of the r_a, and no rotation turns by more than the angle 2 atan(max |r_a|).
 First bound: caps
 -----------------
 Turned by at most that angle, x_i stays on a spherical cap. With d_ij the distance of y_j from the
-cap, |R x_i + t - y_j| >= d_ij - rho. Also |R x_i - x_i| <= 2 sin(angle / 2) |x_i| =: g_i, thus
-|R x_i + t - y_j| >= dist(y_j - x_i, box of t) - g_i. The greater of the two, cut at 0 and squared,
-is a cost of the pair alone. E is at least the k-assignment of these costs; at least their
-`dual_bound` for any duals b >= 0, for which a rough auction (`bid`) is enough; and at least the sum
-of the k smallest row minima (`nearest_bound`, of d_ij - rho alone). With all rotations in the box
-this is the norm bound (|x + t| - |y|)^2 of the paper's Case II. First order in the box.
+cap, |R x_i + t - y_j| >= d_ij - rho, and |R x_i + t_c - y_j| >= d_ij.
+
+The first holds at every pose: E is at least the sum of the k smallest squares of the rows' least
+d_ij - rho, cut at 0 (`nearest_sums`). It is of first order in rho.
+
+The second is of second order, and holds for the optima of the box, which is all that a search
+needs. Let (R*, t*) in the box be the best pose for its matching P*. The best translation for R* and
+P* is the mean of what R* leaves over, so away from it their sum grows by exactly k times the squared
+distance. At t_c it is no less than E there, which every pair bounds by its cap:
+
+    E* + k |t_c - t*|^2  =  E_P*(R*, t_c)  >=  min_P sum p_ij d_ij^2,
+    so   E*  >=  min_P sum p_ij d_ij^2 - k rho^2.
+
+The minimum is one k-assignment; it is at least the `dual_bound` of any prices b >= 0, for which a
+rough auction (`bid`) is enough, and at least the sum of the k smallest row minima. With all
+rotations in the box d_ij is the norm distance ||x_i| - |y_j|| of the paper's Case II.
 
 Second bound: Cayley's form
 ---------------------------
@@ -45,8 +55,8 @@ matching stays the best one at the vertices, the bound is the exact minimum over
 and the curvature of E costs nothing. This is DC-Reg's linearisation, with the point chosen as in
 its planar case. As in `dcreg.bounds.rotation3d`, a vertex is bounded by duals and solved only if binding.
 
-A box is bounded by the greatest of these, cheapest first and only as far as it decides. At a
-single pose the first is E.
+A box is bounded by the greatest of these, cheapest first and only as far as it decides; the last
+only where the box is small. At a single pose the first is E.
 
 Feasible pairs
 --------------

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from dcreg.bounds import RigidBound
 from dcreg.kernels.assignment.dense import dual_bound
 from dcreg.kernels.points import NEVER
+from dcreg.kernels.space.caps import cap_costs
 from dcreg.kernels.space.cayley import vertex_bound
-from dcreg.kernels.space.poses import View, pair_costs, relative_corners
+from dcreg.kernels.space.poses import View, nearest_sums, relative_corners
 from dcreg.kernels.space.rigid import bid
 from dcreg.local import k_assignment, objective
 from dcreg.search import Box
@@ -66,6 +67,26 @@ def evaluate(problem, box, cutoff):
     return RigidBound(Rigid3D(*problem)).evaluate(box.lower[None], box.upper[None], cutoff)
 
 
+def best_pose(problem, generator):
+    """The best pose of a random matching, and what its pairs leave over."""
+    source, target, k = problem
+    model = Rigid3D(*problem)
+    x = source[generator.permutation(len(source))[:k]]
+    y = target[generator.permutation(len(target))[:k]]
+    theta = model.fit(x.T, y.T)
+    T = model.pose(theta)
+    return model.normalised(theta), ((x @ T[:3, :3].T + T[:3, 3] - y) ** 2).sum()
+
+
+def box_about(theta, generator, size):
+    """A box that holds theta, anywhere within it."""
+    facet = np.argmax(np.abs(theta[:4]))
+    width = size * generator.uniform(0.2, 2.0, 7) * (generator.random(7) > 0.1)
+    width[facet] = 0.0
+    lower = theta - generator.random(7) * width
+    return Box(lower, np.maximum(lower + width, theta))
+
+
 class Parts:
     """What `bound_boxes` computes for one box, each bound on its own."""
 
@@ -84,28 +105,67 @@ class Parts:
 
     def costs(self):
         out = np.empty((self.view.moved.shape[1], self.view.shifted.shape[1]))
-        pair_costs(self.view, self.angle, self.half, out)
+        cap_costs(self.view.moved, self.angle, self.view.shifted, self.view.prices, out)
         return out
+
+    @property
+    def lost(self):
+        """What a matching may gain where the translation is not the best one."""
+        return self.k * (self.half**2).sum()
 
     def vertex_bound(self, cutoff=np.inf):
         _, col_of = k_assignment(self.costs(), self.k)
         return vertex_bound(self.view, self.corners, self.half, -1.0, cutoff, col_of)[0]
 
 
-@given(problems(), boxes(), st.sampled_from([0.5, 0.95, 1.0, 1.5, 10.0]))
-def test_bound_is_below_the_objective_anywhere_in_the_box(problem, box, tightness):
-    lowest = min(values_in(problem, box))
-    found = evaluate(problem, box, tightness * lowest)
-    assert 0.0 <= found.lower_bounds[0] <= lowest + 1e-9
+@given(
+    problems(),
+    st.sampled_from([1.0, 0.3, 0.1, 0.01, 0.0]),
+    st.sampled_from([0.5, 0.95, 1.0, 1.5, 10.0]),
+    st.integers(0, 2**32 - 1),
+)
+def test_bound_is_below_every_matching_at_its_best_pose(problem, size, tightness, seed):
+    """So it is below the optimum, wherever that lies in the box."""
+    generator = np.random.default_rng(seed)
+    theta, left_over = best_pose(problem, generator)
+    box = box_about(theta, generator, size)
+    found = evaluate(problem, box, tightness * left_over + 1e-12)
+    assert 0.0 <= found.lower_bounds[0] <= left_over + 1e-9
+
+
+@given(problems(), st.sampled_from([1.0, 0.3, 0.1]), st.integers(0, 2**32 - 1))
+def test_caps_alone_are_below_every_matching_at_its_best_pose(problem, size, seed):
+    generator = np.random.default_rng(seed)
+    theta, left_over = best_pose(problem, generator)
+    parts = Parts(Rigid3D(*problem), box_about(theta, generator, size))
+    bound = k_assignment(parts.costs(), parts.k)[0] - parts.lost
+    assert bound <= left_over + 1e-9
+    nearest, _ = nearest_sums(parts.costs(), 0.0, parts.k)
+    assert nearest - parts.lost <= bound + 1e-9
 
 
 @given(problems(), boxes())
-def test_each_bound_alone_is_below_the_objective(problem, box):
+def test_other_bounds_alone_are_below_the_objective_anywhere(problem, box):
     lowest = min(values_in(problem, box))
     parts = Parts(Rigid3D(*problem), box)
-    assert k_assignment(parts.costs(), parts.k)[0] <= lowest + 1e-9
+    _, narrowed = nearest_sums(parts.costs(), np.linalg.norm(parts.half), parts.k)
+    assert narrowed <= lowest + 1e-9
     if len(parts.corners):
         assert parts.vertex_bound() <= lowest + 1e-9
+
+
+def test_caps_lose_the_square_of_the_shift(rng):
+    """A box of translations alone, about the optimum: first order would lose more than all there is."""
+    source = centred(rng.standard_normal((12, 3)))
+    target = centred(source + 0.1 * rng.standard_normal((12, 3)))
+    model = Rigid3D(source, target, 12)
+    theta, best, _ = model.refine(np.array([1.0, 0, 0, 0, 0, 0, 0]))
+    half = 0.05 * np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+    parts = Parts(model, Box(theta - half, theta + half))
+    assert k_assignment(parts.costs(), 12)[0] - parts.lost == pytest.approx(
+        best - 12 * 3 * 0.05**2, abs=1e-9
+    )
+    assert nearest_sums(parts.costs(), np.linalg.norm(parts.half), 12)[1] < 0.5 * best
 
 
 @given(problems(), boxes())

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from dcreg.bounds import RotationBound
 from dcreg.kernels.assignment.dense import cheapest_pairs
 from dcreg.kernels.space import rotation as kernels
+from dcreg.kernels.space.caps import cap_costs
 from dcreg.search import Box, LongestEdge
 from dcreg.spaces import Rotation3D
 from tests.problems import KINDS, cloud
@@ -124,7 +125,7 @@ def test_angular_bound_agrees_with_its_definition(problem, box):
     space = Rotation3D(*problem)
     caps, moved = np.empty((space.n_source, space.n_target)), space.matrix(box.centre)
     angle = kernels.box_angle(box.centre, corners_of(box))
-    kernels.cap_costs(moved @ space.clouds.source, angle, space.clouds, caps)
+    cap_costs(moved @ space.clouds.source, angle, space.clouds.target, space.clouds.prices, caps)
     assert cheapest_pairs(caps, problem[2])[0] == pytest.approx(exact_b1(*problem, box), abs=1e-7)
 
 

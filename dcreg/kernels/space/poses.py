@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.kernels.assignment.selection import sum_of_smallest
+from dcreg.kernels.assignment.selection import least, sum_of_smallest
 from dcreg.kernels.compiling import jit
-from dcreg.kernels.space.geometry import chord_matrix, column_norms, transform
+from dcreg.kernels.space.geometry import chord_matrix, transform
 
 
 class View(NamedTuple):
@@ -73,25 +73,6 @@ def look_from(clouds, theta, view):
 
 
 @jit
-def cap_costs(view, angle, out):
-    """Least squared distance of every target to every source turned by at most `angle`: (m, n)."""
-    moved, reach, shifted, prices = view.moved, view.reach, view.shifted, view.prices
-    cosine, sine = math.cos(angle), math.sin(angle)
-    for j in range(shifted.shape[1]):
-        u, v, w = shifted[0, j], shifted[1, j], shifted[2, j]
-        other = u * u + v * v + w * w
-        length = math.sqrt(other)
-        row = out[j]
-        for i in range(moved.shape[1]):
-            full = reach[i] * length
-            dot = moved[0, i] * u + moved[1, i] * v + moved[2, i] * w
-            turned = dot * cosine + math.sqrt(max(0.0, full * full - dot * dot)) * sine
-            best = full if dot >= full * cosine else turned
-            row[i] = reach[i] * reach[i] + other - 2.0 * best
-    add_prices_by_target(prices, out)
-
-
-@jit
 def add_prices_by_target(prices, out):
     """Add what pairs cost beyond their residual to (m, n) costs."""
     for i in range(prices.shape[0]):
@@ -100,55 +81,15 @@ def add_prices_by_target(prices, out):
 
 
 @jit
-def nearest_bound(caps, slack, k):
-    """Sum of the k smallest squares of (nearest cap distance - slack)."""
-    low = np.empty(caps.shape[1])
+def nearest_sums(caps, slack, k):
+    """Sums of the k smallest row minima: of squared distances, and of squares of (distance - slack)."""
+    low = np.empty(caps.shape[0])
     for i in range(low.size):
-        low[i] = caps[0, i]
-    for j in range(1, caps.shape[0]):
-        row = caps[j]
-        for i in range(low.size):
-            low[i] = row[i] if row[i] < low[i] else low[i]
+        low[i] = least(caps[i])
+    whole = sum_of_smallest(low, k)
     for i in range(low.size):
-        low[i] = max(0.0, math.sqrt(max(0.0, low[i])) - slack) ** 2
-    return sum_of_smallest(low, k)
-
-
-@jit
-def pair_costs(view, angle, half, out):
-    """(n, m) least squared residuals of the pairs over the box, each pair on its own.
-
-    Two bounds compete: the cap widened by the half-diagonal of the translations, and the box of
-    translations widened by the longest chord of the rotations.
-    """
-    moved, shifted, prices = view.moved, view.shifted, view.prices
-    h0, h1, h2 = half[0], half[1], half[2]
-    slack = math.sqrt(h0 * h0 + h1 * h1 + h2 * h2)
-    chord = 2.0 * math.sin(0.5 * angle)
-    cosine, sine = math.cos(angle), math.sin(angle)
-    lengths = np.empty(shifted.shape[1])
-    column_norms(shifted, lengths)
-    us, vs, ws = shifted[0], shifted[1], shifted[2]
-    for i in range(out.shape[0]):
-        x, y, z, own = moved[0, i], moved[1, i], moved[2, i], view.reach[i]
-        widen = chord * own
-        row = out[i]
-        for j in range(row.size):
-            u, v, w, length = us[j], vs[j], ws[j], lengths[j]
-            full = own * length
-            dot = x * u + y * v + z * w
-            turned = dot * cosine + math.sqrt(max(0.0, full * full - dot * dot)) * sine
-            best = full if dot >= full * cosine else turned
-            capped = math.sqrt(max(0.0, own * own + length * length - 2.0 * best)) - slack
-            a = max(0.0, abs(x - u) - h0)
-            b = max(0.0, abs(y - v) - h1)
-            c = max(0.0, abs(z - w) - h2)
-            boxed = math.sqrt(a * a + b * b + c * c) - widen
-            short = max(0.0, max(capped, boxed))
-            row[j] = short * short
-    for i in range(prices.shape[0]):
-        for j in range(prices.shape[1]):
-            out[i, j] += prices[i, j]
+        low[i] = max(0.0, math.sqrt(low[i]) - slack) ** 2
+    return whole, sum_of_smallest(low, k)
 
 
 @jit
@@ -173,14 +114,9 @@ def pose_costs(theta, clouds, out):
 def nearest_scores(thetas, clouds, scores):
     """Sum of the k smallest squared nearest distances at every pose: a cheap guess of E."""
     n, m = clouds.source.shape[1], clouds.target.shape[1]
-    view = View(
-        np.empty((3, n)), np.empty(n), np.empty((3, m)), clouds.prices, clouds.k, clouds.stop
-    )
-    column_norms(clouds.source, view.reach)
-    caps = np.empty((m, n))
+    costs = np.empty((n, m))
     for at in range(thetas.shape[0]):
         if clouds.stop[0]:
             break
-        look_from(clouds, thetas[at], view)
-        cap_costs(view, 0.0, caps)
-        scores[at] = nearest_bound(caps, 0.0, clouds.k)
+        pose_costs(thetas[at], clouds, costs)
+        scores[at] = nearest_sums(costs, 0.0, clouds.k)[0]

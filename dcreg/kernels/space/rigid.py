@@ -10,23 +10,17 @@ import math
 
 import numpy as np
 
-from dcreg.kernels.assignment.dense import dual_bound, k_assignment_duals, row_minima
+from dcreg.kernels.assignment.dense import dual_bound, improve_assignment, row_minima
 from dcreg.kernels.compiling import jit, jit_part
+from dcreg.kernels.space.caps import cap_costs
 from dcreg.kernels.space.cayley import vertex_bound
 from dcreg.kernels.space.geometry import column_norms, matched_cost
-from dcreg.kernels.space.poses import (
-    View,
-    cap_costs,
-    look_from,
-    nearest_bound,
-    pair_costs,
-    relative_corners,
-)
+from dcreg.kernels.space.poses import View, look_from, nearest_sums, relative_corners
 
 _BIDS = 3
-# A box this far below the cutoff is divided before dearer bounds are tried.
-_WORTH_PAIRS = 0.2
-_WORTH_ASSIGNMENT = 0.3
+# Sums below these shares of what closes the box are not worth dearer bounds: it is divided.
+_WORTH_PRICES = 0.35
+_WORTH_ASSIGNMENT = 0.65
 
 
 @jit_part
@@ -95,7 +89,7 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
     for i in range(n):
         square += view.reach[i] ** 2
     radius = math.sqrt(square / n)
-    caps, costs = np.empty((m, n)), np.empty((n, m))
+    caps = np.empty((n, m))
     corners, centre, half = np.empty((8, 3)), np.empty(7), np.empty(3)
     spent = 0
     for box in range(lower.shape[0]):
@@ -115,23 +109,26 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
         slack = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
         look_from(clouds, centre, view)
 
-        cap_costs(view, angle, caps)
-        bounds[box] = nearest_bound(caps, slack, k)
+        cap_costs(view.moved, angle, view.shifted, view.prices, caps)
+        nearest, narrowed = nearest_sums(caps, slack, k)
+        shift = k * slack * slack
+        bounds[box] = max(narrowed, nearest - shift)
         # however low their bounds, the poses of a small box are alike and must be told from others
         small = k * (angle * radius + slack) ** 2 < cutoff
-        if bounds[box] >= cutoff or not (small or bounds[box] > _WORTH_PAIRS * cutoff):
+        goal = cutoff + shift
+        if bounds[box] >= cutoff or not (small or nearest > _WORTH_PRICES * goal):
             continue
-        pair_costs(view, angle, half, costs)
         b = np.zeros(m)
-        bid(costs, k, b)
-        bounds[box] = max(bounds[box], dual_bound(costs, k, b))
-        if bounds[box] >= cutoff or not (small or bounds[box] > _WORTH_ASSIGNMENT * cutoff):
+        bid(caps, k, b)
+        priced = dual_bound(caps, k, b)
+        bounds[box] = max(bounds[box], priced - shift)
+        if bounds[box] >= cutoff or not (small or priced > _WORTH_ASSIGNMENT * goal):
             continue
-        value, col_of, b = k_assignment_duals(costs, k, clouds.stop)
-        bounds[box] = max(bounds[box], value)
+        value, col_of = improve_assignment(caps, k, b, clouds.stop)
+        bounds[box] = max(bounds[box], value - shift)
         values[box] = matched_cost(view.moved, view.shifted, col_of)
         spent += 1
-        if bounds[box] >= cutoff or count == 0:
+        if bounds[box] >= cutoff or count == 0 or not small:
             continue
         value, solved = vertex_bound(view, corners[:count], half, bounds[box], cutoff, col_of)
         bounds[box] = max(bounds[box], value)

@@ -13,6 +13,7 @@ import numpy as np
 from dcreg.kernels.assignment.dense import k_assignment_duals
 from dcreg.kernels.assignment.selection import least, place_of_least, sum_of_smallest
 from dcreg.kernels.compiling import jit, jit_part
+from dcreg.kernels.space.caps import cap_costs
 from dcreg.kernels.space.geometry import chord_matrix, matched_cost, transform
 
 
@@ -68,27 +69,6 @@ def pair_costs(M, clouds, out):
         for j in range(target.shape[1]):
             u, v, w = target[0, j], target[1, j], target[2, j]
             out[i, j] = own + u * u + v * v + w * w - 2.0 * (x * u + y * v + z * w)
-    for i in range(prices.shape[0]):
-        for j in range(prices.shape[1]):
-            out[i, j] += prices[i, j]
-
-
-@jit
-def cap_costs(moved, angle, clouds, out):
-    """Least squared residual of every pair when the points `moved` may turn by `angle`; and the price."""
-    target, prices = clouds.target, clouds.prices
-    cosine, sine = math.cos(angle), math.sin(angle)
-    for i in range(moved.shape[1]):
-        x, y, z = moved[0, i], moved[1, i], moved[2, i]
-        own = x * x + y * y + z * z
-        for j in range(target.shape[1]):
-            u, v, w = target[0, j], target[1, j], target[2, j]
-            other = u * u + v * v + w * w
-            reach = math.sqrt(own * other)
-            dot = x * u + y * v + z * w
-            turned = dot * cosine + math.sqrt(max(0.0, reach * reach - dot * dot)) * sine
-            best = reach if dot >= reach * cosine else turned
-            out[i, j] = max(0.0, own + other - 2.0 * best)
     for i in range(prices.shape[0]):
         for j in range(prices.shape[1]):
             out[i, j] += prices[i, j]
@@ -196,7 +176,7 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
             centre[c] = 0.5 * (lower[box, c] + upper[box, c])
         count = box_corners(lower[box], upper[box], corners)
         transform(chord_matrix(centre, centre), clouds.source, moved)
-        cap_costs(moved, box_angle(centre, corners[:count]), clouds, caps)
+        cap_costs(moved, box_angle(centre, corners[:count]), clouds.target, clouds.prices, caps)
         values[box] = np.inf
         bounds[box] = nearest_bound(caps, clouds.k)
         if bounds[box] >= cutoff:
