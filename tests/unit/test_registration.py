@@ -115,7 +115,10 @@ def test_threads_and_repetition_change_nothing(model, planar, spatial, rng):
     source, target, _ = planar if model == "similarity2d" else spatial
     target = target + 0.05 * rng.standard_normal(target.shape)
     results = [
-        dcreg.register(source, target, n_inliers=0.8, model=model, bound="paper", threads=threads)
+        dcreg.register(
+            source, target, n_inliers=0.8, model=model, bound="paper", threads=threads,
+            node_limit=5000, time_limit=None,
+        )  # fmt: skip
         for threads in (1, 1, 2)
     ]
     for other in results[1:]:
