@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,13 +10,13 @@ from dcreg.matches import MatchBound, MatchProblem, doubts, is_near, promising_p
 from dcreg.names import DEFAULT_TIME_LIMIT_S
 from dcreg.registration import check_settings
 from dcreg.result import Result, Stage
-from dcreg.search import Budget, Event, Listener, LongestEdge, Trace, branch_and_bound
+from dcreg.search import Budget, Listener, LongestEdge, Trace, branch_and_bound
 from dcreg.status import Status
 from dcreg.warm_up import warm_up_matches
 
 MODE, BOUND = "matches", "nested"
 TOLERATED = 0.1  # gap per chosen match, in squared inlier distances
-SCOPE = "rigid pose over the given matches"
+SCOPE = "rigid pose over the given matches, those not chosen priced at inlier_distance^2"
 
 
 def register_matches(
@@ -62,15 +61,15 @@ def register_matches(
         Boxes bounded.
     listener : callable, optional
         Called with every `dcreg.Event`, and at least every half second, then from another thread;
-        returning True stops (status ``stopped``). Its bounds speak of the whole cost, with the price of
-        matches that are not chosen.
+        returning True stops (status ``stopped``).
 
     Returns
     -------
     Result
-        `n_inliers` is the number of matches chosen, `assignment` which; bounds speak of their sum of
-        squared residuals, in `trace` too. `warnings` name, beside what is not proven or not determined,
-        another pose that agrees with the matches nearly as well.
+        `n_inliers` is the number of matches chosen, `assignment` which, `objective` their sum of squared
+        residuals. Bounds speak of the whole cost, with the price of matches that are not chosen; `score`
+        says the same in numbers of matches. `warnings` name, beside what is not proven or not
+        determined, another pose that agrees with the matches nearly as well.
 
     Raises
     ------
@@ -117,28 +116,22 @@ def _solved(
         lower, events = found.lower_bound, found.events
         stages.append(Stage.of("rotation", found))
         value, chosen = problem.cost(pose)
-    price = problem.reach**2 * (problem.most - len(chosen))
-    lower = max(0.0, lower - price)
-    others = [cost for cost, other in starts if not is_near(other, pose, problem.reach)]
-    nothing_proven = certify and status is not Status.OPTIMAL and lower == 0.0
+    lower = max(0.0, lower)
+    score = problem.score(value), problem.score(lower)
+    others = [
+        problem.score(cost) for cost, other in starts if not is_near(other, pose, problem.reach)
+    ]
+    objective = float(problem.residuals(pose)[chosen].sum())
+    is_open = certify and status is not Status.OPTIMAL
     T = problem.pose(pose)
     return Result(
         status=status, model="rigid3d", mode=MODE, bound=BOUND, T_target_source=T, T_certified=T,
         assignment=problem.pairs[chosen], n_inliers=len(chosen),
-        lower_bound=lower, upper_bound=value - price, gap_tol=gap_tol,
-        certificate_scope=SCOPE, objective=value - price, objective_certified=value - price,
+        lower_bound=lower, upper_bound=value, gap_tol=gap_tol,
+        certificate_scope=SCOPE, objective=objective, objective_certified=objective,
         n_nodes=sum(stage.n_nodes for stage in stages),
         n_assignments=sum(stage.n_assignments for stage in stages),
         time_setup_s=setup, time_solve_s=budget.elapsed(), stages=stages,
-        trace=Trace([_without(price, event) for event in events]),
-        warnings=doubts(problem, value, chosen, others, nothing_proven),
+        trace=Trace(events), score=score, warnings=doubts(problem, chosen, score, others, is_open),
     )  # fmt: skip
 
-
-def _without(price: float, event: Event) -> Event:
-    """The event, with bounds on the sum of squared residuals alone."""
-    return replace(
-        event,
-        lower_bound=max(0.0, event.lower_bound - price),
-        upper_bound=event.upper_bound - price,
-    )

@@ -13,7 +13,7 @@ from dcreg.certificate.record import record
 from dcreg.local import objective
 from dcreg.local import polish as polish_pose
 from dcreg.modes import AUTO, Answer, Mode, Task
-from dcreg.modes.table import choose_mode, default_sample, find_mode
+from dcreg.modes.table import choose_mode, find_mode
 from dcreg.names import DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
     EXACT,
@@ -23,12 +23,12 @@ from dcreg.problem import (
     Problem,
     advice,
     default_gap_tol,
-    farthest_points,
     gap_tol_of,
     suggestion,
 )
 from dcreg.remedies import Case, warnings_for
 from dcreg.result import Result, Stage
+from dcreg.sampling import refined, to_search
 from dcreg.search import Budget, Leaves, Listener, Trace
 from dcreg.status import Status
 from dcreg.warm_up import special, warm_up_mode
@@ -141,9 +141,7 @@ def register(
     began = time.perf_counter()
     problem = Problem(source, target, n_inliers, model, scale_range, candidates)
     asked = None if mode == AUTO else mode
-    if asked is None and downsample is None:
-        downsample = default_sample(problem, bound, certificate)
-    searched = problem if downsample is None else _sampled(problem, downsample, certificate)
+    (searched,) = to_search([problem], downsample, asked, bound, certificate)
     way = find_mode(model, asked or choose_mode(searched, bound, certificate))
     way.check(searched, bound, certificate)
     if start_box not in START_BOXES:
@@ -171,65 +169,17 @@ def register(
         answer = way.run(task)
         answer.events = budget.history
         result = result_of(searched, way, task, answer, polish=polish, time_setup_s=time_setup)
-        if searched is not problem:
-            result = _refined(result, problem, searched, budget)
-        warnings = warnings_for(Case(problem, result, way.in_norm_space))
-        return replace(result, warnings=warnings, time_solve_s=budget.elapsed())
+        result = completed(result, problem, searched, way, budget)
+        return replace(result, time_solve_s=budget.elapsed())
 
 
-def _sampled(problem: Problem, count: int, certificate: bool) -> Problem:
-    """The same problem for farthest points of both clouds; its pairs in the same proportion.
-
-    Raises
-    ------
-    InputError
-    """
-    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < problem.dim:
-        raise InputError(
-            f"downsample: {count!r} is no number of points; give a whole number such as 200"
-        )
-    for name, given in (
-        ("candidates", problem.candidates is not None),
-        ("certificate", certificate),
-    ):
-        if given:
-            raise InputError(f"downsample: {name} speak of all points; leave one of both out")
-    source = problem.source[farthest_points(problem.source, count)]
-    target = problem.target[farthest_points(problem.target, count)]
-    if len(source) == len(problem.source) and len(target) == len(problem.target):
-        return problem
-    share = problem.n_inliers / min(len(problem.source), len(problem.target))
-    n_inliers = max(1, round(share * min(len(source), len(target))))
-    return Problem(source, target, n_inliers, problem.model, problem.scale_range)
-
-
-def _refined(result: Result, problem: Problem, searched: Problem, budget: Budget) -> Result:
-    """The result of a sample, its pose refined on all points."""
-    began = budget.elapsed()
-    before, pairs = objective(
-        problem.source, problem.target, result.T_target_source, problem.n_inliers, prove=False,
-        stop=budget.closed,
-    )  # fmt: skip
-    T, value, spent = result.T_target_source, before, 1
-    if not budget.is_over:
-        T, value, pairs, spent = polish_pose(
-            problem.source, problem.target, T, problem.n_inliers, problem.scale_range,
-            budget=budget,
-        )  # fmt: skip
-    stage = Stage(
-        "all points", budget.elapsed() - began, n_assignments=spent,
-        objective_before=before, objective_after=value,
-    )  # fmt: skip
-    return replace(
-        result,
-        T_target_source=T,
-        assignment=pairs,
-        n_inliers=problem.n_inliers,
-        objective=value,
-        objective_certified=before,
-        stages=[*result.stages, stage],
-        downsampled=(len(searched.source), len(searched.target)),
-    )
+def completed(
+    result: Result, problem: Problem, searched: Problem, mode: Mode, budget: Budget
+) -> Result:
+    """The result of what was searched as that of the problem: for all its points, and with warnings."""
+    if searched is not problem:
+        result = refined(result, problem, searched, budget)
+    return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
 
 
 def default_tolerances(problem: Problem, mode: Mode) -> tuple[float, float]:
@@ -275,7 +225,6 @@ def result_of(
     polish: bool,
     time_setup_s: float,
     budget: Budget | None = None,
-    time_solve_s: float | None = None,
 ) -> Result:
     """The answer in the coordinates of the clouds, its pose polished as far as the budget allows.
 
@@ -286,11 +235,8 @@ def result_of(
     time_setup_s : float
     budget : Budget, optional
         Of the polish; default: the task's.
-    time_solve_s : float, optional
-        Spent before; default: all of the task's budget.
     """
     budget = budget or task.budget
-    began = budget.elapsed()
     frame = Frame.of(problem)
     area = frame.area
     T = T_certified = frame.pose(answer.T)
@@ -333,7 +279,7 @@ def result_of(
         n_nodes=sum(stage.n_nodes for stage in answer.stages),
         n_assignments=sum(stage.n_assignments for stage in answer.stages),
         time_setup_s=time_setup_s,
-        time_solve_s=(began if time_solve_s is None else time_solve_s) + budget.elapsed() - began,
+        time_solve_s=budget.elapsed(),
         trace=Trace([event.scaled(area) for event in answer.events]),
         stages=stages,
         certificate=_certificate(problem, mode, task, answer),

@@ -128,9 +128,12 @@ class Result:
         In the order in which they ran.
     certificate : Certificate, optional
         The leaf boxes of the search, when asked for.
-    downsampled : (int, int), optional
-        Source and target points that were searched, where they are not all: bounds, `gap_tol` and
-        `T_certified` are of these; final pose, pairs and objectives of all points.
+    downsampled : (int, int, int), optional
+        Source points, target points and pairs that were searched, where they are not all: bounds,
+        `gap_tol` and `T_certified` are of these; final pose, pairs and objectives of all points.
+    score : (float, float), optional
+        Of `dcreg.register_matches`: the chosen matches, each counted as 1 less its squared residual in
+        squared inlier distances, and the most that any pose can score, as far as is proven.
     warnings : list of str
         What should not be trusted without a second look, each with its remedy.
     """
@@ -156,13 +159,19 @@ class Result:
     trace: Trace
     stages: list[Stage] = field(default_factory=list)
     certificate: Certificate | None = None
-    downsampled: tuple[int, int] | None = None
+    downsampled: tuple[int, int, int] | None = None
+    score: tuple[float, float] | None = None
     warnings: list[str] = field(default_factory=list)
 
     @property
     def gap(self) -> float:
         """Absolute gap ``upper_bound - lower_bound``, never negative."""
         return max(0.0, self.upper_bound - self.lower_bound)
+
+    @property
+    def n_bounded(self) -> int:
+        """Pairs that the bounds speak of: `n_inliers`, or those of the sample that was searched."""
+        return self.n_inliers if self.downsampled is None else self.downsampled[2]
 
     @property
     def success(self) -> bool:
@@ -221,6 +230,7 @@ class Result:
             "rmse_matched": self.rmse_matched,
             "assignment": self.assignment.tolist(),
             "downsampled": None if self.downsampled is None else list(self.downsampled),
+            "score": None if self.score is None else list(self.score),
             "warnings": list(self.warnings),
             "stages": [stage.to_dict() for stage in self.stages],
         }
@@ -270,6 +280,13 @@ class Result:
         yield "scale", f"{self.scale:.6g}"
         yield "rotation", f"{self.rotation_deg:.4f} deg"
         yield "RMSE of pairs", f"{self.rmse_matched:.6g} over {text.count(self.n_inliers, 'pair')}"
+        if self.score is not None:
+            reached, limit = self.score
+            yield (
+                "score",
+                f"{reached:.5g}; proven: no pose has more than {limit:.5g} "
+                "(a match counts 1 - (residual / inlier distance)^2)",
+            )
         yield "lower bound", f"{self.lower_bound:.6g}"
         yield "upper bound", f"{self.upper_bound:.6g}"
         yield "gap", f"{self.gap:.4g} (tolerance {self.gap_tol:.4g})"
@@ -288,10 +305,11 @@ class Result:
         yield "time", f"{self.time_solve_s:.2f} s solving, {self.time_setup_s:.2f} s before"
         yield "method", f"{self.model}, mode {self.mode}, bound {self.bound}"
         if self.downsampled is not None:
-            n, m = self.downsampled
+            n, m, pairs = self.downsampled
             yield (
                 "downsampled",
-                f"to {n} and {m} farthest points; the pose is refined on all points",
+                f"the bounds are of {text.count(pairs, 'pair')} of {n} and {m} farthest points; the pose "
+                "is refined on all points",
             )
         for warning in self.warnings:
             yield "warning", warning

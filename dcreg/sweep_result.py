@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,11 @@ from dcreg.files import as_json, plain, whole_file, write_text
 from dcreg.result import Result
 from dcreg.status import Status
 
-# An elbow must lie below the chord of the curve by at least this share of the curve's height.
-_CLEAR_BEND = 0.1
-# A curve that rises by less than this share of the tolerated residual rises by rounding alone.
+_NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
+# The RMS residual is weighed by this power of the number of pairs: least where residuals of further pairs
+# begin to exceed sqrt(1 + 2 * 3) = 2.6 times the RMS of those before.
+_FRACTION_POWER = 3
+# A residual below this share of the tolerated one is rounding.
 _ROUNDING = 1e-3
 
 
@@ -45,20 +48,27 @@ class SweepResult:
 
     @property
     def suggested_n_inliers(self) -> int | None:
-        """Elbow of the RMSE of the final poses: a suggestion, nothing is proven about it.
+        """Where the fractional RMSE of the final poses is least: a suggestion, nothing is proven of it.
 
-        The cardinality farthest below the chord between the ends of the curve; None where the
-        curve has no clear bend.
+        That is the RMSE over the cube of the number of pairs (after Phillips, Liu and Tomasi 2007). None
+        where it is least at an end, so that the answer may lie beyond.
         """
         k = np.array([r.n_inliers for r in self.results], dtype=float)
         rmse = np.array([r.rmse_matched for r in self.results])
-        height = rmse[-1] - rmse[0]
-        tolerated = np.sqrt(self.results[-1].gap_tol / k[-1])
-        if len(k) < 3 or height <= _ROUNDING * tolerated:
-            return None
-        below = rmse[0] + height * (k - k[0]) / (k[-1] - k[0]) - rmse
-        at = int(np.argmax(below))
-        return int(k[at]) if below[at] >= _CLEAR_BEND * height else None
+        last = self.results[-1]
+        least = _ROUNDING * np.sqrt(last.gap_tol / last.n_bounded)
+        at = int(np.argmin(np.maximum(rmse, least) / k**_FRACTION_POWER))
+        return int(k[at]) if 0 < at < len(k) - 1 else None
+
+    @property
+    def warnings(self) -> list[str]:
+        """Those of all `results`; a line that differs in nothing but numbers, or not at all, only once."""
+        counts = [result.n_inliers for result in self.results]
+        found: dict[str, dict[int, str]] = {}  # cardinality and line, by the line without numbers
+        for result in self.results:
+            for line in result.warnings:
+                found.setdefault(_NUMBER.sub("#", line), {})[result.n_inliers] = line
+        return [_one_of(lines, counts) for lines in found.values()]
 
     def rows(self) -> list[dict[str, Any]]:
         """One row of plain numbers per cardinality, for tables and figures.
@@ -82,6 +92,7 @@ class SweepResult:
         return {
             "status": self.status.value,
             "suggested_n_inliers": self.suggested_n_inliers,
+            "warnings": self.warnings,
             "table": self.rows(),
             "results": [result.to_dict() for result in self.results],
         }
@@ -106,8 +117,9 @@ class SweepResult:
             writer.writerows(rows)
 
     def summary(self) -> str:
-        """The table and the suggestion, in lines of plain text."""
-        return "\n".join([text.table(*self.table(), left=["status"]), *self.notes()])
+        """The table, the suggestion and the warnings, in lines of plain text."""
+        warnings = [f"warning: {line}" for line in self.warnings]
+        return "\n".join([text.table(*self.table(), left=["status"]), *self.notes(), *warnings])
 
     def table(self) -> tuple[list[str], list[list[str]]]:
         """Headings, and `rows` as they are printed."""
@@ -142,12 +154,27 @@ class SweepResult:
             "target; next pair: rise of the upper bound per additional pair"
         )
         if suggested is None:
-            hint = "suggestion: none, the RMSE of the poses has no clear elbow over these cardinalities"
+            hint = (
+                "suggestion: none, nowhere between the first and the last of these cardinalities do the "
+                "residuals begin to stand out"
+            )
         else:
             hint = (
-                f"suggestion (*), not proven: {suggested} pairs, the elbow of the RMSE of the poses"
+                f"suggestion (*), not proven: {suggested} pairs, beyond which residuals stand out from those "
+                "before; as good as the poses are"
             )
-        return [legend, hint]
+        return [legend, *self._sample(), hint]
+
+    def _sample(self) -> list[str]:
+        """What was searched, where these are not all points."""
+        if (searched := self.results[0].downsampled) is None:
+            return []
+        n, m, _ = searched
+        counts = ", ".join(f"{r.n_inliers} as {r.n_bounded}" for r in self.results)
+        return [
+            f"downsampled to {n} and {m} farthest points: the bounds are of pairs of these ({counts}); "
+            "the poses are refined on all points"
+        ]
 
     __str__ = summary
 
@@ -159,10 +186,21 @@ class SweepResult:
         )
 
 
+def _one_of(lines: dict[int, str], counts: list[int]) -> str:
+    """One warning for the cardinalities that have it."""
+    (first, line), *others = lines.items()
+    if len(lines) == len(counts) and len(set(lines.values())) == 1:
+        return line
+    if not others:
+        return f"k={first}: {line}"
+    alike = "all others" if len(lines) == len(counts) else ", ".join(f"k={k}" for k, _ in others)
+    return f"k={first}: {line} (likewise {alike})"
+
+
 def _row(result: Result, after: Result | None, proven_by: int | None) -> dict[str, Any]:
-    k = result.n_inliers
+    k = result.n_bounded
     row: dict[str, Any] = {
-        "n_inliers": k,
+        "n_inliers": result.n_inliers,
         "status": result.status.value,
         "lower_bound": result.lower_bound,
         "upper_bound": result.upper_bound,
@@ -179,8 +217,7 @@ def _row(result: Result, after: Result | None, proven_by: int | None) -> dict[st
         "n_assignments": result.n_assignments,
         "time_s": result.time_solve_s,
     }
-    if after is not None:
-        more = after.n_inliers - k
+    if after is not None and (more := after.n_bounded - k) > 0:
         row["next_pair"] = (after.upper_bound - result.upper_bound) / more
         # the k cheapest of k' pairs would be better than the optimum for k if the others cost less than
         # its average pair

@@ -23,7 +23,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -35,12 +35,14 @@ from dcreg.names import DEFAULT_TIME_LIMIT_S, mode_names
 from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
 from dcreg.registration import (
     check_settings,
+    completed,
     default_tolerances,
     in_file_units,
     result_of,
     task_of,
 )
 from dcreg.result import Result, Stage
+from dcreg.sampling import to_search
 from dcreg.search import Budget, Event, Interrupted, Listener, Outcome, minimise
 from dcreg.spaces import FeatureSpace, Rigid3D
 from dcreg.status import Status
@@ -50,6 +52,8 @@ from dcreg.warm_up import special, warm_up_mode
 # A search may be asked for this share of its own tolerance to prove larger cardinalities as well;
 # with less, the one search costs more than those it saves.
 TIGHTEST_SHARE = 0.5
+# Of the time, for the descents of all cardinalities together: none goes without.
+STARTING_SHARE = 0.5
 
 
 def sweep(
@@ -69,6 +73,7 @@ def sweep(
     threads: int = 1,
     candidates: Candidates | None = None,
     polish: bool = True,
+    downsample: int | None = None,
     listener: Listener | None = None,
 ) -> SweepResult:
     """Register two clouds for several numbers of inliers, with bounds for each.
@@ -83,8 +88,9 @@ def sweep(
     n_inliers : sequence of int or float
         Cardinalities, in any order and with repetitions; floats in (0, 1] are fractions of
         ``min(n, m)``.
-    model, mode, bound, scale_range, threads, candidates, polish
-        As in `dcreg.register`, but that mode ``multi`` serves one cardinality only.
+    model, mode, bound, scale_range, threads, candidates, polish, downsample
+        As in `dcreg.register`, but that mode ``multi`` serves one cardinality only. Cardinalities that are
+        the same number of pairs of a sample have the same bounds.
     gap_tol : float, optional
         Absolute tolerance for every cardinality; default `dcreg.default_gap_tol` of each.
     tol : float, optional
@@ -121,22 +127,24 @@ def sweep(
     """
     began = time.perf_counter()
     problems = _problems(source, target, n_inliers, model, scale_range, candidates)
-    way = _mode(problems[-1], mode, bound)
-    way.check(problems[-1], bound, certificate=False)
-    gap_tols = [gap_tol_of(tol, gap_tol, problem.n_inliers) for problem in problems]
+    asked = None if mode == AUTO else mode
+    searched = to_search(problems, downsample, asked, bound)
+    way = _mode(searched[-1], asked, bound)
+    way.check(searched[-1], bound, certificate=False)
+    gap_tols = [gap_tol_of(tol, gap_tol, problem.n_inliers) for problem in searched]
     check_settings(
         gap_tol=gap_tols[-1], time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
     )  # fmt: skip
-    warm_up_mode(way, bound, *special(problems[0]))
+    warm_up_mode(way, bound, *special(searched[0]))
     time_setup = time.perf_counter() - began
-    area = Frame.of(problems[0]).area
+    area = Frame.of(searched[0]).area
     budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(listener, area))
     with budget:
         solve = _Sweep(
             [
-                _Level.of(problem, way, bound, gap_tol, threads, budget)
-                for problem, gap_tol in zip(problems, gap_tols, strict=True)
+                _Level.of(whole, problem, way, bound, gap_tol, threads, budget)
+                for whole, problem, gap_tol in zip(problems, searched, gap_tols, strict=True)
             ],
             way,
             budget,
@@ -148,7 +156,7 @@ def sweep(
 
 
 def _mode(problem: Problem, name: str | None, bound: str | None) -> Mode:
-    if name is None or name == AUTO:
+    if name is None:
         name = choose_mode(problem, bound)
     if name not in CHOSEN and name in mode_names(problem.model):
         raise InputError(
@@ -184,8 +192,9 @@ def _problems(
 
 @dataclass
 class _Level:
-    """One cardinality: its problem, what is known of its optimum, the work spent (frame units)."""
+    """One cardinality: its problem, what is searched for it, what is known of that (frame units)."""
 
+    whole: Problem
     problem: Problem
     task: Task
     space: FeatureSpace | Rigid3D
@@ -203,6 +212,7 @@ class _Level:
     @classmethod
     def of(
         cls,
+        whole: Problem,
         problem: Problem,
         mode: Mode,
         bound: str | None,
@@ -216,11 +226,17 @@ class _Level:
             rotation_tol = gap_tol
         task = task_of(problem, mode, bound, gap_tol, threads, budget, rotation_tol=rotation_tol)
         if mode.name == "full":
-            return cls(problem, task, *rigid_space(task))
-        return cls(problem, task, space_of(task))
+            return cls(whole, problem, task, *rigid_space(task))
+        return cls(whole, problem, task, space_of(task))
+
+    @property
+    def name(self) -> int:
+        """The cardinality, as it was asked for."""
+        return self.whole.n_inliers
 
     @property
     def k(self) -> int:
+        """Pairs of the search."""
         return self.problem.n_inliers
 
     @property
@@ -234,7 +250,7 @@ class _Level:
     def take(self, theta: np.ndarray, value: float, spent: int = 0) -> None:
         """A pose and its objective; the better one stays."""
         self.n_descending += spent
-        if value < self.upper_bound:
+        if value < self.upper_bound or not self.theta.size:
             self.theta, self.upper_bound = theta, value
 
     def inherit(self, smaller: _Level) -> None:
@@ -261,10 +277,12 @@ class _Sweep:
 
     def incumbents(self) -> None:
         """A pose for every cardinality, from descents of its own and from its neighbours'."""
-        for level in self.levels:
+        starting = self.budget.part(STARTING_SHARE)
+        for at, level in enumerate(self.levels):
             began = self.budget.elapsed()
             level.space.heed(self.budget.stop)
-            level.take(*level.space.start(self.budget.named(f"start of k={level.k}")))
+            own = starting.part(1.0 / (len(self.levels) - at))
+            level.take(*level.space.start(own.named(f"start of k={level.name}")))
             level.descending_s += self.budget.elapsed() - began
         self._exchange()
 
@@ -284,8 +302,10 @@ class _Sweep:
 
     def bounds(self) -> None:
         """Prove the cardinalities in ascending order, each by transfer if that is enough."""
-        share = TRANSLATION_SHARE if self.mode.in_norm_space else 1.0
-        searching = self.budget.part(share)
+        place_follows = self.mode.in_norm_space or any(
+            level.whole is not level.problem for level in self.levels
+        )
+        searching = self.budget.part(TRANSLATION_SHARE if place_follows else 1.0)
         for at, level in enumerate(self.levels):
             if at:
                 level.inherit(self.levels[at - 1])
@@ -321,12 +341,12 @@ class _Sweep:
             budget,
             gap_tol=gap_tol,
             start=(level.theta, level.upper_bound),
-            stage=f"k={level.k}",
+            stage=f"k={level.name}",
         )
         better = found.upper_bound < level.upper_bound
         level.take(found.theta, found.upper_bound)
         if found.lower_bound > level.lower_bound:
-            level.lower_bound, level.proven_by = found.lower_bound, level.k
+            level.lower_bound, level.proven_by = found.lower_bound, level.name
         level.stopped_by = found.status
         level.events = found.events
         level.searches.append(Stage.of("search", found, gap_tol))
@@ -348,7 +368,9 @@ class _Sweep:
             answer.T = pose_in(level.space, level.theta, level.swapped)
         else:
             place(level.task, level.space, level.theta, budget, answer)
-        return result_of(
+        result = result_of(
             level.problem, self.mode, level.task, answer, polish=polish, time_setup_s=time_setup,
-            budget=budget, time_solve_s=spent + budget.elapsed() - began,
+            budget=budget,
         )  # fmt: skip
+        result = completed(result, level.whole, level.problem, self.mode, budget)
+        return replace(result, time_solve_s=spent + budget.elapsed() - began)

@@ -134,7 +134,11 @@ PARTS = (
     Part("dcreg.cli", 0, 1.5, ("dcreg.cli", "dcreg.__main__"), "use"),
     Part(
         "dcreg: register, sweep, …", 1, 1.5,
-        ("dcreg", "dcreg.registration", "dcreg.matching", "dcreg.sweeping", "dcreg.warm_up"), "use",
+        (
+            "dcreg", "dcreg.registration", "dcreg.matching", "dcreg.sampling", "dcreg.sweeping",
+            "dcreg.warm_up",
+        ),
+        "use",
         "The public names, and how a problem passes through the parts below.",
     ),
     Part("dcreg.modes", 2, 0, ("dcreg.modes",), "solve"),

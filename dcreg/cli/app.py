@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 import dcreg
-from dcreg.cli.interrupts import EXIT_INTERRUPTED
+from dcreg.cli.interrupts import Interrupt, leave
 from dcreg.cli.matches import register_matches
 from dcreg.cli.register import register
 from dcreg.cli.sweep import sweep
@@ -21,14 +21,13 @@ from dcreg.cli.verify import verify
 
 
 class Commands(TyperGroup):
-    """The commands; a Ctrl-C that none of them treats itself is one line and an exit code."""
+    """The commands; a signal that none of them treats itself is one line and an exit code."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            typer.echo("interrupted", err=True)
-            ctx.exit(EXIT_INTERRUPTED)
+        except Interrupt as interrupt:
+            leave(interrupt)
 
 
 app = typer.Typer(

@@ -1,26 +1,57 @@
-"""Ctrl-C before and after a search; during one `dcreg.cli.progress.Progress` treats it."""
+"""Ctrl-C and SIGTERM where no search runs; during one `dcreg.cli.progress.Progress` treats them."""
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 from contextlib import suppress
 from types import FrameType
+from typing import NoReturn
 
-EXIT_INTERRUPTED = 130
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_NOTHING = "interrupted: nothing is computed yet and nothing written"
+_NOT_ALL = "interrupted: the result is printed above, its files are not all written"
+
+
+class Interrupt(KeyboardInterrupt):
+    """A signal that ends the command.
+
+    Parameters
+    ----------
+    number : int
+        Of the signal.
+    message : str
+        What the user should know.
+    """
+
+    def __init__(self, number: int = signal.SIGINT, message: str = _NOTHING) -> None:
+        super().__init__(message)
+        self.number, self.message = number, message
 
 
 def end_at_once() -> None:
-    """From now on Ctrl-C ends the process: while packages are loaded an exception surfaces anywhere."""
-    signal.signal(signal.SIGINT, _end)
+    """From now on a signal ends the process: while packages are loaded an exception surfaces anywhere."""
+    _handle(lambda number, _: leave(Interrupt(number)))
 
 
 def raise_again() -> None:
-    """From now on Ctrl-C raises KeyboardInterrupt, so that a half-written file is removed."""
+    """From now on a signal raises `Interrupt`, so that a half-written file is removed."""
+    _handle(_raise)
+
+
+def leave(interrupt: Interrupt) -> NoReturn:
+    """End the process at once, whatever its threads do, with 128 and the number of the signal."""
+    sys.stdout.flush()
+    os.write(2, f"{interrupt.message}\n".encode())  # printing may be what was interrupted
+    os._exit(128 + interrupt.number)
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    raise Interrupt(number, _NOT_ALL)
+
+
+def _handle(handler: signal._HANDLER) -> None:
     with suppress(ValueError):  # handlers can be set in the main thread only
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    os.write(2, b"interrupted\n")
-    os._exit(EXIT_INTERRUPTED)
+        for number in SIGNALS:
+            signal.signal(number, handler)

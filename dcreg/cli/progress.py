@@ -17,12 +17,14 @@ from rich.live import Live
 from rich.text import Text
 
 import dcreg
+from dcreg.cli.interrupts import SIGNALS, Interrupt
 
 # Tells what the library does beside its searches, such as compiling, in records of level INFO.
 _LIBRARY = logging.getLogger("dcreg")
 T = TypeVar("T")
 _GLANCE_S = 0.1  # between two chances to handle a signal
-_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_WAITING_S = 5.0  # between two plain lines before a search
+_PREPARING = "preparing the search"
 _HEADER = (
     f"  {'stage':<11}{'nodes':>9}{'open':>7}{'assign.':>9}"
     f"{'lower bound':>12}{'upper bound':>12}{'gap':>10}{'time':>8}"
@@ -33,7 +35,8 @@ class Progress:
     """A `dcreg.Listener` that shows where a search stands, and stops it on Ctrl-C.
 
     Used as a context manager around the search. The first interrupt (SIGINT or SIGTERM) asks the
-    search to stop, which it does at once, so that the best pose is kept; a second one ends at once.
+    search to stop, which it does at once, so that the best pose is kept; a second one, or one before the
+    search has begun, raises `Interrupt`.
 
     Parameters
     ----------
@@ -61,6 +64,8 @@ class Progress:
         self._interval_s = interval_s
         self._quiet = quiet
         self._live: Live | None = None
+        self._began = time.monotonic()
+        self._heard = False
         self._header_shown = False
         self._last_print = -math.inf
         self._stage = ""
@@ -72,7 +77,7 @@ class Progress:
         self._old_level = logging.NOTSET
 
     def __enter__(self) -> Self:
-        for number in _STOP_SIGNALS:
+        for number in SIGNALS:
             try:
                 self._old_handlers[number] = signal.signal(number, self._on_signal)
             except ValueError:  # handlers can be set in the main thread only
@@ -83,7 +88,7 @@ class Progress:
         _LIBRARY.setLevel(logging.INFO)
         _LIBRARY.addHandler(self._messages)
         if self._console.is_terminal:
-            self._live = Live(Text("preparing"), console=self._console, refresh_per_second=8)
+            self._live = Live(Text(_PREPARING), console=self._console, refresh_per_second=8)
             self._live.start()
         return self
 
@@ -99,6 +104,7 @@ class Progress:
             signal.signal(number, handler)
 
     def __call__(self, event: dcreg.Event) -> bool:
+        self._heard = True
         if not self._quiet:
             self._show(event)
         return self.stop_requested
@@ -118,16 +124,27 @@ class Progress:
         thread.start()
         while thread.is_alive():
             thread.join(_GLANCE_S)
+            if not (self._heard or self._quiet):
+                self._show_waiting()
         if errors:
             raise errors[0]
         return outcome[0]
 
     def _on_signal(self, number: int, _: FrameType | None) -> None:
-        if self.stop_requested:
-            raise KeyboardInterrupt
+        if self.stop_requested or not self._heard:
+            raise Interrupt(number)
         self.stop_requested = True
         # Printing from a handler may interrupt a print half-way; a bare write may not.
         os.write(2, b"\nstopping, best pose is kept (again: quit at once)\n")
+
+    def _show_waiting(self) -> None:
+        """That the library is still preparing: checking, sampling, compiling."""
+        now = time.monotonic()
+        if self._live is not None:
+            self._live.update(Text(f"{_PREPARING}, {now - self._began:.0f} s"))
+        elif now - max(self._began, self._last_print) >= _WAITING_S:
+            self._console.print(f"{_PREPARING}, {now - self._began:.0f} s", highlight=False)
+            self._last_print = now
 
     def _show(self, event: dcreg.Event) -> None:
         if not self._header_shown:

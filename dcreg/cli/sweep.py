@@ -52,6 +52,7 @@ def sweep(
     node_limit: options.NodeLimitOption = None,
     threads: options.ThreadsOption = 1,
     polish: options.PolishOption = True,
+    downsample: options.DownsampleOption = None,
     candidates_path: options.CandidatesOption = None,
     source_key: options.SourceKeyOption = None,
     target_key: options.TargetKeyOption = None,
@@ -110,6 +111,7 @@ def sweep(
                     threads=threads,
                     candidates=candidates,
                     polish=polish,
+                    downsample=downsample,
                     listener=progress,
                 )
             )

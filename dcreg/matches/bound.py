@@ -39,7 +39,7 @@ class MatchBound:
         self._problem, self._margin = problem, MARGIN * gap_tol
         self.roots: list[Box] = Rotation3D.roots()
         self.axis_weights = np.ones(4)
-        self._best = self._score(incumbent)
+        self._best = problem.score(incumbent)
         chosen, before = np.arange(len(problem.pairs)), np.inf
         while 0 < len(chosen) <= min(MAX_CAPPED, 0.95 * before):
             before, highest = len(chosen), np.empty(len(chosen))
@@ -53,9 +53,6 @@ class MatchBound:
         """Boxes bounded between two readings of the clock, at most."""
         return int(np.clip(ROUND_WORK // max(1, self.n_left), 16, 512))
 
-    def _score(self, cost: float) -> float:
-        return self._problem.most - cost / self._problem.reach**2
-
     def evaluate(
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
     ) -> Evaluation:
@@ -63,7 +60,7 @@ class MatchBound:
         count = len(lower)
         highest, poses = np.full(count, self._best), np.zeros((count, 3, 4))
         if self.n_left:
-            enough = max(self._best, self._score(cutoff + self._margin))
+            enough = max(self._best, self._problem.score(cutoff + self._margin))
             rotation_bounds(self._matches, lower, upper, enough, highest, poses)
         values = np.full(count, np.inf)
         best = int(np.argmax(highest))

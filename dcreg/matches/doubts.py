@@ -12,30 +12,30 @@ _FLAT = 1e-9  # extent across a line, in extents along it, that is rounding
 
 def doubts(
     problem: MatchProblem,
-    value: float,
     chosen: np.ndarray,
+    score: tuple[float, float],
     others: list[float],
-    nothing_proven: bool,
+    is_open: bool,
 ) -> list[str]:
     """One line for each doubt.
 
     Parameters
     ----------
     problem : MatchProblem
-    value : float
-        Cost of the pose.
     chosen : int array
-        The matches that it chooses.
+        The matches that the pose chooses.
+    score : (float, float)
+        Of the pose, and the most that any pose can have as far as was proven.
     others : list of float
-        Costs of distinct poses, the best first.
-    nothing_proven : bool
-        Whether bounds were asked for and did not leave zero.
+        Scores of distinct poses, the best first.
+    is_open : bool
+        Whether bounds were asked for and did not meet.
     """
-    lines = [_undetermined(problem, chosen), _rival(problem, value, others)]
-    if nothing_proven:
+    lines = [_undetermined(problem, chosen), _rival(score[0], others)]
+    if is_open:
         lines.append(
-            "the lower bound is 0: nothing proves that no other pose agrees with more of the matches. "
-            "Give more time, or fewer matches, the likely ones"
+            f"the search ended early: a pose with a score of up to {score[1]:.4g} is not ruled out, this "
+            f"one has {score[0]:.4g}. Give more time, or fewer matches, the likely ones"
         )
     return [line for line in lines if line is not None]
 
@@ -52,12 +52,17 @@ def _undetermined(problem: MatchProblem, chosen: np.ndarray) -> str | None:
     )
 
 
-def _rival(problem: MatchProblem, value: float, others: list[float]) -> str | None:
-    """Another pose is nearly as good."""
-    best, *rest = ((problem.most - cost / problem.reach**2) for cost in (value, *others))
-    if not rest or rest[0] < RIVAL * best:
+def _rival(best: float, others: list[float]) -> str | None:
+    """Another pose is nearly as good, or no worse than chance alone makes it."""
+    other = others[0] if others else 0.0
+    if other >= RIVAL * best:
+        return (
+            f"another pose agrees with the matches nearly as well, {other / best:.0%} of this one: either "
+            "may be right. Look at both clouds, or give better matches, or several for each point"
+        )
+    if best - other >= LEAST:
         return None
     return (
-        f"another pose agrees with the matches nearly as well, {rest[0] / best:.0%} of this one: either "
-        "may be right. Look at both clouds, or give better matches, or several for each point"
+        f"the pose agrees with the matches hardly better than others do (score {best:.3g}, next best "
+        f"{other:.3g}); any three matches can agree by chance. Look at both clouds, or give better matches"
     )

@@ -95,6 +95,10 @@ class MatchProblem:
         moved = self.list.source @ centred[:, :3].T + centred[:, 3]
         return ((moved - self.list.target) ** 2).sum(axis=1)
 
+    def score(self, cost: float) -> float:
+        """The same cost in matches: what the chosen ones count together, 1 - (residual / reach)^2 each."""
+        return self.most - cost / self.reach**2
+
     def cost(self, centred: np.ndarray) -> tuple[float, np.ndarray]:
         """The least cost at a centred pose, and which matches are chosen for it."""
         square = self.residuals(centred)

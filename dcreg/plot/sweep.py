@@ -50,7 +50,7 @@ def plot_sweep(
             names,
             _sweep_title(sweep),
             sweep_figures(sweep),
-            warnings=list(dict.fromkeys(w for result in sweep.results for w in result.warnings)),
+            warnings=sweep.warnings,
             headings=headings,
             rows=rows,
             notes=sweep.notes(),
@@ -106,7 +106,7 @@ def _sweep_title(sweep: SweepResult) -> str:
 
 
 _AXES = ("pairs to match (n_inliers)", "units of the target")
-_SUGGESTION = "suggestion: elbow at {}"
+_SUGGESTION = "suggestion: {} pairs"
 _BAND = "range left open by the bounds"
 _POSE_CURVE = "RMSE of the final pose"
 

@@ -103,7 +103,8 @@ class Budget:
                 self._error, self._stopped = error, True
             if over_s is None and self.is_over:
                 over_s, self.stop[0] = now, 1
-            if over_s is not None and now - over_s >= self._closing_s:
+            closing_s = _CLOSING_S if self.stopped else self._closing_s  # who stops it is waiting
+            if over_s is not None and now - over_s >= closing_s:
                 self.closed[0] = 1
 
     def elapsed(self) -> float:

@@ -186,8 +186,8 @@ def test_without_history_and_pairs(tmp_path):
 # --- sweep ----------------------------------------------------------------------------------------
 
 
-def sweep(dim=2, lower=(0.0, 0.8, 6.0, 29.0), upper=(0.5, 1.0, 8.0, 30.0)):
-    """A made-up sweep over 2, 4, 6 and 8 pairs, with an elbow at 4."""
+def sweep(dim=2, lower=(0.0, 0.8, 15.0, 150.0), upper=(0.5, 1.0, 20.0, 160.0)):
+    """A made-up sweep over 2, 4, 6 and 8 pairs of which 4 fit."""
     results = [
         result(dim, low, upper_bound=high, n_inliers=k, objective=high, status=Status.OPTIMAL)
         for k, low, high in zip((2, 4, 6, 8), lower, upper, strict=True)
@@ -201,18 +201,18 @@ def test_sweep_draws_residuals_with_their_bands():
     residual, following = [trace for trace in drawn if trace.fill != "toself"]
     k = np.array([2, 4, 6, 8])
     np.testing.assert_allclose(residual.x, k)
-    np.testing.assert_allclose(residual.y, np.sqrt(np.array([0.5, 1.0, 8.0, 30.0]) / k))
-    np.testing.assert_allclose(bands[0].y[4:], np.sqrt(np.array([0.0, 0.8, 6.0, 29.0]) / k)[::-1])
+    np.testing.assert_allclose(residual.y, np.sqrt(np.array([0.5, 1.0, 20.0, 160.0]) / k))
+    np.testing.assert_allclose(bands[0].y[4:], np.sqrt(np.array([0.0, 0.8, 15.0, 150.0]) / k)[::-1])
     np.testing.assert_allclose(following.x, [3, 5, 7])
-    np.testing.assert_allclose(following.y, np.sqrt([0.25, 3.5, 11.0]))
-    np.testing.assert_allclose(bands[1].y[:3], np.sqrt([0.5, 3.6, 12.0]))
-    np.testing.assert_allclose(bands[1].y[3:], np.sqrt([10.5, 2.5, 0.15]))
+    np.testing.assert_allclose(following.y, np.sqrt([0.25, 9.5, 70.0]))
+    np.testing.assert_allclose(bands[1].y[:3], np.sqrt([0.5, 9.6, 72.5]))
+    np.testing.assert_allclose(bands[1].y[3:], np.sqrt([65.0, 7.0, 0.15]))
 
 
-def test_sweep_calls_the_elbow_a_suggestion():
+def test_sweep_calls_its_choice_a_suggestion():
     for figure in sweep_figures(sweep()).values():
         (line,) = figure.layout.shapes
-        assert (line.x0, line.name) == (4, "suggestion: elbow at 4")
+        assert (line.x0, line.name) == (4, "suggestion: 4 pairs")
     for figure in sweep_figures(sweep(upper=(2.0, 16.0, 54.0, 128.0))).values():
         assert not figure.layout.shapes
 
@@ -250,7 +250,7 @@ def test_sweep_as_svg_keeps_its_words(tmp_path):
     for name in ("a.svg", "b.svg"):
         plot_sweep(sweep(dim=3), tmp_path / name)
     text = (tmp_path / "a.svg").read_text(encoding="utf-8")
-    for words in ("pairs to match", "suggestion: elbow at 4", "RMSE of the final pose"):
+    for words in ("pairs to match", "suggestion: 4 pairs", "RMSE of the final pose"):
         assert words in text
     assert text == (tmp_path / "b.svg").read_text(encoding="utf-8")
 
