@@ -134,4 +134,3 @@ def _solved(
         time_setup_s=setup, time_solve_s=budget.elapsed(), stages=stages,
         trace=Trace(events), score=score, warnings=doubts(problem, chosen, score, others, is_open),
     )  # fmt: skip
-

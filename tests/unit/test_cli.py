@@ -13,6 +13,7 @@ import threading
 import time
 
 import numpy as np
+import psutil
 import pytest
 from rich.console import Console
 from typer.testing import CliRunner
@@ -21,6 +22,7 @@ import dcreg
 from dcreg import Event, Result, Stage, Status, SweepResult, Trace
 from dcreg.cli import output
 from dcreg.cli.app import app
+from dcreg.cli.interrupts import Interrupt
 from dcreg.cli.options import ModelChoice
 from dcreg.cli.progress import Progress, ProofProgress
 from dcreg.io import READERS
@@ -880,13 +882,71 @@ def test_no_tolerance_is_warned_of(call, fake):
     assert "hardly ever" not in run(*call, "--gap-tol", "0.1").stderr
 
 
-@pytest.mark.parametrize("delay", [0.3, 0.6])
-def test_interrupt_while_loading_is_one_line(call, delay):
-    command = [sys.executable, "-m", "dcreg", *map(str, call), "--gap-tol", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(delay)
-    process.send_signal(signal.SIGINT)
+# --- signals before a search ------------------------------------------------------------------------
+
+NOTHING = "interrupted: nothing is computed yet and nothing written"
+
+
+def ends_within_2_s(process, number):
+    """Exit code and last line on standard error of a process that is sent a signal."""
+    used = psutil.Process(process.pid).cpu_times()
+    others = resource.getrusage(resource.RUSAGE_CHILDREN)
+    process.send_signal(number)
     _, messages = process.communicate(timeout=60)
-    if "stopping" not in messages:  # a fast machine is in the search by then
-        assert (process.returncode, messages.splitlines()[-1]) == (130, "interrupted")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - others.ru_utime - others.ru_stime
+    # of the processor, which other work on the machine does not prolong
+    assert spent - used.user - used.system <= 2.0
     assert "Traceback" not in messages
+    return process.returncode, messages.splitlines()[-1]
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_a_file_is_read_ends_at_once(tmp_path, number, code):
+    os.mkfifo(tmp_path / "slow.txt")
+    np.savetxt(tmp_path / "a.txt", np.eye(2))
+    command = [sys.executable, "-m", "dcreg", "register", tmp_path / "slow.txt", tmp_path / "a.txt"]
+    process = subprocess.Popen(
+        [*map(str, command), "--model", "similarity2d", "--n-inliers", "2"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with (tmp_path / "slow.txt").open("w") as slow:  # waits for the reader
+        assert ends_within_2_s(process, number) == (code, NOTHING)
+        assert not slow.closed
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_kernels_are_compiled_ends_at_once(call, tmp_path, number, code):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dcreg", *map(str, call)],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cold")},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stderr.readline().startswith("compiling the kernels")
+    assert ends_within_2_s(process, number) == (code, NOTHING)
+
+
+def test_a_signal_before_the_search_ends_the_preparation():
+    with Progress(Console(file=io.StringIO())) as progress, pytest.raises(Interrupt):
+        signal.raise_signal(signal.SIGTERM)
+    assert not progress.stop_requested
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_time_of_the_preparation_is_shown(monkeypatch, terminal):
+    monkeypatch.setattr("dcreg.cli.progress._WAITING_S", 0.3)
+
+    def prepare_and_search(progress):
+        time.sleep(0.5)
+        progress(event("end"))
+        time.sleep(0.5)
+        return 7
+
+    for quiet in (False, True):
+        stream = io.StringIO()
+        console = Console(file=stream, force_terminal=terminal, width=80)
+        with Progress(console, quiet=quiet) as progress:
+            assert progress.run(lambda: prepare_and_search(progress)) == 7  # noqa: B023
+        assert ("preparing the search, 0 s" in stream.getvalue()) != quiet
+        if not (quiet or terminal):
+            assert stream.getvalue().count("preparing") == 1  # and not while it searches

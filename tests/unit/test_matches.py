@@ -51,7 +51,24 @@ def test_pose_is_found_among_wrong_matches_and_certified(n_right, n_wrong, sever
     moved = source @ found.rotation.T + found.translation
     i, j = found.assignment.T
     assert found.objective == pytest.approx(((moved[i] - target[j]) ** 2).sum())
-    assert 0.0 <= found.lower_bound <= found.objective
+    assert 0.0 < found.lower_bound <= found.upper_bound
+
+
+def test_bounds_are_those_that_were_proven():
+    """On the whole cost, so that they do not sink below zero and vanish; the score says the same."""
+    source, target, matches, T = planted(30, 70, noise=0.01)
+    found = dcreg.register_matches(source, target, matches, inlier_distance=REACH)
+    price = REACH**2 * (100 - found.n_inliers)
+    assert found.upper_bound == pytest.approx(found.objective + price)
+    assert found.status is dcreg.Status.OPTIMAL
+    assert found.gap <= found.gap_tol
+    assert found.score == pytest.approx(
+        (100 - found.upper_bound / REACH**2, 100 - found.lower_bound / REACH**2)
+    )
+    residuals = ((source @ T[:3, :3].T + T[:3, 3] - target)[:30] ** 2).sum(axis=1)
+    assert (1.0 - residuals / REACH**2).sum() <= found.score[1]
+    assert f"no pose has more than {found.score[1]:.5g}" in str(found)
+    assert found.to_dict()["score"] == list(found.score)
 
 
 def test_cost_is_that_of_the_best_one_to_one_choice():
@@ -152,7 +169,8 @@ def test_optimum_chooses_among_the_cheapest_matchings_of_its_size():
     )  # fmt: skip
     assert found.status is dcreg.Status.OPTIMAL
     assert found.objective <= dense.objective + 1e-6
-    assert found.lower_bound <= dense.objective + 1e-9
+    priced = dense.objective + 0.3**2 * (12 - found.n_inliers)
+    assert found.lower_bound <= priced + 1e-9
 
 
 def test_useless_matches_are_left_out_of_the_bound():
@@ -186,13 +204,9 @@ def test_listener_hears_of_starts_and_search_and_can_stop():
     found = dcreg.register_matches(source, target, matches, listener=heard.append, **given)
     assert {event.stage for event in heard} == {"start", "rotation"}
     assert heard[-1].status == found.status == dcreg.Status.OPTIMAL
-    # the trace speaks of squared residuals alone, as the result does
     last = list(found.trace)[-1]
-    assert last.upper_bound == pytest.approx(found.upper_bound)
-    assert last.lower_bound == pytest.approx(found.lower_bound)
-    least = min(len(np.unique(column)) for column in matches.T)
-    price = (least - found.n_inliers) * REACH**2
-    assert heard[-1].upper_bound == pytest.approx(found.upper_bound + price)
+    assert last.upper_bound == heard[-1].upper_bound == found.upper_bound
+    assert last.lower_bound == heard[-1].lower_bound == found.lower_bound
     stopped = dcreg.register_matches(source, target, matches, listener=lambda event: True, **given)
     assert stopped.status is dcreg.Status.STOPPED
 
@@ -234,7 +248,21 @@ def test_a_search_that_proves_nothing_is_told():
     source, target, matches, _ = planted(12, 150, noise=0.02)
     found = dcreg.register_matches(source, target, matches, inlier_distance=REACH, node_limit=16)
     assert found.status is dcreg.Status.NODE_LIMIT
-    assert any("the lower bound is 0" in line and "more time" in line for line in found.warnings)
+    reached, limit = found.score
+    told = f"up to {limit:.4g} is not ruled out, this one has {reached:.4g}"
+    assert any(told in line and "more time" in line for line in found.warnings)
+
+
+@pytest.mark.parametrize(("n", "reach", "seed"), [(60, 0.05, 0), (60, 0.2, 0), (200, 0.1, 0)])
+def test_an_agreement_by_chance_is_told(n, reach, seed):
+    """Random matches, of which the first two have no second pose nearly as good as the best."""
+    rng = np.random.default_rng(seed)
+    source, target = rng.uniform(-1, 1, (2, n, 3))
+    matches = np.column_stack([np.arange(n), rng.permutation(n)])
+    found = dcreg.register_matches(
+        source, target, matches, inlier_distance=reach, certify=False, time_limit=10
+    )
+    assert any("nearly as well" in line or "by chance" in line for line in found.warnings)
 
 
 def test_unit_of_length_does_not_matter():

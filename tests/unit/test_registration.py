@@ -402,12 +402,13 @@ def test_downsampled_clouds_are_searched_and_the_pose_is_refined_on_all_points(r
     result = dcreg.register(
         source, target, n_inliers=300, model="similarity2d", downsample=40, time_limit=20
     )
-    assert result.downsampled == (40, 40)
+    assert result.downsampled == (40, 40, 40)
     assert result.n_inliers == len(result.assignment) == 300
+    assert result.n_bounded == 40
     np.testing.assert_allclose(result.translation, [3.0, 3.0], atol=1e-6)
     assert result.objective < 1e-12
     assert "downsampled" in str(result)
-    assert result.to_dict()["downsampled"] == [40, 40]
+    assert result.to_dict()["downsampled"] == [40, 40, 40]
 
 
 def test_downsampling_leaves_small_clouds_alone(rng):
@@ -439,6 +440,6 @@ def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     source = generator.random((40, 3)) * [2.0, 1.0, 0.5]
     target = source[:, [1, 2, 0]] + 1.0
     part = dcreg.register(source, target, n_inliers=0.8, model="rigid3d", time_limit=5.0)
-    assert (part.mode, part.downsampled) == ("full", (25, 25))
+    assert (part.mode, part.downsampled) == ("full", (25, 25, 20))
     whole = dcreg.register(source, target, n_inliers=40, model="rigid3d", time_limit=5.0)
     assert (whole.mode, whole.downsampled) == ("paper", None)

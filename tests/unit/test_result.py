@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ def result(**changes):
 
 def sweep(n=3, **changes):
     counts = range(50, 50 + 10 * n, 10)
-    values = [0.5, 0.6, 5.0, 9.0]
+    values = [0.5, 0.6, 9.0, 18.0]
     results = [
         result(n_inliers=k, lower_bound=0.9 * x, upper_bound=x, objective=x, **changes)
         for k, x in zip(counts, values, strict=False)
@@ -152,11 +153,46 @@ def test_a_sweep_prints_its_table_and_the_suggestion():
     assert [row.split()[0] for row in rows] == ["50", "*", "70"]
     assert "0.09487 to 0.1" in rows[0]
     assert legend.startswith("bounds on: similarity pose; RMS: sqrt(bound / pairs)")
-    assert hint == "suggestion (*), not proven: 60 pairs, the elbow of the RMSE of the poses"
-    assert "no clear elbow" in str(sweep(2))
+    assert hint.startswith("suggestion (*), not proven: 60 pairs, beyond which residuals stand out")
+    assert "suggestion: none" in str(sweep(2))
     assert "RMSE of pose" not in heading
     space = {"T_target_source": np.eye(4), "model": "rigid3d"}
     assert "RMSE of pose" in str(sweep(**space))
+
+
+def warned(**lines):
+    """A sweep over 50, 60 and 70 pairs with these warnings (by ``k50`` …)."""
+    found = sweep()
+    results = [
+        replace(each, warnings=lines.get(f"k{each.n_inliers}", [])) for each in found.results
+    ]
+    return replace(found, results=results)
+
+
+def test_a_sweep_gives_every_warning_once():
+    assert warned().warnings == []
+    same = warned(k50=["too vague"], k60=["too vague"], k70=["too vague"])
+    assert same.warnings == ["too vague"]
+    assert same.to_dict()["warnings"] == ["too vague"]
+    assert str(same).splitlines()[-1] == "warning: too vague"
+    some = warned(k60=["rmse 0.12 of 60"], k70=["rmse 1.5e-07 of 70", "on a line"])
+    assert some.warnings == ["k=60: rmse 0.12 of 60 (likewise k=70)", "k=70: on a line"]
+    every = warned(k50=["rmse 1"], k60=["rmse 2"], k70=["rmse 3"])
+    assert every.warnings == ["k=50: rmse 1 (likewise all others)"]
+
+
+def test_bounds_of_a_sample_are_told_per_pair_of_it():
+    found = sweep()
+    results = [
+        replace(r, downsampled=(8, 9, k)) for r, k in zip(found.results, (5, 5, 7), strict=True)
+    ]
+    sampled = replace(found, results=results)
+    first, second, _ = sampled.rows()
+    assert first["n_inliers"] == 50
+    assert first["rms"] == pytest.approx(np.sqrt(0.5 / 5))
+    assert first["next_pair"] is None  # the same pairs of the sample
+    assert second["next_pair"] == pytest.approx((9.0 - 0.6) / 2)
+    assert "of pairs of these (50 as 5, 60 as 5, 70 as 7)" in str(sampled)
 
 
 def test_a_sweep_is_written_as_json_and_csv(tmp_path):

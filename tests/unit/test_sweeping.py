@@ -109,11 +109,16 @@ def test_pose_attains_the_upper_bound(clouds, found):
         assert len(result.assignment) == len(pairs) == result.n_inliers
 
 
-def test_elbow_is_where_the_clutter_begins(found):
+def test_suggested_is_where_the_clutter_begins(found):
     assert found.suggested_n_inliers == 20
 
 
-def test_no_elbow_without_a_bend(clouds):
+@pytest.mark.parametrize("counts", [[16, 18, 20, 22], [18, 19, 20, 21, 22, 23, 24], [8, 20, 24]])
+def test_suggestion_does_not_depend_on_where_the_sweep_begins_and_ends(clouds, counts):
+    assert dcreg.sweep(*clouds, counts, model="similarity2d").suggested_n_inliers == 20
+
+
+def test_no_suggestion_where_nothing_stands_out(clouds):
     source, _ = clouds
     for counts in ([10, 20], [10, 15, 20]):  # too few, and no residual at all
         exact = dcreg.sweep(source, source, counts, model="similarity2d")
@@ -370,10 +375,88 @@ def test_poses_are_not_exchanged_past_the_limit(monkeypatch):
     )
     dcreg.sweep(*flat(noise=0.05), COUNTS, model="similarity2d", time_limit=1e-9)
     starts = [space for space in calls if space.n_source == 24]  # not those of the warm-up
-    assert len(starts) == len(COUNTS)
+    assert 0 < len(starts) == len(set(map(id, starts)))
 
 
 def test_time_of_descents_is_counted():
     for result in dcreg.sweep(*flat(noise=0.05), COUNTS, model="similarity2d").results:
         assert result.stages[0].name == "descents"
         assert 0.0 < result.stages[0].time_s <= result.time_solve_s
+
+
+# --- as `register` does it --------------------------------------------------------------------------
+
+
+def test_every_cardinality_has_the_warnings_of_a_single_call(clouds):
+    source, target = clouds
+    larger = 12.0 * target  # beyond the range of scales
+    swept = dcreg.sweep(source, larger, [16, 20], model="similarity2d", node_limit=200)
+    for result in swept.results:
+        alone = dcreg.register(
+            source, larger, n_inliers=result.n_inliers, model="similarity2d", node_limit=200
+        )
+        assert [line.split()[:4] for line in result.warnings] == [
+            line.split()[:4] for line in alone.warnings
+        ]
+    (scale,) = [line for line in swept.warnings if "scale_range" in line]
+    assert scale.startswith("the scale 1.5 is an end")  # said once
+    assert f"warning: {scale}" in str(swept)
+
+
+def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
+    monkeypatch.setattr("dcreg.modes.table.RIGID_PAIRS", 900)
+    monkeypatch.setattr("dcreg.modes.table.LARGE_SAMPLE", 25)
+    generator = np.random.default_rng(0)
+    source = generator.random((40, 3)) * [2.0, 1.0, 0.5]
+    target = source[:, [1, 2, 0]] + 1.0
+    options = {"model": "rigid3d", "time_limit": 6.0}
+    part = dcreg.sweep(source, target, [30, 31, 32], **options)
+    alone = dcreg.register(source, target, n_inliers=32, **options)
+    assert [r.downsampled for r in part.results] == [(25, 25, 19), (25, 25, 19), (25, 25, 20)]
+    assert [r.mode for r in part.results] == ["full"] * 3
+    assert part.results[-1].downsampled == alone.downsampled
+    for result in part.results:
+        assert len(result.assignment) == result.n_inliers
+        assert result.stages[-1].name == "all points"
+        np.testing.assert_allclose(
+            result.T_target_source, alone.T_target_source, atol=1e-6
+        )  # the same on all points, which fit exactly
+    assert part.results[0].upper_bound == pytest.approx(part.results[1].upper_bound)
+    assert set(part.proven_by) <= {None, 30, 31, 32}  # as they were asked for
+    whole = dcreg.sweep(source, target, [40], **options)
+    assert (whole.results[0].mode, whole.results[0].downsampled) == ("paper", None)
+    asked = dcreg.sweep(source, target, [30], mode="full", downsample=20, **options)
+    assert asked.results[0].downsampled == (20, 20, 15)
+
+
+def test_a_sample_of_a_sweep_refuses_what_it_would_ignore(clouds):
+    with pytest.raises(InputError, match="downsample: candidates speak of all points"):
+        dcreg.sweep(
+            *clouds, [18], model="similarity2d", downsample=10, candidates=half_of(18, 24, 24)
+        )
+
+
+def test_descents_of_all_cardinalities_share_the_time(monkeypatch):
+    begun = []
+
+    def until_its_end(space, budget):
+        if space.n_source == 24:  # not in the warm-up
+            begun.append((space.n_inliers, budget.is_over))
+            while not budget.is_over:
+                time.sleep(0.01)
+        return space.identity, space.objective(space.identity)[0], 1
+
+    monkeypatch.setattr(Similarity2D, "start", until_its_end)
+    dcreg.sweep(*flat(noise=0.05), [16, 18, 20], model="similarity2d", time_limit=2.0)
+    assert begun == [(16, False), (18, False), (20, False)]
+
+
+def test_a_cardinality_without_any_time_has_a_pose():
+    source, target = np.random.default_rng(0).random((2, 1000, 3))
+    found = dcreg.sweep(
+        source, target, [0.5, 0.7, 0.9], model="rigid3d", mode="full", time_limit=0.05
+    )
+    assert found.status is Status.TIME_LIMIT
+    for result in found.results:
+        assert np.linalg.det(result.rotation) == pytest.approx(1.0)
+        assert len(result.assignment) == result.n_inliers

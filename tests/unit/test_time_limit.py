@@ -122,6 +122,31 @@ def test_a_caller_can_stop_within_a_kernel():
     assert result.time_solve_s <= 3.0
 
 
+def test_a_caller_who_stops_does_not_wait_for_a_share_of_the_limit():
+    with Budget(600.0, listener=lambda event: True) as budget:
+        budget.found(1.0)
+        began = time.perf_counter()
+        while not budget.closed[0] and time.perf_counter() - began < 10.0:
+            time.sleep(0.01)
+    assert time.perf_counter() - began < 2.0
+
+
+def test_a_caller_can_stop_a_search_of_large_clouds():
+    clouds = pair_of_clouds(30_000, 3)
+    stopped = []
+
+    def listener(event):
+        stopped.append(time.process_time())
+        return True
+
+    result = dcreg.register(*clouds, n_inliers=0.7, model="rigid3d", listener=listener)
+    # of the processor, which other work on the machine does not prolong
+    assert time.process_time() - stopped[0] <= 2.0
+    assert result.status is Status.STOPPED
+    assert result.downsampled == (1000, 1000, 700)
+    assert len(result.assignment) == 21_000
+
+
 def test_an_error_of_a_listener_reaches_the_caller():
     clouds = pair_of_clouds(1000, 3)
 
