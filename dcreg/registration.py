@@ -28,7 +28,7 @@ from dcreg.problem import (
 )
 from dcreg.remedies import Case, warnings_for
 from dcreg.result import Result, Stage
-from dcreg.sampling import refined, to_search
+from dcreg.sampling import SEARCH_SHARE, refined, to_search
 from dcreg.search import Budget, Leaves, Listener, Trace
 from dcreg.status import Status
 from dcreg.warm_up import special, warm_up_mode
@@ -161,8 +161,9 @@ def register(
 
     told = in_file_units(listener, Frame.of(searched).area)
     with Budget(time_limit, node_limit, memory_limit_mb, told) as budget:
+        searching = budget if searched is problem else budget.stage(SEARCH_SHARE)
         task = task_of(
-            searched, way, bound, gap_tol, threads, budget, reduced_box=start_box == "reduced",
+            searched, way, bound, gap_tol, threads, searching, reduced_box=start_box == "reduced",
             rotation_tol=rotation_tol,
         )  # fmt: skip
         task = replace(task, leaves=Leaves() if certificate else None)

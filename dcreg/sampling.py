@@ -13,6 +13,9 @@ from dcreg.problem import InputError, Problem, farthest_points
 from dcreg.result import Result, Stage
 from dcreg.search import Budget
 
+# Of the time, for the search of a sample: the rest is for refining its pose on all points.
+SEARCH_SHARE = 0.8
+
 
 def to_search(
     problems: Sequence[Problem],

@@ -62,7 +62,7 @@ class SweepResult:
 
     @property
     def warnings(self) -> list[str]:
-        """Those of all `results`; a line that differs in nothing but numbers, or not at all, only once."""
+        """Those of all `results`; lines that differ in numbers at most are said once."""
         counts = [result.n_inliers for result in self.results]
         found: dict[str, dict[int, str]] = {}  # cardinality and line, by the line without numbers
         for result in self.results:
@@ -160,8 +160,8 @@ class SweepResult:
             )
         else:
             hint = (
-                f"suggestion (*), not proven: {suggested} pairs, beyond which residuals stand out from those "
-                "before; as good as the poses are"
+                f"suggestion (*), not proven: {suggested} pairs, beyond which residuals stand out "
+                "from those before, as good as the poses are"
             )
         return [legend, *self._sample(), hint]
 

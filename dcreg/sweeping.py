@@ -42,7 +42,7 @@ from dcreg.registration import (
     task_of,
 )
 from dcreg.result import Result, Stage
-from dcreg.sampling import to_search
+from dcreg.sampling import SEARCH_SHARE, to_search
 from dcreg.search import Budget, Event, Interrupted, Listener, Outcome, minimise
 from dcreg.spaces import FeatureSpace, Rigid3D
 from dcreg.status import Status
@@ -89,8 +89,8 @@ def sweep(
         Cardinalities, in any order and with repetitions; floats in (0, 1] are fractions of
         ``min(n, m)``.
     model, mode, bound, scale_range, threads, candidates, polish, downsample
-        As in `dcreg.register`, but that mode ``multi`` serves one cardinality only. Cardinalities that are
-        the same number of pairs of a sample have the same bounds.
+        As in `dcreg.register`, but that mode ``multi`` serves one cardinality only. Cardinalities that
+        are the same number of pairs of a sample have the same bounds.
     gap_tol : float, optional
         Absolute tolerance for every cardinality; default `dcreg.default_gap_tol` of each.
     tol : float, optional
@@ -274,13 +274,16 @@ class _Sweep:
 
     def __init__(self, levels: list[_Level], mode: Mode, budget: Budget) -> None:
         self.levels, self.mode, self.budget = levels, mode, budget
+        is_sampled = levels[0].whole is not levels[0].problem
+        share = SEARCH_SHARE if is_sampled else TRANSLATION_SHARE if mode.in_norm_space else 1.0
+        self.searching = budget.stage(share)
 
     def incumbents(self) -> None:
         """A pose for every cardinality, from descents of its own and from its neighbours'."""
-        starting = self.budget.part(STARTING_SHARE)
+        starting = self.searching.part(STARTING_SHARE)
         for at, level in enumerate(self.levels):
             began = self.budget.elapsed()
-            level.space.heed(self.budget.stop)
+            level.space.heed(self.searching.stop)
             own = starting.part(1.0 / (len(self.levels) - at))
             level.take(*level.space.start(own.named(f"start of k={level.name}")))
             level.descending_s += self.budget.elapsed() - began
@@ -291,7 +294,7 @@ class _Sweep:
         upward = list(itertools.pairwise(self.levels))
         downward = [(b, a) for a, b in reversed(upward)]
         for giver, taker in upward + downward:
-            if self.budget.is_over:
+            if self.searching.is_over:
                 return
             began = self.budget.elapsed()
             try:
@@ -302,21 +305,17 @@ class _Sweep:
 
     def bounds(self) -> None:
         """Prove the cardinalities in ascending order, each by transfer if that is enough."""
-        place_follows = self.mode.in_norm_space or any(
-            level.whole is not level.problem for level in self.levels
-        )
-        searching = self.budget.part(TRANSLATION_SHARE if place_follows else 1.0)
         for at, level in enumerate(self.levels):
             if at:
                 level.inherit(self.levels[at - 1])
             if level.closed:
                 continue
-            if searching.is_over:
-                level.stopped_by = searching.ended_by
+            if self.searching.is_over:
+                level.stopped_by = self.searching.ended_by
                 continue
             run, gap_tol = self._run(at)
             n_open = sum(not other.closed for other in self.levels[at:])
-            self._search(level, gap_tol, searching.part(run / n_open))
+            self._search(level, gap_tol, self.searching.part(run / n_open))
 
     def _run(self, at: int) -> tuple[int, float]:
         """How many levels from `at` on one search can prove, and the gap it needs for that."""

@@ -11,6 +11,7 @@ from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _NOTHING = "interrupted: nothing is computed yet and nothing written"
+NOT_WRITTEN = "interrupted: nothing is written"
 _NOT_ALL = "interrupted: the result is printed above, its files are not all written"
 
 

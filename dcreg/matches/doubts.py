@@ -57,12 +57,13 @@ def _rival(best: float, others: list[float]) -> str | None:
     other = others[0] if others else 0.0
     if other >= RIVAL * best:
         return (
-            f"another pose agrees with the matches nearly as well, {other / best:.0%} of this one: either "
-            "may be right. Look at both clouds, or give better matches, or several for each point"
+            f"another pose agrees with the matches nearly as well, {other / best:.0%} of this one: "
+            "either may be right. Look at both clouds, or give better matches, or several for each point"
         )
     if best - other >= LEAST:
         return None
     return (
         f"the pose agrees with the matches hardly better than others do (score {best:.3g}, next best "
-        f"{other:.3g}); any three matches can agree by chance. Look at both clouds, or give better matches"
+        f"{other:.3g}); any three matches can agree by chance. Look at both clouds, or give better "
+        "matches"
     )

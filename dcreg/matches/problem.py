@@ -96,7 +96,7 @@ class MatchProblem:
         return ((moved - self.list.target) ** 2).sum(axis=1)
 
     def score(self, cost: float) -> float:
-        """The same cost in matches: what the chosen ones count together, 1 - (residual / reach)^2 each."""
+        """A cost in numbers of matches: the chosen ones count 1 - (residual / reach)^2 each."""
         return self.most - cost / self.reach**2
 
     def cost(self, centred: np.ndarray) -> tuple[float, np.ndarray]:

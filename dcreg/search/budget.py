@@ -77,6 +77,7 @@ class Budget:
         self._lock = threading.RLock()
         self._ended = threading.Event()
         self._watch: threading.Thread | None = None
+        self._stages: list[Budget] = []  # parts whose kernels are stopped too
         self._error: BaseException | None = None
 
     def __enter__(self) -> Self:
@@ -101,6 +102,8 @@ class Budget:
                     self.tell(replace(self._event, kind="tick", time_s=self.elapsed(), status=""))
             except BaseException as error:  # of the listener: raised where the solve was called
                 self._error, self._stopped = error, True
+            for stage in self._stages:
+                stage.stop[0] |= stage.is_over
             if over_s is None and self.is_over:
                 over_s, self.stop[0] = now, 1
             closing_s = _CLOSING_S if self.stopped else self._closing_s  # who stops it is waiting
@@ -139,6 +142,13 @@ class Budget:
         part.__dict__.update(self.__dict__)
         left = self.left()
         part._deadline = None if left is None else time.perf_counter() + share * left
+        return part
+
+    def stage(self, share: float) -> Budget:
+        """A part with a `stop` of its own, so that no kernel of this stage takes the time of the next."""
+        part = self.part(share)
+        part.stop = self.stop.copy()
+        self._root._stages.append(part)
         return part
 
     def named(self, stage: str) -> Budget:

@@ -498,7 +498,7 @@ def test_interrupt_asks_to_stop_then_quits_and_restores_the_handler():
         assert progress(event()) is False
         signal.raise_signal(signal.SIGINT)
         assert progress(event()) is True
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt, match="nothing is written"):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -927,7 +927,7 @@ def test_a_signal_while_kernels_are_compiled_ends_at_once(call, tmp_path, number
 
 
 def test_a_signal_before_the_search_ends_the_preparation():
-    with Progress(Console(file=io.StringIO())) as progress, pytest.raises(Interrupt):
+    with Progress(Console(file=io.StringIO())) as progress, pytest.raises(Interrupt, match=NOTHING):
         signal.raise_signal(signal.SIGTERM)
     assert not progress.stop_requested
 
@@ -946,7 +946,7 @@ def test_time_of_the_preparation_is_shown(monkeypatch, terminal):
         stream = io.StringIO()
         console = Console(file=stream, force_terminal=terminal, width=80)
         with Progress(console, quiet=quiet) as progress:
-            assert progress.run(lambda: prepare_and_search(progress)) == 7  # noqa: B023
+            assert progress.run(lambda: prepare_and_search(progress)) == 7
         assert ("preparing the search, 0 s" in stream.getvalue()) != quiet
         if not (quiet or terminal):
             assert stream.getvalue().count("preparing") == 1  # and not while it searches

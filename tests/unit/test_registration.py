@@ -411,6 +411,19 @@ def test_downsampled_clouds_are_searched_and_the_pose_is_refined_on_all_points(r
     assert result.to_dict()["downsampled"] == [40, 40, 40]
 
 
+def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit(rng):
+    source = rng.random((300, 3)) * [2.0, 1.0, 0.5]
+    target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
+    result = dcreg.register(
+        source, target, n_inliers=0.7, model="rigid3d", downsample=60, gap_tol=0.0, time_limit=3.0
+    )
+    assert result.status is dcreg.Status.TIME_LIMIT
+    last = result.stages[-1]
+    assert last.name == "all points"
+    assert last.n_assignments > 1
+    assert last.objective_after < last.objective_before
+
+
 def test_downsampling_leaves_small_clouds_alone(rng):
     source = rng.random((20, 2))
     result = dcreg.register(source, source, n_inliers=20, model="similarity2d", downsample=50)

@@ -131,6 +131,15 @@ def test_a_caller_who_stops_does_not_wait_for_a_share_of_the_limit():
     assert time.perf_counter() - began < 2.0
 
 
+def test_kernels_of_a_stage_are_stopped_at_its_end():
+    with Budget(20.0) as budget:
+        stage = budget.stage(0.01)
+        while not stage.stop[0] and budget.elapsed() < 10.0:
+            time.sleep(0.01)
+        assert 0.2 <= budget.elapsed() < 10.0
+        assert not budget.stop[0]
+
+
 def test_a_caller_can_stop_a_search_of_large_clouds():
     clouds = pair_of_clouds(30_000, 3)
     stopped = []
