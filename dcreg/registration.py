@@ -154,8 +154,7 @@ def register(
     rotation_tol = gap_tol
     if gap_tol is None:
         gap_tol, rotation_tol = default_tolerances(searched, way)
-    for line in advice(searched):
-        _LOGGER.info(line)
+    advise(searched)
     warm_up_mode(way, bound, *special(searched))
     time_setup = time.perf_counter() - began
 
@@ -331,6 +330,12 @@ def check_settings(**settings: float | None) -> None:
             raise InputError(f"{name}: {value} is not a usable value; give a positive number")
         if name == "threads" and value > MAX_THREADS:
             raise InputError(f"threads: {value} are too many; give at most {MAX_THREADS}")
+
+
+def advise(problem: Problem) -> None:
+    """Tell, before a search, what most often goes wrong: records of level INFO."""
+    for line in advice(problem):
+        _LOGGER.info(line)
 
 
 def in_file_units(listener: Listener | None, area: float) -> Listener | None:

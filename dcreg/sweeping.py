@@ -34,6 +34,7 @@ from dcreg.modes.paper import TRANSLATION_SHARE, place, space_of
 from dcreg.names import DEFAULT_TIME_LIMIT_S, mode_names
 from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
 from dcreg.registration import (
+    advise,
     check_settings,
     completed,
     default_tolerances,
@@ -136,6 +137,7 @@ def sweep(
         gap_tol=gap_tols[-1], time_limit=time_limit, node_limit=node_limit,
         memory_limit_mb=memory_limit_mb, threads=threads,
     )  # fmt: skip
+    advise(searched[-1])
     warm_up_mode(way, bound, *special(searched[0]))
     time_setup = time.perf_counter() - began
     area = Frame.of(searched[0]).area

@@ -717,12 +717,12 @@ def test_sweep_lists_and_ranges(clouds, fake_sweep, text, counts):
 def test_sweep_options_reach_the_library(sweep_call, fake_sweep):
     outcome = run(
         *(*sweep_call, "--scale-range", 0.9, 1.1, "--bound", "edges", "--gap-tol", 0.25),
-        *("--time-limit", 9, "--node-limit", 77, "--threads", 2, "--no-polish"),
+        *("--time-limit", 9, "--node-limit", 77, "--threads", 2, "--no-polish", "--downsample", 50),
     )
     assert outcome.exit_code == 0
     expected = {
         **{"model": "similarity2d", "scale_range": (0.9, 1.1), "bound": "edges", "gap_tol": 0.25},
-        **{"time_limit": 9.0, "node_limit": 77, "threads": 2, "polish": False},
+        **{"time_limit": 9.0, "node_limit": 77, "threads": 2, "polish": False, "downsample": 50},
     }
     assert {name: fake_sweep.called[name] for name in expected} == expected
 
@@ -742,6 +742,7 @@ def test_sweep_options_reach_the_library(sweep_call, fake_sweep):
         ({"--n-inliers": "6,13"}, ["--n-inliers: 13", "between 1 and 12"]),
         ({"--bound": "magic"}, ["--bound: 'magic'"]),
         ({"--time-limit": "0"}, ["--time-limit: 0"]),
+        ({"--downsample": "1"}, ["--downsample: 1", "such as 200"]),
         ({"--out": "a.xlsx"}, ["--out a.xlsx", ".json, .csv"]),
         ({"--plot": "a.pdf"}, ["--plot a.pdf", ".html, .png, .svg"]),
         ({"--plot": "missing/a.html"}, ["--plot missing/a.html", "no folder"]),

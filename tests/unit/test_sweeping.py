@@ -403,6 +403,15 @@ def test_every_cardinality_has_the_warnings_of_a_single_call(clouds):
     assert f"warning: {scale}" in str(swept)
 
 
+def test_advice_is_given_before_the_search(caplog):
+    source, target = solid()
+    with caplog.at_level("INFO", logger="dcreg"):
+        dcreg.sweep(source, 10.0 * target, [20, 24], model="rigid3d", node_limit=1)
+    assert [line for line in caplog.messages if "RMS radii differ" in line] == [
+        *dcreg.advice(dcreg.Problem(source, 10.0 * target, 24, "rigid3d"))
+    ]
+
+
 def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     monkeypatch.setattr("dcreg.modes.table.RIGID_PAIRS", 900)
     monkeypatch.setattr("dcreg.modes.table.LARGE_SAMPLE", 25)
