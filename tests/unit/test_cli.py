@@ -22,9 +22,10 @@ import dcreg
 from dcreg import Event, Result, Stage, Status, SweepResult, Trace
 from dcreg.cli import output
 from dcreg.cli.app import app
-from dcreg.cli.interrupts import Interrupt
+from dcreg.cli.interrupts import Interrupt, raise_again
 from dcreg.cli.options import ModelChoice
 from dcreg.cli.progress import Progress, ProofProgress
+from dcreg.files import whole_file
 from dcreg.io import READERS
 from dcreg.names import DEFAULT_TIME_LIMIT_S, MODEL_DIM
 
@@ -931,6 +932,20 @@ def test_a_signal_before_the_search_ends_the_preparation():
     with Progress(Console(file=io.StringIO())) as progress, pytest.raises(Interrupt, match=NOTHING):
         signal.raise_signal(signal.SIGTERM)
     assert not progress.stop_requested
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_file_is_written_leaves_no_half_of_it(tmp_path, number):
+    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        raise_again()
+        with pytest.raises(Interrupt, match="printed above"), whole_file(tmp_path / "a") as part:
+            part.write_text("half")
+            signal.raise_signal(number)
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("terminal", [True, False])
