@@ -939,7 +939,10 @@ def test_a_signal_while_a_file_is_written_leaves_no_half_of_it(tmp_path, number)
     before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
         raise_again()
-        with pytest.raises(Interrupt, match="printed above"), whole_file(tmp_path / "a") as part:
+        with (  # noqa: PT012
+            pytest.raises(Interrupt, match="printed above"),
+            whole_file(tmp_path / "a") as part,
+        ):
             part.write_text("half")
             signal.raise_signal(number)
     finally:
