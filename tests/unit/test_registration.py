@@ -116,9 +116,15 @@ def test_threads_and_repetition_change_nothing(model, planar, spatial, rng):
     target = target + 0.05 * rng.standard_normal(target.shape)
     results = [
         dcreg.register(
-            source, target, n_inliers=0.8, model=model, bound="paper", threads=threads,
-            node_limit=5000, time_limit=None,
-        )  # fmt: skip
+            source,
+            target,
+            n_inliers=0.8,
+            model=model,
+            bound="paper",
+            threads=threads,
+            node_limit=5000,
+            time_limit=None,
+        )
         for threads in (1, 1, 2)
     ]
     for other in results[1:]:
