@@ -38,7 +38,7 @@ class Proof:
         self.max_boxes = max_boxes
         self.progress = progress
         self._bounds = [family.nearest_bound, family.interval_bound, self.tangent_bound]
-        if family.is_sorted_order:  # tangents need no assignment
+        if family.is_sorted_order:  # tangents need no assignments there, and are enough
             self._bounds.remove(family.interval_bound)
 
     def run(self, c: Certificate) -> int:
@@ -57,7 +57,7 @@ class Proof:
         needed = c.lower_bound - self.slack
         doubtful = (
             c.leaf_bounds > c.lower_bound + self.slack
-        )  # of the boxes: more stated than proven
+        )  # boxes that state more than is proven
         n_boxes = 0
         while len(leaves):
             if n_boxes + len(leaves) > self.max_boxes:
@@ -95,7 +95,6 @@ class Proof:
         self, lower: np.ndarray, upper: np.ndarray, outside: np.ndarray, needed: float
     ) -> np.ndarray:
         """Mask of the boxes where the objective is not known to reach `needed`; cheap bounds first."""
-        family = self.family
         # a sum of squares is never negative
         unproven = np.flatnonzero(~outside) if needed > 0 else np.empty(0, np.int64)
         for bound in self._bounds:
