@@ -14,8 +14,6 @@ import numpy as np
 from dcreg.certificate.format import CertificateError
 from dcreg.certificate.prices import Prices, Profile, cheapest_pairs, prices_of, sum_of_smallest
 
-MAX_DENSE = 4_000_000  # pairs of which cost matrices are formed
-
 
 def _sum_of(cost: np.ndarray, columns: np.ndarray) -> float:
     return float(cost[np.arange(len(cost)), columns].sum())
@@ -100,23 +98,18 @@ class Family(abc.ABC):
     # --- bounds over B boxes
 
     @abc.abstractmethod
-    def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: np.ndarray) -> np.ndarray:
+    def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         """The k least distances of a point to its nearest target, each at its own best theta."""
 
     @abc.abstractmethod
-    def interval_costs(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray | None:
-        """(n, m) least squared distances over one box; None where too large to be formed."""
+    def interval_costs(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """(n, m) least squared distances over one box."""
 
-    def interval_bound(
-        self, lower: np.ndarray, upper: np.ndarray, needed: np.ndarray
-    ) -> np.ndarray:
+    def interval_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         """The k cheapest one-to-one pairs, the distance of each at its own best theta of the box."""
-        out = np.zeros(len(lower))
-        for box in range(len(lower)):
-            cost = self.interval_costs(lower[box], upper[box])
-            if cost is not None:
-                out[box] = self.match(cost)
-        return out
+        return np.array(
+            [self.match(self.interval_costs(*box)) for box in zip(lower, upper, strict=True)]
+        )
 
     @abc.abstractmethod
     def rebates(self, step: np.ndarray) -> np.ndarray:
@@ -251,13 +244,13 @@ class Similarity2D(Family):
         dy = np.abs(moved.imag[:, None] - self.target[:, 1]) - half_y[:, None]
         return np.maximum(dx, 0.0) ** 2 + np.maximum(dy, 0.0) ** 2
 
-    def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: np.ndarray) -> np.ndarray:
+    def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         """The nearest target of each source point or, where that is not enough, the other way round."""
         out = np.empty(len(lower))
         for box in range(len(lower)):
             cost = self.interval_costs(lower[box], upper[box])
             out[box] = sum_of_smallest(cost.min(axis=1), self.k)
-            if out[box] < needed[box]:
+            if out[box] < needed:
                 out[box] = max(out[box], sum_of_smallest(cost.min(axis=0), self.k))
         return out
 
@@ -312,14 +305,12 @@ class Translation3D(Family):
         near = np.linalg.norm(np.clip(0.0, low, high), axis=-1)
         return near, np.linalg.norm(np.maximum(np.abs(low), np.abs(high)), axis=-1)
 
-    def interval_costs(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray | None:
-        if len(self.source) * len(self.norms) > MAX_DENSE:
-            return None
+    def interval_costs(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         near, far = self._norm_ranges(lower, upper)
         outside = np.maximum(near[:, None] - self.norms, self.norms - far[:, None])
         return np.maximum(outside, 0.0) ** 2
 
-    def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: np.ndarray) -> np.ndarray:
+    def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         near, far = self._norm_ranges(lower, upper)
         edges = np.concatenate([[-np.inf], self.sorted_norms, [np.inf]])
         # the first norm not below the range's near end, and the last one before it

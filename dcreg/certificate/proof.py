@@ -37,9 +37,15 @@ class Proof:
         self.slack = slack
         self.max_boxes = max_boxes
         self.progress = progress
+        self._bounds = [family.nearest_bound, family.interval_bound, self.tangent_bound]
+        if family.is_sorted_order:  # tangents need no assignments there, and are enough
+            self._bounds.remove(family.interval_bound)
 
     def run(self, c: Certificate) -> int:
-        """Prove every leaf's bound; the number of boxes that took.
+        """Prove the stated lower bound on every leaf; the number of boxes that took.
+
+        A leaf may state a higher bound of its own: the claim does not rest on it, so it is not proven,
+        but refuted where the middle of the leaf shows it to be false.
 
         Raises
         ------
@@ -48,50 +54,62 @@ class Proof:
         """
         leaves = np.arange(len(c.leaf_bounds))
         lower, upper = c.leaf_lower, c.leaf_upper
+        needed = c.lower_bound - self.slack
+        doubtful = (
+            c.leaf_bounds > c.lower_bound + self.slack
+        )  # boxes that state more than is proven
         n_boxes = 0
         while len(leaves):
             if n_boxes + len(leaves) > self.max_boxes:
                 raise CertificateError(
-                    f"leaf {leaves[0]}: its bound {c.leaf_bounds[leaves[0]]:.9g} could not be "
-                    f"confirmed within {self.max_boxes} boxes"
+                    f"leaf {leaves[0]}: that its objective is at least {c.lower_bound:.9g} could not "
+                    f"be confirmed within {self.max_boxes} boxes"
                 )
-            unproven = []
+            is_unproven = np.zeros(len(leaves), dtype=bool)
             for at in range(0, len(leaves), BATCH):
                 part = slice(at, at + BATCH)
-                unproven.append(at + self._unproven(lower[part], upper[part], leaves[part], c))
+                outside = self.family.outside(lower[part], upper[part])
+                self._check_inadmissible(leaves[part][~outside], c)
+                is_unproven[part] = self._unproven(lower[part], upper[part], outside, needed)
+                for box in at + np.flatnonzero((is_unproven | doubtful)[part] & ~outside):
+                    self._refute(lower[box], upper[box], leaves[box], c)
                 if self.progress is not None:
                     done = n_boxes + min(at + BATCH, len(leaves))
-                    self.progress(done, n_boxes + len(leaves) + 2 * sum(map(len, unproven)))
+                    self.progress(done, n_boxes + len(leaves) + 2 * int(is_unproven.sum()))
             n_boxes += len(leaves)
-            missing = np.concatenate(unproven)
-            stuck = missing[c.leaf_reasons[leaves[missing]] == INADMISSIBLE]
-            if stuck.size:
-                raise CertificateError(
-                    f"leaf {leaves[stuck[0]]} is stated to hold no admissible parameter, but may"
-                )
-            leaves = np.repeat(leaves[missing], 2)
-            lower, upper = self._halves(lower[missing], upper[missing])
+            leaves = np.repeat(leaves[is_unproven], 2)
+            lower, upper = self._halves(lower[is_unproven], upper[is_unproven])
+            doubtful = np.zeros(len(leaves), dtype=bool)  # a leaf is looked at once
         return n_boxes
 
-    def _unproven(
-        self, lower: np.ndarray, upper: np.ndarray, leaves: np.ndarray, c: Certificate
-    ) -> np.ndarray:
-        """Indices of the boxes whose leaf's bound cannot be proven on them; cheap bounds first."""
-        family = self.family
-        needed = c.leaf_bounds[leaves] - self.slack
-        # a sum of squares is never negative
-        unproven = np.flatnonzero((needed > 0) & ~family.outside(lower, upper))
-        for bound in (family.nearest_bound, self.tangent_bound, family.interval_bound):
-            if unproven.size:
-                found = bound(lower[unproven], upper[unproven], needed[unproven])
-                unproven = unproven[found < needed[unproven]]
-        for box in unproven:
-            for theta in (lower[box], upper[box], 0.5 * (lower[box] + upper[box])):
-                if family.admissible(theta[None])[0]:
-                    family.refute(theta, needed[box], f"leaf {leaves[box]}")
-        return unproven
+    @staticmethod
+    def _check_inadmissible(leaves: np.ndarray, c: Certificate) -> None:
+        """None of `leaves`, which hold admissible parameters, is stated to hold none."""
+        stuck = leaves[c.leaf_reasons[leaves] == INADMISSIBLE]
+        if stuck.size:
+            raise CertificateError(
+                f"leaf {stuck[0]} is stated to hold no admissible parameter, but may"
+            )
 
-    def tangent_bound(self, lower: np.ndarray, upper: np.ndarray, needed: np.ndarray) -> np.ndarray:
+    def _unproven(
+        self, lower: np.ndarray, upper: np.ndarray, outside: np.ndarray, needed: float
+    ) -> np.ndarray:
+        """Mask of the boxes where the objective is not known to reach `needed`; cheap bounds first."""
+        # a sum of squares is never negative
+        unproven = np.flatnonzero(~outside) if needed > 0 else np.empty(0, np.int64)
+        for bound in self._bounds:
+            if unproven.size:
+                found = bound(lower[unproven], upper[unproven], needed)
+                unproven = unproven[found < needed]
+        return np.isin(np.arange(len(lower)), unproven)
+
+    def _refute(self, lower: np.ndarray, upper: np.ndarray, leaf: int, c: Certificate) -> None:
+        """Refuse the certificate if the middle of a box, or else an end, beats its leaf's own bound."""
+        points = np.array([0.5 * (lower + upper), lower, upper])
+        for theta in points[self.family.admissible(points)][:1]:
+            self.family.refute(theta, c.leaf_bounds[leaf] - self.slack, f"leaf {leaf}")
+
+    def tangent_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         """max over theta0 of min over vertices v of the tangent's value there, for each of B boxes.
 
         The objective of one matching is convex minus convex. With its convex part replaced by the
@@ -109,11 +127,11 @@ class Proof:
         left = np.arange(len(lower))  # boxes that may be proven yet
         while left.size:
             best[left], terms, bases[left] = self._best_base(
-                vertices[left], rows[left], totals[left], needed[left], bases[left]
+                vertices[left], rows[left], totals[left], needed, bases[left]
             )
             # only vertices that hold a box back need their exact profile
             binding = np.where(exact[left], np.inf, terms).argmin(axis=1)
-            holds_back = ~exact[left, binding] & (best[left] < needed[left])
+            holds_back = ~exact[left, binding] & (best[left] < needed)
             left, binding = left[holds_back], binding[holds_back]
             for box, at in zip(left, binding, strict=True):
                 rows[box, at], totals[box, at], exact[box, at] = family.solved(vertices[box, at])
@@ -124,7 +142,7 @@ class Proof:
         vertices: np.ndarray,
         rows: np.ndarray,
         totals: np.ndarray,
-        needed: np.ndarray,
+        needed: float,
         base: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The best bound found, the values at the vertices, and the theta0 that gave them.
@@ -145,7 +163,7 @@ class Proof:
             best[improved], best_terms[improved] = found[better], terms[better]
             best_base[improved] = base[improved]
             base[left] += (vertices[left, least] - base[left]) / (step + 2)
-            left = left[best[left] < needed[left]]
+            left = left[best[left] < needed]
             if not left.size:
                 break
         return best, best_terms, best_base

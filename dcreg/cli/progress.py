@@ -196,14 +196,16 @@ class Progress:
 
 
 class ProofProgress:
-    """Shows how far the proof of a certificate is: (boxes bounded, boxes known to be needed).
+    """Shows how far the check of a certificate is, however long one of its steps takes.
+
+    It is called with (boxes bounded, boxes known to be needed).
 
     Parameters
     ----------
     console : rich.console.Console, optional
         Where to write; default: standard error.
     interval_s : float
-        Least time between two plain lines.
+        Time between two plain lines.
     quiet : bool
         Show nothing.
     """
@@ -215,26 +217,38 @@ class ProofProgress:
         self._interval_s = interval_s
         self._quiet = quiet
         self._live: Live | None = None
-        self._last_print = time.monotonic()
+        self._printer = threading.Thread(target=self._print, daemon=True)
+        self._ended = threading.Event()
+        self._step = "checking what the certificate states"
+        self._began = time.monotonic()
 
     def __enter__(self) -> Self:
         if not self._quiet and self._console.is_terminal:
-            self._live = Live(Text("checking"), console=self._console, refresh_per_second=8)
+            self._live = Live(
+                get_renderable=self._line, console=self._console, refresh_per_second=8
+            )
             self._live.start()
+        elif not self._quiet:
+            self._printer.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._ended.set()
         if self._live is not None:
             self._live.stop()
+        elif not self._quiet:
+            self._printer.join()
 
     def __call__(self, done: int, needed: int) -> None:
         needed = max(done, needed)
-        line = Text(f"proving the bounds: {done} of {needed} {'box' if needed == 1 else 'boxes'}")
-        if self._live is not None:
-            self._live.update(line)
-        elif not self._quiet and time.monotonic() - self._last_print >= self._interval_s:
-            self._console.print(line, soft_wrap=True)
-            self._last_print = time.monotonic()
+        self._step = f"proving the bounds: {done} of {needed} {'box' if needed == 1 else 'boxes'}"
+
+    def _line(self) -> Text:
+        return Text(f"{self._step}, {time.monotonic() - self._began:.0f} s")
+
+    def _print(self) -> None:
+        while not self._ended.wait(self._interval_s):
+            self._console.print(self._line(), soft_wrap=True)
 
 
 class _Messages(logging.Handler):

@@ -83,6 +83,11 @@ def _certificates() -> Iterator[Case]:
         ("false upper bound", {"upper_bound": 0.9 * c.upper_bound}, "upper_bound"),
         ("nan", {"upper_bound": np.nan}, "upper_bound: not a finite number"),
         ("false leaf bounds", {"leaf_bounds": c.leaf_bounds + 9.0}, "bound is false"),
+        (
+            "leaves passed off as inadmissible",
+            {"leaf_reasons": 1 + 0 * c.leaf_reasons, "leaf_bounds": np.inf + c.leaf_bounds},
+            "bound is false",
+        ),
         ("a leaf less", {"leaf_lower": c.leaf_lower[1:]}, "leaf_lower: shape"),
         ("a gap", {"leaf_upper": 0.9 * c.leaf_upper + 0.1 * c.leaf_lower}, "leaves: a gap"),
         ("small start box", {"start_upper": 0.5 * c.start_upper}, "start box: axis"),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +17,6 @@ from dcreg.bounds import make_bound
 from dcreg.certificate import (
     Certificate,
     CertificateError,
-    families,
     format,
     proof,
     read,
@@ -483,13 +483,11 @@ def test_scale_outside_of_the_range_is_refused(tmp_path):
 def test_too_many_pairs_for_plain_code_are_said_to_be(tmp_path, case, monkeypatch):
     certificate, source, target = case
     monkeypatch.setattr(verification, "MAX_DENSE", 100)
-    monkeypatch.setattr(families, "MAX_DENSE", 100)
     assert "11 x 11 pairs exceed 100" in check(tmp_path, certificate, source, target).reason
 
 
 def test_any_number_of_points_is_checked_in_sorted_order(tmp_path, monkeypatch):
     monkeypatch.setattr(verification, "MAX_DENSE", 100)
-    monkeypatch.setattr(families, "MAX_DENSE", 100)
     source, target = clouds("translation3d", n=12, extra=0)
     certificate = certify(source, target, 12, "translation3d", bound="paper", nodes=500)
     report = check(tmp_path, certificate, source, target)
@@ -501,6 +499,97 @@ def test_an_effort_limit_ends_the_proof_with_a_refusal(tmp_path, case):
     certificate, source, target = case
     report = check(tmp_path, certificate, source, target, max_boxes=5)
     assert "could not be confirmed within 5 boxes" in report.reason
+
+
+# --- what the claim rests on ------------------------------------------------------------------
+
+
+@st.composite
+def claims(draw):
+    """A certificate of a search cut short, and one that claims more than the best known value."""
+    model = draw(st.sampled_from(sorted(DIM)))
+    seed = draw(st.integers(0, 2**32 - 1))
+    generator = np.random.default_rng(seed)
+    k = draw(st.integers(3, 6))
+    source, target = clouds(model, n=k, extra=draw(st.integers(0, 2)), seed=seed)
+    true = certify(source, target, k, model, bound="paper", nodes=draw(st.integers(1, 60)))
+    family = family_of((true, source, target))
+    while True:  # a worse pose passed off as the best
+        step = 10.0 ** generator.uniform(-3, 0) * generator.standard_normal(len(true.theta))
+        theta = true.theta + step
+        value = family.objective(theta)
+        if family.admissible(theta[None])[0] and value > true.upper_bound + 1e-6:
+            break
+    share = draw(st.sampled_from([1e-2, 0.5, 1.0]))
+    lower_bound = true.upper_bound + share * (value - true.upper_bound)
+    reasons, bounds = true.leaf_reasons.copy(), np.maximum(true.leaf_bounds, lower_bound)
+    if draw(st.booleans()):  # leaves said to hold no admissible parameter
+        said = generator.random(len(reasons)) < draw(st.sampled_from([0.1, 1.0]))
+        reasons[said], bounds[said] = format.INADMISSIBLE, np.inf
+    elif draw(st.booleans()):
+        bounds *= draw(st.sampled_from([1.0, 2.0]))
+    false = dataclasses.replace(
+        true, theta=theta, upper_bound=value, lower_bound=lower_bound, gap_tol=value - lower_bound,
+        status="optimal", leaf_bounds=bounds, leaf_reasons=reasons,
+    )  # fmt: skip
+    return true, false, source, target
+
+
+@settings(max_examples=40)
+@given(claims())
+def test_a_lower_bound_above_the_optimum_is_always_refused(claim):
+    """Whatever the leaves say of themselves; and the same cover carries the claim that is true."""
+    true, false, source, target = claim
+    for n_samples in (0, 100):
+        report = verify(false, source, target, max_boxes=400, n_samples=n_samples)
+        assert not report.accepted
+        assert re.search("bound is false|could not be confirmed|inadmissible|no adm", report.reason)
+    report = verify(true, source, target)
+    assert report.accepted, report.reason
+
+
+def test_a_bound_of_zero_needs_no_proof(monkeypatch):
+    """However high the leaves' own bounds; but what is false among them is still refused."""
+    source, target = clouds("translation3d", extra=1)
+    certificate = certify(source, target, 10, "translation3d", bound="paper", nodes=300, tau=0.01)
+    assert certificate.lower_bound == 0
+    assert (certificate.leaf_bounds > 0).any()
+    false = certificate.leaf_bounds.copy()
+    false[false.argmax()] += 1e3
+
+    def never(*_):
+        pytest.fail("a bound is computed")
+
+    for owner, name in (
+        (FAMILIES["translation3d"], "nearest_bound"),
+        (FAMILIES["translation3d"], "interval_bound"),
+        (Proof, "tangent_bound"),
+    ):
+        monkeypatch.setattr(owner, name, never)
+    report = verify(certificate, source, target)
+    assert report.accepted, report.reason
+    assert report.is_trivial
+    n_leaves = len(certificate.leaf_bounds)
+    assert (
+        report.checks[-1]
+        == f"on every leaf the objective is at least 0, proven on {n_leaves} boxes"
+    )
+    forged = dataclasses.replace(certificate, leaf_bounds=false)
+    assert "bound is false" in verify(forged, source, target, n_samples=0).reason
+
+
+def test_the_check_says_what_was_proven(case):
+    certificate, source, target = case
+    area = certificate.unit**2
+    for share in (1.0, 0.5):
+        claimed = dataclasses.replace(
+            certificate, lower_bound=share * certificate.lower_bound, status="stopped"
+        )
+        report = verify(claimed, source, target)
+        assert report.checks[-1] == (
+            f"on every leaf the objective is at least {claimed.lower_bound * area:.9g}, "
+            f"proven on {report.n_boxes} boxes"
+        )
 
 
 # --- the parts of the proof -------------------------------------------------------------------
@@ -553,7 +642,7 @@ def test_plain_bounds_hold_and_objectives_agree(case, seed):
     thetas = np.vstack([box.sample(np.random.default_rng(seed), 20), box.vertices(), box.centre])
     values = np.array([family.objective(theta) for theta in thetas])
     np.testing.assert_allclose(values, [space.objective(t)[0] for t in thetas], atol=1e-9)
-    lower, upper, needed = box.lower[None], box.upper[None], np.array([np.inf])
+    lower, upper, needed = box.lower[None], box.upper[None], np.inf
     for bound in (
         family.nearest_bound,
         family.interval_bound,

@@ -504,19 +504,25 @@ def test_interrupt_asks_to_stop_then_quits_and_restores_the_handler():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_proof_progress_counts_boxes_no_more_often_than_asked():
+def test_proof_progress_goes_on_while_a_step_takes_long():
     stream = io.StringIO()
-    with ProofProgress(Console(file=stream), interval_s=0.0) as progress:
+    with ProofProgress(Console(file=stream), interval_s=0.01) as progress:
+        time.sleep(0.2)
         progress(64, 200)
+        time.sleep(0.2)
         progress(300, 200)  # more than were known to be needed
-    assert stream.getvalue().splitlines() == [
-        "proving the bounds: 64 of 200 boxes",
-        "proving the bounds: 300 of 300 boxes",
-    ]
+        time.sleep(0.2)
+    lines = stream.getvalue().splitlines()
+    assert lines.count("checking what the certificate states, 0 s") >= 2
+    assert lines.count("proving the bounds: 64 of 200 boxes, 0 s") >= 2
+    assert lines.count("proving the bounds: 300 of 300 boxes, 0 s") >= 1
+    n_threads = threading.active_count()
     stream = io.StringIO()
     with ProofProgress(Console(file=stream), interval_s=60.0) as progress:
+        assert threading.active_count() == n_threads + 1
         progress(64, 200)
     assert stream.getvalue() == ""
+    assert threading.active_count() == n_threads
 
 
 def test_proof_progress_on_a_terminal_is_one_line_and_quiet_is_none():
