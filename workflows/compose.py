@@ -23,7 +23,7 @@ def read(path: Path, quick: bool = False) -> dict[str, Any]:
     """The content of a config, or of its quick part, with the shared lists it names written out.
 
     The key ``quick`` holds what the quick part has instead: ``limits`` key by key, all else as a whole.
-    Its ``limits_of`` are limits of single methods, by name. A text among ``methods`` is the name of a list
+    Its ``limits_of`` are limits of single methods. A text among ``methods`` is the name of a list
     in ``methods/`` beside the config.
 
     Raises

@@ -48,6 +48,9 @@ def test_quick_parts_have_every_method_and_test_and_end_within_15_minutes(name):
     """On two cores, if every run took its limit, or, of most methods, what they are known to take."""
     whole, quick = config.load(name), config.load(f"{name}-quick")
     assert quick.name == config.origin(quick.name) == f"{name}-quick"
+    assert {m.baseline for m in quick.methods} == {m.baseline for m in whole.methods}
+    if quick.datasets[0].dataset == "threedmatch":  # lists of their own: test_threedmatch.py
+        return
     assert [method.name for method in quick.methods] == [method.name for method in whole.methods]
     tests = [{t for entry in each.datasets for t in entry.tests} for each in (whole, quick)]
     assert tests[0] == tests[1]
@@ -73,6 +76,36 @@ def test_quick_part_overrides_limits_key_by_key_and_all_else_as_a_whole(write, m
     assert [method.name for method in small.methods] == ["icp"]
     assert small.datasets == config.load("small").datasets
     assert (small.name, small.title) == ("small-quick", "Small, quick part")
+
+
+def test_quick_part_limits_single_methods_before_they_are_varied(write, monkeypatch):
+    quick = {"limits": {"time_s": 1}, "limits_of": {"icp": {"nodes": 5}}}
+    vary = {"n_inliers_ratio": [0.5, 1]}
+    path = write({**GOOD, "vary": vary, "quick": quick})
+    monkeypatch.setattr(config, "CONFIGS", Path(path).parent)
+    small = config.load("small-quick")
+    limits = {m.name: (small.limits_of(m).time_s, small.limits_of(m).nodes) for m in small.methods}
+    assert limits == {
+        **{f"dcreg-n_inliers_ratio{ratio}": (1, None) for ratio in ("0.5", "1")},
+        **{f"icp-n_inliers_ratio{ratio}": (1, 5) for ratio in ("0.5", "1")},
+    }
+    assert {config.load(path).limits_of(m).nodes for m in config.load(path).methods} == {None}
+
+
+@pytest.mark.parametrize(
+    ("limits_of", "message"),
+    [
+        ({"ipc": {"nodes": 5}}, "quick.limits_of: no method 'ipc'; did you mean 'icp'"),
+        ({"icp": {"boxes": 5}}, r"limits.boxes: unknown key"),
+        ({"icp": 5}, "quick.limits_of.icp: must be a mapping of limits"),
+        ([5], "quick.limits_of: must be a mapping of methods to limits"),
+    ],
+)
+def test_wrong_limits_of_single_methods_are_refused(write, monkeypatch, limits_of, message):
+    path = write({**GOOD, "quick": {"limits_of": limits_of}})
+    monkeypatch.setattr(config, "CONFIGS", Path(path).parent)
+    with pytest.raises(ConfigError, match=message):
+        config.load("small-quick")
 
 
 def test_a_config_without_a_quick_part_says_so():
