@@ -7,6 +7,7 @@ instance, and one of those differs; or neither, which is a fault of the method o
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +19,14 @@ from workflows.attribution import COLUMNS
 from workflows.compare import CLOCKED, CompareError
 
 # Columns that two executions may differ in without a word.
-TIMES = ("time_solve_s", "time_warmup_s", "time_overhead_s", "peak_memory_mb", "machine_id")
+TIMES = (
+    "time_solve_s",
+    "time_warmup_s",
+    "time_overhead_s",
+    "peak_memory_mb",
+    "machine_id",
+    "clocked",
+)
 # Columns that set a run against all others on its instance.
 AGAINST_OTHERS = ("objective_best", "objective_regret", *COLUMNS)
 KINDS = {
@@ -56,11 +64,18 @@ class Differences:
 
 
 def read(folder: Path) -> pd.DataFrame:
-    """The table of runs of a folder of results, or of a part of it; the index is ``run_id``."""
+    """The table of runs of a folder of results, or of a part of it; the index is ``run_id``.
+
+    Beside its columns it has ``clocked``: whether the run ended at its time, or at its memory.
+    """
     path = folder / "tables" / "runs.parquet"
     if not path.is_file():
         raise CompareError(f"{path}: no such table; name the folder of an experiment's results")
-    return records.read(path, records.runs_columns()).set_index("run_id", drop=False)
+    runs = records.read(path, records.runs_columns()).set_index("run_id", drop=False)
+    cards = json.loads(path.with_name("provenance.json").read_text(encoding="utf-8"))["methods"]
+    limits = {name: card.get("limits", {}).get("time_s", np.inf) for name, card in cards.items()}
+    late = runs["time_solve_s"] >= runs["method"].map(limits)
+    return runs.assign(clocked=runs["status"].isin(CLOCKED) | late)
 
 
 def differences(one: pd.DataFrame, other: pd.DataFrame) -> Differences:
@@ -96,7 +111,7 @@ def _differ(a: pd.Series, b: pd.Series) -> np.ndarray:
 
 def _kinds(differs: pd.DataFrame, a: pd.DataFrame, b: pd.DataFrame) -> pd.Series:
     """One of `KINDS` for every run that differs."""
-    clocked = a["status"].isin(CLOCKED) | b["status"].isin(CLOCKED)
+    clocked = a["clocked"] | b["clocked"]
     by_itself = differs.drop(columns=list(AGAINST_OTHERS)).any(axis=1)
     neighbour = by_itself.groupby(a["instance_id"]).transform("any")
     kinds = np.select([clocked, ~by_itself & neighbour], ["clock", "others"], "unexplained")

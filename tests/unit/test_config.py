@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
+from baselines.contract import Instance, Limits
 from workflows import config, methods
-from workflows.config import ConfigError
+from workflows.config import ConfigError, LimitSettings
 from workflows.stages.plan import expand
 
 GOOD = {
@@ -90,6 +92,21 @@ def test_quick_part_limits_single_methods_before_they_are_varied(write, monkeypa
         **{f"icp-n_inliers_ratio{ratio}": (1, 5) for ratio in ("0.5", "1")},
     }
     assert {config.load(path).limits_of(m).nodes for m in config.load(path).methods} == {None}
+
+
+def test_boxes_are_told_for_clouds_of_100_points_and_fewer_for_larger_ones():
+    def told(n_source, n_target, **limits):
+        points = np.zeros((max(n_source, n_target), 2))
+        instance = Instance(
+            "i", points[:n_source], points[:n_target], "similarity2d", 3, (1, 1), 0.1, 0
+        )
+        return LimitSettings(**limits).of_run(instance)
+
+    assert told(100, 100, nodes_at_100=800).nodes == 800
+    assert told(200, 200, nodes_at_100=800).nodes == told(100, 400, nodes_at_100=800).nodes == 100
+    assert told(5000, 5000, nodes_at_100=800).nodes == 1
+    assert told(50, 50, nodes_at_100=800, nodes=900).nodes == 900
+    assert told(50, 50, time_s=3, memory_mb=500, threads=2) == Limits(3, None, 500, 2)
 
 
 @pytest.mark.parametrize(

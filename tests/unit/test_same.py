@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+
+import numpy as np
 import pandas as pd
 import pytest
 import report_fixture
@@ -20,8 +23,7 @@ def folder(tmp_path):
 
 @pytest.fixture
 def runs(folder) -> pd.DataFrame:
-    table = read(folder / "a")
-    return table.assign(status=table["status"].replace("time_limit", "converged"))
+    return read(folder / "a").assign(clocked=False)
 
 
 def kinds(one, other) -> dict[str, set[str]]:
@@ -39,7 +41,7 @@ def changed(runs, row, **values):
 def test_times_may_differ_and_missing_numbers_are_equal(runs):
     other = runs.copy()
     for column in TIMES:
-        other[column] = 7.0 if column != "machine_id" else "elsewhere"
+        other[column] = {"machine_id": "elsewhere", "clocked": True}.get(column, 7.0)
     found = differences(runs, other)
     assert runs.isna().any(axis=None)
     assert found.cells.empty
@@ -56,7 +58,7 @@ def test_the_last_digit_of_one_run_is_found(runs):
 
 
 def test_what_the_clock_ended_is_told_apart_and_so_is_what_is_measured_by_it(runs):
-    late = changed(runs, 3, status="time_limit", objective=0.5)
+    late = changed(runs, 3, clocked=True, objective=0.5)
     instance = runs["instance_id"].iloc[3]
     beside = next(i for i in range(len(runs)) if runs["instance_id"].iloc[i] == instance and i != 3)
     late = changed(late, beside, objective_best=0.5)
@@ -76,6 +78,21 @@ def test_runs_of_one_alone_and_another_order_are_found(runs):
     assert not differences(runs, runs.iloc[::-1]).same_order
     with pytest.raises(CompareError, match="no run in common; run one config twice"):
         differences(runs[:1], runs[1:2])
+
+
+def test_a_run_is_ended_by_the_clock_whatever_it_says_of_itself(folder):
+    path = folder / "a" / "tables" / "provenance.json"
+    known = json.loads(path.read_text())
+    runs = pd.read_parquet(folder / "a" / "tables" / "runs.parquet")
+    limit = {method: {"limits": {"time_s": 0.5}} for method in runs["method"].unique()}
+    path.write_text(json.dumps({**known, "methods": limit}))
+    assert (read(folder / "a")["clocked"].to_numpy() == expected(runs)).all()
+    assert 0 < expected(runs).sum() < len(runs)
+
+
+def expected(runs) -> np.ndarray:
+    late = runs["time_solve_s"].fillna(0) >= 0.5
+    return (late | runs["status"].isin(["time_limit", "memory_limit"])).to_numpy()
 
 
 def test_command_prints_who_differs_in_what(folder):
