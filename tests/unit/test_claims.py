@@ -474,6 +474,11 @@ def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick
     verdicts = table.set_index("id")["verdict"]
     assert verdicts["tighter-bnb"] in (REPRODUCED, OPEN)
     assert verdicts["low-3d"] == NOT_RUN
+    for row in table[table["verdict"] == NOT_RUN].itertuples():
+        assert row.reason.endswith(f"by {row.command}")
+        assert row.command.startswith("make ")
+    assert table[["command", "reason"]].notna().all(axis=None)
+    assert table.loc[table["verdict"] != NOT_RUN, "evidence"].notna().all()
     page = (out / "index.html").read_text(encoding="utf-8")
     assert all(identity in page for identity in table["id"])
 
