@@ -5,9 +5,6 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORES ?= 2
 CONFIG ?= demo
-# All methods of the experiment, without those that need over 10 s a pair.
-THREEDMATCH_QUICK := dcreg-100,dcreg-200,dcreg-mutual,dcreg-nearest,dcreg-several,teaser,teaserpp,sc2_pcr,mac,clipper,ransac,$\
-gnc_tls,gore,fpfh_fgr,kiss_matcher,sc2_pcr-nearest,ransac-nearest
 PART = $(if $(METHODS),--methods $(METHODS)) $(if $(DATASETS),--datasets $(DATASETS)) $(if $(TESTS),--tests $(TESTS))
 SYSTEM_PACKAGES := libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6
 BROWSER_PACKAGES := chromium chromium-driver
@@ -32,23 +29,22 @@ test: dev browser
 run: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART)
 
-## threedmatch: the official 3DMatch and 3DLoMatch lists, recalls and figure (QUICK=1: every 16th pair of 3DMatch; NORMALS=oriented)
-.PHONY: threedmatch
-threedmatch: ENDING = $(if $(NORMALS),-$(NORMALS))
-threedmatch: TESTS = $(if $(QUICK),3DMatch-quick$(ENDING),3DMatch$(ENDING),3DLoMatch$(ENDING))
-threedmatch: METHODS = $(if $(QUICK),$(THREEDMATCH_QUICK))
-threedmatch: setup
-	@$(BIN)/python -m workflows run threedmatch --cores $(CORES) $(PART)
-	@$(BIN)/python -m workflows.studies.threedmatch $(PART)
-
-## paper-2d: the paper's tests in the plane (this and the next four: QUICK=1 for at most 15 minutes on 2 cores)
+## paper-2d: the paper's tests in the plane (this and the next five: QUICK=1 for at most 15 minutes on 2 cores)
 ## paper-2d-cr: the public sets of Chui and Rangarajan, all kinds
 ## paper-2d-images: edges and hand-marked points of photographs
 ## paper-3d: the paper's tests in space
 ## sensitivity: wrong numbers of pairs and wrong noise bounds
-.PHONY: paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity
-paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity: setup
-	@$(BIN)/python -m workflows run $(subst -,_,$(subst paper-,paper,$@))$(if $(QUICK),-quick) --cores $(CORES) $(PART)
+## threedmatch: the official 3DMatch and 3DLoMatch lists, with recalls and figure (NORMALS=oriented)
+EXPERIMENT = $(subst -,_,$(subst paper-,paper,$@))$(if $(NORMALS),_$(NORMALS))$(if $(QUICK),-quick)
+.PHONY: paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch
+paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch: setup
+	@$(BIN)/python -m workflows run $(EXPERIMENT) --cores $(CORES) $(PART)
+	@$(if $(filter threedmatch,$@),$(BIN)/python -m workflows.studies.threedmatch $(EXPERIMENT) $(PART))
+
+## claims: verdicts on the claims of the paper by all results at hand; prints the path of their page
+.PHONY: claims
+claims: setup
+	@$(BIN)/python -m reports.claims
 
 ## plan: runs of CONFIG=… and the hours they take, from medians of runs so far, without running it
 .PHONY: plan

@@ -14,11 +14,11 @@ from __future__ import annotations
 import ast
 import functools
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-PACKAGES = ("baselines", "dcreg")
+PACKAGES = ("baselines", "dcreg")  # those that a method may import
 _WHOLE = "*"
 _NAME = re.compile(r"[A-Za-z_][\w.-]*")  # of a file or a module, as opposed to prose
 
@@ -51,7 +51,9 @@ class Source:
     texts: set[str] = field(default_factory=set)
 
 
-def files_behind(roots: Iterable[Path], checkout: Path) -> set[Path]:
+def files_behind(
+    roots: Iterable[Path], checkout: Path, packages: Sequence[str] = PACKAGES
+) -> set[Path]:
     """The files `roots` and all files of the checkout's packages that they depend on.
 
     Parameters
@@ -59,9 +61,11 @@ def files_behind(roots: Iterable[Path], checkout: Path) -> set[Path]:
     roots : paths
         Python files are searched for imports, others only counted.
     checkout : Path
-        The folder that holds the packages `PACKAGES`.
+        The folder that holds the packages.
+    packages : sequence of str
+        Those whose files count.
     """
-    walk = _Walk(checkout)
+    walk = _Walk(checkout, packages)
     for root in roots:
         walk.take(root, _WHOLE)
     return walk.files
@@ -70,8 +74,8 @@ def files_behind(roots: Iterable[Path], checkout: Path) -> set[Path]:
 class _Walk:
     """From file to file."""
 
-    def __init__(self, checkout: Path) -> None:
-        self.checkout = checkout
+    def __init__(self, checkout: Path, packages: Sequence[str]) -> None:
+        self.checkout, self.packages = checkout, packages
         self.files: set[Path] = set()
         self._taken: set[tuple[Path, str]] = set()
 
@@ -132,7 +136,7 @@ class _Walk:
 
     def _path(self, module: str) -> Path | None:
         """The file of a module of the checkout."""
-        if module.partition(".")[0] not in PACKAGES:
+        if module.partition(".")[0] not in self.packages:
             return None
         stem = self.checkout.joinpath(*module.split("."))
         paths = (stem / "__init__.py", stem.with_suffix(".py"))

@@ -179,6 +179,19 @@ def compare(
 
 @app.command()
 @user_errors
+def same(
+    first: Folder, second: Annotated[Path, typer.Argument(help="Results of the same config.")]
+) -> None:
+    """Which runs of two executions differ, times apart. Exit code 1: more than the clock explains."""
+    from workflows.same import differences, print_differences, read
+
+    found = differences(read(first), read(second))
+    print_differences(found)
+    raise typer.Exit(1 if found.unexplained else 0)
+
+
+@app.command()
+@user_errors
 def replay(experiment: Experiment, run_id: str) -> None:
     """Repeat one run outside the sandbox and print what the method answers."""
     from workflows.replay import replay as repeat

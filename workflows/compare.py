@@ -59,6 +59,7 @@ RECORDED = [
 ]
 COUNTERS = ("n_nodes", "n_assignments")
 QUALITY = ("rmse", "objective")
+CLOCKED = ("time_limit", "memory_limit")  # statuses that another execution may not repeat
 EXPERIMENTS = ("demo", "real2d")  # kept by default
 SAME = 1e-6  # relative difference below which two floating results are one
 SIGNIFICANT = 0.05
@@ -199,7 +200,7 @@ def judge_method(
         yield verdict("certified", "runs", "higher", *_certified(pairs))
     yield verdict("success", "runs", "higher", *_success(pairs))
 
-    clocked = pairs[["status_base", "status_head"]].isin(["time_limit", "memory_limit"]).any(axis=1)
+    clocked = pairs[["status_base", "status_head"]].isin(CLOCKED).any(axis=1)
     steady = pairs[~clocked]
     note = f"{clocked.sum()} runs ended by the clock left out" if clocked.any() else ""
     for counter in COUNTERS:

@@ -23,20 +23,23 @@ def read(path: Path, quick: bool = False) -> dict[str, Any]:
     """The content of a config, or of its quick part, with the shared lists it names written out.
 
     The key ``quick`` holds what the quick part has instead: ``limits`` key by key, all else as a whole.
-    A text among ``methods`` is the name of a list in ``methods/`` beside the config.
+    Its ``limits_of`` are limits of single methods. A text among ``methods`` is the name of a list
+    in ``methods/`` beside the config.
 
     Raises
     ------
     ConfigError
-        The file cannot be read, has no quick part, or names no list.
+        The file cannot be read, has no quick part, or names no list or method.
     """
     content = _yaml(path)
     if not isinstance(content, dict):
         raise ConfigError(f"{shown(path)}: must be a mapping of keys to values")
     instead = content.pop("quick", None)
+    limits_of: dict[str, Any] = {}
     if quick:
         if not isinstance(instead, dict):
             raise ConfigError(f"{shown(path)}: has no quick part; add the key quick, a mapping")
+        limits_of = instead.pop("limits_of", {})
         whole, part = content.get("limits"), instead.get("limits")
         if isinstance(whole, dict) and isinstance(part, dict):
             instead["limits"] = {**whole, **part}
@@ -46,7 +49,23 @@ def read(path: Path, quick: bool = False) -> dict[str, Any]:
         content["methods"] = [
             method for entry in content["methods"] for method in _methods(entry, path)
         ]
+        _limit(content["methods"], limits_of, path)
     return content
+
+
+def _limit(listed: list[Any], limits_of: Any, path: Path) -> None:
+    """Give single methods the limits that the quick part states for them."""
+    by_name = {str(each.get("name")): each for each in listed if isinstance(each, dict)}
+    if not isinstance(limits_of, dict):
+        raise ConfigError(f"{shown(path)}: quick.limits_of: must be a mapping of methods to limits")
+    for name, limits in limits_of.items():
+        if name not in by_name:
+            raise ConfigError(
+                f"{shown(path)}: quick.limits_of: no method {name!r}{suggestion(name, by_name)}"
+            )
+        if not isinstance(limits, dict):
+            raise ConfigError(f"{shown(path)}: quick.limits_of.{name}: must be a mapping of limits")
+        by_name[name]["limits"] = {**by_name[name].get("limits", {}), **limits}
 
 
 def _methods(entry: Any, path: Path) -> list[Any]:

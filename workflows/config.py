@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from baselines.contract import Instance, Limits
 from dcreg.problem import suggestion
 from workflows import CHECKOUT, methods, shown
 from workflows.compose import QUICK, ConfigError, read
@@ -49,6 +50,8 @@ class LimitSettings(Part):
     # Of the whole worker, its libraries included: with less than 100 none could start.
     memory_mb: Annotated[int, Field(ge=100, le=10**8)] = 2048
     nodes: Annotated[int, Field(gt=0, le=10**15)] | None = None
+    # The same for clouds of 100 points; of others as many as take as long, by assignments' cubic time.
+    nodes_at_100: Annotated[int, Field(gt=0, le=10**15)] | None = None
     threads: Annotated[int, Field(gt=0, le=1024)] = 1
     warm_up_s: Seconds = 300.0  # imports and JIT compilation, once per worker
 
@@ -56,6 +59,15 @@ class LimitSettings(Part):
     def kill_after_s(self) -> float:
         """A method that obeys the limit itself has this long to say so."""
         return 1.5 * self.time_s + 1.0
+
+    def of_run(self, instance: Instance) -> Limits:
+        """What a run on `instance` may use, as the method is told."""
+        nodes = self.nodes
+        if self.nodes_at_100 is not None:
+            size = len(instance.source) * len(instance.target) / 100**2
+            scaled = max(1, round(self.nodes_at_100 / size**1.5))
+            nodes = scaled if nodes is None else min(nodes, scaled)
+        return Limits(self.time_s, nodes, self.memory_mb, self.threads)
 
 
 class DatasetSettings(Part):

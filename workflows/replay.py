@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from baselines.contract import Limits
 from workflows import methods
 from workflows.config import ConfigError
 from workflows.stages.generate import instance_of
@@ -33,10 +32,7 @@ def replay(plan: Plan, run_id: str) -> dict[str, Any]:
     if reason := method.available() or method.supports(instance):
         raise ConfigError(f"{run.method.name}: {reason}")
     method.warm_up(instance)
-    limits = plan.experiment.limits_of(run.method)
-    solution = method.solve(
-        instance, Limits(limits.time_s, limits.nodes, limits.memory_mb, limits.threads)
-    )
+    solution = method.solve(instance, plan.experiment.limits_of(run.method).of_run(instance))
     pose = solution.T_target_source
     return {
         "method": run.method.name,

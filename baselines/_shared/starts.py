@@ -61,13 +61,13 @@ def start_poses(instance: Instance, starts: str) -> list[np.ndarray]:
 
 
 def best_of_starts(instance: Instance, starts: str, limits: Limits, refine: Refine) -> Solution:
-    """Refine every start within the time limit and return the pose that fits best."""
+    """Refine every start within the limits, of which nodes are starts; the pose that fits best."""
     budget = limits.budget()
     poses = start_poses(instance, starts)
     distance = SymmetricDistance(instance)
     best: np.ndarray | None = None
     least, tried = np.inf, 0
-    for pose in poses:
+    for pose in poses[: limits.nodes]:
         if best is not None and budget.is_over:
             break
         refined = refine(pose, budget)
@@ -78,9 +78,10 @@ def best_of_starts(instance: Instance, starts: str, limits: Limits, refine: Refi
     counters = {"n_starts": tried}
     if best is None:
         return Solution(Status.FAILED, None, "no start gave a finite pose", counters=counters)
-    if budget.is_over:
-        message = f"{tried} of {len(poses)} starts within the time limit"
-        return Solution(Status.TIME_LIMIT, best, message, counters=counters)
+    if budget.is_over or tried < len(poses):
+        ended = Status.TIME_LIMIT if budget.is_over else Status.NODE_LIMIT
+        message = f"{tried} of {len(poses)} starts within the limit"
+        return Solution(ended, best, message, counters=counters)
     return Solution(Status.CONVERGED, best, counters=counters)
 
 

@@ -61,7 +61,8 @@ def read_metadata(path: Path) -> list[dict[str, Any]]:
 
 
 @lru_cache(maxsize=64)
-def _fragment(path: Path, number: int) -> np.ndarray:
+def fragment(path: Path, number: int) -> np.ndarray:
+    """A whole fragment: one of a mirror's pack, or an original file, which holds no other."""
     if path.suffix == ".npz":
         with np.load(path) as pack:
             return pack[f"cloud_{number:02d}"].astype(float)
@@ -160,7 +161,7 @@ class Loader(RecordedDataset):
         T_true[:3, :3] = nearest_rotation(official["rotation"])
         T_true[:3, 3] = official["translation"]
         parameters = self.card.parameters
-        clouds = _fragment(source, j), _fragment(target, i)
+        clouds = fragment(source, j), fragment(target, i)
         info: dict[str, float | str] = {
             "overlap": float(official["overlap"]),
             "set": pair["set"],

@@ -57,6 +57,11 @@ class Experiment:
 
     tables: Tables
 
+    @property
+    def is_quick(self) -> bool:
+        """Whether this is the quick part of the experiment that claims name."""
+        return self.tables.experiment.endswith(QUICK)
+
     @cached_property
     def runs(self) -> pd.DataFrame:
         """Attempted runs with ``error``, ``time``, ``wrong``, ``search_error``, ``violation``."""

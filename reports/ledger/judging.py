@@ -114,6 +114,11 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     runs = {run: outcome for finding in findings for run, outcome in finding.runs.items()}
     limited = sum(outcome == "limited" for outcome in runs.values())
     verdict, reason = _verdict(claim, findings, len(runs), limited)
+    if verdict == NOT_RUN:
+        quick = experiment is not None and experiment.is_quick
+        reason += (
+            f"; {'the whole of it' if quick else 'tables'} by {book.commands[claim.experiment]}"
+        )
     return Judgement(
         id=claim.id,
         verdict=verdict,
@@ -146,7 +151,8 @@ def _verdict(claim: Claim, findings: list[Finding], runs: int, limited: int) -> 
     if not findings:
         return NOT_RUN, f"no tables of {claim.experiment}"
     if not parts:
-        return NOT_RUN, "; ".join(["not in the tables", *missing]).replace("; ", ": ", 1)
+        lacking = missing or list(dict.fromkeys(f.figure for f in findings))
+        return NOT_RUN, f"not in the tables: {'; '.join(lacking)}"
     verdict, reason = _of_parts(parts)
     lacking = [f.figure for f in findings if not f.parts]
     if verdict == REPRODUCED and (missing or lacking):

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from data.registry import dataset
 from data.sampling import farthest_points, transform
-from data.threedmatch.loader import read_torch_array
+from data.threedmatch.loader import fragment
 from dcreg.io import read_points
 from dcreg.problem import rotation_angle_deg
 
@@ -107,12 +107,8 @@ def _scans(name: str, shape: str, test: str, level: float) -> CloudPair:
 
 
 def _cloud(path: Path, number: float | str | None) -> np.ndarray:
-    if number is None:
-        return read_points(path)
-    if path.suffix == ".npz":
-        with np.load(path) as pack:
-            return np.asarray(pack[f"cloud_{number:02d}"], dtype=float)
-    return np.asarray(read_torch_array(path), dtype=float)
+    """A whole cloud of a data set: a numbered fragment, or a file of points."""
+    return read_points(path) if number is None else fragment(path, int(number))
 
 
 def _walked(pair: CloudPair, n_points: int, limit: float, out: Path) -> dict[str, object]:

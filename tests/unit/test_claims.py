@@ -266,7 +266,8 @@ def test_without_the_method_a_claim_is_not_run(check):
 def test_a_method_that_never_ran_is_not_in_the_tables():
     absent = runs_of("rival", outcome="unavailable", status="unavailable")
     found = judged(evidence(runs_of("ours"), absent), RATIO)
-    assert (found.verdict, found.reason) == (NOT_RUN, "not in the tables: RPM-HTB")
+    reason = "not in the tables: RPM-HTB; tables by make paper-2d"
+    assert (found.verdict, found.reason) == (NOT_RUN, reason)
 
 
 def test_holding_against_some_rivals_only_is_inconclusive():
@@ -473,6 +474,11 @@ def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick
     verdicts = table.set_index("id")["verdict"]
     assert verdicts["tighter-bnb"] in (REPRODUCED, OPEN)
     assert verdicts["low-3d"] == NOT_RUN
+    for row in table[table["verdict"] == NOT_RUN].itertuples():
+        assert row.reason.endswith(f"by {row.command}")
+        assert row.command.startswith("make ")
+    assert table[["command", "reason"]].notna().all(axis=None)
+    assert table.loc[table["verdict"] != NOT_RUN, "evidence"].notna().all()
     page = (out / "index.html").read_text(encoding="utf-8")
     assert all(identity in page for identity in table["id"])
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
+from baselines.contract import Instance, Limits
 from workflows import config, methods
-from workflows.config import ConfigError
+from workflows.config import ConfigError, LimitSettings
 from workflows.stages.plan import expand
 
 GOOD = {
@@ -48,6 +50,9 @@ def test_quick_parts_have_every_method_and_test_and_end_within_15_minutes(name):
     """On two cores, if every run took its limit, or, of most methods, what they are known to take."""
     whole, quick = config.load(name), config.load(f"{name}-quick")
     assert quick.name == config.origin(quick.name) == f"{name}-quick"
+    assert {m.baseline for m in quick.methods} == {m.baseline for m in whole.methods}
+    if quick.datasets[0].dataset == "threedmatch":  # lists of their own: test_threedmatch.py
+        return
     assert [method.name for method in quick.methods] == [method.name for method in whole.methods]
     tests = [{t for entry in each.datasets for t in entry.tests} for each in (whole, quick)]
     assert tests[0] == tests[1]
@@ -73,6 +78,51 @@ def test_quick_part_overrides_limits_key_by_key_and_all_else_as_a_whole(write, m
     assert [method.name for method in small.methods] == ["icp"]
     assert small.datasets == config.load("small").datasets
     assert (small.name, small.title) == ("small-quick", "Small, quick part")
+
+
+def test_quick_part_limits_single_methods_before_they_are_varied(write, monkeypatch):
+    quick = {"limits": {"time_s": 1}, "limits_of": {"icp": {"nodes": 5}}}
+    vary = {"n_inliers_ratio": [0.5, 1]}
+    path = write({**GOOD, "vary": vary, "quick": quick})
+    monkeypatch.setattr(config, "CONFIGS", Path(path).parent)
+    small = config.load("small-quick")
+    limits = {m.name: (small.limits_of(m).time_s, small.limits_of(m).nodes) for m in small.methods}
+    assert limits == {
+        **{f"dcreg-n_inliers_ratio{ratio}": (1, None) for ratio in ("0.5", "1")},
+        **{f"icp-n_inliers_ratio{ratio}": (1, 5) for ratio in ("0.5", "1")},
+    }
+    assert {config.load(path).limits_of(m).nodes for m in config.load(path).methods} == {None}
+
+
+def test_boxes_are_told_for_clouds_of_100_points_and_fewer_for_larger_ones():
+    def told(n_source, n_target, **limits):
+        points = np.zeros((max(n_source, n_target), 2))
+        instance = Instance(
+            "i", points[:n_source], points[:n_target], "similarity2d", 3, (1, 1), 0.1, 0
+        )
+        return LimitSettings(**limits).of_run(instance)
+
+    assert told(100, 100, nodes_at_100=800).nodes == 800
+    assert told(200, 200, nodes_at_100=800).nodes == told(100, 400, nodes_at_100=800).nodes == 100
+    assert told(5000, 5000, nodes_at_100=800).nodes == 1
+    assert told(50, 50, nodes_at_100=800, nodes=900).nodes == 900
+    assert told(50, 50, time_s=3, memory_mb=500, threads=2) == Limits(3, None, 500, 2)
+
+
+@pytest.mark.parametrize(
+    ("limits_of", "message"),
+    [
+        ({"ipc": {"nodes": 5}}, "quick.limits_of: no method 'ipc'; did you mean 'icp'"),
+        ({"icp": {"boxes": 5}}, r"limits.boxes: unknown key"),
+        ({"icp": 5}, "quick.limits_of.icp: must be a mapping of limits"),
+        ([5], "quick.limits_of: must be a mapping of methods to limits"),
+    ],
+)
+def test_wrong_limits_of_single_methods_are_refused(write, monkeypatch, limits_of, message):
+    path = write({**GOOD, "quick": {"limits_of": limits_of}})
+    monkeypatch.setattr(config, "CONFIGS", Path(path).parent)
+    with pytest.raises(ConfigError, match=message):
+        config.load("small-quick")
 
 
 def test_a_config_without_a_quick_part_says_so():

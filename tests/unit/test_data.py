@@ -427,7 +427,7 @@ def test_fragment_pack_and_original_give_the_same_points(number, serve, monkeypa
     }
     monkeypatch.setattr(threedmatch, "read_csv", lambda name: [row])
     clouds = dataset("threedmatch")
-    packed = threedmatch._fragment(clouds._fetch_fragment(scene, number), number)
+    packed = threedmatch.fragment(clouds._fetch_fragment(scene, number), number)
 
     web = tmp_path / "web" / scene
     web.mkdir(parents=True)
@@ -440,7 +440,7 @@ def test_fragment_pack_and_original_give_the_same_points(number, serve, monkeypa
     path = official._fetch_fragment(scene, number)
     assert path.suffix == ".pth"
     assert len(asked) == 1
-    np.testing.assert_array_equal(threedmatch._fragment(path, number), packed)
+    np.testing.assert_array_equal(threedmatch.fragment(path, number), packed)
     np.testing.assert_array_equal(threedmatch.read_torch_array(path), packed)  # float32 is lossless
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from dataclasses import replace
 
@@ -18,7 +17,6 @@ from data.contract import RawInstance, UnknownNameError
 from data.registry import dataset
 from data.threedmatch.loader import read_csv
 from dcreg.status import Status
-from workflows import CHECKOUT
 from workflows.config import DatasetSettings, Experiment, MethodSettings, load, parse_selection
 from workflows.instances import Problem, content_digest, read_problems, write_problems
 from workflows.metrics import METRICS, Case
@@ -26,7 +24,7 @@ from workflows.stages import generate
 from workflows.stages.plan import InstanceSpec, expand, run_identity
 from workflows.studies.threedmatch import against_overlap, draw, recalls, with_pairs
 
-MAKEFILE = (CHECKOUT / "Makefile").read_text(encoding="utf-8")
+LISTS = ("threedmatch", "threedlomatch", "threedmatch_oriented")
 MATCHES = np.column_stack([np.arange(30), np.arange(30)])
 
 
@@ -58,21 +56,28 @@ def test_plan_has_every_pair_of_a_list_once(test, count):
     assert sorted(map(str, named)) == sorted(map(str, wanted))
 
 
-def test_config_has_every_pair_of_every_list():
-    plan = expand(load("threedmatch"), parse_selection(["methods=ransac"]))
-    planned = Counter(instance.test for chunk in plan.chunks for instance in chunk.instances)
+def test_configs_have_every_pair_of_every_list():
+    planned = Counter(
+        instance.test
+        for name in LISTS
+        for config in (name, f"{name}-quick")
+        for chunk in expand(load(config), parse_selection(["methods=ransac"])).chunks
+        for instance in chunk.instances
+    )
+    planned["3DLoMatch"] //= 2  # alone, and with the other list
+    # every list of the data set, but the quick list of 3DLoMatch with oriented normals
     lists = [test for _, test, *_ in dataset("threedmatch").pairs if test != "overlap"]
-    assert planned == Counter(lists)
+    assert Counter(lists) - planned == {"3DLoMatch-quick-oriented": 112}
+    assert not planned - Counter(lists)
 
 
-def test_quick_run_leaves_out_slow_variants_but_no_method():
-    listed = re.search(r"THREEDMATCH_QUICK := (.*?)\n\n?(?=\S)", MAKEFILE.replace("$\\\n", ""))
-    quick = listed[1].strip().split(",")
-    methods = load("threedmatch").methods
-    left_out = [method for method in methods if method.name not in quick]
-    assert [method.name for method in left_out] == ["teaser-nearest", "mac-nearest"]
-    assert {m.baseline for m in methods} == {m.baseline for m in methods if m.name in quick}
-    assert set(quick) < {method.name for method in methods}
+@pytest.mark.parametrize("name", LISTS)
+def test_quick_part_leaves_out_slow_variants_but_no_method(name):
+    methods, quick = load(name).methods, load(f"{name}-quick").methods
+    kept = [method.name for method in quick]
+    left_out = [method.name for method in methods if method.name not in kept]
+    assert left_out == ["teaser-nearest", "mac-nearest"]
+    assert {m.baseline for m in methods} == {m.baseline for m in quick}
 
 
 def test_level_is_the_bin_of_the_overlap():

@@ -372,6 +372,17 @@ def test_pairs_of_clouds_of_ones_own_need_a_card_and_a_config_of_a_few_lines(che
     assert sorted(runs["shape"]) == ["one", "one", "two", "two"]
     assert runs.loc[runs["method"] == "dcreg", "success"].all()
     # An edited pair, and it alone, is solved anew.
+    source = rng.random((16, 3))
+    np.savetxt(checkout.root / "my clouds/one/source.txt", source)
+    np.savetxt(checkout.root / "my clouds/one/target.csv", source @ T[:3, :3].T, delimiter=",")
+    checkout.command("run", str(config), "--no-report", "--cores", "2")
+    solved = [
+        json.loads(line)["n_source"]
+        for path in sorted(checkout.root.glob("results/mine/runs/*/*.journal.jsonl"))
+        for line in path.read_text(encoding="utf-8").splitlines()
+    ]
+    assert sorted(solved) == [15, 15, 15, 15, 16, 16]
+    # A wrong pose is refused by name.
     np.savetxt(checkout.root / "my clouds/one/pose.txt", np.eye(4))
     failed = checkout.command("run", str(config), "--no-report", "--cores", "2", ok=False)
     assert "one/pose.txt: only " in failed

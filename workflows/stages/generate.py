@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from baselines._shared.front_ends import shared_matches
 from baselines.contract import NOISE_FACTOR, Instance
+from baselines.dependencies import files_behind
 from data import registry
 from data.contract import RawInstance
 from data.sampling import transform
@@ -15,7 +17,9 @@ from workflows import CHECKOUT
 from workflows.disturb import make_instance
 from workflows.hashing import digest, digest_files
 from workflows.instances import Problem, Truth, with_oracle, write_problems, write_truths
-from workflows.stages.plan import Chunk, InstanceSpec
+
+if TYPE_CHECKING:
+    from workflows.stages.plan import Chunk, InstanceSpec
 
 # Least inlier threshold told to methods, as a share of the target's longest side: without noise the
 # residual is 0, and no method that thresholds residuals could work.
@@ -77,18 +81,13 @@ def noise_bound(raw: RawInstance) -> float:
 
 def sources_digest(datasets: list[str]) -> str:
     """Hash of all code and cards that decide the content of instances from these datasets."""
-    shared = [
-        *("baselines/contract.py", "data/contract.py", "data/loaders.py", "data/pairs.py"),
-        "data/photographs.py",
-        *("data/sampling.py", "data/scans.py"),
-        *("dcreg/io", "dcreg/local/fit.py", "dcreg/problem/pose.py"),
-        "baselines/_shared/front_ends.py",
-        *("workflows/disturb.py", "workflows/instances.py", "workflows/stages/generate.py"),
-    ]
-    own = [f"data/{name}" for name in datasets]
+    own = [path for name in datasets for path in (CHECKOUT / "data" / name).rglob("*")]
+    roots = [Path(__file__), *(path for path in own if path.is_file() and path.suffix != ".pyc")]
+    behind = files_behind(roots, CHECKOUT, ("baselines", "data", "dcreg", "workflows"))
+    code = sorted(str(path.relative_to(CHECKOUT)) for path in behind)
     local = [path for name in datasets for path in registry.dataset(name).local_files()]
     states = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in local]
-    return digest([digest_files(CHECKOUT, [*shared, *own]), states])
+    return digest([digest_files(CHECKOUT, code), states])
 
 
 def raw_instance(spec: InstanceSpec) -> RawInstance:

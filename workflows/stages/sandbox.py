@@ -21,7 +21,7 @@ from typing import Any
 
 import psutil
 
-from baselines.contract import Instance, Limits
+from baselines.contract import Instance
 from dcreg.status import Status
 from workflows import CHECKOUT
 from workflows.config import LimitSettings, MethodSettings
@@ -254,7 +254,7 @@ class Sandbox:
             answer = worker.ask(
                 "solve",
                 instance,
-                Limits(limits.time_s, limits.nodes, limits.memory_mb, limits.threads),
+                limits.of_run(instance),
                 timeout_s=limits.kill_after_s,
                 limit=f"the limit is {limits.time_s:g} s",
                 compile_s=compile_s,

@@ -1,7 +1,7 @@
 """Both published recalls on the official 3DMatch lists, and error against overlap per source.
 
-``python -m workflows.studies.threedmatch`` reads the tables of experiment ``threedmatch``, or of the
-part that the options of ``workflows run`` choose, and writes beside them ``recall.csv``,
+``python -m workflows.studies.threedmatch EXPERIMENT`` reads the tables of an experiment on these lists,
+or of the part that the options of ``workflows run`` choose, and writes beside them ``recall.csv``,
 ``overlap.csv`` and the figure ``overlap.pdf`` and ``.svg``.
 """
 
@@ -106,13 +106,14 @@ def draw(table: pd.DataFrame, path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("experiment", nargs="?", default="threedmatch", help="as in workflows run")
     axes = ("methods", "datasets", "tests")
     for axis in axes:
         parser.add_argument(f"--{axis}", default="", help="as in workflows run")
     parser.add_argument("--directory", type=Path, default=CHECKOUT, help="where results/ lies")
     given = parser.parse_args()
     select = [f"{axis}={getattr(given, axis)}" for axis in axes if getattr(given, axis)]
-    plan = expand(load("threedmatch"), parse_selection(select))
+    plan = expand(load(given.experiment), parse_selection(select))
     tables = given.directory / "results" / plan.experiment.name / plan.view / "tables"
     loader = dataset("threedmatch")
     assert isinstance(loader, Loader)
