@@ -118,7 +118,7 @@ class Limits:
     """What one run may use. The harness kills a worker well after these; a good method obeys itself."""
 
     time_s: float
-    nodes: int | None = None
+    nodes: int | None = None  # boxes; starts of a method that tries many
     memory_mb: int | None = None
     threads: int = 1
 

@@ -146,6 +146,20 @@ def test_breakdown_everywhere_is_a_failure() -> None:
     assert solution.counters["n_starts"] == 26
 
 
+def test_nodes_are_starts_and_end_a_run_alike_every_time() -> None:
+    limits = Limits(time_s=60.0, nodes=3)
+    first, again = (
+        best_of_starts(instance_of("rigid3d"), "multi", limits, lambda pose, budget: pose)
+        for _ in range(2)
+    )
+    assert first.status is Status.NODE_LIMIT
+    assert first.counters["n_starts"] == 3
+    assert first.message == "3 of 26 starts within the limit"
+    np.testing.assert_array_equal(first.T_target_source, again.T_target_source)
+    one = best_of_starts(instance_of("rigid3d"), "identity", limits, lambda pose, budget: pose)
+    assert one.status is Status.CONVERGED
+
+
 @pytest.mark.parametrize("angle", [2.5, -1.7, np.pi])
 def test_multi_start_icp_finds_a_large_rotation(angle: float) -> None:
     generator = np.random.default_rng(4)
