@@ -23,8 +23,8 @@ class Searchable(Protocol):
         """Look at ``stop[0]`` within all that takes long, and raise `Interrupted` once it is set."""
         ...
 
-    def start(self, budget: Budget) -> tuple[np.ndarray, float, int]:
-        """A first incumbent: theta, its objective, assignments spent."""
+    def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
+        """A first incumbent: theta, its objective, assignments spent; no search for less than `enough`."""
         ...
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
@@ -69,7 +69,7 @@ def minimise(
     began, spent = budget.elapsed(), 0
     space.heed(budget.stop)
     if start is None:
-        theta, value, spent = space.start(budget)
+        theta, value, spent = space.start(budget, gap_tol)
         start = theta, value
     found = branch_and_bound(
         bound,

@@ -97,18 +97,20 @@ class Space(abc.ABC):
             yield seed, spent
             spent = 0
 
-    def start(self, budget: Budget) -> tuple[np.ndarray, float, int]:
+    def start(self, budget: Budget, enough: float = 0.0) -> tuple[np.ndarray, float, int]:
         """The best of the descents from `starts`: theta, objective, work.
 
         At least one descent is begun, however short the time. The value is infinite where not even that
-        one came to an end.
+        one came to an end. With a value of at most `enough`, `n_descents` starts will do.
         """
         best: np.ndarray | None = None
         value, spent = np.inf, 0
         try:
-            for theta, choosing in self.starts(budget):
+            for tried, (theta, choosing) in enumerate(self.starts(budget)):
                 spent += choosing
                 if best is not None and budget.is_over:
+                    break
+                if tried >= self.n_descents and value <= enough:
                     break
                 best = theta if best is None else best
                 theta, found, descending = self.refine(theta)

@@ -32,6 +32,7 @@ from dcreg.spaces.rotation3d import Rotation3D
 
 _SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored
 _ROUNDING = 1e-12
+_CONGRUENT_SHARE = 0.5  # of the time, for the poses of congruent triples, at most
 DENSE_DESCENTS = 40_000  # pairs beyond which descents begin with nearest neighbours
 
 
@@ -154,7 +155,7 @@ class Rigid3D(CloudSpace):
         """
         box = self.translations()
         if (box.lower < box.upper).any():
-            for theta in self._congruent(budget):
+            for theta in self._congruent(budget.part(_CONGRUENT_SHARE)):
                 yield theta, 0
         yield from super().starts(budget)
 

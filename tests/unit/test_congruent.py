@@ -87,6 +87,31 @@ def test_odd_clouds_still_give_a_start(kind, rng):
     assert spent >= 1
 
 
+def test_what_is_within_the_tolerance_ends_the_starts(monkeypatch):
+    """No objective is below 0, so the gap is closed; a few more starts may still find a better pose."""
+    source, target, _ = partial_overlap(3)
+    space = Rigid3D.centred(source, target, 30)
+    descents = []
+    refine = space.refine
+    monkeypatch.setattr(space, "refine", lambda theta: descents.append(theta) or refine(theta))
+    space.start(Budget(), enough=np.inf)
+    assert len(descents) == space.n_descents
+    space.start(Budget())
+    assert len(descents) > 3 * space.n_descents
+
+
+def test_triples_leave_half_of_the_time(monkeypatch):
+    source, target, _ = partial_overlap(3)
+    space = Rigid3D.centred(source, target, 30)
+    seen = []
+    monkeypatch.setattr(
+        Rigid3D, "_congruent", lambda self, budget: seen.append(budget.left()) or iter(())
+    )
+    with Budget(100.0) as budget:
+        next(iter(space.starts(budget)))
+    assert 40.0 < seen[0] <= 50.0
+
+
 def test_rounds_grow_with_the_outliers():
     assert rounds_for(100, 100) == 1
     assert rounds_for(100, 100) <= rounds_for(100, 50) < rounds_for(100, 30)
