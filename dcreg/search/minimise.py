@@ -24,7 +24,7 @@ class Searchable(Protocol):
         ...
 
     def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
-        """A first incumbent: theta, its objective, assignments spent; no search for less than `enough`."""
+        """A first incumbent: theta, objective, assignments spent. None below `enough` is sought."""
         ...
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
