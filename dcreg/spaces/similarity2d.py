@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -10,10 +11,13 @@ from dcreg.kernels.assignment.dense import cheapest_pairs, improve_assignment
 from dcreg.kernels.features.bounds import objectives
 from dcreg.kernels.points import NEVER, Points
 from dcreg.problem.pairs import FeasiblePairs
-from dcreg.search import Box
+from dcreg.search import Box, Budget
 from dcreg.spaces.base import largest_subset_mean, mean_of_largest, radius
 from dcreg.spaces.descent import alternate
 from dcreg.spaces.features import LEAST_GAIN, FeatureSpace
+
+# Descents that end with k pairs begin with so many of the pairs beyond k that there are.
+_SURPLUS = (0.75, 0.5, 0.25)
 
 
 class Similarity2D(FeatureSpace):
@@ -93,17 +97,44 @@ class Similarity2D(FeatureSpace):
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
         """The objective itself."""
-        return np.array([self.objective(seed)[0] for seed in seeds]), len(seeds)
+        return self._score(seeds, self.n_inliers)
+
+    def _score(self, seeds: np.ndarray, count: int) -> tuple[np.ndarray, int]:
+        values = [cheapest_pairs(self._costs(seed), count, self.stop)[0] for seed in seeds]
+        self.check()
+        return np.array(values), len(seeds)
+
+    def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
+        """The best seeds, and where descents with more pairs than `n_inliers` lead from some.
+
+        A part of a cloud fits in many places, each in a narrow basin; more of it fits in few, and their
+        basins are wide.
+        """
+        yield from super().starts(budget)
+        surplus = min(self.n_source, self.n_target) - self.n_inliers
+        counts = [self.n_inliers + round(share * surplus) for share in _SURPLUS]
+        if surplus == 0 or budget.is_over:
+            return
+        seeds = self.seeds()
+        scores, spent = self._score(seeds, counts[0])
+        for theta in seeds[np.argsort(scores, kind="stable")[: self.n_descents]]:
+            for count in counts:
+                theta, _, descending = self._descend(theta, count)
+                spent += descending
+            yield theta, spent
+            spent = 0
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Every assignment starts from the prices of the one before."""
-        _, col_of, prices = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop)
+        return self._descend(theta, self.n_inliers)
+
+    def _descend(self, theta: np.ndarray, count: int) -> tuple[np.ndarray, float, int]:
+        """`refine` with `count` pairs."""
+        _, col_of, prices = cheapest_pairs(self._costs(theta), count, self.stop)
         self.check()
 
         def evaluate(trial: np.ndarray) -> tuple[float, np.ndarray]:
-            value, matching = improve_assignment(
-                self._costs(trial), self.n_inliers, prices, self.stop
-            )
+            value, matching = improve_assignment(self._costs(trial), count, prices, self.stop)
             self.check()
             return value, matching
 

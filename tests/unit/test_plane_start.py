@@ -1,0 +1,61 @@
+"""The first incumbent in the plane where only a part of the points is to be matched."""
+
+import numpy as np
+import pytest
+
+from dcreg.problem.tolerance import TOLERATED_RESIDUAL
+from dcreg.search import Budget
+from dcreg.spaces import Similarity2D
+from dcreg.spaces.base import Space
+
+SHAPES = range(12)
+
+
+class SeedsAlone(Similarity2D):
+    starts = Space.starts
+
+
+def contours(seed):
+    """Two noisy copies of a closed contour, turned and scaled, each with outliers on one side."""
+    generator = np.random.default_rng(seed)
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    waves = [
+        generator.normal(0, 0.3) / q * np.cos(q * angle + generator.uniform(0, 6))
+        for q in (1, 2, 3, 4)
+    ]
+    source = ((1 + sum(waves)) * np.stack([np.cos(angle), 0.6 * np.sin(angle)])).T
+    cos, sin = np.cos(turn := generator.uniform(0, 2 * np.pi)), np.sin(turn)
+    target = source + 0.01 * generator.standard_normal(source.shape)
+    target = generator.uniform(0.8, 1.2) * target @ np.array([[cos, sin], [-sin, cos]])
+    source, target = (
+        np.vstack([cloud, [side, 0] + 0.5 * generator.random((12, 2))])
+        for cloud, side in ((source, -2), (target, 2))
+    )
+    return source - source.mean(axis=0), target - target.mean(axis=0)
+
+
+def first_value(kind, n_inliers, seed):
+    return kind(*contours(seed), n_inliers, (0.5, 1.5)).start(Budget())
+
+
+def test_half_of_the_pairs_fit_at_once_where_seeds_alone_mostly_miss():
+    values = [first_value(Similarity2D, 30, seed)[1] for seed in SHAPES]
+    alone = [first_value(SeedsAlone, 30, seed)[1] for seed in SHAPES]
+    assert (np.array(values) <= np.array(alone)).all()
+    tolerated = 30 * TOLERATED_RESIDUAL**2
+    assert (np.array(values) <= tolerated).sum() >= 10 > (np.array(alone) <= tolerated).sum() + 4
+
+
+@pytest.mark.parametrize("seed", SHAPES[:3])
+def test_start_is_a_pose_with_its_objective(seed):
+    space = Similarity2D(*contours(seed), 30, (0.5, 1.5))
+    theta, value, spent = space.start(Budget())
+    assert space.admissible(theta[None])[0]
+    assert value == pytest.approx(space.objective(theta)[0], abs=1e-9)
+    assert spent > len(space.seeds())
+
+
+def test_all_points_take_no_other_start():
+    """Nothing is spent where there are no more pairs to begin with."""
+    n_all = len(contours(0)[0])
+    assert first_value(Similarity2D, n_all, 0)[1:] == first_value(SeedsAlone, n_all, 0)[1:]
