@@ -15,6 +15,7 @@ from dcreg.search import Box, Budget
 from dcreg.spaces.base import largest_subset_mean, mean_of_largest, radius
 from dcreg.spaces.descent import alternate
 from dcreg.spaces.features import LEAST_GAIN, FeatureSpace
+from dcreg.spaces.similar import similar_poses
 
 # Descents that end with k pairs begin with so many of the pairs beyond k that there are.
 _SURPLUS = (0.75, 0.5, 0.25)
@@ -59,6 +60,7 @@ class Similarity2D(FeatureSpace):
             n_inliers,
             NEVER,
         )
+        self._candidates = candidates
         self.n_inliers = n_inliers
         self.scale_range = scale_range
         self.reduced_box = reduced_box
@@ -105,12 +107,14 @@ class Similarity2D(FeatureSpace):
         return np.array(values), len(seeds)
 
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
-        """The best seeds, and where descents with more pairs than `n_inliers` lead from some.
+        """The best seeds, poses that pairs of points suggest, and where descents with more pairs lead.
 
         A part of a cloud fits in many places, each in a narrow basin; more of it fits in few, and their
         basins are wide.
         """
         yield from super().starts(budget)
+        for theta in self._similar(budget):
+            yield theta, 0
         surplus = min(self.n_source, self.n_target) - self.n_inliers
         counts = [self.n_inliers + round(share * surplus) for share in _SURPLUS]
         if surplus == 0 or budget.is_over:
@@ -123,6 +127,15 @@ class Similarity2D(FeatureSpace):
                 spent += descending
             yield theta, spent
             spent = 0
+
+    def _similar(self, budget: Budget) -> np.ndarray:
+        """Poses of pairs of points; none where all points match, as then the centroids do."""
+        if self.n_inliers == max(self.n_source, self.n_target) or budget.is_over:
+            return np.empty((0, 4))
+        return similar_poses(
+            self.points.source, self.points.target.T, self.n_inliers, self.scale_range,
+            self._candidates, stop=self.stop,
+        )  # fmt: skip
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Every assignment starts from the prices of the one before."""
