@@ -65,13 +65,14 @@ def nothing_proven(case: Case) -> str | None:
 def misled(case: Case) -> str | None:
     """The pose does not do what the bounds in norm space promise."""
     result = case.result
-    ratio = float(result.objective) / float(max(result.upper_bound, np.finfo(float).tiny))
+    found, promised = result.objective / result.n_inliers, result.upper_bound / result.n_bounded
+    ratio = float(found) / float(max(promised, np.finfo(float).tiny))
     if not case.in_norm_space or ratio <= _MUCH_LARGER or _is_rounding(result.objective, case):
         return None
     return (
-        f"the objective of the pose, {result.objective:.3g}, is {ratio:.3g} times "
-        f"the upper bound {result.upper_bound:.3g} in norm space: the norms do not determine the "
-        "pose, which may be wrong. Use mode 'full', or another n_inliers"
+        f"a pair costs {found:.3g} at the pose on average, {ratio:.3g} times the upper bound "
+        f"{promised:.3g} in norm space: the norms do not determine the pose, which may be wrong. Use "
+        "mode 'full', or another n_inliers"
     )
 
 

@@ -242,6 +242,11 @@ class _Level:
         return self.problem.n_inliers
 
     @property
+    def is_sampled(self) -> bool:
+        """Whether some of the points are searched, not all."""
+        return self.whole is not self.problem
+
+    @property
     def gap_tol(self) -> float:
         return self.task.gap_tol
 
@@ -276,8 +281,9 @@ class _Sweep:
 
     def __init__(self, levels: list[_Level], mode: Mode, budget: Budget) -> None:
         self.levels, self.mode, self.budget = levels, mode, budget
-        is_sampled = levels[0].whole is not levels[0].problem
-        share = SEARCH_SHARE if is_sampled else TRANSLATION_SHARE if mode.in_norm_space else 1.0
+        share = TRANSLATION_SHARE if mode.in_norm_space else 1.0
+        if levels[0].is_sampled:
+            share *= SEARCH_SHARE
         self.searching = budget.stage(share)
 
     def incumbents(self) -> None:
@@ -363,15 +369,16 @@ class _Sweep:
 
     def _result(self, level: _Level, polish: bool, time_setup: float, budget: Budget) -> Result:
         began = budget.elapsed()
+        placing = budget.part(SEARCH_SHARE) if level.is_sampled else budget
         answer = level.answer()
         spent = sum(stage.time_s for stage in answer.stages)
         if isinstance(level.space, Rigid3D):
             answer.T = pose_in(level.space, level.theta, level.swapped)
         else:
-            place(level.task, level.space, level.theta, budget, answer)
+            place(level.task, level.space, level.theta, placing, answer)
         result = result_of(
             level.problem, self.mode, level.task, answer, polish=polish, time_setup_s=time_setup,
-            budget=budget,
+            budget=placing,
         )  # fmt: skip
         result = completed(result, level.whole, level.problem, self.mode, budget)
         return replace(result, time_solve_s=spent + budget.elapsed() - began)

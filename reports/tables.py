@@ -117,7 +117,7 @@ def attempted(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Series:
-    """Seconds of a run; one that ended at a limit or failed counts `PENALTY` times the time limit.
+    """Seconds of a run; one that ended at any limit or failed counts `PENALTY` times the time limit.
 
     Without a limit in the cards it counts `PENALTY` times what it took.
     """
@@ -128,6 +128,24 @@ def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Ser
     }
     limit = runs["method"].map(limits).astype(float).fillna(runs["time_solve_s"])
     return runs["time_solve_s"].mask(runs["outcome"].isin(("limited", "failed")), PENALTY * limit)
+
+
+def limits_of(card: dict[str, Any]) -> dict[str, str]:
+    """What a run of a method may use, in words, by the status of a run that it ended."""
+    limits = card.get("limits", {})
+    boxes = {"nodes": "{:g} boxes or starts", "nodes_at_100": "{:g} boxes at 100 points"}
+    texts = {
+        "time_limit": {"time_s": "{:g} s"},
+        "node_limit": boxes,
+        "memory_limit": {"memory_mb": "{:g} MB"},
+    }
+    return {
+        status: ", ".join(
+            words.format(limits[key]) for key, words in keys.items() if limits.get(key)
+        )
+        for status, keys in texts.items()
+        if any(limits.get(key) for key in keys)
+    }
 
 
 def row_names(runs: pd.DataFrame, most: int = 4) -> pd.Series:

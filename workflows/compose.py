@@ -65,7 +65,9 @@ def _limit(listed: list[Any], limits_of: Any, path: Path) -> None:
             )
         if not isinstance(limits, dict):
             raise ConfigError(f"{shown(path)}: quick.limits_of.{name}: must be a mapping of limits")
-        by_name[name]["limits"] = {**by_name[name].get("limits", {}), **limits}
+        own = by_name[name].get("limits", {})
+        if isinstance(own, dict):  # else it is refused with the rest of the method
+            by_name[name]["limits"] = {**own, **limits}
 
 
 def _methods(entry: Any, path: Path) -> list[Any]:

@@ -173,14 +173,21 @@ def _kept(plan: Plan, folder: Path) -> dict[str, dict[str, Any]]:
 def _times(
     runs: Iterable[PlannedRun], kept: dict[str, dict[str, Any]], experiment: Experiment
 ) -> dict[tuple[str, str, str], list[float]]:
-    """Seconds of finished runs per method, model and test, as if under the limits of an experiment."""
+    """Seconds of finished runs per method, model and test, as if under the limits of an experiment.
+
+    A search that ended by its boxes goes on to the end of the time where the experiment limits no boxes.
+    """
+    limits_of = {method.name: experiment.limits_of(method) for method in experiment.methods}
     times: dict[tuple[str, str, str], list[float]] = {}
     for run in runs:
-        row = kept.get(run.run_id, {})
-        if (time := row.get("time_solve_s")) is None:
+        row, limits = kept.get(run.run_id, {}), limits_of.get(run.method.name)
+        if limits is None or (time := row.get("time_solve_s")) is None:
             continue
-        if row["status"] == Status.TIME_LIMIT:
-            time = experiment.limits_of(run.method).time_s
+        by_boxes = limits.nodes is not None or limits.nodes_at_100 is not None
+        if row["status"] == Status.TIME_LIMIT or (
+            row["status"] == Status.NODE_LIMIT and not by_boxes
+        ):
+            time = limits.time_s
         key = run.method.name, run.chunk.model, run.instance.test
         times.setdefault(key, []).append(time)
     return times

@@ -7,7 +7,8 @@
 ``multi``
     ``centroid``, ``identity``, then rotations about the centroids: in 2D 12 angles (every 30
     degrees) times 3 scales (1/6, 1/2 and 5/6 of the scale range); in 3D the 24 rotations of the
-    cube. The result is the refined pose with the least symmetric trimmed distance: the sum of the
+    cube. They are mixed, so that the first few, all that a limit may leave, are spread over the rest.
+    The result is the refined pose with the least symmetric trimmed distance: the sum of the
     ``n_inliers`` smallest squared nearest-neighbour distances from source to target and of those
     from target to source. Both directions, because a shrunken source is near the target everywhere.
 """
@@ -26,6 +27,7 @@ from dcreg.search import Budget
 from dcreg.status import Status
 
 STARTS = ("identity", "centroid", "multi")
+GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0  # whose multiples are spread over the unit circle
 
 # Improves one start pose until it converges or the budget is over; None when the method broke down
 # from there.
@@ -57,7 +59,8 @@ def start_poses(instance: Instance, starts: str) -> list[np.ndarray]:
         rotations = [_rotation2d(angle) for angle in np.arange(12) * (np.pi / 6)]
         scales = [low + part * (high - low) for part in (1 / 6, 1 / 2, 5 / 6)]
     grid = [_about_centroids(instance, s, rotation) for s in scales for rotation in rotations]
-    return [centroid, identity, *grid]
+    spread = np.argsort(np.arange(len(grid)) * GOLDEN % 1.0)
+    return [centroid, identity, *(grid[at] for at in spread)]
 
 
 def best_of_starts(instance: Instance, starts: str, limits: Limits, refine: Refine) -> Solution:

@@ -17,7 +17,7 @@ Progress = Callable[[int, int], None]
 
 
 class Proof:
-    """Proves the bounds of all leaves of a certificate.
+    """Proves the lower bound of a certificate on all its leaves.
 
     Parameters
     ----------
@@ -55,9 +55,8 @@ class Proof:
         leaves = np.arange(len(c.leaf_bounds))
         lower, upper = c.leaf_lower, c.leaf_upper
         needed = c.lower_bound - self.slack
-        doubtful = (
-            c.leaf_bounds > c.lower_bound + self.slack
-        )  # boxes that state more than is proven
+        # boxes that state more than is proven
+        doubtful = c.leaf_bounds > c.lower_bound + self.slack
         n_boxes = 0
         while len(leaves):
             if n_boxes + len(leaves) > self.max_boxes:

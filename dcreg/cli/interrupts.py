@@ -10,8 +10,7 @@ from types import FrameType
 from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_NOTHING = "interrupted: nothing is computed yet and nothing written"
-NOT_WRITTEN = "interrupted: nothing is written"
+_NOTHING = "interrupted: there is no result, and nothing is written"
 _NOT_ALL = "interrupted: the result is printed above, its files are not all written"
 
 
@@ -43,8 +42,10 @@ def raise_again() -> None:
 
 def leave(interrupt: Interrupt) -> NoReturn:
     """End the process at once, whatever its threads do, with 128 and the number of the signal."""
-    sys.stdout.flush()
-    os.write(2, f"{interrupt.message}\n".encode())  # printing may be what was interrupted
+    # printing may be what was interrupted, or nobody reads
+    with suppress(RuntimeError, OSError):
+        sys.stdout.flush()
+    os.write(2, f"{interrupt.message}\n".encode())
     os._exit(128 + interrupt.number)
 
 

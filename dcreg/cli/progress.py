@@ -17,7 +17,7 @@ from rich.live import Live
 from rich.text import Text
 
 import dcreg
-from dcreg.cli.interrupts import NOT_WRITTEN, SIGNALS, Interrupt
+from dcreg.cli.interrupts import SIGNALS, Interrupt
 
 # Tells what the library does beside its searches, such as compiling, in records of level INFO.
 _LIBRARY = logging.getLogger("dcreg")
@@ -131,10 +131,8 @@ class Progress:
         return outcome[0]
 
     def _on_signal(self, number: int, _: FrameType | None) -> None:
-        if not self._heard:
+        if self.stop_requested or not self._heard:
             raise Interrupt(number)
-        if self.stop_requested:
-            raise Interrupt(number, NOT_WRITTEN)
         self.stop_requested = True
         # Printing from a handler may interrupt a print half-way; a bare write may not.
         os.write(2, b"\nstopping, best pose is kept (again: quit at once)\n")

@@ -17,7 +17,8 @@ class Evaluation:
     Attributes
     ----------
     lower_bounds : (B,) array
-        Valid for every admissible theta of the box; +inf when the box holds none.
+        Valid for every admissible theta of the box, or at least for every global optimum in it, which is
+        all that a search needs; +inf when the box holds no admissible theta.
     thetas : (B, d) array
         One parameter per box worth knowing, admissible or not.
     values : (B,) array

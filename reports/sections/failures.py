@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from reports.page import Page
+from reports.tables import limits_of
 from reports.theme import words
 from workflows.records import OUTCOMES
 
@@ -26,7 +27,7 @@ def context(page: Page) -> dict[str, Any]:
                 "method": method,
                 "status": status,
                 "reason": _reason(
-                    str(outcome), str(message), page.tables.cards.get(str(method), {})
+                    str(status), str(message), page.tables.cards.get(str(method), {})
                 ),
                 "count": len(part),
                 "where": ", ".join(f"{words(str(test))} ({n})" for test, n in tests.items()),
@@ -44,9 +45,8 @@ def context(page: Page) -> dict[str, Any]:
     }
 
 
-def _reason(outcome: str, message: str, card: dict[str, Any]) -> str:
+def _reason(status: str, message: str, card: dict[str, Any]) -> str:
     """Why runs did not finish: the limit they ended at, or what they say."""
-    limit = card.get("limits", {}).get("time_s")
-    if outcome == "limited" and limit is not None:
-        return f"met its limit of {limit:g} s" + (f" ({message})" if message else "")
+    if limit := limits_of(card).get(status):
+        return f"met its limit of {limit}" + (f" ({message})" if message else "")
     return message or "no reason given"

@@ -45,13 +45,11 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
         data.append(f"{_named(part['shape'].unique())} of {dataset} ({model}; {grid})")
         both = part[["n_source", "n_target"]].to_numpy()
         points.append(f"{both.min()}" + (f" to {both.max()}" if both.max() > both.min() else ""))
-    limits = [card.get("limits", {}).get("time_s") for card in tables.cards.values()]
-    known = sorted({limit for limit in limits if limit is not None})
     ratios = sorted(runs["n_inliers_ratio"].unique(), reverse=True)
     return [
         ("data", "; ".join(data)),
         ("points per cloud", "; ".join(dict.fromkeys(points))),
-        ("limit", _range(known, " s a run") if known else "not stated"),
+        ("limit", _limit(tables)),
         ("success", _success(runs)),
         ("n_p", " and ".join(f"{ratio:g}" for ratio in ratios) + " × the true pairs"),
     ]
@@ -61,6 +59,16 @@ def _named(names: np.ndarray) -> str:
     few = [str(name) for name in names[:MOST_NAMED]]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     return ", ".join(few) + more
+
+
+def _limit(tables: Tables) -> str:
+    limits = [card.get("limits", {}) for card in tables.cards.values()]
+    known = sorted({each["time_s"] for each in limits if each.get("time_s") is not None})
+    by_boxes = sum(any(each.get(key) for key in ("nodes", "nodes_at_100")) for each in limits)
+    boxes = f"; {by_boxes} of {len(limits)} methods also a number of boxes or starts" * (
+        by_boxes > 0
+    )
+    return (_range(known, " s a run") if known else "not stated") + boxes
 
 
 def _range(values: list[float], unit: str) -> str:

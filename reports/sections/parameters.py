@@ -7,6 +7,7 @@ from typing import Any
 import yaml
 
 from reports.page import Page
+from reports.tables import limits_of
 
 ID = "parameters"
 TITLE = "Parameters"
@@ -35,9 +36,12 @@ def context(page: Page) -> dict[str, Any]:
 
 
 def parameters(card: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Name, value and, where it differs, the default; the told share of the true pairs first."""
+    """Name, value and, where it differs, the default; limits and told share of pairs first."""
     defaults, options = card.get("parameters", {}), card.get("options", {})
-    rows = [("n_inliers", f"{card.get('n_inliers_ratio', 1):g} × true pairs", "")]
+    rows = [
+        ("limits", ", ".join(limits_of(card).values()) or "not stated", ""),
+        ("n_inliers", f"{card.get('n_inliers_ratio', 1):g} × true pairs", ""),
+    ]
     for name, default in {**options, **defaults}.items():
         value = options.get(name, default)
         rows.append((name, _plain(value), "" if value == default else _plain(default)))

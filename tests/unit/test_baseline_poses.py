@@ -138,6 +138,25 @@ def test_out_of_time_gives_the_best_so_far() -> None:
     assert 1 <= solution.counters["n_starts"] <= 3
 
 
+@pytest.mark.parametrize("count", [8, 14])
+def test_the_first_starts_are_spread_over_all(count: int) -> None:
+    instance = instance_of("similarity2d")
+    tried: list[np.ndarray] = []
+
+    def refine(pose: np.ndarray, _budget: Budget) -> np.ndarray:
+        tried.append(pose)
+        return pose
+
+    solution = best_of_starts(instance, "multi", Limits(time_s=60.0, nodes=count), refine)
+    assert (solution.status, solution.counters["n_starts"]) == (Status.NODE_LIMIT, count)
+    assert solution.message == f"{count} of 38 starts within the limit"
+    grid = np.array([pose[:2, 0] for pose in tried[2:]])  # scale times cosine and sine
+    scales = np.unique(np.round(np.hypot(*grid.T), 9))
+    angles = np.sort(np.arctan2(grid[:, 1], grid[:, 0]))
+    assert len(scales) == 3
+    assert np.diff(np.append(angles, angles[0] + 2 * np.pi)).max() <= np.deg2rad(125)
+
+
 def test_breakdown_everywhere_is_a_failure() -> None:
     solution = best_of_starts(
         instance_of("rigid3d"), "multi", Limits(time_s=5.0), lambda pose, _budget: None

@@ -22,7 +22,7 @@ import dcreg
 from dcreg import Event, Result, Stage, Status, SweepResult, Trace
 from dcreg.cli import output
 from dcreg.cli.app import app
-from dcreg.cli.interrupts import Interrupt, raise_again
+from dcreg.cli.interrupts import Interrupt, leave, raise_again
 from dcreg.cli.options import ModelChoice
 from dcreg.cli.progress import Progress, ProofProgress
 from dcreg.files import whole_file
@@ -892,7 +892,7 @@ def test_no_tolerance_is_warned_of(call, fake):
 
 # --- signals before a search ------------------------------------------------------------------------
 
-NOTHING = "interrupted: nothing is computed yet and nothing written"
+NOTHING = "interrupted: there is no result, and nothing is written"
 
 
 def ends_within_2_s(process, number):
@@ -932,6 +932,21 @@ def test_a_signal_while_kernels_are_compiled_ends_at_once(call, tmp_path, number
     )  # fmt: skip
     assert process.stderr.readline().startswith("compiling the kernels")
     assert ends_within_2_s(process, number) == (code, NOTHING)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("reentrant call"), BrokenPipeError()])
+def test_a_command_that_was_printing_ends_at_once(monkeypatch, capfd, error):
+    class Interrupted(io.StringIO):
+        def flush(self):
+            raise error
+
+    ended = []
+    monkeypatch.setattr(sys, "stdout", Interrupted())
+    monkeypatch.setattr(os, "_exit", ended.append)
+    leave(Interrupt(signal.SIGTERM))
+    assert ended == [143]
+    monkeypatch.undo()
+    assert capfd.readouterr().err == f"{NOTHING}\n"
 
 
 def test_a_signal_before_the_search_ends_the_preparation():

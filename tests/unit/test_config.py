@@ -125,6 +125,15 @@ def test_wrong_limits_of_single_methods_are_refused(write, monkeypatch, limits_o
         config.load("small-quick")
 
 
+def test_limits_that_are_none_are_refused_in_the_quick_part_too(write, monkeypatch):
+    wrong = [{"name": "icp", "baseline": "icp", "limits": 5}]
+    path = write({**GOOD, "methods": wrong, "quick": {"limits_of": {"icp": {"nodes": 5}}}})
+    monkeypatch.setattr(config, "CONFIGS", Path(path).parent)
+    for name in (path, "small-quick"):
+        with pytest.raises(ConfigError, match=r"methods\[0\]\.limits: "):
+            config.load(name)
+
+
 def test_a_config_without_a_quick_part_says_so():
     with pytest.raises(ConfigError, match=r"demo\.yaml: has no quick part; add the key quick"):
         config.load("demo-quick")

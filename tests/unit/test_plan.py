@@ -166,27 +166,33 @@ def test_parts_with_long_names_have_different_folders():
     assert max(map(len, names)) <= MAX_NAME
 
 
-def test_expected_times_are_medians_of_the_quick_part_with_limited_runs_at_the_limit(tmp_path):
+@pytest.mark.parametrize(
+    ("method", "limited"), [("icp", "time_limit"), ("dcreg", "time_limit"), ("dcreg", "node_limit")]
+)
+def test_expected_times_are_medians_of_the_quick_part_with_limited_runs_at_the_limit(
+    tmp_path, method, limited
+):
     whole = expand(
-        load("paper2d_images"), parse_selection(["methods=icp", "shapes=car"]), "paper2d_images"
-    )
+        load("paper2d_images"), parse_selection([f"methods={method}", "shapes=car"]),
+        "paper2d_images",
+    )  # fmt: skip
     folder = tmp_path / "paper2d_images"
     (before,) = outlook_of(whole, folder)
     assert (before.seconds, before.known) == (10 * 60.0, False)
 
-    quick = [run for run in expand(load("paper2d_images-quick")).runs() if run.method.name == "icp"]
+    part = expand(load("paper2d_images-quick"), parse_selection([f"methods={method}"]))
     times = {"canny": iter([0.5, 9, 0.5, 0.5, 9, 0.5, 0.5, 0.5]), "marked": iter([4.0] * 4)}
     rows = [
         {
             "run_id": run.run_id,
             "instance_digest": "",
             "fingerprint": "",
-            "status": "time_limit" if run.instance.test == "marked" else "converged",
+            "status": limited if run.instance.test == "marked" else "converged",
             "time_solve_s": next(times[run.instance.test]),
         }
-        for run in quick
+        for run in part.runs()
     ]
-    journal = tmp_path / "paper2d_images-quick" / "runs" / "icp" / "x.journal.jsonl"
+    journal = tmp_path / "paper2d_images-quick" / "runs" / method / "x.journal.jsonl"
     journal.parent.mkdir(parents=True)
     journal.write_text("".join(f"{json.dumps(row)}\n" for row in rows))
     (after,) = outlook_of(whole, folder)

@@ -59,6 +59,10 @@ def test_a_pose_far_worse_than_its_norms():
     assert "mode 'full'" in remedies.misled(case(result, source, target, True, **made))
     assert remedies.misled(case(result, source, target, False, **made)) is None
     assert remedies.misled(case(result, source, target, True)) is None
+    # of a sample: 600 times the bound, but of 30 times the pairs
+    sampled = {"objective": 6.0, "upper_bound": 0.01, "downsampled": (9, 9, 1)}
+    assert remedies.misled(case(result, source, target, True, **sampled)) is None
+    assert remedies.misled(case(result, source, target, True, **sampled | {"objective": 60.0}))
 
 
 def test_a_target_ten_times_larger():

@@ -330,6 +330,31 @@ def test_a_run_at_its_limit_says_so_and_how_to_repeat_it(html):
     assert "python -m workflows replay made-up" in text
 
 
+def test_the_page_tells_the_limit_that_a_run_met(tmp_path):
+    """A search that ended by its boxes did not meet the seconds."""
+    folder = report_fixture.write_tables(tmp_path / "tables")
+    path = folder / "provenance.json"
+    known = json.loads(path.read_text(encoding="utf-8"))
+    boxes = {"dcreg-full": {"nodes_at_100": 700}, "dcreg-half": {"nodes": 8, "nodes_at_100": None}}
+    for method, limits in boxes.items():
+        known["methods"][method]["limits"] |= limits
+    path.write_text(json.dumps(known), encoding="utf-8")
+    runs = pd.read_parquet(folder / "runs.parquet")
+    late = runs["method"].isin(list(boxes)) & runs["status"].eq("time_limit")
+    assert late.any()
+    runs.loc[late, "status"] = "node_limit"
+    runs.to_parquet(folder / "runs.parquet")
+    build(folder, tmp_path / "index.html")
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    first = page.split('class="run"')[1].split("</dl>")[0]
+    assert f"10 s a run; 2 of {len(known['methods'])} methods also a number of boxes" in first
+    assert "10 s, 700 boxes at 100 points" in page.split('id="parameters"')[1]
+    unfinished = page.split('id="unfinished"')[1].split("</table>")[0]
+    for limit in ("700 boxes at 100 points", "8 boxes or starts"):
+        assert f"met its limit of {limit} (made-up bound)" in unfinished
+    assert unfinished.count("met its limit of 10 s") == 1  # the third method that bounds
+
+
 def scans(tables, experiment, dataset):
     """The made-up tables as if their solid shapes were scans, with cards of the paper's methods."""
     cards = {label: {**card, "baseline": base, "options": options, "n_inliers_ratio": ratio}

@@ -438,6 +438,21 @@ def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     assert asked.results[0].downsampled == (20, 20, 15)
 
 
+def test_a_rotation_search_leaves_time_for_all_points(rng):
+    source = rng.random((300, 3)) * [2.0, 1.0, 0.5]
+    target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
+    swept = dcreg.sweep(
+        source, target, [200, 210], model="rigid3d", mode="paper", downsample=60, gap_tol=0.0,
+        time_limit=4.0,
+    )  # fmt: skip
+    assert swept.status is Status.TIME_LIMIT
+    for result in swept.results:
+        last = result.stages[-1]
+        assert last.name == "all points"
+        assert last.n_assignments > 1
+        assert last.objective_after < last.objective_before
+
+
 def test_a_sample_of_a_sweep_refuses_what_it_would_ignore(clouds):
     with pytest.raises(InputError, match="downsample: candidates speak of all points"):
         dcreg.sweep(

@@ -9,7 +9,7 @@ from dcreg.kernels.compiling import jit
 
 @jit
 def cap_costs(moved, angle, target, prices, out):
-    """(n, m) least squared residuals when the points `moved` may turn by `angle`; and the prices."""
+    """(n, m) least squares of residuals where `moved` may turn by up to `angle`; and the prices."""
     cosine, sine = math.cos(angle), math.sin(angle)
     for i in range(moved.shape[1]):
         x, y, z = moved[0, i], moved[1, i], moved[2, i]

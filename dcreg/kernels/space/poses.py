@@ -1,4 +1,4 @@
-"""Rigid poses as seen from one of them, and what pairs cost at least over a box of poses around it."""
+"""Rigid poses as seen from one of them, what pairs cost at one, and bounds by nearest points."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ class View(NamedTuple):
         y - t_c.
     prices : (n, m) array, or (0, 0) where every pair is feasible
     k : int
+    stop : (1,) uint8 array
+        Set when the search is over, wherever a kernel stands.
     """
 
     moved: np.ndarray
