@@ -18,6 +18,7 @@ from dcreg.kernels.points import NEVER
 # Up to here the pairs are held in a dense matrix; beyond, this many neighbour pairs are the most.
 DENSE_PAIRS = 4_000_000
 _FIRST_NEIGHBOURS = 16
+_LEFTOVER_ROUNDS = 8  # of pairing near points that the neighbours leave over
 _MAX_PRICES = 16
 _ROUGH = 1.02  # size of a matching that may be cut to k where no proof is asked for
 
@@ -61,7 +62,7 @@ def sparse_matching(
     The assignment is solved over each point's nearest neighbours, 16 at first. Where prices do not
     prove that farther pairs are useless, their number is quadrupled, up to `DENSE_PAIRS` pairs in
     all. Should that not suffice either, the best matching found is returned as not exact; points that
-    the neighbours leave over are paired in the order of their coordinate along the longest side.
+    the neighbours leave over are paired with near ones among themselves.
 
     Without `prove`, the first 16 neighbours must do and the price of staying unmatched is found
     roughly: a near-optimal matching in a fraction of the time, for the steps of a descent. Where `stop`
@@ -87,7 +88,7 @@ def sparse_matching(
             col_of, own = _greedy(columns, costs, m, k), None
         spent += solved
         exact = prove and own is not None and _is_proved(points, tree, columns, costs, col_of, own)
-        value, pairs = _completed(points, target, col_of, k)
+        value, pairs = _completed(points, target, col_of, k, stop)
         if best is None or exact or value < best.value:
             best = Matching(value, pairs, exact, spent)
         if exact or not prove or stop[0] or neighbours == m or 4 * neighbours * n > DENSE_PAIRS:
@@ -193,24 +194,39 @@ def _is_proved(
 
 
 def _completed(
-    points: np.ndarray, target: np.ndarray, col_of: np.ndarray, k: int
+    points: np.ndarray, target: np.ndarray, col_of: np.ndarray, k: int, stop: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Value and exactly k pairs: those of `col_of`, and leftover points where they are too few."""
-    rows = np.flatnonzero(col_of >= 0)
-    pairs = np.stack([rows, col_of[rows]], axis=1)
-    missing = k - len(pairs)
+    """Value and exactly k pairs: those of `col_of`, and leftover points where they are too few.
+
+    Leftover points are paired with near ones that are left over too, in a few rounds (with no
+    time left: one). What these still leave is paired in the order along the longest side.
+    """
+    col_of = col_of.copy()
+    for _ in range(1 if stop[0] else _LEFTOVER_ROUNDS):
+        missing = k - int((col_of >= 0).sum())
+        if missing <= 0:
+            break
+        rows, columns = _left_over(col_of, len(target))
+        wanted = np.arange(1, min(_FIRST_NEIGHBOURS, len(columns)) + 1)
+        near, at = cKDTree(target[columns]).query(points[rows], k=wanted)
+        chosen = _greedy(at.astype(np.int64), near**2, len(columns), missing)
+        col_of[rows] = np.where(chosen >= 0, columns[chosen], -1)
+    missing = k - int((col_of >= 0).sum())
     if missing > 0:
         axis = int(np.argmax(np.ptp(target, axis=0)))
-        free_rows = np.flatnonzero(col_of < 0)
-        free_columns = np.setdiff1d(np.arange(len(target)), pairs[:, 1])
-        free_rows = free_rows[np.argsort(points[free_rows, axis], kind="stable")]
-        free_columns = free_columns[np.argsort(target[free_columns, axis], kind="stable")]
-        spread = np.linspace(0, len(free_columns) - 1, len(free_rows)).round().astype(int)
-        extra = np.stack([free_rows, free_columns[spread]], axis=1)[:missing]
-        pairs = np.concatenate([pairs, extra])
-        pairs = pairs[np.argsort(pairs[:, 0])]
+        rows, columns = _left_over(col_of, len(target))
+        rows = rows[np.argsort(points[rows, axis], kind="stable")]
+        columns = columns[np.argsort(target[columns, axis], kind="stable")]
+        spread = np.linspace(0, len(columns) - 1, len(rows)).round().astype(int)
+        col_of[rows[:missing]] = columns[spread][:missing]
+    pairs = np.stack([np.flatnonzero(col_of >= 0), col_of[col_of >= 0]], axis=1)
     value = float(((points[pairs[:, 0]] - target[pairs[:, 1]]) ** 2).sum())
     return value, pairs.astype(np.int64)
+
+
+def _left_over(col_of: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns in no pair."""
+    return np.flatnonzero(col_of < 0), np.setdiff1d(np.arange(m), col_of)
 
 
 def nearest_pairs(points: np.ndarray, tree: cKDTree, k: int) -> tuple[np.ndarray, float]:

@@ -136,6 +136,16 @@ def test_sparse_matching_proves_itself_near_the_truth(rng, n_inliers):
     assert np.isclose(found.value, optimum)
 
 
+def test_pairs_beyond_the_overlap_are_near_ones_too(rng):
+    """More pairs than neighbours give: what is left over is matched by distance, not anyhow."""
+    flat = np.array([1.0, 1.0, 0.01])
+    points, target = rng.random((900, 3)) * flat, rng.random((900, 3)) * flat + [0.45, 0.0, 0.0]
+    found = sparse.sparse_matching(points, target, 600, prove=False)
+    optimum, _ = k_assignment(_squared(points, target), 600)
+    assert len(set(found.pairs[:, 0])) == len(set(found.pairs[:, 1])) == 600
+    assert optimum <= found.value <= 6.0 * optimum
+
+
 @pytest.mark.parametrize(
     ("dim", "options"), [(2, {}), (3, {"mode": "full"}), (3, {"bound": "paper"})]
 )
