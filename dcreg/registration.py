@@ -112,7 +112,8 @@ def register(
         Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verify`.
         Mode ``paper`` only; in 3D it certifies the translation.
     downsample : int, optional
-        Search with this many points of each cloud at most, farthest points, and refine the pose on all.
+        Search with this many points of each cloud at most, farthest points but for stray ones, and refine
+        the pose on all.
         A counted `n_inliers` speaks of all points and is scaled down with them. Default: 1,000 for clouds
         in space of more than 4,000,000 pairs that match in part, where no mode, bound, certificate or
         candidates are given; all points elsewhere.

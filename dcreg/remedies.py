@@ -72,7 +72,7 @@ def misled(case: Case) -> str | None:
     return (
         f"a pair costs {found:.3g} at the pose on average, {ratio:.3g} times the upper bound "
         f"{promised:.3g} in norm space: the norms do not determine the pose, which may be wrong. Use "
-        "mode 'full', or another n_inliers"
+        "mode 'full', for clouds too large for it with downsample=200, or another n_inliers"
     )
 
 
@@ -126,15 +126,15 @@ def loose_pairs(case: Case) -> str | None:
     return (
         f"matched points lie {result.rmse_matched:.3g} apart (RMS), neighbours in the target "
         f"{spacing:.3g}: {result.n_inliers} pairs are probably too many, and the pose may be wrong. Try "
-        "a smaller n_inliers, or several with `dcreg sweep`"
+        "a smaller n_inliers (`dcreg sweep` tries several), or remove stray points first"
     )
 
 
 def too_many_points(case: Case) -> str | None:
     """A smaller sample would have been solved."""
     n, m = len(case.problem.source), len(case.problem.target)
-    solved = case.result.status is Status.OPTIMAL or case.result.downsampled is not None
-    if max(n, m) < _MANY_POINTS or solved:
+    solved = case.result.status in (Status.OPTIMAL, Status.CONVERGED)
+    if max(n, m) < _MANY_POINTS or solved or case.result.downsampled is not None:
         return None
     return (
         f"{n} x {m} points are too many to be solved in this time. Use downsample=200 "

@@ -9,7 +9,7 @@ import numpy as np
 
 from dcreg.local import objective, polish
 from dcreg.modes.table import default_sample
-from dcreg.problem import InputError, Problem, farthest_points
+from dcreg.problem import InputError, Problem, representative_points
 from dcreg.result import Result, Stage
 from dcreg.search import Budget
 
@@ -26,7 +26,7 @@ def to_search(
 ) -> Sequence[Problem]:
     """What is searched for each of several problems over the same clouds: itself, or a sample of it.
 
-    A sample is of farthest points of both clouds, with pairs in the same proportion.
+    A sample is of farthest points of both clouds, stray ones left out, with pairs in the same proportion.
 
     Parameters
     ----------
@@ -48,8 +48,8 @@ def to_search(
     if downsample is None:
         return problems
     _check(downsample, first, certificate)
-    source = first.source[farthest_points(first.source, downsample)]
-    target = first.target[farthest_points(first.target, downsample)]
+    source = first.source[representative_points(first.source, downsample)]
+    target = first.target[representative_points(first.target, downsample)]
     if len(source) == len(first.source) and len(target) == len(first.target):
         return problems
     share = min(len(source), len(target)) / min(len(first.source), len(first.target))

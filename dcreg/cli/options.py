@@ -102,7 +102,7 @@ DownsampleOption = Annotated[
     typer.Option(
         metavar="N",
         parser=whole_number,
-        help="Search with N farthest points of each cloud at most, and refine the pose on all points.",
+        help="Search with N points of each cloud at most, farthest but for stray ones; refine on all.",
     ),
 ]
 CandidatesOption = Annotated[

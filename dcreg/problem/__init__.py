@@ -6,7 +6,7 @@ from dcreg.problem.frame import Frame
 from dcreg.problem.pairs import Candidates
 from dcreg.problem.pose import nearest_rotation, rotation_angle_deg, scale_of
 from dcreg.problem.problem import MODEL_DIM, ModelName, Problem
-from dcreg.problem.sample import farthest_points
+from dcreg.problem.sample import farthest_points, representative_points
 from dcreg.problem.tolerance import (
     EXACT,
     TOLERATED_NORM_RESIDUAL,
@@ -32,6 +32,7 @@ __all__ = [
     "farthest_points",
     "gap_tol_of",
     "nearest_rotation",
+    "representative_points",
     "rms_radius",
     "rotation_angle_deg",
     "scale_of",

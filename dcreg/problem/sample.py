@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
+
+_NEIGHBOURS = 3
+_ISOLATED = 6.0  # times the median distance to the third neighbour
 
 
 def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
@@ -30,3 +34,43 @@ def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
         np.minimum(nearest, ((points - points[chosen[at - 1]]) ** 2).sum(axis=1), out=nearest)
         chosen[at] = np.argmax(nearest)
     return np.unique(chosen)
+
+
+def isolated(points: np.ndarray) -> np.ndarray:
+    """Which points lie far from all others, as stray ones of a scan do: less than half of them.
+
+    Farthest points would be made of them.
+
+    Parameters
+    ----------
+    points : (n, d) array
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    if len(points) <= _NEIGHBOURS:
+        return np.zeros(len(points), dtype=bool)
+    reach = cKDTree(points).query(points, k=_NEIGHBOURS + 1)[0][:, -1]
+    usual = np.median(reach)
+    alone: np.ndarray = (reach > _ISOLATED * usual) & (usual > 0.0)
+    return alone
+
+
+def representative_points(points: np.ndarray, count: int) -> np.ndarray:
+    """Rows of `count` farthest points among those that are not `isolated`.
+
+    Parameters
+    ----------
+    points : (n, d) array
+    count : int
+
+    Returns
+    -------
+    (C,) int array
+        Ascending; C is less than `count` only where there are no more, and all rows where n is no more.
+    """
+    if count >= len(points):
+        return np.arange(len(points))
+    kept = np.flatnonzero(~isolated(points))
+    return kept[farthest_points(points[kept], count)]

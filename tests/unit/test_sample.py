@@ -1,0 +1,50 @@
+"""Samples of clouds: spread, and not made of stray points."""
+
+import numpy as np
+import pytest
+
+from dcreg.problem import farthest_points, representative_points
+from dcreg.problem.sample import isolated
+
+
+def surface(rng, size):
+    """Points of an ellipsoid."""
+    points = rng.standard_normal((size, 3))
+    return points / np.linalg.norm(points, axis=1, keepdims=True) * [1.0, 0.7, 0.5]
+
+
+def test_samples_are_not_made_of_stray_points(rng):
+    points = surface(rng, 5000)
+    stray = rng.uniform(-2.0, 2.0, (450, 3))
+    cloud = np.concatenate([points, stray])
+    taken = representative_points(cloud, 300)
+    assert len(taken) == 300
+    assert (taken >= 5000).mean() < 0.15
+    assert (farthest_points(cloud, 300) >= 5000).mean() > 0.8  # what it would be otherwise
+
+
+def test_scans_of_uneven_density_keep_their_extent(rng):
+    """A lidar's points grow sparser with the distance, none of them stray."""
+    angle = rng.uniform(0.0, 2.0 * np.pi, 20_000)
+    range_ = np.exp(rng.uniform(0.0, 3.0, 20_000))
+    cloud = np.column_stack(
+        [range_ * np.cos(angle), range_ * np.sin(angle), 0.02 * rng.standard_normal(20_000)]
+    )
+    assert isolated(cloud).mean() < 0.01
+    taken = cloud[representative_points(cloud, 500)]
+    assert np.linalg.norm(taken, axis=1).max() > 0.9 * range_.max()
+
+
+@pytest.mark.parametrize("kind", ["few", "equal", "half equal"])
+def test_odd_clouds_lose_nothing(kind, rng):
+    points = rng.standard_normal((40, 2))
+    if kind == "few":
+        points = points[:3]
+    elif kind == "equal":
+        points[:] = 1.0
+    else:
+        points[:25] = 1.0
+    assert not isolated(points).any()
+    assert len(representative_points(points, 10)) == min(
+        10, len(np.unique(points, axis=0)), len(points)
+    )
