@@ -8,6 +8,7 @@ per group), and ``claimed``, the side on which a figure has to lie.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -262,7 +263,14 @@ def _over_levels(
 def _of_rows(statistic: Statistic, table: pd.DataFrame) -> Callable[[np.ndarray], np.ndarray]:
     """The statistic of the level means, for drawn rows of the table."""
     values, levels = table.to_numpy(), table.columns.to_numpy(dtype=float)
-    return lambda rows: statistic(np.nanmean(values[rows], axis=1), levels)
+
+    def of(rows: np.ndarray) -> np.ndarray:
+        with warnings.catch_warnings():
+            # a level at which no drawn row has a value: NaN is what is wanted
+            warnings.filterwarnings("ignore", "Mean of empty slice", RuntimeWarning)
+            return statistic(np.nanmean(values[rows], axis=1), levels)
+
+    return of
 
 
 def _compared(
