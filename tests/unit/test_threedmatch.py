@@ -156,6 +156,9 @@ def test_dcreg_registers_over_shared_matches():
     assert found.status is Status.OPTIMAL
     np.testing.assert_allclose(found.T_target_source[:3, 3], 0.5, atol=1e-9)
     assert found.counters["n_correspondences"] == 30
+    # its bounds are of a priced cost over the matches: compared with the objective they would look false
+    assert found.lower_bound is None
+    assert found.upper_bound is None
     fewer = registry.load("dcreg", front_end="shared-mutual", max_pairs=20)
     assert "20 of 30 pairs kept" in fewer.solve(instance, Limits(time_s=20.0)).message
     assert "no shared matches" in registry.load("dcreg", front_end="shared-nearest").supports(
