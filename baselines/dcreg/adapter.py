@@ -49,7 +49,7 @@ class Adapter(BranchAndBound):
             node_limit=limits.nodes,
         )
         solution = solution_of(result)
-        # of a cost that the harness does not evaluate: over the matches, with a price for those not chosen
+        # of a cost that the harness does not evaluate: over the matches, those not chosen priced
         solution.lower_bound = solution.upper_bound = None
         solution.message = "; ".join(filter(None, [putative.note, solution.message]))
         solution.counters["n_correspondences"] = len(putative.pairs)
