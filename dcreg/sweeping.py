@@ -293,7 +293,8 @@ class _Sweep:
             began = self.budget.elapsed()
             level.space.heed(self.searching.stop)
             own = starting.part(1.0 / (len(self.levels) - at))
-            level.take(*level.space.start(own.named(f"start of k={level.name}")))
+            named = own.named(f"start of k={level.name}")
+            level.take(*level.space.start(named, level.gap_tol))
             level.descending_s += self.budget.elapsed() - began
         self._exchange()
 

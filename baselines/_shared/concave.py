@@ -83,13 +83,17 @@ class Incumbent:
 
 @dataclass
 class Reduced:
-    """An instance as concave minimisation, in the library's normalised coordinates."""
+    """An instance as concave minimisation, in the library's normalised coordinates.
+
+    `gap_tol` is the library's default tolerance times a factor.
+    """
 
     frame: Frame
     incumbent: Incumbent
+    gap_tol: float
 
     @classmethod
-    def of(cls, instance: Instance, budget: Budget) -> Reduced:
+    def of(cls, instance: Instance, budget: Budget, factor: float) -> Reduced:
         """The first incumbent comes from the descents that start the library's own search, so that
         every branch and bound starts alike."""
         problem = Problem(
@@ -100,8 +104,10 @@ class Reduced:
         source, target = frame.source(problem.source), frame.target(problem.target)
         clouds = Clouds(source, target, problem.n_inliers, *problem.scale_range)
         space = Similarity2D(source, target, clouds.k, clouds.scale_range)
-        theta, value, spent = space.start(budget)
-        return cls(frame, Incumbent(clouds, space.pose(theta), value, spent, budget))
+        points = instance.source, instance.target
+        gap_tol = default_gap_tol(*points, instance.n_inliers, factor) / frame.area
+        theta, value, spent = space.start(budget, gap_tol)
+        return cls(frame, Incumbent(clouds, space.pose(theta), value, spent, budget), gap_tol)
 
     @property
     def clouds(self) -> Clouds:
@@ -111,11 +117,6 @@ class Reduced:
     def area(self) -> float:
         """Squared target units per squared normalised unit."""
         return self.frame.area
-
-    def gap_tol(self, instance: Instance, factor: float) -> float:
-        """The library's default tolerance with this factor, in normalised units."""
-        points = instance.source, instance.target
-        return default_gap_tol(*points, instance.n_inliers, factor) / self.area
 
     def pose(self) -> np.ndarray:
         """The incumbent in the coordinates of the instance."""

@@ -28,10 +28,9 @@ class Adapter(Baseline):
         self.solve(tiny(instance), Limits(time_s=600.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        reduced = Reduced.of(instance, limits.budget())
-        gap_tol = reduced.gap_tol(instance, self.options["gap_tol_factor"])
+        reduced = Reduced.of(instance, limits.budget(), self.options["gap_tol_factor"])
         by_gap = self.options["branching"] == "gap"
-        search = Search(reduced, gap_tol, self.options["ascents"], by_gap)
+        search = Search(reduced, reduced.gap_tol, self.options["ascents"], by_gap)
         search.run()
         # The simplices' own bound; until it passes zero, that zero is the lower bound.
         return search.solution(simplex_bound=float(search.raw_bound * reduced.area))

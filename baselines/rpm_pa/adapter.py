@@ -20,8 +20,7 @@ class Adapter(Baseline):
         self.solve(tiny(instance), Limits(time_s=600.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        reduced = Reduced.of(instance, limits.budget())
-        gap_tol = reduced.gap_tol(instance, self.options["gap_tol_factor"])
-        search = Search(reduced, gap_tol, self.options["epsilon0"])
+        reduced = Reduced.of(instance, limits.budget(), self.options["gap_tol_factor"])
+        search = Search(reduced, reduced.gap_tol, self.options["epsilon0"])
         search.run()
         return search.solution()

@@ -106,11 +106,9 @@ class Space(abc.ABC):
         best: np.ndarray | None = None
         value, spent = np.inf, 0
         try:
-            for tried, (theta, choosing) in enumerate(self.starts(budget)):
+            for tried, (theta, choosing) in enumerate(self.starts(budget), start=1):
                 spent += choosing
                 if best is not None and budget.is_over:
-                    break
-                if tried >= self.n_descents and value <= enough:
                     break
                 best = theta if best is None else best
                 theta, found, descending = self.refine(theta)
@@ -118,6 +116,8 @@ class Space(abc.ABC):
                 if found < value:
                     best, value = theta, found
                     budget.found(value)
+                if tried >= self.n_descents and value <= enough:  # before the next start is made
+                    break
         except Interrupted:
             pass
         return self.seeds()[0] if best is None else best, value, spent

@@ -21,7 +21,7 @@ MAX_LOOKED = 60  # source points that score
 KEPT_PER_PAIR = 4
 MAX_POSES = 12
 CELLS_PER_REACH, MAX_CELLS = 3.0, 2000  # of the field of nearness, along the longest side: 32 MB
-APART = 0.15  # poses that move the unit corners by less than this differ too little
+APART = 0.15  # poses whose parameters, in units of the clouds, differ by less are one
 
 
 def similar_poses(
@@ -60,18 +60,19 @@ def similar_poses(
     feasible = np.empty((0, 0), np.bool_)
     if candidates is not None:
         feasible = np.ascontiguousarray(candidates[:, columns])
-    looked = np.ascontiguousarray(source[rng.permutation(len(source))[:MAX_LOOKED]])
+    source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
+    looked = source[rng.permutation(len(source))[:MAX_LOOKED]]
     extent = float(np.ptp(target, axis=0).max())
     reach = max(REACH * unit, CELLS_PER_REACH * extent / MAX_CELLS)
     cell = reach / CELLS_PER_REACH
     origin = target.min(axis=0) - reach
     size = int(np.ceil((extent + 2.0 * reach) / cell)) + 1
     field = np.zeros((size, size))
-    kernels.nearness_field(np.ascontiguousarray(target), origin, cell, reach, field)
+    kernels.nearness_field(target, origin, cell, reach, field)
     thetas = np.zeros((len(pairs), KEPT_PER_PAIR, 4))
     scores = np.zeros((len(pairs), KEPT_PER_PAIR))
     kernels.pair_poses(
-        pairs, np.ascontiguousarray(source), np.ascontiguousarray(target[columns]), feasible,
+        pairs, source, target[columns], feasible,
         (looked, origin, cell, field, *map(float, scale_range), stop), thetas, scores,
     )  # fmt: skip
     return _distinct(thetas.reshape(-1, 4), scores.ravel(), unit)
@@ -91,13 +92,11 @@ def _long_pairs(points: np.ndarray, n_inliers: int, rng: np.random.Generator) ->
 
 def _distinct(thetas: np.ndarray, scores: np.ndarray, unit: float) -> np.ndarray:
     """The best parameters that differ by more than `APART` in units of the clouds."""
-    kept = np.empty((0, 4))
     scaled = thetas / [1.0, 1.0, unit, unit]
+    kept: list[int] = []
     for at in np.argsort(-scores, kind="stable"):
         if scores[at] <= 0.0 or len(kept) == MAX_POSES:
             break
-        if (
-            np.abs(kept / [1.0, 1.0, unit, unit] - scaled[at]).max(axis=1, initial=0.0) > APART
-        ).all():
-            kept = np.vstack([kept, thetas[at]])
-    return kept
+        if (np.abs(scaled[kept] - scaled[at]).max(axis=1) > APART).all():
+            kept.append(at)
+    return thetas[kept]

@@ -219,7 +219,7 @@ class TestPolytope:
     @given(seeds, st.sampled_from([0.0, 0.3]))
     def test_bound_of_a_cone_is_below_its_matchings(self, seed: int, epsilon0: float) -> None:
         instance = problem(seed, most=4)
-        reduced = Reduced.of(instance, Budget(nodes=300))
+        reduced = Reduced.of(instance, Budget(nodes=300), 1.0)
         search = Search(reduced, 0.01, epsilon0)
         kept: list[Polytope] = []
         rebuild = search._rebuilt

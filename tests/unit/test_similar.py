@@ -40,6 +40,18 @@ def test_the_search_begins_at_the_true_pose(seed):
     assert value < 40 * 3 * 0.005**2
 
 
+def test_what_is_within_the_tolerance_needs_no_pairs(monkeypatch):
+    """No objective is below 0, so the gap is closed: the poses of pairs are not even made."""
+    source, target, _ = partial_overlap(2)
+    space = Similarity2D(source, target, 40, RANGE)
+    made = []
+    monkeypatch.setattr(Similarity2D, "_similar", lambda *_: made.append(1) or np.empty((0, 4)))
+    space.start(Budget(), enough=np.inf)
+    assert not made
+    space.start(Budget())
+    assert made
+
+
 def test_starts_are_distinct_admissible_and_the_same_every_time():
     source, target, _ = partial_overlap(7)
     first, second = (similar_poses(source, target, 40, (0.7, 0.9)) for _ in range(2))

@@ -90,9 +90,9 @@ def test_search_is_asked_for_just_the_gap_that_serves_the_run(found):
 def test_a_good_pose_reaches_all_cardinalities(clouds, separate, monkeypatch):
     start = Similarity2D.start
 
-    def only_for_18(space, budget):
+    def only_for_18(space, budget, enough):
         if space.n_inliers == 18:
-            return start(space, budget)
+            return start(space, budget, enough)
         return space.identity, space.objective(space.identity)[0], 1
 
     monkeypatch.setattr(Similarity2D, "start", only_for_18)
@@ -463,7 +463,7 @@ def test_a_sample_of_a_sweep_refuses_what_it_would_ignore(clouds):
 def test_descents_of_all_cardinalities_share_the_time(monkeypatch):
     begun = []
 
-    def until_its_end(space, budget):
+    def until_its_end(space, budget, enough):
         if space.n_source == 24:  # not in the warm-up
             begun.append((space.n_inliers, budget.is_over))
             while not budget.is_over:
