@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcreg.kernels.compiling import jit
+
 # For kernels that are never told to stop.
 NEVER = np.zeros(1, np.uint8)
 
@@ -57,3 +59,11 @@ class Clouds(NamedTuple):
     prices: np.ndarray
     k: int
     stop: np.ndarray
+
+
+@jit
+def add_prices(prices, costs):
+    """Add what pairs cost beyond their residual to (n, m) costs; nothing where `prices` is empty."""
+    for i in range(prices.shape[0]):
+        for j in range(prices.shape[1]):
+            costs[i, j] += prices[i, j]

@@ -7,7 +7,8 @@ import numpy as np
 from dcreg.kernels.assignment.dense import k_assignment
 from dcreg.kernels.compiling import jit
 from dcreg.kernels.features.boxes import n_vertices, vertex
-from dcreg.kernels.features.motion import add_prices, curvature, interval_costs, pair_costs
+from dcreg.kernels.features.motion import curvature, interval_costs, pair_costs
+from dcreg.kernels.points import add_prices
 
 
 @jit

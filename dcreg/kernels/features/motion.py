@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from dcreg.kernels.compiling import jit
+from dcreg.kernels.points import add_prices
 
 
 @jit
@@ -37,14 +38,6 @@ def squared_distances(source, target, theta, cost):
             for j in range(target.shape[1]):
                 dx, dy = x - target[0, j], y - target[1, j]
                 cost[i, j] = dx * dx + dy * dy
-
-
-@jit
-def add_prices(prices, cost):
-    """Add what pairs cost beyond their residual."""
-    for i in range(prices.shape[0]):
-        for j in range(prices.shape[1]):
-            cost[i, j] += prices[i, j]
 
 
 @jit

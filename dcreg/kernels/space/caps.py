@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from dcreg.kernels.compiling import jit
+from dcreg.kernels.points import add_prices
 
 
 @jit
@@ -22,6 +23,4 @@ def cap_costs(moved, angle, target, prices, out):
             turned = dot * cosine + math.sqrt(max(0.0, reach * reach - dot * dot)) * sine
             best = reach if dot >= reach * cosine else turned
             out[i, j] = max(0.0, own + other - 2.0 * best)
-    for i in range(prices.shape[0]):
-        for j in range(prices.shape[1]):
-            out[i, j] += prices[i, j]
+    add_prices(prices, out)

@@ -9,6 +9,7 @@ import numpy as np
 
 from dcreg.kernels.assignment.selection import least, sum_of_smallest
 from dcreg.kernels.compiling import jit
+from dcreg.kernels.points import add_prices
 from dcreg.kernels.space.geometry import chord_matrix, transform
 
 
@@ -107,9 +108,7 @@ def pose_costs(theta, clouds, out):
             y = b - (target[1, j] - theta[5])
             z = c - (target[2, j] - theta[6])
             out[i, j] = x * x + y * y + z * z
-    for i in range(prices.shape[0]):
-        for j in range(prices.shape[1]):
-            out[i, j] += prices[i, j]
+    add_prices(prices, out)
 
 
 @jit

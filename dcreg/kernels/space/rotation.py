@@ -13,6 +13,7 @@ import numpy as np
 from dcreg.kernels.assignment.dense import k_assignment_duals
 from dcreg.kernels.assignment.selection import least, place_of_least, sum_of_smallest
 from dcreg.kernels.compiling import jit, jit_part
+from dcreg.kernels.points import add_prices
 from dcreg.kernels.space.caps import cap_costs
 from dcreg.kernels.space.geometry import chord_matrix, matched_cost, transform
 
@@ -69,9 +70,7 @@ def pair_costs(M, clouds, out):
         for j in range(target.shape[1]):
             u, v, w = target[0, j], target[1, j], target[2, j]
             out[i, j] = own + u * u + v * v + w * w - 2.0 * (x * u + y * v + z * w)
-    for i in range(prices.shape[0]):
-        for j in range(prices.shape[1]):
-            out[i, j] += prices[i, j]
+    add_prices(prices, out)
 
 
 @jit
