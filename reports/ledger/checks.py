@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from reports.ledger import intervals
-from reports.ledger.evidence import Evidence, Experiment, Role
+from reports.ledger.evidence import Evidence, Experiment, Role, imagined
 from reports.ledger.intervals import Interval
 from reports.theme import words
 
@@ -29,6 +30,7 @@ UNITS = {
     "rmse": "RMSE (m)",
     "n_nodes": "boxes",
 }
+LIMITED, SETTLED = "limited", "settled"  # ends of runs; settled: at a limit, but proven optimal
 SHARED = ["dataset", "shape", "trial"]  # what draws of different levels have in common
 
 
@@ -40,6 +42,7 @@ class Part:
     interval: Interval
     verdict: str
     margin: float
+    hangs: bool = False  # open for runs at a limit: they might have turned it
 
 
 @dataclass
@@ -58,8 +61,30 @@ class Finding:
 
     def rest_on(self, *tables: pd.DataFrame) -> None:
         for table in tables:
-            self.runs.update(zip(table["run_id"], table["outcome"], strict=True))
+            ends = table["outcome"].mask(table["settled"], SETTLED)
+            self.runs.update(zip(table["run_id"], ends, strict=True))
             self.methods += [m for m in table["method"].unique() if m not in self.methods]
+
+
+# What became of runs at a limit, as a mask over their levels: to their least (False) or their most.
+Fate = Callable[[pd.Series], pd.Series]
+
+
+def _none(levels: pd.Series) -> pd.Series:
+    return levels > np.inf
+
+
+def _top(levels: pd.Series) -> pd.Series:
+    return levels == levels.max()
+
+
+def _upper(levels: pd.Series) -> pd.Series:
+    return levels > levels.unique().mean()
+
+
+def _both(fate: Fate) -> tuple[Fate, Fate]:
+    """A fate and its contrary."""
+    return fate, lambda levels: ~fate(levels)
 
 
 @dataclass(frozen=True)
@@ -69,6 +94,7 @@ class Source:
     evidence: Evidence
     experiment: Experiment | None
     roles: Mapping[str, Role]
+    fates: tuple[Fate, Fate] | None = None  # of the subject's and of the rivals' runs at a limit
 
     def runs(
         self, role: str, p: Parameters, finding: Finding
@@ -81,24 +107,56 @@ class Source:
         if not filled and self.roles[role].title not in finding.missing:
             finding.missing.append(self.roles[role].title)
         names = self.experiment.runs.drop_duplicates("method").set_index("method")["display_name"]
-        yield from ((names[label], runs) for label, runs in filled)
+        for label, runs in filled:
+            if self.fates:
+                fate = self.fates[role in p.get("rivals", ())]
+                runs = imagined(runs, runs.groupby("test")["level"].transform(fate).to_numpy())
+            yield names[label], runs
 
 
 Check = Callable[[Source, Parameters], Finding]
 CHECKS: dict[str, Check] = {}
 STUDY_CHECKS: set[str] = set()  # those over the study of bounds
+FATES: dict[str, tuple[Fate, ...]] = {}  # that hold the extremes of a kind of check; none: unknown
 
 
-def check(name: str, *, of_study: bool = False) -> Callable[[Check], Check]:
-    """Register a kind of check."""
+def check(
+    name: str, *, of_study: bool = False, fates: tuple[Fate, ...] = _both(_none)
+) -> Callable[[Check], Check]:
+    """Register a kind of check. Its figure is monotone in every run unless told otherwise."""
 
     def register(function: Check) -> Check:
-        CHECKS[name] = function
+        CHECKS[name], FATES[name] = function, fates
         if of_study:
             STUDY_CHECKS.add(name)
         return function
 
     return register
+
+
+def found(source: Source, p: Parameters, *, limits_decide: bool = False) -> Finding:
+    """What a check finds; a part is open where runs at a limit, gone on, could have turned it."""
+    kind = p["kind"]
+    finding = CHECKS[kind](source, p)
+    if limits_decide or (LIMITED not in finding.runs.values() and not _of_work(p, finding)):
+        return finding
+    worlds = [
+        CHECKS[kind](replace(source, fates=(mine, theirs)), p).parts
+        for mine, theirs in product(FATES[kind], repeat=2)
+    ]
+    finding.parts = [
+        part
+        if worlds and all(world[at].verdict == part.verdict for world in worlds)
+        else replace(part, verdict=intervals.OPEN, hangs=part.verdict != intervals.OPEN)
+        for at, part in enumerate(finding.parts)
+    ]
+    return finding
+
+
+def _of_work(p: Parameters, finding: Finding) -> bool:
+    """Whether a figure of time or boxes rests on runs at a limit, settled ones too."""
+    quantities = {p.get("quantity"), *p.get("quantities", ())}
+    return bool(quantities & {"time", "n_nodes"}) and SETTLED in finding.runs.values()
 
 
 def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
@@ -183,7 +241,7 @@ def value(source: Source, p: Parameters) -> Finding:
     return finding
 
 
-@check("rise")
+@check("rise", fates=_both(_top))
 def rise(source: Source, p: Parameters) -> Finding:
     """Error at a level over that at a lower one, paired by trial. Levels: two, or top and the next."""
     finding = Finding("error at the higher level / at the lower")
@@ -209,13 +267,13 @@ Statistic = Callable[
 ]  # of level means (draws × levels), levels
 
 
-@check("spread")
+@check("spread", fates=())
 def spread(source: Source, p: Parameters) -> Finding:
     """Greatest over least level mean of the error; with ``rivals``, that of the subject over theirs."""
     return _over_levels(source, p, "greatest / least level error", _spread, np.divide)
 
 
-@check("slope")
+@check("slope", fates=_both(_upper))
 def slope(source: Source, p: Parameters) -> Finding:
     """Slope of the error over the level; with ``rivals``, that of the subject less theirs."""
     return _over_levels(source, p, "slope of error over level", _slope, np.subtract)
@@ -291,7 +349,7 @@ def _by_level(runs: pd.DataFrame, p: Parameters) -> pd.DataFrame | None:
     return table if table.shape[1] > 1 and len(table) else None
 
 
-@check("trend")
+@check("trend", fates=())
 def trend(source: Source, p: Parameters) -> Finding:
     """Spearman's rank correlation of time or work with the level."""
     finding = Finding("rank correlation with the level")
@@ -317,7 +375,7 @@ def _correlations(ranks: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.divide(above, below, out=np.zeros_like(above), where=below > 0)
 
 
-@check("race")
+@check("race", fates=())
 def race(source: Source, p: Parameters) -> Finding:
     """Ratio of times to the smallest relative gap that both searches of an instance reached."""
     finding = Finding("ratio of mean time to equal gap")

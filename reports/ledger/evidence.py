@@ -17,10 +17,12 @@ from workflows.attribution import POSE_SCOPES
 
 STUDY = "bounds"  # of which no runs are planned: its tables lie beside the experiments'
 QUICK = "-quick"
+_ROUNDING = 1e-12
 LONGEST = (
     1.0  # errors in longest sides are capped there, which is also that of a run without a pose
 )
 SHORTEST = 1e-3  # below it, errors count as equal
+FOR_EVER = 1e3  # times what a run took, of one that ended at a limit and might never have ended
 
 
 @dataclass(frozen=True)
@@ -64,10 +66,14 @@ class Experiment:
 
     @cached_property
     def runs(self) -> pd.DataFrame:
-        """Attempted runs with ``error``, ``time``, ``wrong``, ``search_error``, ``violation``."""
+        """Attempted runs with the quantities of claims, and of those at a limit which are ``settled``.
+
+        A settled run found what another one proved to be optimal: more time would change no error.
+        """
         runs = attempted(self.tables.runs)
         scale = np.array([_scale(text) for text in runs["T_reference"]])
         sides = (runs["rmse_excess"] / scale).fillna(LONGEST)
+        limited = runs["outcome"].eq("limited")
         violated = (runs["bound_violation"] > 0) | (
             runs["lower_bound"].where(runs["status"].eq("optimal"))
             > runs["objective_best"] * (1 + 1e-9) + 1e-12
@@ -83,6 +89,8 @@ class Experiment:
             search_error=runs["verdict"].eq("search_error").astype(float),
             certified=(runs["status"].eq("optimal") & speaks),
             violation=(violated & speaks).astype(float),
+            limited=limited,
+            settled=limited & speaks & (runs["regret_at_most"] <= runs["gap_tol"] + _ROUNDING),
             source=runs["shape"].str.extract(r"^(sun3d|7-scenes|rgbd-scenes|bundlefusion|analysis)",
                                              expand=False).fillna(runs["dataset"]),
         )  # fmt: skip
@@ -96,6 +104,28 @@ class Experiment:
             if label in present and (rank := role.fit({"baseline": label, **card})) is not None
         )
         return [label for _, label in (ranked if role.every else ranked[:1])]
+
+
+def imagined(runs: pd.DataFrame, most: np.ndarray) -> pd.DataFrame:
+    """The runs as if those at a limit had gone on and come to the least, or `most`, that they could."""
+    open_time = runs["limited"].to_numpy()
+    open_pose = open_time & ~runs["settled"].to_numpy()
+    worst = runs["rmse"].max()
+    ends: dict[str, tuple[Any, Any, np.ndarray]] = {
+        "error": (SHORTEST, LONGEST, open_pose),
+        "rmse": (SHORTEST, worst, open_pose),
+        "success": (0.0, 1.0, open_pose),
+        "search_error": (0.0, 1.0, open_pose),
+        "objective": (-np.inf, np.inf, open_pose),
+        "time": (runs["time_solve_s"], FOR_EVER * runs["time"], open_time),
+        "n_nodes": (runs["n_nodes"], FOR_EVER * runs["n_nodes"], open_time),
+    }
+    return runs.assign(
+        **{
+            name: runs[name].astype(float).mask(is_open, np.where(most, high, low))
+            for name, (low, high, is_open) in ends.items()
+        }
+    )
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ DRAWS = 2000
 SEED = 20260326
 LEAST_PAIRS = 5  # with fewer instances an interval says nothing
 COVERED = (0.025, 0.975)
+DECIMALS = 12  # a slope of rounding alone is none
 
 REPRODUCED, NOT, OPEN, NOT_RUN = "reproduced", "not reproduced", "inconclusive", "not run"
 VERDICTS = (REPRODUCED, NOT, OPEN, NOT_RUN)
@@ -36,9 +37,11 @@ def bootstrap(statistic: Callable[[np.ndarray], np.ndarray], n: int) -> Interval
     drawn = np.concatenate(
         [statistic(rng.integers(n, size=(part, n))) for part in (DRAWS // 4,) * 4]
     )
-    value = float(statistic(np.arange(n)[None])[0])
     low, high = np.nanquantile(drawn, COVERED)
-    return Interval(value, float(low), float(high), n)
+    value, low, high = (
+        round(float(end), DECIMALS) for end in (statistic(np.arange(n)[None])[0], low, high)
+    )
+    return Interval(value, low, high, n)
 
 
 def mean(values: np.ndarray) -> Interval:

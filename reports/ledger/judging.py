@@ -11,13 +11,21 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from reports.ledger.checks import CHECKS, STUDY_CHECKS, Finding, Part, Source
+from reports.ledger.checks import (
+    CHECKS,
+    LIMITED,
+    SETTLED,
+    STUDY_CHECKS,
+    Finding,
+    Part,
+    Source,
+    found,
+)
 from reports.ledger.evidence import STUDY, Evidence, Experiment, Role
 from reports.ledger.intervals import LEAST_PAIRS, NOT, NOT_RUN, OPEN, REPRODUCED, VERDICTS
 from reports.tables import ReportError
 
 LEDGER = Path(__file__).parents[1] / "claims.yaml"
-MOST_LIMITED = 0.05  # share of the deciding runs that may end at a limit
 
 
 @dataclass(frozen=True)
@@ -110,10 +118,12 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     findings: list[Finding] = []
     if (claim.experiment == STUDY and evidence.study) or experiment is not None:
         source = Source(evidence, experiment, book.roles)
-        findings = [CHECKS[entry["kind"]](source, entry) for entry in claim.checks]
+        findings = [
+            found(source, entry, limits_decide=claim.limits_decide) for entry in claim.checks
+        ]
     runs = {run: outcome for finding in findings for run, outcome in finding.runs.items()}
-    limited = sum(outcome == "limited" for outcome in runs.values())
-    verdict, reason = _verdict(claim, findings, len(runs), limited)
+    limited = sum(outcome in (LIMITED, SETTLED) for outcome in runs.values())
+    verdict, reason = _verdict(claim, findings)
     if verdict == NOT_RUN:
         quick = experiment is not None and experiment.is_quick
         reason += (
@@ -145,7 +155,7 @@ def as_table(judgements: list[Judgement]) -> pd.DataFrame:
     return pd.DataFrame([asdict(judgement) for judgement in judgements])
 
 
-def _verdict(claim: Claim, findings: list[Finding], runs: int, limited: int) -> tuple[str, str]:
+def _verdict(claim: Claim, findings: list[Finding]) -> tuple[str, str]:
     parts = [part for finding in findings for part in finding.parts]
     missing = list(dict.fromkeys(name for finding in findings for name in finding.missing))
     if not findings:
@@ -160,9 +170,6 @@ def _verdict(claim: Claim, findings: list[Finding], runs: int, limited: int) -> 
         return OPEN, f"holds as far as it could be tried; not in the tables: {what}"
     if missing:
         reason += f"; not in the tables: {', '.join(missing)}"
-    if runs and limited > MOST_LIMITED * runs and not claim.limits_decide:
-        share = f"{limited} of {runs} deciding runs ended at a limit"
-        return OPEN, share + ("" if verdict == OPEN else f"; otherwise {verdict}: {reason}")
     return verdict, reason
 
 
@@ -175,7 +182,9 @@ def _of_parts(parts: list[Part]) -> tuple[str, str]:
         texts = {
             REPRODUCED: "the interval lies on the claimed side",
             NOT: "the interval lies on the other side",
-            OPEN: f"the interval holds both sides (n = {n})",
+            OPEN: "runs that ended at a limit could turn it"
+            if parts[0].hangs
+            else f"the interval holds both sides (n = {n})",
         }
         return verdict, texts[verdict]
     told = [
@@ -183,8 +192,17 @@ def _of_parts(parts: list[Part]) -> tuple[str, str]:
         for name, text in ((REPRODUCED, "as claimed"), (NOT, "against"), (OPEN, "open"))
         if count[name]
     ]
-    if count[OPEN] and all(p.interval.n < LEAST_PAIRS for p in parts if p.verdict == OPEN):
-        told[-1] += f" for fewer than {LEAST_PAIRS} instances"
+    few = sum(p.verdict == OPEN and p.interval.n < LEAST_PAIRS for p in parts)
+    hangs = sum(p.hangs for p in parts)
+    why = [
+        f"{number} {text}"
+        for number, text in (
+            (hangs, "for runs that ended at a limit and could turn them"),
+            (few, f"for fewer than {LEAST_PAIRS} instances"),
+        )
+        if number
+    ]
+    told[-1] += f" ({', '.join(why)})" if why else ""
     return verdict, f"of {len(parts)} comparisons {', '.join(told)}"
 
 

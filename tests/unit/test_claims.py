@@ -46,7 +46,7 @@ def runs_of(method: str, **columns) -> pd.DataFrame:
                 "success": True, "rmse_excess": 0.01, "T_reference": "[]", "time_solve_s": 1.0,
                 "certificate_scope": "similarity pose", "verdict": "right", "n_nodes": 100.0,
                 "objective": 1.0, "gap_tol": 0.1, "lower_bound": 0.95, "objective_best": 1.0,
-                "bound_violation": 0.0, "rmse": 0.02,
+                "bound_violation": 0.0, "rmse": 0.02, "regret_at_most": np.nan,
             }  # fmt: skip
             draw = 1 + 0.1 * rng.random()
             for name, value in columns.items():
@@ -284,16 +284,64 @@ def test_a_check_without_a_comparison_leaves_the_claim_open():
     assert "error at the higher level" in found.reason
 
 
-def test_more_than_five_percent_at_a_limit_is_inconclusive_and_says_what_it_would_be():
+def limited(runs: pd.DataFrame, count: int, **columns) -> pd.DataFrame:
+    """The runs, the first ones of each level as ended at a limit."""
+    at_limit = runs["trial"] < count
+    changed = runs.assign(outcome=runs["outcome"].mask(at_limit, "limited"))
+    for name, value in columns.items():
+        changed.loc[at_limit, name] = value
+    return changed
+
+
+def test_runs_at_a_limit_decide_where_no_end_of_theirs_could_turn_the_verdict():
     rival = runs_of("rival", rmse_excess=0.1)
-    few = rival.assign(outcome=["limited" if i < 9 else "finished" for i in range(len(rival))])
-    many = rival.assign(outcome=["limited" if i < 10 else "finished" for i in range(len(rival))])
-    assert judged(evidence(runs_of("ours"), few), RATIO).verdict == REPRODUCED
-    found = judged(evidence(runs_of("ours"), many), RATIO)
-    assert (found.verdict, found.limited, found.runs) == (OPEN, 10, 180)
-    assert "10 of 180" in found.reason
-    assert "otherwise reproduced" in found.reason
-    assert judged(evidence(runs_of("ours"), many), RATIO, limits_decide=True).verdict == REPRODUCED
+    found = judged(evidence(runs_of("ours"), limited(rival, 5)), RATIO)
+    assert (found.verdict, found.limited, found.runs) == (REPRODUCED, 15, 180)
+
+
+def test_runs_at_a_limit_that_could_turn_the_verdict_leave_it_open_and_say_so():
+    rival = limited(runs_of("rival", rmse_excess=0.1), TRIALS)
+    found = judged(evidence(runs_of("ours"), rival), RATIO)
+    assert (found.verdict, found.limited) == (OPEN, 90)
+    assert "3 for runs that ended at a limit and could turn them" in found.reason
+    assert judged(evidence(runs_of("ours"), rival), RATIO, limits_decide=True).verdict == REPRODUCED
+
+
+def test_a_run_at_a_limit_whose_answer_is_proven_optimal_counts_as_ended_but_for_its_time():
+    rival = limited(runs_of("rival", rmse_excess=0.1), TRIALS, regret_at_most=0.05)
+    found = judged(evidence(runs_of("ours"), rival), RATIO)
+    assert (found.verdict, found.limited) == (REPRODUCED, 90)
+    faster = {**RATIO, "quantity": "time", "claimed": {"above": 1.0}}
+    slow = runs_of("ours", time_solve_s=1.5)
+    assert judged(evidence(slow, runs_of("rival")), faster).verdict == REPRODUCED
+    assert judged(evidence(slow, rival), faster).verdict == OPEN
+
+
+@pytest.mark.parametrize(("side", "verdict"), [("above", REPRODUCED), ("below", NOT)])
+def test_a_run_at_a_limit_took_at_least_its_time(side, verdict):
+    slow = limited(runs_of("ours", time_solve_s=5.0), TRIALS)
+    check = {**RATIO, "quantity": "time", "claimed": {side: 1.0}}
+    assert judged(evidence(slow, runs_of("rival")), check).verdict == verdict
+
+
+@pytest.mark.parametrize("check", [SPREAD, {**TREND, "quantities": ["n_nodes"]}])
+def test_figures_whose_extremes_are_not_known_stay_open_with_runs_at_a_limit(check):
+    ours = runs_of("ours", n_nodes=lambda level, draw: draw + 10 * level)
+    assert judged(evidence(ours), check).verdict == REPRODUCED
+    assert judged(evidence(limited(ours, 1)), check).verdict == OPEN
+
+
+@pytest.mark.parametrize(
+    ("check", "level", "verdict"),
+    [(RISE, 0.0, REPRODUCED), (RISE, 0.1, OPEN), (RISE, 0.2, OPEN),
+     (SLOPE, 0.0, OPEN), (SLOPE, 0.1, REPRODUCED), (SLOPE, 0.2, OPEN)],
+)  # fmt: skip
+def test_runs_at_a_limit_turn_a_rise_by_the_level_they_are_at(check, level, verdict):
+    """A rise is of the two highest levels; of three levels, the middle one moves no slope."""
+    rises = runs_of("rival", rmse_excess=lambda at, draw: draw * (0.9 if at > 0.1 else 0.01))
+    at_limit = rises["level"] == level
+    rises["outcome"] = rises["outcome"].mask(at_limit, "limited")
+    assert judged(evidence(runs_of("ours"), rises), check).verdict == verdict
 
 
 def test_one_part_against_refutes_and_is_the_evidence():
@@ -324,7 +372,7 @@ def test_few_instances_decide_nothing():
     ]
     found = judged(evidence(*few), RATIO)
     assert found.verdict == OPEN
-    assert found.reason == "of 3 comparisons 3 open for fewer than 5 instances"
+    assert found.reason == "of 3 comparisons 3 open (3 for fewer than 5 instances)"
 
 
 def test_instances_are_paired():
