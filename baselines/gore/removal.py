@@ -56,6 +56,7 @@ def remove_outliers(
     bound: float,
     budget: Budget,
     rotation_search: bool = True,
+    start: np.ndarray | None = None,
 ) -> Removal:
     """Drop correspondences as long as one can be dropped, or until the budget is over.
 
@@ -68,8 +69,12 @@ def remove_outliers(
     budget : Budget
     rotation_search : bool
         Search all rotations about the correspondences that the intervals of angles leave.
+    start : (4, 4) array, optional
+        A known pose; the larger its consensus set, the sooner others are dropped.
     """
     state = _Removing(source, target, bound, budget)
+    if start is not None:
+        state.take(start)
     try:
         state.settle(state.arcs)
         # What the search removes or finds lets the far cheaper intervals remove more.
@@ -150,6 +155,11 @@ class _Removing:
         pose[:3, :3], pose[:3, 3] = rotation, target[k] - rotation @ source[k]
         if count_within(source, target, pose, bound) > 0.5 * self.most:
             pose = refit(pose, source, target, bound)
+        self.take(pose)
+
+    def take(self, pose: np.ndarray) -> None:
+        """Keep the pose if its consensus set is the largest one met."""
+        source, target, bound = self.source, self.target, self.bound
         consensus = int(count_within(source, target, pose, bound))
         if consensus > self.most:
             self.best, self.most = pose, consensus
