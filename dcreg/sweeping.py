@@ -23,6 +23,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -208,6 +209,7 @@ class _Level:
     stopped_by: Status | None = None
     n_descending: int = 0
     descending_s: float = 0.0
+    tried: list[np.ndarray] = field(default_factory=list)  # poses of others
     events: list[Event] = field(default_factory=list)
     searches: list[Stage] = field(default_factory=list)
 
@@ -290,8 +292,11 @@ class _Sweep:
         """A pose for every cardinality, from descents of its own and from its neighbours'."""
         starting = self.searching.part(STARTING_SHARE)
         for at, level in enumerate(self.levels):
-            began = self.budget.elapsed()
             level.space.heed(self.searching.stop)
+            if at and starting.is_over:
+                self._offer(self.levels[at - 1].theta, level)
+                continue
+            began = self.budget.elapsed()
             own = starting.part(1.0 / (len(self.levels) - at))
             named = own.named(f"start of k={level.name}")
             level.take(*level.space.start(named, level.gap_tol))
@@ -303,14 +308,24 @@ class _Sweep:
         upward = list(itertools.pairwise(self.levels))
         downward = [(b, a) for a, b in reversed(upward)]
         for giver, taker in upward + downward:
+            self._offer(giver.theta, taker)
+
+    def _offer(self, theta: np.ndarray, taker: _Level) -> None:
+        """A pose of another cardinality, refined; as it is where the time for searching is over."""
+        if any(theta is known for known in (taker.theta, *taker.tried)):
+            return
+        began = self.budget.elapsed()
+        taker.tried.append(theta)
+        if not taker.theta.size:
+            taker.take(theta, np.inf)
+        with suppress(Interrupted):
+            if not self.searching.is_over:
+                taker.take(*taker.space.refine(theta))
+        with suppress(Interrupted):
             if self.searching.is_over:
-                return
-            began = self.budget.elapsed()
-            try:
-                taker.take(*taker.space.refine(giver.theta))
-            except Interrupted:
-                return
-            taker.descending_s += self.budget.elapsed() - began
+                taker.space.heed(self.budget.closed)
+                taker.take(theta, taker.space.objective(theta)[0], 1)
+        taker.descending_s += self.budget.elapsed() - began
 
     def bounds(self) -> None:
         """Prove the cardinalities in ascending order, each by transfer if that is enough."""

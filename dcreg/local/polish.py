@@ -53,7 +53,7 @@ def objective(
     """
     d = source.shape[1]
     moved = source @ T_target_source[:d, :d].T + T_target_source[:d, d]
-    if candidates is None and is_large(len(source), len(target)):
+    if candidates is None and (stop[0] or is_large(len(source), len(target))):
         found = sparse_matching(moved, target, n_inliers, prove=prove, stop=stop)
         return found.value, found.pairs
     cost = ((moved[:, None] - target[None]) ** 2).sum(axis=-1)
