@@ -10,7 +10,7 @@ import numpy as np
 
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
-from dcreg.local import objective
+from dcreg.local import Matched, quick_objective
 from dcreg.local import polish as polish_pose
 from dcreg.modes import AUTO, Answer, Mode, Task
 from dcreg.modes.table import choose_mode, find_mode
@@ -175,11 +175,16 @@ def register(
 
 
 def completed(
-    result: Result, problem: Problem, searched: Problem, mode: Mode, budget: Budget
+    result: Result,
+    problem: Problem,
+    searched: Problem,
+    mode: Mode,
+    budget: Budget,
+    known: Matched | None = None,
 ) -> Result:
     """The result of what was searched as that of the problem: for all its points, and with warnings."""
     if searched is not problem:
-        result = refined(result, problem, searched, budget)
+        result = refined(result, problem, searched, budget, known)
     return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
 
 
@@ -226,6 +231,7 @@ def result_of(
     polish: bool,
     time_setup_s: float,
     budget: Budget | None = None,
+    known: Matched | None = None,
 ) -> Result:
     """The answer in the coordinates of the clouds, its pose polished as far as the budget allows.
 
@@ -236,13 +242,15 @@ def result_of(
     time_setup_s : float
     budget : Budget, optional
         Of the polish; default: the task's.
+    known : Matched, optional
+        Pairs of another pose, which may do past the limit.
     """
     budget = budget or task.budget
     frame = Frame.of(problem)
     area = frame.area
     T = T_certified = frame.pose(answer.T)
-    value, pairs = objective(
-        problem.source, problem.target, T, problem.n_inliers, problem.candidates,
+    value, pairs = quick_objective(
+        problem.source, problem.target, T, problem.n_inliers, problem.candidates, known=known,
         prove=not (polish or budget.is_over), stop=budget.closed,
     )  # fmt: skip
     # where not one descent came to its end; norms differ by no more than the points do

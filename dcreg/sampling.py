@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dcreg.local import objective, polish
+from dcreg.local import Matched, polish, quick_objective
 from dcreg.modes.table import default_sample
 from dcreg.problem import InputError, Problem, representative_points
 from dcreg.result import Result, Stage
@@ -76,19 +76,30 @@ def _check(count: int, problem: Problem, certificate: bool) -> None:
             raise InputError(f"downsample: {name} speak of all points; leave one of both out")
 
 
-def refined(result: Result, problem: Problem, searched: Problem, budget: Budget) -> Result:
-    """The result of a sample, its pose refined on all points."""
+def refined(
+    result: Result,
+    problem: Problem,
+    searched: Problem,
+    budget: Budget,
+    known: Matched | None = None,
+) -> Result:
+    """The result of a sample, its pose refined on all points.
+
+    The pose of the `known` pairs of all points takes its place where it is better.
+    """
     began = budget.elapsed()
-    before, pairs = objective(
-        problem.source, problem.target, result.T_target_source, problem.n_inliers, prove=False,
-        stop=budget.closed,
-    )  # fmt: skip
-    T, value, spent = result.T_target_source, before, 1
+    clouds, k = (problem.source, problem.target), problem.n_inliers
+    T, spent = result.T_target_source, 1
+    before, pairs = quick_objective(*clouds, T, k, known=known, prove=False, stop=budget.closed)
+    value = before
+    if known is not None:
+        other, cheapest = known.cheapest(*clouds, known.T_target_source, k)
+        if other < value:
+            T, value, pairs = known.T_target_source, other, cheapest
     if not budget.is_over:
-        T, value, pairs, spent = polish(
-            problem.source, problem.target, T, problem.n_inliers, problem.scale_range,
-            budget=budget,
-        )  # fmt: skip
+        better, least, chosen, spent = polish(*clouds, T, k, problem.scale_range, budget=budget)
+        if least < value:
+            T, value, pairs = better, least, chosen
     stage = Stage(
         "all points", budget.elapsed() - began, n_assignments=spent,
         objective_before=before, objective_after=value,

@@ -24,30 +24,24 @@ import itertools
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dcreg.bounds import RigidBound, make_bound
+from dcreg.local import Matched
 from dcreg.modes import AUTO, CHOSEN, Answer, Mode, Task, choose_mode, find_mode
-from dcreg.modes.full import pose_in, rigid_space
-from dcreg.modes.paper import TRANSLATION_SHARE, place, space_of
+from dcreg.modes.full import pose_in
+from dcreg.modes.paper import TRANSLATION_SHARE, place, pose_of
 from dcreg.names import DEFAULT_TIME_LIMIT_S, mode_names
 from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
-from dcreg.registration import (
-    advise,
-    check_settings,
-    completed,
-    default_tolerances,
-    in_file_units,
-    result_of,
-    task_of,
-)
+from dcreg.registration import advise, check_settings, completed, in_file_units, result_of
 from dcreg.result import Result, Stage
 from dcreg.sampling import SEARCH_SHARE, to_search
-from dcreg.search import Budget, Event, Interrupted, Listener, Outcome, minimise
-from dcreg.spaces import FeatureSpace, Rigid3D
+from dcreg.search import Budget, Interrupted, Listener, Outcome, minimise
+from dcreg.spaces import FeatureSpace, Rigid3D, Translation3D
 from dcreg.status import Status
+from dcreg.sweep_level import Level
 from dcreg.sweep_result import SweepResult
 from dcreg.warm_up import special, warm_up_mode
 
@@ -146,7 +140,7 @@ def sweep(
     with budget:
         solve = _Sweep(
             [
-                _Level.of(whole, problem, way, bound, gap_tol, threads, budget)
+                Level.of(whole, problem, way, bound, gap_tol, threads, budget)
                 for whole, problem, gap_tol in zip(problems, searched, gap_tols, strict=True)
             ],
             way,
@@ -193,100 +187,16 @@ def _problems(
     return [made[k] for k in sorted(made)]
 
 
-@dataclass
-class _Level:
-    """One cardinality: its problem, what is searched for it, what is known of that (frame units)."""
-
-    whole: Problem
-    problem: Problem
-    task: Task
-    space: FeatureSpace | Rigid3D
-    swapped: bool = False  # source and target, in `space`
-    theta: np.ndarray = field(default_factory=lambda: np.empty(0))
-    lower_bound: float = 0.0
-    upper_bound: float = np.inf
-    proven_by: int | None = None
-    stopped_by: Status | None = None
-    n_descending: int = 0
-    descending_s: float = 0.0
-    tried: list[np.ndarray] = field(default_factory=list)  # poses of others
-    events: list[Event] = field(default_factory=list)
-    searches: list[Stage] = field(default_factory=list)
-
-    @classmethod
-    def of(
-        cls,
-        whole: Problem,
-        problem: Problem,
-        mode: Mode,
-        bound: str | None,
-        gap_tol: float | None,
-        threads: int,
-        budget: Budget,
-    ) -> _Level:
-        if gap_tol is None:
-            gap_tol, rotation_tol = default_tolerances(problem, mode)
-        else:
-            rotation_tol = gap_tol
-        task = task_of(problem, mode, bound, gap_tol, threads, budget, rotation_tol=rotation_tol)
-        if mode.name == "full":
-            return cls(whole, problem, task, *rigid_space(task))
-        return cls(whole, problem, task, space_of(task))
-
-    @property
-    def name(self) -> int:
-        """The cardinality, as it was asked for."""
-        return self.whole.n_inliers
-
-    @property
-    def k(self) -> int:
-        """Pairs of the search."""
-        return self.problem.n_inliers
-
-    @property
-    def is_sampled(self) -> bool:
-        """Whether some of the points are searched, not all."""
-        return self.whole is not self.problem
-
-    @property
-    def gap_tol(self) -> float:
-        return self.task.gap_tol
-
-    @property
-    def closed(self) -> bool:
-        return self.lower_bound >= self.upper_bound - self.gap_tol
-
-    def take(self, theta: np.ndarray, value: float, spent: int = 0) -> None:
-        """A pose and its objective; the better one stays."""
-        self.n_descending += spent
-        if value < self.upper_bound or not self.theta.size:
-            self.theta, self.upper_bound = theta, value
-
-    def inherit(self, smaller: _Level) -> None:
-        """The transferred lower bound of a smaller cardinality."""
-        bound = self.k / smaller.k * smaller.lower_bound
-        if bound > self.lower_bound:
-            self.lower_bound, self.proven_by = bound, smaller.proven_by
-
-    def answer(self) -> Answer:
-        """What is known, but for the pose."""
-        status = Status.OPTIMAL if self.closed else self.stopped_by or Status.STOPPED
-        descents = Stage("descents", self.descending_s, n_assignments=self.n_descending)
-        return Answer(
-            np.empty(0), status, self.lower_bound, self.upper_bound, self.space.scope,
-            [descents, *self.searches], list(self.events),
-        )  # fmt: skip
-
-
 class _Sweep:
     """The state of one sweep; its methods are the stages, in the order in which they are called."""
 
-    def __init__(self, levels: list[_Level], mode: Mode, budget: Budget) -> None:
+    def __init__(self, levels: list[Level], mode: Mode, budget: Budget) -> None:
         self.levels, self.mode, self.budget = levels, mode, budget
         share = TRANSLATION_SHARE if mode.in_norm_space else 1.0
         if levels[0].is_sampled:
             share *= SEARCH_SHARE
         self.searching = budget.stage(share)
+        self.rotation: np.ndarray | None = None  # that of the last translation
 
     def incumbents(self) -> None:
         """A pose for every cardinality, from descents of its own and from its neighbours'."""
@@ -310,7 +220,7 @@ class _Sweep:
         for giver, taker in upward + downward:
             self._offer(giver.theta, taker)
 
-    def _offer(self, theta: np.ndarray, taker: _Level) -> None:
+    def _offer(self, theta: np.ndarray, taker: Level) -> None:
         """A pose of another cardinality, refined; as it is where the time for searching is over."""
         if any(theta is known for known in (taker.theta, *taker.tried)):
             return
@@ -354,7 +264,7 @@ class _Sweep:
             count, gap_tol = count + 1, wanted
         return count, gap_tol
 
-    def _search(self, level: _Level, gap_tol: float, budget: Budget) -> None:
+    def _search(self, level: Level, gap_tol: float, budget: Budget) -> None:
         space, threads = level.space, level.task.threads
         found: Outcome = minimise(
             space,
@@ -377,13 +287,27 @@ class _Sweep:
             self._exchange()
 
     def results(self, polish: bool, time_setup: float) -> list[Result]:
-        """Poses and results, each with an equal share of the time that is left."""
-        return [
-            self._result(level, polish, time_setup, self.budget.part(1.0 / (len(self.levels) - at)))
-            for at, level in enumerate(self.levels)
-        ]
+        """Poses and results, each with an equal share of the time that is left.
 
-    def _result(self, level: _Level, polish: bool, time_setup: float, budget: Budget) -> Result:
+        The most pairs come first: they hold those for fewer where their poses are near.
+        """
+        found: list[Result] = []
+        known: Matched | None = None
+        for n_left in range(len(self.levels), 0, -1):
+            budget = self.budget.part(1.0 / n_left)
+            level = self.levels[n_left - 1]
+            found.insert(0, self._result(level, polish, time_setup, budget, known))
+            known = Matched(found[0].T_target_source, found[0].assignment)
+        return found
+
+    def _result(
+        self,
+        level: Level,
+        polish: bool,
+        time_setup: float,
+        budget: Budget,
+        known: Matched | None,
+    ) -> Result:
         began = budget.elapsed()
         placing = budget.part(SEARCH_SHARE) if level.is_sampled else budget
         answer = level.answer()
@@ -391,10 +315,23 @@ class _Sweep:
         if isinstance(level.space, Rigid3D):
             answer.T = pose_in(level.space, level.theta, level.swapped)
         else:
-            place(level.task, level.space, level.theta, placing, answer)
+            self._place(level.task, level.space, level.theta, placing, answer)
         result = result_of(
             level.problem, self.mode, level.task, answer, polish=polish, time_setup_s=time_setup,
-            budget=placing,
+            budget=placing, known=None if level.is_sampled else known,
         )  # fmt: skip
-        result = completed(result, level.whole, level.problem, self.mode, budget)
+        result = completed(result, level.whole, level.problem, self.mode, budget, known)
         return replace(result, time_solve_s=spent + budget.elapsed() - began)
+
+    def _place(
+        self, task: Task, space: FeatureSpace, theta: np.ndarray, budget: Budget, answer: Answer
+    ) -> None:
+        """`place`; past the limit the rotation of another cardinality stands in for a search."""
+        if self.rotation is None or not budget.is_over:
+            place(task, space, theta, budget, answer)
+        else:
+            answer.T = pose_of(self.rotation, theta)
+            if answer.status is Status.OPTIMAL:
+                answer.status = budget.ended_by
+        if isinstance(space, Translation3D):
+            self.rotation = answer.T[:3, :3]

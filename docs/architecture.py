@@ -136,7 +136,7 @@ PARTS = (
         "dcreg: register, sweep, …", 1, 1.5,
         (
             "dcreg", "dcreg.registration", "dcreg.matching", "dcreg.sampling", "dcreg.sweeping",
-            "dcreg.warm_up",
+            "dcreg.sweep_level", "dcreg.warm_up",
         ),
         "use",
         "The public names, and how a problem passes through the parts below.",

@@ -3,5 +3,15 @@
 from dcreg.local.assignment import k_assignment, pairs_of
 from dcreg.local.fit import fit_pose
 from dcreg.local.polish import follow_nearest, objective, polish
+from dcreg.local.reuse import Matched, quick_objective
 
-__all__ = ["fit_pose", "follow_nearest", "k_assignment", "objective", "pairs_of", "polish"]
+__all__ = [
+    "Matched",
+    "fit_pose",
+    "follow_nearest",
+    "k_assignment",
+    "objective",
+    "pairs_of",
+    "polish",
+    "quick_objective",
+]
