@@ -72,6 +72,7 @@ class SpaceBound(abc.ABC, Generic[S]):
 
     def _run(self, work: Callable[[slice], int], count: int) -> None:
         """Apply `work` to slices that cover `count` items; it returns assignments spent."""
+        self.space.check()  # already, or meanwhile
         self.n_assignments += self._workers.run(work, count)
         self.space.check()
 

@@ -9,7 +9,7 @@ import numpy as np
 from dcreg.kernels.points import NEVER
 from dcreg.local.polish import objective
 
-# The pairs are those of a pose as well where they cost no more than this many times what they did.
+# The pairs are those of a pose too where they cost no more than this many times what they did on average.
 _STILL_NEAR = 4.0
 
 
@@ -21,10 +21,13 @@ class Matched:
     ----------
     T_target_source : (d+1, d+1) array
     pairs : (K, 2) int array
+    value : float
+        The sum of their squared residuals there.
     """
 
     T_target_source: np.ndarray
     pairs: np.ndarray
+    value: float
 
     def cheapest(
         self, source: np.ndarray, target: np.ndarray, T: np.ndarray, k: int
@@ -32,7 +35,8 @@ class Matched:
         """The k of the pairs that cost least at the pose `T`, and the sum of their squared residuals."""
         d = source.shape[1]
         moved = source[self.pairs[:, 0]] @ T[:d, :d].T + T[:d, d]
-        costs = ((moved - target[self.pairs[:, 1]]) ** 2).sum(axis=1)
+        moved -= target[self.pairs[:, 1]]
+        costs = np.einsum("ij,ij->i", moved, moved)
         kept = np.sort(np.argpartition(costs, k - 1)[:k])
         return float(costs[kept].sum()), self.pairs[kept]
 
@@ -63,8 +67,7 @@ def quick_objective(
         As in `objective`: the true value of these pairs, which bounds the least one from above.
     """
     if known is not None and stop[0]:
-        there, _ = known.cheapest(source, target, known.T_target_source, n_inliers)
-        here, pairs = known.cheapest(source, target, T_target_source, n_inliers)
-        if here <= _STILL_NEAR * there:
-            return here, pairs
+        value, pairs = known.cheapest(source, target, T_target_source, n_inliers)
+        if value / n_inliers <= _STILL_NEAR * known.value / len(known.pairs):
+            return value, pairs
     return objective(source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop)

@@ -17,7 +17,7 @@ from dcreg.status import Status
 Listener = Callable[[Event], bool | None]
 
 _GLANCE_S = 0.05  # between two looks at the clock while a kernel runs
-_SILENCE_S = 0.5  # without an event, before the last one is told once more
+_SILENCE_S = 0.25  # without an event, before the last one is told once more
 # What follows a limit: the objective of the pose that was found, exactly or else roughly.
 _CLOSING_SHARE, _CLOSING_S = 0.05, 0.2
 
@@ -30,9 +30,9 @@ class Budget:
     """Clock, boxes and memory of a solve, handed down from stage to stage.
 
     As a context it also keeps watch while kernels run, which look at no clock: at the limit it sets
-    `stop`, and where no event was told for half a second it tells the last one again, so that a caller
-    sees progress and can stop at any time. The listener is then called from another thread as well,
-    never twice at once.
+    `stop`, and where no event was told for a quarter of a second it tells the last one again, so that
+    a caller sees progress and can stop at any time. The listener is then called from another thread as
+    well, never twice at once.
 
     Parameters
     ----------
@@ -170,3 +170,5 @@ class Budget:
                 root.history.append(event)
             if self._listener is not None and self._listener(event):
                 root._stopped = True
+                for part in (root, *root._stages):
+                    part.stop[0] = 1  # at once, not at the next glance

@@ -90,6 +90,7 @@ class Space(abc.ABC):
 
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
         """Parameters to descend from, the most promising first, each with the assignments it took."""
+        self.check()
         seeds = self.seeds()
         scores, spent = self.score(seeds)
         self.check()

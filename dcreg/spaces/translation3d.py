@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dcreg.kernels.assignment.sorting import COLUMNS
 from dcreg.kernels.features.bounds import objectives
 from dcreg.kernels.norm.fit import fit_norm3d
 from dcreg.kernels.norm.line import match_on_line, objectives_on_line
@@ -14,6 +15,7 @@ from dcreg.spaces.base import mean_of_largest, radius
 from dcreg.spaces.descent import alternate
 from dcreg.spaces.features import LEAST_GAIN, FeatureSpace
 
+_AT_ONCE = 20_000  # points, `COLUMNS` times: that takes hundredths of a second
 _STEPS = 20  # of the fit to one matching
 
 
@@ -87,7 +89,15 @@ class Translation3D(FeatureSpace):
     def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
         if not self._on_line:
             return objectives(self.points, thetas, values)
-        return objectives_on_line(self.source, self._ordered, self.n_inliers, thetas, values)
+        size = COLUMNS * max(1, _AT_ONCE // len(self.source))
+        for at in range(0, len(thetas), size):
+            if self.stop[0]:  # which the kernel does not look at
+                break
+            part = slice(at, at + size)
+            objectives_on_line(
+                self.source, self._ordered, self.n_inliers, thetas[part], values[part]
+            )
+        return len(thetas)
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
         """The objective itself."""

@@ -9,7 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
+from dcreg.kernels.points import NEVER
 from dcreg.problem import InputError
+from dcreg.search import Budget
 from dcreg.spaces import Similarity2D
 from dcreg.status import Status
 
@@ -376,6 +378,32 @@ def test_poses_are_not_exchanged_past_the_limit(monkeypatch):
     dcreg.sweep(*flat(noise=0.05), COUNTS, model="similarity2d", time_limit=1e-9)
     starts = [space for space in calls if space.n_source == 24]  # not those of the warm-up
     assert 0 < len(starts) == len(set(map(id, starts)))
+
+
+@pytest.mark.parametrize("time_limit", [1e-9, 0.5])
+def test_a_pose_reaches_all_cardinalities_though_the_time_is_over(monkeypatch, time_limit):
+    """One good start is enough for all: none is left with a pose that its neighbour's betters."""
+    start = Similarity2D.start
+
+    def first_well(space, budget, enough):
+        if space.n_source != 24:  # in the warm-up
+            return start(space, budget, enough)
+        if space.n_inliers == COUNTS[0]:
+            space.heed(NEVER)
+            return start(space, Budget(), enough)
+        while not space.stop[0]:  # until the end of all searches
+            time.sleep(0.01)
+        return space.identity, np.inf, 0
+
+    monkeypatch.setattr(Similarity2D, "start", first_well)
+    clouds = flat(noise=0.05)
+    first, *others = dcreg.sweep(
+        *clouds, COUNTS, model="similarity2d", time_limit=time_limit
+    ).results
+    assert first.upper_bound < 0.1 * dcreg.objective(*clouds, np.eye(3), COUNTS[0])[0]
+    for result in others:
+        there, _ = dcreg.objective(*clouds, first.T_certified, result.n_inliers)
+        assert result.upper_bound <= there * (1.0 + 1e-9)
 
 
 def test_time_of_descents_is_counted():

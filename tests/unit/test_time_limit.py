@@ -140,20 +140,61 @@ def test_kernels_of_a_stage_are_stopped_at_its_end():
         assert not budget.stop[0]
 
 
-def test_a_caller_can_stop_a_search_of_large_clouds():
-    clouds = pair_of_clouds(30_000, 3)
-    stopped = []
+def test_a_stop_is_seen_at_once():
+    with Budget(listener=lambda event: True) as budget:
+        stage = budget.stage(1.0)
+        budget.part(0.5).found(1.0)
+        assert stage.stop[0] == budget.stop[0] == 1
 
-    def listener(event):
-        stopped.append(time.process_time())
-        return True
 
-    result = dcreg.register(*clouds, n_inliers=0.7, model="rigid3d", listener=listener)
-    # of the processor, which other work on the machine does not prolong
-    assert time.process_time() - stopped[0] <= 2.0
+class Clock:
+    """A listener that notes the time of the processor, which other work on the machine does not prolong.
+
+    Parameters
+    ----------
+    stops : bool
+        Whether to stop at the first event.
+    """
+
+    def __init__(self, stops):
+        self.stops = stops
+        self.heard = []
+
+    def __call__(self, event):
+        self.heard.append(time.process_time())
+        return self.stops
+
+    def since_first(self):
+        return time.process_time() - self.heard[0]
+
+
+@pytest.mark.parametrize(("mode", "size"), [(None, 30_000), ("paper", 42_000)])
+def test_a_caller_can_stop_a_search_of_large_clouds(mode, size):
+    clouds, clock = pair_of_clouds(size, 3), Clock(stops=True)
+    result = dcreg.register(*clouds, n_inliers=0.7, model="rigid3d", mode=mode, listener=clock)
+    assert clock.since_first() <= 2.0
     assert result.status is Status.STOPPED
-    assert result.downsampled == (1000, 1000, 700)
-    assert len(result.assignment) == 21_000
+    assert result.downsampled == ((1000, 1000, 700) if mode is None else None)
+    assert len(result.assignment) == round(0.7 * size)
+
+
+SHARES = [0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8]
+
+
+@pytest.mark.parametrize("mode", [None, "paper"])
+@pytest.mark.parametrize("stops", [True, False])
+def test_a_sweep_of_large_clouds_ends_in_time(mode, stops):
+    clouds, clock = pair_of_clouds(24_000, 3), Clock(stops)
+    found = dcreg.sweep(
+        *clouds, SHARES, model="rigid3d", mode=mode, gap_tol=0.0, time_limit=2.0, listener=clock
+    )
+    assert clock.since_first() <= (2.0 if stops else 1.1 * 2.0 + 1.0)
+    assert found.status is (Status.STOPPED if stops else Status.TIME_LIMIT)
+    for share, result in zip(SHARES, found.results, strict=True):
+        rows, columns = result.assignment.T
+        assert len(set(rows)) == len(set(columns)) == round(share * 24_000)
+        residuals = clouds[0][rows] @ result.rotation.T + result.translation - clouds[1][columns]
+        assert (residuals**2).sum() == pytest.approx(result.objective)
 
 
 def test_an_error_of_a_listener_reaches_the_caller():

@@ -1,0 +1,69 @@
+"""Pairs of one pose used for fewer pairs at another: true values, and only where the poses are near."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from dcreg.local import Matched, objective, quick_objective
+from dcreg.problem import Problem
+from dcreg.sampling import refined
+from dcreg.search import Budget
+
+OVER, UNDER_WAY = np.ones(1, np.uint8), np.zeros(1, np.uint8)
+
+
+@pytest.fixture
+def clouds(rng):
+    source = rng.random((60, 3)) * [2.0, 1.0, 0.5]
+    return source, source[rng.permutation(60)] + 0.02 * rng.standard_normal((60, 3))
+
+
+@pytest.fixture
+def known(clouds):
+    value, pairs = objective(*clouds, np.eye(4), 50)
+    return Matched(np.eye(4), pairs, value)
+
+
+def turned(angle):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+    return T
+
+
+def test_nearby_the_cheapest_of_the_pairs_are_taken(clouds, known):
+    T = turned(0.01)
+    value, pairs = quick_objective(*clouds, T, 40, known=known, stop=OVER)
+    assert {*map(tuple, pairs)} < {*map(tuple, known.pairs)}
+    residuals = clouds[0][pairs[:, 0]] @ T[:3, :3].T - clouds[1][pairs[:, 1]]
+    assert value == pytest.approx((residuals**2).sum())
+    assert len(pairs) == 40
+    assert objective(*clouds, T, 40)[0] <= value <= 2.0 * objective(*clouds, T, 40)[0]
+
+
+@pytest.mark.parametrize(("angle", "stop"), [(1.5, OVER), (0.01, UNDER_WAY)])
+def test_elsewhere_and_in_time_points_are_looked_up(clouds, known, angle, stop):
+    found = quick_objective(*clouds, turned(angle), 40, known=known, stop=stop)
+    alone = objective(*clouds, turned(angle), 40, stop=stop)
+    assert found[0] == alone[0]
+    np.testing.assert_array_equal(found[1], alone[1])
+
+
+@pytest.mark.parametrize(("known_angle", "taken"), [(0.0, True), (3.0, False)])
+def test_the_better_pose_of_other_pairs_is_taken(clouds, known_angle, taken):
+    """That of a larger cardinality, refined on all points, may better what a sample gave."""
+    value, pairs = objective(*clouds, turned(known_angle), 50)
+    known = Matched(turned(known_angle), pairs, value)
+    sample = Problem(clouds[0][:30], clouds[1][:30], 20, "rigid3d")
+    found = dcreg.register(
+        sample.source, sample.target, n_inliers=20, model="rigid3d", node_limit=1
+    )
+    found.T_target_source[:] = turned(0.2)
+    whole = Problem(*clouds, 40, "rigid3d")
+    result = refined(found, whole, sample, Budget(0.0), known)
+    np.testing.assert_array_equal(result.T_target_source, turned(0.0 if taken else 0.2))
+    residuals = (
+        clouds[0][result.assignment[:, 0]] @ result.rotation.T - clouds[1][result.assignment[:, 1]]
+    )
+    assert result.objective == pytest.approx((residuals**2).sum())
+    assert (result.objective < result.objective_certified) == taken
