@@ -85,21 +85,28 @@ def refined(
 ) -> Result:
     """The result of a sample, its pose refined on all points.
 
-    The pose of the `known` pairs of all points takes its place where it is better.
+    The pose of the `known` pairs of all points is refined as well where it is better.
     """
     began = budget.elapsed()
     clouds, k = (problem.source, problem.target), problem.n_inliers
-    T, spent = result.T_target_source, 1
+    T = result.T_target_source
     before, pairs = quick_objective(*clouds, T, k, known=known, prove=False, stop=budget.closed)
-    value = before
+    value, spent = before, 1
+
+    def improve() -> None:
+        nonlocal T, value, pairs, spent
+        if not budget.is_over:
+            better, least, chosen, more = polish(*clouds, T, k, problem.scale_range, budget=budget)
+            spent += more
+            if least < value:
+                T, value, pairs = better, least, chosen
+
+    improve()
     if known is not None:
         other, cheapest = known.cheapest(*clouds, known.T_target_source, k)
         if other < value:
             T, value, pairs = known.T_target_source, other, cheapest
-    if not budget.is_over:
-        better, least, chosen, spent = polish(*clouds, T, k, problem.scale_range, budget=budget)
-        if least < value:
-            T, value, pairs = better, least, chosen
+            improve()
     stage = Stage(
         "all points", budget.elapsed() - began, n_assignments=spent,
         objective_before=before, objective_after=value,

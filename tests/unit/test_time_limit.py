@@ -12,10 +12,11 @@ import psutil
 import pytest
 
 import dcreg
+from dcreg.kernels.assignment.sorting import COLUMNS
 from dcreg.local import polish
 from dcreg.names import MODEL_DIM
 from dcreg.search import Box, Budget, Evaluation, Interrupted, LongestEdge, branch_and_bound
-from dcreg.spaces import Rotation3D
+from dcreg.spaces import Rotation3D, Translation3D
 from dcreg.status import Status
 
 
@@ -129,6 +130,17 @@ def test_a_caller_who_stops_does_not_wait_for_a_share_of_the_limit():
         while not budget.closed[0] and time.perf_counter() - began < 10.0:
             time.sleep(0.01)
     assert time.perf_counter() - began < 2.0
+
+
+def test_norms_of_large_clouds_heed_a_stop():
+    space = Translation3D(*pair_of_clouds(21_000, 3), 15_000)
+    thetas, values = np.random.default_rng(0).random((COLUMNS + 1, 3)), np.full(COLUMNS + 1, np.nan)
+    space.heed(np.ones(1, np.uint8))
+    space.objectives(thetas, values)
+    assert np.isnan(values).all()
+    space.heed(np.zeros(1, np.uint8))
+    space.objectives(thetas, values)
+    assert values == pytest.approx([space.objective(theta)[0] for theta in thetas])
 
 
 def test_kernels_of_a_stage_are_stopped_at_its_end():
