@@ -85,28 +85,25 @@ def refined(
 ) -> Result:
     """The result of a sample, its pose refined on all points.
 
-    The pose of the `known` pairs of all points is refined as well where it is better.
+    The pose of the `known` pairs is refined as well, the better of the two first.
     """
     began = budget.elapsed()
     clouds, k = (problem.source, problem.target), problem.n_inliers
-    T = result.T_target_source
+    T, spent = result.T_target_source, 1
     before, pairs = quick_objective(*clouds, T, k, known=known, prove=False, stop=budget.closed)
-    value, spent = before, 1
-
-    def improve() -> None:
-        nonlocal T, value, pairs, spent
-        if not budget.is_over:
-            better, least, chosen, more = polish(*clouds, T, k, problem.scale_range, budget=budget)
-            spent += more
-            if least < value:
-                T, value, pairs = better, least, chosen
-
-    improve()
+    starts = [(before, T, pairs)]
     if known is not None:
         other, cheapest = known.cheapest(*clouds, known.T_target_source, k)
-        if other < value:
-            T, value, pairs = known.T_target_source, other, cheapest
-            improve()
+        starts.append((other, known.T_target_source, cheapest))
+    starts.sort(key=lambda start: start[0])
+    value, T, pairs = starts[0]
+    for _, start, _ in starts:
+        if budget.is_over:
+            break
+        better, least, chosen, more = polish(*clouds, start, k, problem.scale_range, budget=budget)
+        spent += more
+        if least < value:
+            T, value, pairs = better, least, chosen
     stage = Stage(
         "all points", budget.elapsed() - began, n_assignments=spent,
         objective_before=before, objective_after=value,
