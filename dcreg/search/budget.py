@@ -170,5 +170,5 @@ class Budget:
                 root.history.append(event)
             if self._listener is not None and self._listener(event):
                 root._stopped = True
-                for part in (root, *root._stages):
+                for part in (root, *root._stages) if root._watch is not None else ():
                     part.stop[0] = 1  # at once, not at the next glance
