@@ -12,6 +12,7 @@ import abc
 import numpy as np
 
 from dcreg.certificate.format import CertificateError
+from dcreg.certificate.line import Line
 from dcreg.certificate.prices import Prices, Profile, cheapest_pairs, prices_of, sum_of_smallest
 
 
@@ -128,6 +129,10 @@ class Family(abc.ABC):
 
     # --- the objective at parameters that several boxes share
 
+    def least(self, thetas: np.ndarray) -> np.ndarray:
+        """Lower bounds on E at (B, dim) parameters without an assignment."""
+        return np.zeros(len(thetas))
+
     def match(self, cost: np.ndarray) -> float:
         """The k cheapest feasible pairs; costs are not negative."""
         self.n_assignments += 1
@@ -139,6 +144,9 @@ class Family(abc.ABC):
         if self.feasible is None:
             return cost
         return np.where(self.feasible, cost, 1.0 + self.k * cost.max())
+
+    def learn(self, thetas: np.ndarray) -> None:
+        """Compute the profiles of (B, dim) parameters, where that is cheaper for many at once."""
 
     def known(self, theta: np.ndarray) -> Profile:
         """The best profile so far, by the prices of the neighbours if there is none."""
@@ -173,14 +181,17 @@ class Family(abc.ABC):
             rows = sum_of_smallest(rows, self.k)[None]
         return Profile(rows, float(np.broadcast_to(prices, cost.shape[1:]).sum()), is_exact)
 
-    def refute(self, theta: np.ndarray, bound: float, owner: str) -> None:
-        """Refuse the certificate if the objective at `theta` lies below a bound of its `owner`."""
-        value = self.objective(theta)
-        if value < bound:
-            raise CertificateError(
-                f"{owner}: its bound is false: theta {np.array2string(theta, precision=6)} "
-                f"has the objective {value:.9g}, below {bound:.9g}"
-            )
+    def refute(self, thetas: np.ndarray, bounds: np.ndarray, leaves: np.ndarray) -> None:
+        """Refuse the certificate if E at one of B parameters lies below the bound of its leaf."""
+        for at in np.flatnonzero(self.least(thetas) < bounds):
+            theta, bound = thetas[at], bounds[at]
+            value = self.objective(theta)
+            if value < bound:
+                raise CertificateError(
+                    f"leaf {leaves[at]}: its bound is false: "
+                    f"theta {np.array2string(theta, precision=6)} "
+                    f"has the objective {value:.9g}, below {bound:.9g}"
+                )
 
 
 class Similarity2D(Family):
@@ -274,23 +285,32 @@ class Translation3D(Family):
         # numbers on a line, all of them matched
         self.is_sorted_order = self.feasible is None and n == m == self.k
         self.is_uniform = True
+        # or some: then the bounds need no cost matrix either
+        is_on_line = self.feasible is None and not self.is_sorted_order
+        self._line = Line(self.sorted_norms, n, self.k) if is_on_line else None
 
     def costs(self, theta: np.ndarray) -> np.ndarray:
         return (np.linalg.norm(self.source + theta, axis=1)[:, None] - self.norms) ** 2
 
     def objective(self, theta: np.ndarray) -> float:
-        if not self.is_sorted_order:
-            return super().objective(theta)
-        moved = np.linalg.norm(self.source + theta, axis=1)
-        return float(((np.sort(moved) - self.sorted_norms) ** 2).sum())
+        return float(self.least(theta[None])[0]) if self.is_sorted_order else super().objective(theta)
 
-    def _estimate(self, theta: np.ndarray) -> Profile:
-        return self._solve(theta) if self.is_sorted_order else super()._estimate(theta)
+    def least(self, thetas: np.ndarray) -> np.ndarray:
+        if self.feasible is not None:
+            return super().least(thetas)
+        moved = np.sort(np.linalg.norm(self.source + thetas[:, None], axis=-1), axis=-1)
+        if self._line is not None:
+            return self._line.bounds(moved, moved, np.inf)
+        return ((moved - self.sorted_norms) ** 2).sum(axis=-1)
 
-    def _solve(self, theta: np.ndarray) -> Profile:
-        if not self.is_sorted_order:
-            return super()._solve(theta)
-        return Profile(np.array([self.objective(theta)]), 0.0, True)
+    def learn(self, thetas: np.ndarray) -> None:
+        if self.feasible is not None:
+            return
+        keys = [theta.tobytes() for theta in thetas]
+        new = {key: at for at, key in enumerate(keys) if key not in self._profiles}
+        values = self.least(thetas[list(new.values())])
+        for key, value in zip(new, values, strict=True):
+            self._profiles[key] = Profile(np.array([value]), 0.0, True)
 
     def region(self) -> tuple[np.ndarray, np.ndarray]:
         """A minimiser is stationary: t is the mean of |y| u - x over the pairs, u unit vectors."""
@@ -309,6 +329,13 @@ class Translation3D(Family):
         near, far = self._norm_ranges(lower, upper)
         outside = np.maximum(near[:, None] - self.norms, self.norms - far[:, None])
         return np.maximum(outside, 0.0) ** 2
+
+    def interval_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
+        """On a line the i-th norm in order lies between the i-th ends in order."""
+        if self._line is None:
+            return super().interval_bound(lower, upper, needed)
+        near, far = self._norm_ranges(lower, upper)
+        return self._line.bounds(np.sort(near, axis=1), np.sort(far, axis=1), needed)
 
     def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         near, far = self._norm_ranges(lower, upper)

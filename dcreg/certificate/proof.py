@@ -9,7 +9,7 @@ import numpy as np
 from dcreg.certificate.families import Family
 from dcreg.certificate.format import INADMISSIBLE, Certificate, CertificateError
 
-BATCH = 64  # boxes treated at once: bounds the memory of the vectorised steps
+BATCH = 256  # boxes treated at once: bounds the memory of the vectorised steps
 TANGENT_STEPS = 10  # attempts to find a better point for the tangent
 
 # (boxes treated, boxes known to be needed so far)
@@ -70,8 +70,8 @@ class Proof:
                 outside = self.family.outside(lower[part], upper[part])
                 self._check_inadmissible(leaves[part][~outside], c)
                 is_unproven[part] = self._unproven(lower[part], upper[part], outside, needed)
-                for box in at + np.flatnonzero((is_unproven | doubtful)[part] & ~outside):
-                    self._refute(lower[box], upper[box], leaves[box], c)
+                suspect = at + np.flatnonzero((is_unproven | doubtful)[part] & ~outside)
+                self._refute(lower[suspect], upper[suspect], leaves[suspect], c)
                 if self.progress is not None:
                     done = n_boxes + min(at + BATCH, len(leaves))
                     self.progress(done, n_boxes + len(leaves) + 2 * int(is_unproven.sum()))
@@ -102,11 +102,15 @@ class Proof:
                 unproven = unproven[found < needed]
         return np.isin(np.arange(len(lower)), unproven)
 
-    def _refute(self, lower: np.ndarray, upper: np.ndarray, leaf: int, c: Certificate) -> None:
+    def _refute(
+        self, lower: np.ndarray, upper: np.ndarray, leaves: np.ndarray, c: Certificate
+    ) -> None:
         """Refuse the certificate if the middle of a box, or else an end, beats its leaf's own bound."""
-        points = np.array([0.5 * (lower + upper), lower, upper])
-        for theta in points[self.family.admissible(points)][:1]:
-            self.family.refute(theta, c.leaf_bounds[leaf] - self.slack, f"leaf {leaf}")
+        points = np.stack([0.5 * (lower + upper), lower, upper])
+        admissible = np.array([self.family.admissible(some) for some in points])
+        boxes = np.flatnonzero(admissible.any(axis=0))
+        thetas = points[admissible.argmax(axis=0)[boxes], boxes]
+        self.family.refute(thetas, (c.leaf_bounds - self.slack)[leaves[boxes]], leaves[boxes])
 
     def tangent_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         """max over theta0 of min over vertices v of the tangent's value there, for each of B boxes.
@@ -117,6 +121,7 @@ class Proof:
         """
         family = self.family
         vertices = _vertices(lower, upper)
+        family.learn(vertices.reshape(-1, vertices.shape[2]))
         profiles = [[family.known(v) for v in box] for box in vertices]
         rows = np.array([[profile.rows for profile in box] for box in profiles])
         totals = np.array([[profile.total for profile in box] for box in profiles])
