@@ -43,6 +43,8 @@ class Family(abc.ABC):
         Whether matching in sorted order is optimal, so that no cost matrix is needed.
     is_uniform : bool
         Whether a tangent misses the same of every matching, so that a `Profile` is one number.
+    n_at_once : int
+        Boxes to be treated at once: more share NumPy's overhead, fewer share prices sooner.
     n_assignments : int
         Assignments solved so far.
     """
@@ -51,6 +53,7 @@ class Family(abc.ABC):
     weights: np.ndarray
     is_sorted_order = False
     is_uniform = False
+    n_at_once = 64
 
     def __init__(
         self,
@@ -129,8 +132,8 @@ class Family(abc.ABC):
 
     # --- the objective at parameters that several boxes share
 
-    def least(self, thetas: np.ndarray) -> np.ndarray:
-        """Lower bounds on E at (B, dim) parameters without an assignment."""
+    def least(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
+        """Lower bounds on E at (B, dim) parameters without an assignment; as high as is `needed`."""
         return np.zeros(len(thetas))
 
     def match(self, cost: np.ndarray) -> float:
@@ -183,7 +186,9 @@ class Family(abc.ABC):
 
     def refute(self, thetas: np.ndarray, bounds: np.ndarray, leaves: np.ndarray) -> None:
         """Refuse the certificate if E at one of B parameters lies below the bound of its leaf."""
-        for at in np.flatnonzero(self.least(thetas) < bounds):
+        if not len(thetas):
+            return
+        for at in np.flatnonzero(self.least(thetas, bounds.max()) < bounds):
             theta, bound = thetas[at], bounds[at]
             value = self.objective(theta)
             if value < bound:
@@ -285,9 +290,11 @@ class Translation3D(Family):
         # numbers on a line, all of them matched
         self.is_sorted_order = self.feasible is None and n == m == self.k
         self.is_uniform = True
-        # or some: then the bounds need no cost matrix either
+        # or some: no assignments either, and so no prices
         is_on_line = self.feasible is None and not self.is_sorted_order
         self._line = Line(self.sorted_norms, n, self.k) if is_on_line else None
+        if self.feasible is None:
+            self.n_at_once = min(1024, max(64, 2**17 // n))
 
     def costs(self, theta: np.ndarray) -> np.ndarray:
         return (np.linalg.norm(self.source + theta, axis=1)[:, None] - self.norms) ** 2
@@ -295,12 +302,12 @@ class Translation3D(Family):
     def objective(self, theta: np.ndarray) -> float:
         return float(self.least(theta[None])[0]) if self.is_sorted_order else super().objective(theta)
 
-    def least(self, thetas: np.ndarray) -> np.ndarray:
+    def least(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
         if self.feasible is not None:
             return super().least(thetas)
-        moved = np.sort(np.linalg.norm(self.source + thetas[:, None], axis=-1), axis=-1)
+        moved = np.sort(self._norm_ranges(thetas, thetas)[0], axis=-1)
         if self._line is not None:
-            return self._line.bounds(moved, moved, np.inf)
+            return self._line.bounds(moved, moved, needed)
         return ((moved - self.sorted_norms) ** 2).sum(axis=-1)
 
     def learn(self, thetas: np.ndarray) -> None:
@@ -321,9 +328,12 @@ class Translation3D(Family):
 
     def _norm_ranges(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(..., n) least and greatest |x + t| over boxes (..., 3)."""
-        low, high = self.source + lower[..., None, :], self.source + upper[..., None, :]
-        near = np.linalg.norm(np.clip(0.0, low, high), axis=-1)
-        return near, np.linalg.norm(np.maximum(np.abs(low), np.abs(high)), axis=-1)
+        near = far = np.zeros(1)
+        for axis, x in enumerate(self.source.T):
+            low, high = x + lower[..., axis, None], x + upper[..., axis, None]
+            near = near + np.maximum(np.maximum(low, -high), 0.0) ** 2
+            far = far + np.maximum(-low, high) ** 2
+        return np.sqrt(near), np.sqrt(far)
 
     def interval_costs(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         near, far = self._norm_ranges(lower, upper)

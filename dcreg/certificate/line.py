@@ -30,6 +30,7 @@ class Line:
         low, high = k - n, self.m - k
         self._margin = high - low  # at least 1
         self._values = np.pad(values, self._margin)
+        self._least, self._most = values[0], values[-1]
         # of the places on the path with an even and with an odd i + j: the least j - i, and how many
         self._first = low + (low % 2), low + (low + 1) % 2
         self._width = tuple((high - first) // 2 + 1 for first in self._first)
@@ -61,20 +62,17 @@ class Line:
         With k prices added the path's cost is a concave function of the price, with the slope k less
         the number of pairs. Its tangents on both sides of the maximum meet at the next price to try.
         """
-        costs = self._costs(near, far)
-        top = min(needed, max(cost.max() for cost in costs)) or 1.0
-        # In whole numbers no sum is rounded: costs are multiples of `label`, of which every pair takes 1.
-        # So a path tells how many pairs it has.
-        label = float(1 << min(self.n, self.m).bit_length())
-        unit = top * self.n * label / 2.0**52
-        for cost in costs:
-            np.floor(np.minimum(cost, top, out=cost) / unit, out=cost)
-            cost *= label
-            cost -= 1.0
+        farthest = max(far.max() - self._least, self._most - near.min(), 0.0)
+        top = min(needed, farthest**2) or 1.0
+        # Costs are whole numbers, rounded down, less one `label` per pair: so no sum is rounded, and a
+        # path tells how many pairs it has.
+        label = 0.5 ** min(self.n, self.m).bit_length()
+        unit = top * self.n / label / 2.0**52
+        costs = self._costs(near, far, unit, top)
         hopeless = needed if needed < np.inf else -np.inf
         count = near.shape[1]
         best, settled, left = np.zeros(count), np.empty(count), np.arange(count)
-        charged = np.zeros(count)
+        charged = np.full(count, -label)
         price = np.full(count, np.floor(min(self._price or 2.0 * top / self.k, top) / unit))
         # where on either side, the value and the slope there; a path without pairs costs nothing
         rising = np.zeros((3, count))
@@ -82,17 +80,18 @@ class Line:
         falling = np.full((3, count), np.nan)
         while left.size:
             for cost in costs:
-                cost -= label * (price - charged)
+                cost -= price - charged
             path = self._cheapest_path(costs)
-            n_pairs = -path % label
-            tangent = np.array([price, (path + n_pairs) / label + self.k * price, self.k - n_pairs])
+            value = np.ceil(path)
+            slope = self.k - (value - path) / label
+            tangent = np.array([price, value + self.k * price, slope])
             best[left], settled[left] = np.maximum(best[left], tangent[1]), price
-            rising = np.where(tangent[2] > 0, tangent, rising)
-            falling = np.where(tangent[2] < 0, tangent, falling)
+            rising = np.where(slope > 0, tangent, rising)
+            falling = np.where(slope < 0, tangent, falling)
             new, reach = _meeting(rising, falling)
             new = np.minimum(np.where(np.isnan(new), 2.0 * price, np.rint(new)), top // unit)
             goes_on = (
-                (tangent[2] != 0) & (best[left] * unit < needed) & ~(reach * unit < hopeless)
+                (slope != 0) & (best[left] * unit < needed) & ~(reach * unit < hopeless)
                 & (new > rising[0]) & ~(new >= falling[0])
             )  # fmt: skip
             left, charged, price = left[goes_on], price[goes_on], new[goes_on]
@@ -102,28 +101,36 @@ class Line:
         self._price = float(np.median(settled)) * unit
         return best * unit
 
-    def _costs(self, near: np.ndarray, far: np.ndarray) -> list[np.ndarray]:
-        """Costs of a step to (i, j) that pairs the numbers before it.
+    def _costs(
+        self, near: np.ndarray, far: np.ndarray, unit: float, top: float
+    ) -> list[np.ndarray]:
+        """Costs, in whole units and at most `top`, of a step to (i, j) that pairs the numbers before it.
 
         Two (levels, width, B) arrays, for even and odd i + j: one level for each sum from 1 on, and in it
         the places in ascending order of j - i. Places outside of the grid have some cost; no path to its
         last corner passes them.
         """
         pad = ((self._margin, self._margin), (0, 0))
-        near, far = np.pad(near, pad), np.pad(far, pad)
+        scale = unit**-0.5
+        near, far = np.pad(scale * near, pad), np.pad(scale * far, pad)
+        numbers = scale * self._values
         costs = []
         for parity, first, width in zip((0, 1), self._first, self._width, strict=True):
             n_levels, level = (self.n + self.m + parity) // 2, 2 - parity
             i = self._margin + (level - first) // 2 - width  # the least of the first level
             j = self._margin + (level + first) // 2 - 1
             rows, columns = slice(i, i + n_levels + width - 1), slice(j, j + n_levels + width - 1)
-            values = sliding_window_view(self._values[columns], width)[..., None]
+            values = sliding_window_view(numbers[columns], width)[..., None]
             low, high = (
                 sliding_window_view(ends[rows], width, axis=0)[..., ::-1].transpose(0, 2, 1)
                 for ends in (near, far)
             )
-            cost = np.maximum(low - values, values - high)
-            costs.append(np.maximum(cost, 0.0, out=cost) ** 2)
+            cost = low - values
+            np.maximum(cost, values - high, out=cost)
+            np.maximum(cost, 0.0, out=cost)
+            cost *= cost
+            np.minimum(cost, top / unit, out=cost)
+            costs.append(np.floor(cost, out=cost))
         return costs
 
     def _cheapest_path(self, costs: list[np.ndarray]) -> np.ndarray:

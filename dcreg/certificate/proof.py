@@ -9,7 +9,6 @@ import numpy as np
 from dcreg.certificate.families import Family
 from dcreg.certificate.format import INADMISSIBLE, Certificate, CertificateError
 
-BATCH = 256  # boxes treated at once: bounds the memory of the vectorised steps
 TANGENT_STEPS = 10  # attempts to find a better point for the tangent
 
 # (boxes treated, boxes known to be needed so far)
@@ -65,15 +64,16 @@ class Proof:
                     f"be confirmed within {self.max_boxes} boxes"
                 )
             is_unproven = np.zeros(len(leaves), dtype=bool)
-            for at in range(0, len(leaves), BATCH):
-                part = slice(at, at + BATCH)
+            size = self.family.n_at_once
+            for at in range(0, len(leaves), size):
+                part = slice(at, at + size)
                 outside = self.family.outside(lower[part], upper[part])
                 self._check_inadmissible(leaves[part][~outside], c)
                 is_unproven[part] = self._unproven(lower[part], upper[part], outside, needed)
                 suspect = at + np.flatnonzero((is_unproven | doubtful)[part] & ~outside)
                 self._refute(lower[suspect], upper[suspect], leaves[suspect], c)
                 if self.progress is not None:
-                    done = n_boxes + min(at + BATCH, len(leaves))
+                    done = n_boxes + min(at + size, len(leaves))
                     self.progress(done, n_boxes + len(leaves) + 2 * int(is_unproven.sum()))
             n_boxes += len(leaves)
             leaves = np.repeat(leaves[is_unproven], 2)
