@@ -115,13 +115,17 @@ class Family(abc.ABC):
             [self.match(self.interval_costs(*box)) for box in zip(lower, upper, strict=True)]
         )
 
+    def curvature(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
+        """(B, ...) what the rebates in B boxes depend on. They need only hold where E is below `needed`."""
+        return np.zeros(len(lower))
+
     @abc.abstractmethod
-    def rebates(self, step: np.ndarray) -> np.ndarray:
-        """(..., n) what a tangent at theta0 misses of the objective at ``theta0 + step``, (..., d).
+    def rebates(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """(B, V, n) what a tangent at theta0 misses of the objective at ``theta0 + step``, (B, V, d).
 
         A squared distance is a quadratic in theta less a convex function. The tangent of the quadratic
         at theta0 misses ``R_i(step)`` of it, the same for every target. Where the family is uniform:
-        (..., 1), the sum over k points.
+        (B, V, 1), the sum over k points.
         """
 
     def tangent_terms(
@@ -270,7 +274,7 @@ class Similarity2D(Family):
                 out[box] = max(out[box], sum_of_smallest(cost.min(axis=0), self.k))
         return out
 
-    def rebates(self, step: np.ndarray) -> np.ndarray:
+    def rebates(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """R_i = |turn x_i + shift|^2."""
         a, b, u, v = np.moveaxis(step, -1, 0)
         factors = [a * a + b * b, 2 * (u * a + v * b), 2 * (v * a - u * b), u * u + v * v]
@@ -355,8 +359,33 @@ class Translation3D(Family):
         distance = np.minimum(near - edges[at], np.maximum(edges[at + 1] - far, 0.0))
         return sum_of_smallest(distance**2, self.k)
 
-    def rebates(self, step: np.ndarray) -> np.ndarray:
-        return self.k * (step**2).sum(axis=-1, keepdims=True)
+    def curvature(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
+        """(B, 3, 3) matrices M: E of every matching that counts is concave in the box less |t|_M^2.
+
+        Half the Hessian of (z - r)^2, z = |x + t| and u its direction, is ``u u' + (z - r) / z (I - u u')``,
+        at most I. In a ball of radius h about a box, u u' changes by h / z at most, and z - r by 2 h. What
+        is left of z - r are the residuals somewhere in the box: below `needed` in the sum of their squares
+        for a matching that counts. Points too near for this to help take I.
+        """
+        centre = 0.5 * (lower + upper)
+        radius = 0.5 * np.linalg.norm(upper - lower, axis=1, keepdims=True)
+        moved = self.source + centre[:, None]
+        z = np.linalg.norm(moved, axis=-1)
+        is_far = z > 4.0 * radius
+        inverse = np.divide(1.0, z, out=np.zeros_like(z), where=is_far)
+        most = np.divide(1.0, z - radius, out=np.zeros_like(z), where=is_far)  # 1 / z in the ball
+        turned = radius[:, 0] * (inverse + 2.0 * most).sum(axis=1)
+        misfit = np.sqrt(np.nan_to_num(needed)) * np.linalg.norm(most, axis=1)
+        directions = moved * inverse[..., None]
+        found = directions.swapaxes(1, 2) @ directions
+        least = (~is_far).sum(axis=1) + turned + misfit
+        found += least[:, None, None] * np.eye(3)
+        anywhere = self.k * np.eye(3)  # I for every pair
+        helps = np.trace(found, axis1=1, axis2=2) < 3.0 * self.k
+        return np.where(helps[:, None, None], found, anywhere)
+
+    def rebates(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        return ((step @ curvature) * step).sum(axis=-1, keepdims=True)
 
 
 FAMILIES: dict[str, type[Family]] = {"similarity2d": Similarity2D, "translation3d": Translation3D}

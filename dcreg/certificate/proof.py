@@ -126,12 +126,13 @@ class Proof:
         rows = np.array([[profile.rows for profile in box] for box in profiles])
         totals = np.array([[profile.total for profile in box] for box in profiles])
         exact = np.array([[profile.is_exact for profile in box] for box in profiles])
+        curvature = family.curvature(lower, upper, needed)
         best = np.full(len(lower), -np.inf)
         bases = vertices.mean(axis=1)
         left = np.arange(len(lower))  # boxes that may be proven yet
         while left.size:
             best[left], terms, bases[left] = self._best_base(
-                vertices[left], rows[left], totals[left], needed, bases[left]
+                vertices[left], rows[left], totals[left], curvature[left], needed, bases[left]
             )
             # only vertices that hold a box back need their exact profile
             binding = np.where(exact[left], np.inf, terms).argmin(axis=1)
@@ -139,13 +140,14 @@ class Proof:
             left, binding = left[holds_back], binding[holds_back]
             for box, at in zip(left, binding, strict=True):
                 rows[box, at], totals[box, at], exact[box, at] = family.solved(vertices[box, at])
-        return best
+        return np.minimum(best, needed)
 
     def _best_base(
         self,
         vertices: np.ndarray,
         rows: np.ndarray,
         totals: np.ndarray,
+        curvature: np.ndarray,
         needed: float,
         base: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -158,7 +160,7 @@ class Proof:
         best_terms = np.empty(vertices.shape[:2])
         left = np.arange(len(vertices))  # boxes not proven yet
         for step in range(TANGENT_STEPS):
-            rebates = self.family.rebates(vertices[left] - base[left, None])
+            rebates = self.family.rebates(vertices[left] - base[left, None], curvature[left])
             terms = self.family.tangent_terms(rows[left], totals[left], rebates)
             least = terms.argmin(axis=1)
             found = terms[np.arange(len(left)), least]
