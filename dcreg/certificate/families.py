@@ -116,7 +116,7 @@ class Family(abc.ABC):
         )
 
     def curvature(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """(B, ...) what the rebates in B boxes depend on. They need only hold where E is below `needed`."""
+        """(B, ...) what rebates in B boxes depend on; they need only hold where E is below `needed`."""
         return np.zeros(len(lower))
 
     @abc.abstractmethod
@@ -137,7 +137,7 @@ class Family(abc.ABC):
     # --- the objective at parameters that several boxes share
 
     def least(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
-        """Lower bounds on E at (B, dim) parameters without an assignment; as high as is `needed`."""
+        """Lower bounds on E at (B, dim) parameters without assignments; no higher than `needed` helps."""
         return np.zeros(len(thetas))
 
     def match(self, cost: np.ndarray) -> float:
@@ -152,15 +152,16 @@ class Family(abc.ABC):
             return cost
         return np.where(self.feasible, cost, 1.0 + self.k * cost.max())
 
-    def learn(self, thetas: np.ndarray) -> None:
-        """Compute the profiles of (B, dim) parameters, where that is cheaper for many at once."""
-
-    def known(self, theta: np.ndarray) -> Profile:
-        """The best profile so far, by the prices of the neighbours if there is none."""
-        key = theta.tobytes()
-        if key not in self._profiles:
-            self._profiles[key] = self._estimate(theta)
-        return self._profiles[key]
+    def known(self, thetas: np.ndarray) -> list[Profile]:
+        """The best profiles so far at (B, dim) parameters; new ones by the prices of neighbours."""
+        keys = [theta.tobytes() for theta in thetas]
+        new = {
+            key: theta for key, theta in zip(keys, thetas, strict=True) if key not in self._profiles
+        }
+        if new:
+            estimates = self._estimates(np.array(list(new.values())))
+            self._profiles.update(zip(new, estimates, strict=True))
+        return [self._profiles[key] for key in keys]
 
     def solved(self, theta: np.ndarray) -> Profile:
         """The exact profile, computed once; its prices serve the neighbours."""
@@ -169,8 +170,11 @@ class Family(abc.ABC):
             self._profiles[key] = self._solve(theta)
         return self._profiles[key]
 
-    def _estimate(self, theta: np.ndarray) -> Profile:
-        return self._profile(self._allowed(self.costs(theta)), self._prices.near(theta), False)
+    def _estimates(self, thetas: np.ndarray) -> list[Profile]:
+        return [
+            self._profile(self._allowed(self.costs(theta)), self._prices.near(theta), False)
+            for theta in thetas
+        ]
 
     def _solve(self, theta: np.ndarray) -> Profile:
         self.n_assignments += 1
@@ -192,7 +196,7 @@ class Family(abc.ABC):
         """Refuse the certificate if E at one of B parameters lies below the bound of its leaf."""
         if not len(thetas):
             return
-        for at in np.flatnonzero(self.least(thetas, bounds.max()) < bounds):
+        for at in np.flatnonzero(~(self.least(thetas, bounds.max()) >= bounds)):
             theta, bound = thetas[at], bounds[at]
             value = self.objective(theta)
             if value < bound:
@@ -304,7 +308,9 @@ class Translation3D(Family):
         return (np.linalg.norm(self.source + theta, axis=1)[:, None] - self.norms) ** 2
 
     def objective(self, theta: np.ndarray) -> float:
-        return float(self.least(theta[None])[0]) if self.is_sorted_order else super().objective(theta)
+        return (
+            float(self.least(theta[None])[0]) if self.is_sorted_order else super().objective(theta)
+        )
 
     def least(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
         if self.feasible is not None:
@@ -314,14 +320,10 @@ class Translation3D(Family):
             return self._line.bounds(moved, moved, needed)
         return ((moved - self.sorted_norms) ** 2).sum(axis=-1)
 
-    def learn(self, thetas: np.ndarray) -> None:
+    def _estimates(self, thetas: np.ndarray) -> list[Profile]:
         if self.feasible is not None:
-            return
-        keys = [theta.tobytes() for theta in thetas]
-        new = {key: at for at, key in enumerate(keys) if key not in self._profiles}
-        values = self.least(thetas[list(new.values())])
-        for key, value in zip(new, values, strict=True):
-            self._profiles[key] = Profile(np.array([value]), 0.0, True)
+            return super()._estimates(thetas)
+        return [Profile(value, 0.0, True) for value in self.least(thetas)[:, None]]
 
     def region(self) -> tuple[np.ndarray, np.ndarray]:
         """A minimiser is stationary: t is the mean of |y| u - x over the pairs, u unit vectors."""
@@ -362,10 +364,10 @@ class Translation3D(Family):
     def curvature(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         """(B, 3, 3) matrices M: E of every matching that counts is concave in the box less |t|_M^2.
 
-        Half the Hessian of (z - r)^2, z = |x + t| and u its direction, is ``u u' + (z - r) / z (I - u u')``,
-        at most I. In a ball of radius h about a box, u u' changes by h / z at most, and z - r by 2 h. What
-        is left of z - r are the residuals somewhere in the box: below `needed` in the sum of their squares
-        for a matching that counts. Points too near for this to help take I.
+        Half the Hessian of (z - r)^2, with z = |x + t| and u its direction, is ``u u' + (z - r) / z
+        (I - u u')``, at most I. In a ball of radius h about a box, u u' changes by h / z at most, and
+        z - r by 2 h. What is left of z - r are the residuals somewhere in the box: for a matching that
+        counts their squares add up to less than `needed`. Points too near for this to help take I.
         """
         centre = 0.5 * (lower + upper)
         radius = 0.5 * np.linalg.norm(upper - lower, axis=1, keepdims=True)

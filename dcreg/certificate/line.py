@@ -12,6 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 MAX_CELLS = 1 << 20  # numbers held at once
+TINY = 1e-200  # costs that may count as nothing
 
 
 class Line:
@@ -63,7 +64,7 @@ class Line:
         the number of pairs. Its tangents on both sides of the maximum meet at the next price to try.
         """
         farthest = max(far.max() - self._least, self._most - near.min(), 0.0)
-        top = min(needed, farthest**2) or 1.0
+        top = max(min(needed, farthest**2), TINY)
         # Costs are whole numbers, rounded down, less one `label` per pair: so no sum is rounded, and a
         # path tells how many pairs it has.
         label = 0.5 ** min(self.n, self.m).bit_length()

@@ -99,7 +99,7 @@ class Proof:
         for bound in self._bounds:
             if unproven.size:
                 found = bound(lower[unproven], upper[unproven], needed)
-                unproven = unproven[found < needed]
+                unproven = unproven[~(found >= needed)]  # what is no number proves nothing
         return np.isin(np.arange(len(lower)), unproven)
 
     def _refute(
@@ -121,11 +121,11 @@ class Proof:
         """
         family = self.family
         vertices = _vertices(lower, upper)
-        family.learn(vertices.reshape(-1, vertices.shape[2]))
-        profiles = [[family.known(v) for v in box] for box in vertices]
-        rows = np.array([[profile.rows for profile in box] for box in profiles])
-        totals = np.array([[profile.total for profile in box] for box in profiles])
-        exact = np.array([[profile.is_exact for profile in box] for box in profiles])
+        profiles = family.known(vertices.reshape(-1, vertices.shape[2]))
+        shape = vertices.shape[:2]
+        rows = np.array([profile.rows for profile in profiles]).reshape(*shape, -1)
+        totals = np.array([profile.total for profile in profiles]).reshape(shape)
+        exact = np.array([profile.is_exact for profile in profiles]).reshape(shape)
         curvature = family.curvature(lower, upper, needed)
         best = np.full(len(lower), -np.inf)
         bases = vertices.mean(axis=1)
