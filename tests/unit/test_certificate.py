@@ -25,7 +25,7 @@ from dcreg.certificate import (
 )
 from dcreg.certificate.cover import check_cover
 from dcreg.certificate.families import FAMILIES
-from dcreg.certificate.prices import cheapest_pairs
+from dcreg.certificate.prices import cheapest_pairs, prices_of
 from dcreg.certificate.proof import Proof
 from dcreg.certificate.record import record
 from dcreg.certificate.verification import check_samples, verify
@@ -669,6 +669,18 @@ def test_a_proof_over_norms_solves_no_assignments_and_hardly_divides_leaves():
     assert report.n_leaves > 1000
     assert report.n_boxes < 1.02 * report.n_leaves
     assert report.n_assignments == 1  # of the stated optimum
+
+
+@pytest.mark.parametrize("n", [5, 30, 80])
+def test_prices_make_the_dual_as_high_as_the_assignment(n):
+    """However long the paths that they are lengths of: pairs one after the other along a line."""
+    places = np.arange(n, dtype=float)
+    random = np.random.default_rng(n).random((n, n))
+    for cost in (np.abs(places[:, None] - places - 1.0) ** 1.5, random):
+        wide, columns = cheapest_pairs(cost, n - 1)
+        prices = prices_of(wide, columns)
+        dual = (wide + prices).min(axis=1).sum() - prices[columns].sum()
+        assert dual == pytest.approx(wide[np.arange(n), columns].sum(), abs=1e-9)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.005, 0.2), st.floats(1.01, 3.0))
