@@ -12,6 +12,7 @@ import abc
 import numpy as np
 
 from dcreg.certificate.format import CertificateError
+from dcreg.certificate.line import Line
 from dcreg.certificate.prices import Prices, Profile, cheapest_pairs, prices_of, sum_of_smallest
 
 
@@ -42,6 +43,8 @@ class Family(abc.ABC):
         Whether matching in sorted order is optimal, so that no cost matrix is needed.
     is_uniform : bool
         Whether a tangent misses the same of every matching, so that a `Profile` is one number.
+    n_at_once : int
+        Boxes to be treated at once: more share NumPy's overhead, fewer share prices sooner.
     n_assignments : int
         Assignments solved so far.
     """
@@ -50,6 +53,7 @@ class Family(abc.ABC):
     weights: np.ndarray
     is_sorted_order = False
     is_uniform = False
+    n_at_once = 64
 
     def __init__(
         self,
@@ -111,13 +115,17 @@ class Family(abc.ABC):
             [self.match(self.interval_costs(*box)) for box in zip(lower, upper, strict=True)]
         )
 
+    def curvature(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
+        """(B, ...) what rebates in B boxes depend on; they need only hold where E is below `needed`."""
+        return np.zeros(len(lower))
+
     @abc.abstractmethod
-    def rebates(self, step: np.ndarray) -> np.ndarray:
-        """(..., n) what a tangent at theta0 misses of the objective at ``theta0 + step``, (..., d).
+    def rebates(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """(B, V, n) what a tangent at theta0 misses of the objective at ``theta0 + step``, (B, V, d).
 
         A squared distance is a quadratic in theta less a convex function. The tangent of the quadratic
         at theta0 misses ``R_i(step)`` of it, the same for every target. Where the family is uniform:
-        (..., 1), the sum over k points.
+        (B, V, 1), the sum over k points.
         """
 
     def tangent_terms(
@@ -127,6 +135,10 @@ class Family(abc.ABC):
         return sum_of_smallest(rows - rebates, 1 if self.is_uniform else self.k) - totals
 
     # --- the objective at parameters that several boxes share
+
+    def least(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
+        """Lower bounds on E at (B, dim) parameters without assignments; no higher than `needed` helps."""
+        return np.zeros(len(thetas))
 
     def match(self, cost: np.ndarray) -> float:
         """The k cheapest feasible pairs; costs are not negative."""
@@ -140,12 +152,16 @@ class Family(abc.ABC):
             return cost
         return np.where(self.feasible, cost, 1.0 + self.k * cost.max())
 
-    def known(self, theta: np.ndarray) -> Profile:
-        """The best profile so far, by the prices of the neighbours if there is none."""
-        key = theta.tobytes()
-        if key not in self._profiles:
-            self._profiles[key] = self._estimate(theta)
-        return self._profiles[key]
+    def known(self, thetas: np.ndarray) -> list[Profile]:
+        """The best profiles so far at (B, dim) parameters; new ones by the prices of neighbours."""
+        keys = [theta.tobytes() for theta in thetas]
+        new = {
+            key: theta for key, theta in zip(keys, thetas, strict=True) if key not in self._profiles
+        }
+        if new:
+            estimates = self._estimates(np.array(list(new.values())))
+            self._profiles.update(zip(new, estimates, strict=True))
+        return [self._profiles[key] for key in keys]
 
     def solved(self, theta: np.ndarray) -> Profile:
         """The exact profile, computed once; its prices serve the neighbours."""
@@ -154,8 +170,11 @@ class Family(abc.ABC):
             self._profiles[key] = self._solve(theta)
         return self._profiles[key]
 
-    def _estimate(self, theta: np.ndarray) -> Profile:
-        return self._profile(self._allowed(self.costs(theta)), self._prices.near(theta), False)
+    def _estimates(self, thetas: np.ndarray) -> list[Profile]:
+        return [
+            self._profile(self._allowed(self.costs(theta)), self._prices.near(theta), False)
+            for theta in thetas
+        ]
 
     def _solve(self, theta: np.ndarray) -> Profile:
         self.n_assignments += 1
@@ -173,14 +192,19 @@ class Family(abc.ABC):
             rows = sum_of_smallest(rows, self.k)[None]
         return Profile(rows, float(np.broadcast_to(prices, cost.shape[1:]).sum()), is_exact)
 
-    def refute(self, theta: np.ndarray, bound: float, owner: str) -> None:
-        """Refuse the certificate if the objective at `theta` lies below a bound of its `owner`."""
-        value = self.objective(theta)
-        if value < bound:
-            raise CertificateError(
-                f"{owner}: its bound is false: theta {np.array2string(theta, precision=6)} "
-                f"has the objective {value:.9g}, below {bound:.9g}"
-            )
+    def refute(self, thetas: np.ndarray, bounds: np.ndarray, leaves: np.ndarray) -> None:
+        """Refuse the certificate if E at one of B parameters lies below the bound of its leaf."""
+        if not len(thetas):
+            return
+        for at in np.flatnonzero(~(self.least(thetas, bounds.max()) >= bounds)):
+            theta, bound = thetas[at], bounds[at]
+            value = self.objective(theta)
+            if value < bound:
+                raise CertificateError(
+                    f"leaf {leaves[at]}: its bound is false: "
+                    f"theta {np.array2string(theta, precision=6)} "
+                    f"has the objective {value:.9g}, below {bound:.9g}"
+                )
 
 
 class Similarity2D(Family):
@@ -254,7 +278,7 @@ class Similarity2D(Family):
                 out[box] = max(out[box], sum_of_smallest(cost.min(axis=0), self.k))
         return out
 
-    def rebates(self, step: np.ndarray) -> np.ndarray:
+    def rebates(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """R_i = |turn x_i + shift|^2."""
         a, b, u, v = np.moveaxis(step, -1, 0)
         factors = [a * a + b * b, 2 * (u * a + v * b), 2 * (v * a - u * b), u * u + v * v]
@@ -274,23 +298,32 @@ class Translation3D(Family):
         # numbers on a line, all of them matched
         self.is_sorted_order = self.feasible is None and n == m == self.k
         self.is_uniform = True
+        # or some: no assignments either, and so no prices
+        is_on_line = self.feasible is None and not self.is_sorted_order
+        self._line = Line(self.sorted_norms, n, self.k) if is_on_line else None
+        if self.feasible is None:
+            self.n_at_once = min(1024, max(64, 2**17 // n))
 
     def costs(self, theta: np.ndarray) -> np.ndarray:
         return (np.linalg.norm(self.source + theta, axis=1)[:, None] - self.norms) ** 2
 
     def objective(self, theta: np.ndarray) -> float:
-        if not self.is_sorted_order:
-            return super().objective(theta)
-        moved = np.linalg.norm(self.source + theta, axis=1)
-        return float(((np.sort(moved) - self.sorted_norms) ** 2).sum())
+        return (
+            float(self.least(theta[None])[0]) if self.is_sorted_order else super().objective(theta)
+        )
 
-    def _estimate(self, theta: np.ndarray) -> Profile:
-        return self._solve(theta) if self.is_sorted_order else super()._estimate(theta)
+    def least(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
+        if self.feasible is not None:
+            return super().least(thetas)
+        moved = np.sort(self._norm_ranges(thetas, thetas)[0], axis=-1)
+        if self._line is not None:
+            return self._line.bounds(moved, moved, needed)
+        return ((moved - self.sorted_norms) ** 2).sum(axis=-1)
 
-    def _solve(self, theta: np.ndarray) -> Profile:
-        if not self.is_sorted_order:
-            return super()._solve(theta)
-        return Profile(np.array([self.objective(theta)]), 0.0, True)
+    def _estimates(self, thetas: np.ndarray) -> list[Profile]:
+        if self.feasible is not None:
+            return super()._estimates(thetas)
+        return [Profile(value, 0.0, True) for value in self.least(thetas)[:, None]]
 
     def region(self) -> tuple[np.ndarray, np.ndarray]:
         """A minimiser is stationary: t is the mean of |y| u - x over the pairs, u unit vectors."""
@@ -301,14 +334,24 @@ class Translation3D(Family):
 
     def _norm_ranges(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(..., n) least and greatest |x + t| over boxes (..., 3)."""
-        low, high = self.source + lower[..., None, :], self.source + upper[..., None, :]
-        near = np.linalg.norm(np.clip(0.0, low, high), axis=-1)
-        return near, np.linalg.norm(np.maximum(np.abs(low), np.abs(high)), axis=-1)
+        near = far = np.zeros(1)
+        for axis, x in enumerate(self.source.T):
+            low, high = x + lower[..., axis, None], x + upper[..., axis, None]
+            near = near + np.maximum(np.maximum(low, -high), 0.0) ** 2
+            far = far + np.maximum(-low, high) ** 2
+        return np.sqrt(near), np.sqrt(far)
 
     def interval_costs(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         near, far = self._norm_ranges(lower, upper)
         outside = np.maximum(near[:, None] - self.norms, self.norms - far[:, None])
         return np.maximum(outside, 0.0) ** 2
+
+    def interval_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
+        """On a line the i-th norm in order lies between the i-th ends in order."""
+        if self._line is None:
+            return super().interval_bound(lower, upper, needed)
+        near, far = self._norm_ranges(lower, upper)
+        return self._line.bounds(np.sort(near, axis=1), np.sort(far, axis=1), needed)
 
     def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         near, far = self._norm_ranges(lower, upper)
@@ -318,8 +361,33 @@ class Translation3D(Family):
         distance = np.minimum(near - edges[at], np.maximum(edges[at + 1] - far, 0.0))
         return sum_of_smallest(distance**2, self.k)
 
-    def rebates(self, step: np.ndarray) -> np.ndarray:
-        return self.k * (step**2).sum(axis=-1, keepdims=True)
+    def curvature(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
+        """(B, 3, 3) matrices M: E of every matching that counts is concave in the box less |t|_M^2.
+
+        Half the Hessian of (z - r)^2, with z = |x + t| and u its direction, is ``u u' + (z - r) / z
+        (I - u u')``, at most I. In a ball of radius h about a box, u u' changes by h / z at most, and
+        z - r by 2 h. What is left of z - r are the residuals somewhere in the box: for a matching that
+        counts their squares add up to less than `needed`. Points too near for this to help take I.
+        """
+        centre = 0.5 * (lower + upper)
+        radius = 0.5 * np.linalg.norm(upper - lower, axis=1, keepdims=True)
+        moved = self.source + centre[:, None]
+        z = np.linalg.norm(moved, axis=-1)
+        is_far = z > 4.0 * radius
+        inverse = np.divide(1.0, z, out=np.zeros_like(z), where=is_far)
+        most = np.divide(1.0, z - radius, out=np.zeros_like(z), where=is_far)  # 1 / z in the ball
+        turned = radius[:, 0] * (inverse + 2.0 * most).sum(axis=1)
+        misfit = np.sqrt(np.nan_to_num(needed)) * np.linalg.norm(most, axis=1)
+        directions = moved * inverse[..., None]
+        found = directions.swapaxes(1, 2) @ directions
+        least = (~is_far).sum(axis=1) + turned + misfit
+        found += least[:, None, None] * np.eye(3)
+        anywhere = self.k * np.eye(3)  # I for every pair
+        helps = np.trace(found, axis1=1, axis2=2) < 3.0 * self.k
+        return np.where(helps[:, None, None], found, anywhere)
+
+    def rebates(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        return ((step @ curvature) * step).sum(axis=-1, keepdims=True)
 
 
 FAMILIES: dict[str, type[Family]] = {"similarity2d": Similarity2D, "translation3d": Translation3D}

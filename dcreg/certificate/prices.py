@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-STEPS = 8  # of the shortest paths that give prices
 NEIGHBOURS = 4  # whose prices are averaged
 
 
@@ -59,10 +58,10 @@ def cheapest_pairs(cost: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def prices_of(cost: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Prices of the columns: lengths of alternating paths. Cut short they are prices all the same."""
+    """Prices of the columns, at which all rows of an optimal assignment are content: lengths of paths."""
     potential = np.zeros(cost.shape[1])
     rise = cost - np.take_along_axis(cost, columns[:, None], axis=1)
-    for _ in range(STEPS):
+    for _ in columns:  # a shortest path passes each row once at most
         lowered = np.minimum(potential, (rise + potential[columns, None]).min(axis=0))
         if (lowered == potential).all():
             break

@@ -9,7 +9,6 @@ import numpy as np
 from dcreg.certificate.families import Family
 from dcreg.certificate.format import INADMISSIBLE, Certificate, CertificateError
 
-BATCH = 64  # boxes treated at once: bounds the memory of the vectorised steps
 TANGENT_STEPS = 10  # attempts to find a better point for the tangent
 
 # (boxes treated, boxes known to be needed so far)
@@ -65,15 +64,16 @@ class Proof:
                     f"be confirmed within {self.max_boxes} boxes"
                 )
             is_unproven = np.zeros(len(leaves), dtype=bool)
-            for at in range(0, len(leaves), BATCH):
-                part = slice(at, at + BATCH)
+            size = self.family.n_at_once
+            for at in range(0, len(leaves), size):
+                part = slice(at, at + size)
                 outside = self.family.outside(lower[part], upper[part])
                 self._check_inadmissible(leaves[part][~outside], c)
                 is_unproven[part] = self._unproven(lower[part], upper[part], outside, needed)
-                for box in at + np.flatnonzero((is_unproven | doubtful)[part] & ~outside):
-                    self._refute(lower[box], upper[box], leaves[box], c)
+                suspect = at + np.flatnonzero((is_unproven | doubtful)[part] & ~outside)
+                self._refute(lower[suspect], upper[suspect], leaves[suspect], c)
                 if self.progress is not None:
-                    done = n_boxes + min(at + BATCH, len(leaves))
+                    done = n_boxes + min(at + size, len(leaves))
                     self.progress(done, n_boxes + len(leaves) + 2 * int(is_unproven.sum()))
             n_boxes += len(leaves)
             leaves = np.repeat(leaves[is_unproven], 2)
@@ -99,14 +99,18 @@ class Proof:
         for bound in self._bounds:
             if unproven.size:
                 found = bound(lower[unproven], upper[unproven], needed)
-                unproven = unproven[found < needed]
+                unproven = unproven[~(found >= needed)]  # what is no number proves nothing
         return np.isin(np.arange(len(lower)), unproven)
 
-    def _refute(self, lower: np.ndarray, upper: np.ndarray, leaf: int, c: Certificate) -> None:
+    def _refute(
+        self, lower: np.ndarray, upper: np.ndarray, leaves: np.ndarray, c: Certificate
+    ) -> None:
         """Refuse the certificate if the middle of a box, or else an end, beats its leaf's own bound."""
-        points = np.array([0.5 * (lower + upper), lower, upper])
-        for theta in points[self.family.admissible(points)][:1]:
-            self.family.refute(theta, c.leaf_bounds[leaf] - self.slack, f"leaf {leaf}")
+        points = np.stack([0.5 * (lower + upper), lower, upper])
+        admissible = np.array([self.family.admissible(some) for some in points])
+        boxes = np.flatnonzero(admissible.any(axis=0))
+        thetas = points[admissible.argmax(axis=0)[boxes], boxes]
+        self.family.refute(thetas, (c.leaf_bounds - self.slack)[leaves[boxes]], leaves[boxes])
 
     def tangent_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         """max over theta0 of min over vertices v of the tangent's value there, for each of B boxes.
@@ -117,16 +121,18 @@ class Proof:
         """
         family = self.family
         vertices = _vertices(lower, upper)
-        profiles = [[family.known(v) for v in box] for box in vertices]
-        rows = np.array([[profile.rows for profile in box] for box in profiles])
-        totals = np.array([[profile.total for profile in box] for box in profiles])
-        exact = np.array([[profile.is_exact for profile in box] for box in profiles])
+        profiles = family.known(vertices.reshape(-1, vertices.shape[2]))
+        shape = vertices.shape[:2]
+        rows = np.array([profile.rows for profile in profiles]).reshape(*shape, -1)
+        totals = np.array([profile.total for profile in profiles]).reshape(shape)
+        exact = np.array([profile.is_exact for profile in profiles]).reshape(shape)
+        curvature = family.curvature(lower, upper, needed)
         best = np.full(len(lower), -np.inf)
         bases = vertices.mean(axis=1)
         left = np.arange(len(lower))  # boxes that may be proven yet
         while left.size:
             best[left], terms, bases[left] = self._best_base(
-                vertices[left], rows[left], totals[left], needed, bases[left]
+                vertices[left], rows[left], totals[left], curvature[left], needed, bases[left]
             )
             # only vertices that hold a box back need their exact profile
             binding = np.where(exact[left], np.inf, terms).argmin(axis=1)
@@ -134,13 +140,14 @@ class Proof:
             left, binding = left[holds_back], binding[holds_back]
             for box, at in zip(left, binding, strict=True):
                 rows[box, at], totals[box, at], exact[box, at] = family.solved(vertices[box, at])
-        return best
+        return np.minimum(best, needed)
 
     def _best_base(
         self,
         vertices: np.ndarray,
         rows: np.ndarray,
         totals: np.ndarray,
+        curvature: np.ndarray,
         needed: float,
         base: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -153,7 +160,7 @@ class Proof:
         best_terms = np.empty(vertices.shape[:2])
         left = np.arange(len(vertices))  # boxes not proven yet
         for step in range(TANGENT_STEPS):
-            rebates = self.family.rebates(vertices[left] - base[left, None])
+            rebates = self.family.rebates(vertices[left] - base[left, None], curvature[left])
             terms = self.family.tangent_terms(rows[left], totals[left], rebates)
             least = terms.argmin(axis=1)
             found = terms[np.arange(len(left)), least]

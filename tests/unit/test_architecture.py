@@ -75,6 +75,7 @@ VERIFICATION = {
     "dcreg.certificate.cover",
     "dcreg.certificate.families",
     "dcreg.certificate.format",
+    "dcreg.certificate.line",
     "dcreg.certificate.prices",
     "dcreg.certificate.proof",
     "dcreg.certificate.verification",

@@ -25,6 +25,7 @@ from dcreg.certificate import (
 )
 from dcreg.certificate.cover import check_cover
 from dcreg.certificate.families import FAMILIES
+from dcreg.certificate.prices import cheapest_pairs, prices_of
 from dcreg.certificate.proof import Proof
 from dcreg.certificate.record import record
 from dcreg.certificate.verification import check_samples, verify
@@ -642,17 +643,77 @@ def test_plain_bounds_hold_and_objectives_agree(case, seed):
     thetas = np.vstack([box.sample(np.random.default_rng(seed), 20), box.vertices(), box.centre])
     values = np.array([family.objective(theta) for theta in thetas])
     np.testing.assert_allclose(values, [space.objective(t)[0] for t in thetas], atol=1e-9)
-    lower, upper, needed = box.lower[None], box.upper[None], np.inf
+    assert (family.least(thetas) <= values + 1e-9).all()
     for bound in (
         family.nearest_bound,
         family.interval_bound,
         Proof(family, 0.0, 1).tangent_bound,
     ):
-        assert bound(lower, upper, needed)[0] <= values.min() + 1e-9
+        for needed in (np.inf, 1.5 * values.min(), 0.5 * values.min()):
+            found = bound(box.lower[None], box.upper[None], needed)[0]
+            assert found <= values.min() + 1e-9
     (start,) = space.roots()
     region_lower, region_upper = family.region()
     assert (start.lower <= region_lower + 1e-9).all()
     assert (start.upper >= region_upper - 1e-9).all()
+
+
+def test_a_proof_over_norms_solves_no_assignments_and_hardly_divides_leaves():
+    """Some norms stay without a partner; the lower bound is above 0, so that every leaf needs a proof."""
+    source, target = clouds("translation3d", n=20, extra=3, seed=3)
+    certificate = certify(source, target, 20, "translation3d", bound="tight", tau=0.0125)
+    assert certificate.status == "optimal"
+    assert certificate.lower_bound > 0
+    report = verify(certificate, source, target)
+    assert report.accepted, report.reason
+    assert report.n_leaves > 1000
+    assert report.n_boxes < 1.02 * report.n_leaves
+    assert report.n_assignments == 1  # of the stated optimum
+
+
+@pytest.mark.parametrize("n", [5, 30, 80])
+def test_prices_make_the_dual_as_high_as_the_assignment(n):
+    """However long the paths that they are lengths of: pairs one after the other along a line."""
+    places = np.arange(n, dtype=float)
+    random = np.random.default_rng(n).random((n, n))
+    for cost in (np.abs(places[:, None] - places - 1.0) ** 1.5, random):
+        wide, columns = cheapest_pairs(cost, n - 1)
+        prices = prices_of(wide, columns)
+        dual = (wide + prices).min(axis=1).sum() - prices[columns].sum()
+        assert dual == pytest.approx(wide[np.arange(n), columns].sum(), abs=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.005, 0.2), st.floats(1.01, 3.0))
+def test_curvature_leaves_matchings_that_count_concave(seed, size, share):
+    """Of a matching whose sum falls below `needed` somewhere in the box, less the quadratic."""
+    generator = np.random.default_rng(seed)
+    source, target = clouds("translation3d", n=10, extra=2, seed=seed)
+    family = FAMILIES["translation3d"](source, target, 10, (1.0, 1.0))
+    centre = 0.3 * generator.standard_normal(3)
+    lower = centre - size * generator.random(3)
+    upper = centre + size * generator.random(3)
+    within = lower + generator.random((3, 3)) * (upper - lower)
+    wide, columns = cheapest_pairs(family.costs(within[0]), 10)
+    rows = np.flatnonzero(columns < len(target))
+    value = wide[np.arange(len(wide)), columns].sum()
+    (matrix,) = family.curvature(lower[None], upper[None], share * value)
+
+    def rest(theta):
+        residuals = np.linalg.norm(source[rows] + theta, axis=1) - family.norms[columns[rows]]
+        return (residuals**2).sum() - theta @ matrix @ theta
+
+    _, a, b = within
+    assert rest(0.5 * (a + b)) >= 0.5 * (rest(a) + rest(b)) - 1e-12
+
+
+def test_curvature_is_less_than_that_of_all_pairs_in_small_boxes():
+    source, target = clouds("translation3d", n=30, extra=2)
+    family = FAMILIES["translation3d"](source, target, 30, (1.0, 1.0))
+    theta = np.array([[0.02, -0.03, 0.05]])
+    (near_any,) = family.curvature(theta - 0.01, theta + 0.01, np.inf)
+    np.testing.assert_array_equal(near_any, 30 * np.eye(3))
+    (near_optimum,) = family.curvature(theta - 0.01, theta + 0.01, 0.1)
+    assert np.linalg.eigvalsh(near_optimum).max() < 30
 
 
 @st.composite
