@@ -8,7 +8,8 @@ import numpy as np
 
 from dcreg.certificate.format import CertificateError
 
-SAME = 1e-12  # coordinates closer than this share of the start box are the same
+# Coordinates closer than this share of the start box, or of the clouds if these are smaller, are the same.
+SAME = 1e-12
 
 
 def check_cover(
@@ -23,7 +24,7 @@ def check_cover(
     Parameters
     ----------
     start_lower, start_upper : (d,) arrays
-        Corners of the start box.
+        Corners of the start box, in units of the clouds.
     lower, upper : (L, d) arrays
         Corners of the leaves.
 
@@ -81,7 +82,7 @@ class _Grid(NamedTuple):
         for axis in range(len(start_lower)):
             ends = np.array([start_lower[axis], start_upper[axis]])
             values = np.unique(np.concatenate([lower[:, axis], upper[:, axis], ends]))
-            tolerance = SAME * (ends[1] - ends[0] or max(1.0, abs(ends[0])))
+            tolerance = SAME * (min(ends[1] - ends[0], 1.0) or max(1.0, abs(ends[0])))
             rank = np.concatenate([[0], np.cumsum(np.diff(values) > tolerance)])
             low[:, axis] = rank[np.searchsorted(values, lower[:, axis])]
             high[:, axis] = rank[np.searchsorted(values, upper[:, axis])]

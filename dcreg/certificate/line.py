@@ -74,7 +74,8 @@ class Line:
         count = near.shape[1]
         best, settled, left = np.zeros(count), np.empty(count), np.arange(count)
         charged = np.full(count, -label)
-        price = np.full(count, np.floor(min(self._price or 2.0 * top / self.k, top) / unit))
+        start = min(self._price or 2.0 * top / self.k, top)
+        price = np.full(count, max(1.0, start // unit))  # of nothing there is no double
         # where on either side, the value and the slope there; a path without pairs costs nothing
         rising = np.zeros((3, count))
         rising[2] = self.k

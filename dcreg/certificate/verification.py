@@ -164,7 +164,7 @@ def _check(
 
     family = family_of(c, source, target)
     # rounding: relative to the claim, and to a residual of the size of the cloud
-    slack = 1e-9 * abs(c.upper_bound) + 1e-12 * c.n_inliers
+    slack = 1e-9 * abs(c.lower_bound) + 1e-12 * c.n_inliers
     check_claim(c, slack)
     report.checks.append("stated bounds, reasons and tolerance agree with each other")
     check_start_box(family, c.start_lower, c.start_upper)
@@ -198,7 +198,7 @@ def _check(
 
 
 def check_clouds(c: Certificate, source: np.ndarray, target: np.ndarray) -> None:
-    """The certificate was made for these very clouds."""
+    """The certificate was made for these very clouds, in the frame of their centres and size."""
     for name, points, stated in (
         ("source", source, c.source_digest),
         ("target", target, c.target_digest),
@@ -209,6 +209,23 @@ def check_clouds(c: Certificate, source: np.ndarray, target: np.ndarray) -> None
             raise CertificateError(f"{name}: shape {points.shape} does not fit model {c.model!r}")
     if c.n_inliers > min(len(source), len(target)):
         raise CertificateError(f"n_inliers: {c.n_inliers} exceeds the smaller cloud")
+    # in another unit, rounding would be of another size than the claims
+    unit = _extent(target) or _extent(source) or 1.0
+    if not abs(c.unit - unit) <= 1e-6 * unit:
+        raise CertificateError(f"unit: {c.unit:.9g} stated, but the clouds measure {unit:.9g}")
+    for name, points, stated in (
+        ("source", source, c.source_centre),
+        ("target", target, c.target_centre),
+    ):
+        centre = points.mean(axis=0)
+        if not (np.abs(stated - centre) <= 1e-6 * unit + 1e-12 * np.abs(points).max()).all():
+            raise CertificateError(f"{name}_centre: {stated} stated, but it is {centre}")
+
+
+def _extent(points: np.ndarray) -> float:
+    """RMS distance to the centre; 0 where it is rounding."""
+    extent = float(np.sqrt(points.var(axis=0).sum()))
+    return extent if extent > 1e-13 * np.abs(points).max() else 0.0
 
 
 def family_of(c: Certificate, source: np.ndarray, target: np.ndarray) -> Family:
@@ -255,7 +272,7 @@ def check_claim(c: Certificate, slack: float) -> None:
             f"lower_bound {c.lower_bound:.9g} does not follow: leaf {int(c.leaf_bounds.argmin())} "
             f"has the bound {least:.9g}"
         )
-    threshold = c.upper_bound - c.gap_tol - slack
+    threshold = c.upper_bound * (1.0 - 1e-9) - c.gap_tol - slack
     if c.status == "optimal" and c.lower_bound < threshold:
         raise CertificateError("status optimal does not follow: the gap exceeds gap_tol")
     early = np.flatnonzero((c.leaf_reasons == PRUNED) & (c.leaf_bounds < threshold))
@@ -287,7 +304,7 @@ def check_optimum(family: Family, c: Certificate, slack: float) -> None:
     if not family.admissible(c.theta[None])[0]:
         raise CertificateError("theta: not an admissible parameter")
     value = family.objective(c.theta)
-    if abs(value - c.upper_bound) > slack:
+    if not abs(value - c.upper_bound) <= 1e-9 * c.upper_bound + slack:
         raise CertificateError(
             f"upper_bound: {c.upper_bound:.9g} stated, but the objective at theta is {value:.9g}"
         )

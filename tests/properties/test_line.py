@@ -1,6 +1,7 @@
 """The verification's matching of numbers on a line, against assignments."""
 
 import numpy as np
+import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -48,3 +49,12 @@ def test_matching_with_intervals_bounds_that_of_all_numbers_in_them(case, size, 
     for needed in (np.inf, share * exact.max()):
         bounds = line.bounds(np.sort(low, axis=1), np.sort(high, axis=1), needed)
         assert (bounds <= exact + 1e-12).all()
+
+
+@pytest.mark.parametrize("offset", [1e-12, 1e-9, 1e-3])
+def test_lists_are_matched_after_others_that_cost_far_less(offset):
+    """Such a price may be no unit of the later costs."""
+    line, far = Line(np.arange(7.0), 2, 2), np.array([[2.25, 4.5]])
+    near = np.array([[1.0, 2.0]]) + offset
+    line.bounds(near, near, offset**2)
+    np.testing.assert_allclose(line.bounds(far, far, np.inf), [0.0625 + 0.25])

@@ -451,6 +451,46 @@ def test_wrong_optimum_is_refused(tmp_path, case):
     refused(tmp_path, case, "theta: not a finite number", theta=certificate.theta * np.nan)
 
 
+def one_leaf(certificate, box, theta, value, bound):
+    """The certificate of another statement, which rests on one leaf that fills the start box."""
+    return dataclasses.replace(
+        certificate, start_lower=-box, start_upper=box, leaf_lower=-box[None], leaf_upper=box[None],
+        leaf_bounds=[bound], leaf_reasons=[format.OPEN], theta=theta, upper_bound=value,
+        lower_bound=bound, gap_tol=value - bound, status="stopped",
+    )  # fmt: skip
+
+
+def test_rounding_is_not_measured_by_another_unit(case):
+    """In so large a unit every claim is as small as rounding."""
+    certificate, source, target = case
+    box = np.full(len(certificate.theta), 10.0)
+    forged = one_leaf(certificate, box, 0.0 * box + 1e-9, 5e-12, 5e-12)
+    forged = dataclasses.replace(forged, unit=1e9 * certificate.unit, scale_range=[1e-9, 1.0])
+    assert "unit: " in verify(forged, source, target).reason
+
+
+@pytest.mark.parametrize("name", ["source_centre", "target_centre"])
+def test_another_centre_is_refused(tmp_path, case, name):
+    refused(tmp_path, case, name, **{name: getattr(case[0], name) + 1e-3})
+
+
+def test_rounding_is_not_measured_by_the_value_of_a_far_pose(case):
+    certificate, source, target = case
+    theta = np.append(certificate.theta[:-1], 1e6)
+    value = family_of(case).objective(theta)
+    box = np.maximum(-certificate.start_lower, certificate.start_upper)
+    forged = one_leaf(certificate, box, theta, value, 0.9e-9 * value)
+    assert not verify(forged, source, target, n_samples=0).accepted
+
+
+def test_a_huge_start_box_hides_no_gap():
+    end, gap = np.full(2, 1e13), 4.0
+    lower, upper = np.stack([-end, -end]), np.stack([end, end])
+    upper[0, 0], lower[1, 0] = -gap, gap
+    with pytest.raises(CertificateError, match="a gap"):
+        check_cover(-end, end, lower, upper)
+
+
 def test_a_local_optimum_passed_off_as_global_is_refused(tmp_path, case):
     """All entries agree with each other, but the objective is lower elsewhere."""
     certificate = case[0]
