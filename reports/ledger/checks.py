@@ -146,11 +146,22 @@ def found(source: Source, p: Parameters, *, limits_decide: bool = False) -> Find
     ]
     finding.parts = [
         part
-        if worlds and all(world[at].verdict == part.verdict for world in worlds)
+        if worlds and _stands(part, [world[at] for world in worlds], p["claimed"])
         else replace(part, verdict=intervals.OPEN, hangs=part.verdict != intervals.OPEN)
         for at, part in enumerate(finding.parts)
     ]
     return finding
+
+
+def _stands(part: Part, extremes: Sequence[Part], claimed: Parameters) -> bool:
+    """Whether a verdict is that of all extremes, and of what lies between them."""
+    if any(other.verdict != part.verdict for other in extremes):
+        return False
+    # on either side of a claimed range, or value: between them lies the range
+    low = min(other.interval.low for other in extremes)
+    high = max(other.interval.high for other in extremes)
+    hull = replace(part.interval, low=low, high=high)
+    return part.verdict != intervals.NOT or intervals.judge(hull, claimed) == intervals.NOT
 
 
 def _of_work(p: Parameters, finding: Finding) -> bool:

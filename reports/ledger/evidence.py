@@ -83,6 +83,7 @@ class Experiment:
         return runs.assign(
             error=sides.clip(SHORTEST, LONGEST),
             rmse=runs["rmse"].fillna(worst),
+            rmse_most=worst,
             time=counted_time(runs, self.tables.cards),
             success=runs["success"].astype(float),
             wrong=~runs["success"].astype(bool),
@@ -110,10 +111,9 @@ def imagined(runs: pd.DataFrame, most: np.ndarray) -> pd.DataFrame:
     """The runs as if those at a limit had gone on and come to the least, or `most`, that they could."""
     open_time = runs["limited"].to_numpy()
     open_pose = open_time & ~runs["settled"].to_numpy()
-    worst = runs["rmse"].max()
     ends: dict[str, tuple[Any, Any, np.ndarray]] = {
         "error": (SHORTEST, LONGEST, open_pose),
-        "rmse": (SHORTEST, worst, open_pose),
+        "rmse": (SHORTEST, runs["rmse_most"], open_pose),
         "success": (0.0, 1.0, open_pose),
         "search_error": (0.0, 1.0, open_pose),
         "objective": (-np.inf, np.inf, open_pose),

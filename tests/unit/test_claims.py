@@ -324,6 +324,26 @@ def test_a_run_at_a_limit_took_at_least_its_time(side, verdict):
     assert judged(evidence(slow, runs_of("rival")), check).verdict == verdict
 
 
+@pytest.mark.parametrize(
+    "check",
+    [{**RATIO, "claimed": {"within": [0.8, 1.25]}}, {**SLOPE, "claimed": {"contains": 0}}],
+)
+def test_a_range_between_the_ends_of_runs_at_a_limit_leaves_it_open(check):
+    """Far too small or far too large is no verdict: the runs might have come to the claimed range."""
+    mine = runs_of("ours", rmse_excess=lambda level, draw: draw * (0.01 + 2.0 * level))
+    other = runs_of("rival", rmse_excess=0.01)
+    assert judged(evidence(mine, other), check).verdict == NOT
+    assert judged(evidence(limited(mine, TRIALS), other), check).verdict == OPEN
+
+
+def test_a_run_at_a_limit_may_come_to_the_greatest_rmse_of_all():
+    check = {**VALUE, "quantity": "rmse", "claimed": {"below": 0.2}}
+    mine = runs_of("ours", rmse=0.1)
+    assert judged(evidence(mine, runs_of("rival", rmse=5.0)), check).verdict == REPRODUCED
+    at_limit = limited(mine, TRIALS)
+    assert judged(evidence(at_limit, runs_of("rival", rmse=5.0)), check).verdict == OPEN
+
+
 @pytest.mark.parametrize("check", [SPREAD, {**TREND, "quantities": ["n_nodes"]}])
 def test_figures_whose_extremes_are_not_known_stay_open_with_runs_at_a_limit(check):
     ours = runs_of("ours", n_nodes=lambda level, draw: draw + 10 * level)
