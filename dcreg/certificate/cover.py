@@ -8,7 +8,7 @@ import numpy as np
 
 from dcreg.certificate.format import CertificateError
 
-# Coordinates closer than this share of the start box, or of the clouds if these are smaller, are the same.
+# Coordinates closer than this share of the start box, or of smaller clouds, are the same.
 SAME = 1e-12
 
 

@@ -213,13 +213,13 @@ def check_clouds(c: Certificate, source: np.ndarray, target: np.ndarray) -> None
     unit = _extent(target) or _extent(source) or 1.0
     if not abs(c.unit - unit) <= 1e-6 * unit:
         raise CertificateError(f"unit: {c.unit:.9g} stated, but the clouds measure {unit:.9g}")
-    for name, points, stated in (
+    for name, points, centre in (
         ("source", source, c.source_centre),
         ("target", target, c.target_centre),
     ):
-        centre = points.mean(axis=0)
-        if not (np.abs(stated - centre) <= 1e-6 * unit + 1e-12 * np.abs(points).max()).all():
-            raise CertificateError(f"{name}_centre: {stated} stated, but it is {centre}")
+        mean = points.mean(axis=0)
+        if not (np.abs(centre - mean) <= 1e-6 * unit + 1e-12 * np.abs(points).max()).all():
+            raise CertificateError(f"{name}_centre: {centre} stated, but it is {mean}")
 
 
 def _extent(points: np.ndarray) -> float:

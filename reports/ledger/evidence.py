@@ -68,7 +68,8 @@ class Experiment:
     def runs(self) -> pd.DataFrame:
         """Attempted runs with the quantities of claims, and of those at a limit which are ``settled``.
 
-        A settled run found what another one proved to be optimal: more time would change no error.
+        A settled run found what is proven optimal, within its tolerance: more time would hardly
+        change an error. Only runs whose bounds speak of the pose are, as only they search for it.
         """
         runs = attempted(self.tables.runs)
         scale = np.array([_scale(text) for text in runs["T_reference"]])
