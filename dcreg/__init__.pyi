@@ -1,5 +1,6 @@
 """The public names and where they live; ``__init__.py`` loads each of them on its first use."""
 
+from . import certificate, modes, search
 from .certificate import Certificate, Report, verify
 from .io import read_candidates, read_matches, read_points
 from .local import objective
@@ -32,9 +33,11 @@ __all__ = [
     "Trace",
     "advice",
     "bound_names",
+    "certificate",
     "default_gap_tol",
     "gap_tol_of",
     "mode_names",
+    "modes",
     "objective",
     "plot_registration",
     "plot_sweep",
@@ -43,6 +46,7 @@ __all__ = [
     "read_points",
     "register",
     "register_matches",
+    "search",
     "sweep",
     "verify",
     "warm_up",

@@ -10,16 +10,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from dcreg.problem import EXACT, Problem, rms_radius, unit_length
+from dcreg.problem import EXACT, Problem, median_spacing, rms_radius, unit_length
 from dcreg.result import Result
 from dcreg.status import Status
 
 _MANY_POINTS = 1000
 _MUCH_LARGER = 100.0
 _OTHER_SIZE = 10.0
-_LOOKED_AT = 5000  # target points, whose median distance to the next one is taken
+TOO_MANY_PAIRS = "pairs are probably too many"  # in the line of `loose_pairs`
 _LOOSE = (
     2.0  # RMSE in spacings of the target; scans of one object stay below where n_inliers is right
 )
@@ -119,15 +118,12 @@ def other_size(case: Case) -> str | None:
 def loose_pairs(case: Case) -> str | None:
     """Matched points lie farther apart than neighbours do: some of the pairs can hardly be true."""
     problem, result = case.problem, case.result
-    if len(problem.target) < 2:
-        return None
-    some = problem.target[:: -(-len(problem.target) // _LOOKED_AT)]
-    spacing = np.median(cKDTree(problem.target).query(some, k=2)[0][:, 1])
+    spacing = median_spacing(problem.target)
     if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0:
         return None
     return (
         f"matched points lie {result.rmse_matched:.3g} apart (RMS), neighbours in the target "
-        f"{spacing:.3g}: {result.n_inliers} pairs are probably too many, and the pose may be wrong. Try "
+        f"{spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. Try "
         "a smaller n_inliers (`dcreg sweep` tries several), or remove stray points first"
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 from dcreg import text
 from dcreg._version import __version__
 from dcreg.files import as_json, plain, whole_file, write_text
+from dcreg.remedies import TOO_MANY_PAIRS
 from dcreg.result import Result
 from dcreg.status import Status
 
@@ -50,14 +51,17 @@ class SweepResult:
     def suggested_n_inliers(self) -> int | None:
         """Where the fractional RMSE of the final poses is least: a suggestion, nothing is proven of it.
 
-        That is the RMSE over the cube of the number of pairs (after Phillips, Liu and Tomasi 2007). None
-        where it is least at an end, so that the answer may lie beyond.
+        That is the RMSE over the cube of the number of pairs (after Phillips, Liu and Tomasi 2007), of
+        those that no warning calls too many pairs. None where it is least at an end, so that the answer
+        may lie beyond.
         """
         k = np.array([r.n_inliers for r in self.results], dtype=float)
         rmse = np.array([r.rmse_matched for r in self.results])
         last = self.results[-1]
         least = _ROUNDING * np.sqrt(last.gap_tol / last.n_bounded)
-        at = int(np.argmin(np.maximum(rmse, least) / k**_FRACTION_POWER))
+        fraction = np.maximum(rmse, least) / k**_FRACTION_POWER
+        loose = [any(TOO_MANY_PAIRS in line for line in r.warnings) for r in self.results]
+        at = int(np.argmin(np.where(loose, np.inf, fraction)))
         return int(k[at]) if 0 < at < len(k) - 1 else None
 
     @property

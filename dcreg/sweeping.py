@@ -36,7 +36,7 @@ from dcreg.modes import AUTO, CHOSEN, Answer, Mode, Task, choose_mode, find_mode
 from dcreg.modes.full import pose_in
 from dcreg.modes.paper import TRANSLATION_SHARE, place, pose_of
 from dcreg.names import DEFAULT_TIME_LIMIT_S, mode_names
-from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
+from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of, median_spacing
 from dcreg.registration import advise, check_settings, completed, in_file_units, result_of
 from dcreg.result import Result, Stage
 from dcreg.sampling import SEARCH_SHARE, to_search
@@ -295,12 +295,13 @@ class _Sweep:
         """
         found: list[Result] = []
         known: Matched | None = None
+        spacing = median_spacing(self.levels[0].whole.target)
         for n_left in range(len(self.levels), 0, -1):
             budget = self.budget.part(1.0 / n_left)
             level = self.levels[n_left - 1]
             found.insert(0, self._result(level, polish, time_setup, budget, known))
             last = found[0]
-            known = Matched(last.T_target_source, last.assignment, last.objective)
+            known = Matched(last.T_target_source, last.assignment, spacing)
         return found
 
     def _result(

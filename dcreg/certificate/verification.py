@@ -47,7 +47,7 @@ class Report:
     statement : str
         What is now known to hold; empty if refused.
     is_trivial : bool
-        Whether the bounds are of norms and the lower one is 0, as of any sum of squares.
+        Whether the lower bound is 0, as of any sum of squares, and the upper one is not.
     checks : list of str
         One line per check that was passed.
     model : str
@@ -189,9 +189,7 @@ def _check(
         f"{family.scope}: the least sum over {c.n_inliers} one-to-one pairs{among} of squared "
         f"residuals lies in [{report.lower_bound:.9g}, {report.upper_bound:.9g}]"
     )
-    # norms can agree where points do not: that they do tells nothing of a pose
-    in_norm_space = c.model == "translation3d"
-    report.is_trivial = in_norm_space and c.lower_bound <= 0.0 and c.upper_bound > slack
+    report.is_trivial = c.lower_bound <= 0.0 and c.upper_bound > slack
 
 
 # --- the clouds -------------------------------------------------------------------------------

@@ -13,6 +13,8 @@ from dcreg.local.fit import fit_pose
 from dcreg.local.sparse import is_large, nearest_pairs, sparse_matching
 from dcreg.search import Budget
 
+# So few pairs are matched to the end in a quarter of a second, whatever the clock says.
+_AT_ONCE_PAIRS = 1_200_000
 _MAX_ROUNDS = 100
 _MAX_LARGE_ROUNDS = 10
 # Share of the objective by which a step has to lower it.
@@ -44,7 +46,8 @@ def objective(
     prove : bool
         For large clouds: False takes a quick upper bound instead.
     stop : (1,) uint8 array
-        Set from another thread, it asks for an upper bound at once: near pairs, chosen greedily.
+        Set from another thread, it asks for an upper bound at once: near pairs, chosen greedily. Small
+        clouds are matched to the end all the same.
 
     Returns
     -------
@@ -53,6 +56,8 @@ def objective(
     """
     d = source.shape[1]
     moved = source @ T_target_source[:d, :d].T + T_target_source[:d, d]
+    if len(source) * len(target) <= _AT_ONCE_PAIRS:
+        stop = NEVER
     if candidates is None and (stop[0] or is_large(len(source), len(target))):
         found = sparse_matching(moved, target, n_inliers, prove=prove, stop=stop)
         return found.value, found.pairs

@@ -9,8 +9,9 @@ import numpy as np
 from dcreg.kernels.points import NEVER
 from dcreg.local.polish import objective
 
-# The pairs are those of a pose too where they cost no more than this many times what they did on average.
-_STILL_NEAR = 4.0
+# At another pose the pairs are still good ones where it moves the points by so little, in spacings of the
+# target (root mean square).
+_STILL_NEAR = 0.5
 
 
 @dataclass(frozen=True)
@@ -21,13 +22,20 @@ class Matched:
     ----------
     T_target_source : (d+1, d+1) array
     pairs : (K, 2) int array
-    value : float
-        The sum of their squared residuals there.
+    spacing : float
+        Of the target's points.
     """
 
     T_target_source: np.ndarray
     pairs: np.ndarray
-    value: float
+    spacing: float
+
+    def is_near(self, source: np.ndarray, T: np.ndarray) -> bool:
+        """Whether `T` is so near that the pairs will do there too."""
+        d = source.shape[1]
+        change = T - self.T_target_source
+        moved = source @ change[:d, :d].T + change[:d, d]
+        return float((moved**2).sum(axis=1).mean()) <= (_STILL_NEAR * self.spacing) ** 2
 
     def cheapest(
         self, source: np.ndarray, target: np.ndarray, T: np.ndarray, k: int
@@ -52,7 +60,7 @@ def quick_objective(
     prove: bool = True,
     stop: np.ndarray = NEVER,
 ) -> tuple[float, np.ndarray]:
-    """`objective`, but that once `stop` is set pairs of a pose nearby will do.
+    """`objective`, but that once `stop` is set pairs of a pose nearby will do, and better ones are taken.
 
     Parameters
     ----------
@@ -66,8 +74,12 @@ def quick_objective(
     value, assignment
         As in `objective`: the true value of these pairs, which bounds the least one from above.
     """
-    if known is not None and stop[0]:
-        value, pairs = known.cheapest(source, target, T_target_source, n_inliers)
-        if value / n_inliers <= _STILL_NEAR * known.value / len(known.pairs):
-            return value, pairs
-    return objective(source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop)
+    if known is None or not stop[0]:
+        return objective(
+            source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop
+        )
+    found = known.cheapest(source, target, T_target_source, n_inliers)
+    if known.is_near(source, T_target_source):
+        return found
+    own = objective(source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop)
+    return min(found, own, key=lambda matched: matched[0])

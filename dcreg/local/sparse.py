@@ -18,9 +18,7 @@ from dcreg.kernels.points import NEVER
 # Up to here the pairs are held in a dense matrix; beyond, this many neighbour pairs are the most.
 DENSE_PAIRS = 4_000_000
 _FIRST_NEIGHBOURS = 16
-# In a hurry: so few neighbours, each at most 1 + this times as far as the true one. At a pose where the
-# clouds do not meet, this takes a sixth of the time.
-_HURRIED_NEIGHBOURS, _HURRIED_SLACK = 4, 3.0
+_HURRIED_NEIGHBOURS = 8
 _LEFTOVER_ROUNDS = 8  # of pairing near points that the neighbours leave over
 _MAX_PRICES = 16
 _ROUGH = 1.02  # size of a matching that may be cut to k where no proof is asked for
@@ -102,10 +100,9 @@ def _near(
     tree: cKDTree, points: np.ndarray, count: int, stop: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Columns of `count` near points of the tree for every row, nearest first, and their costs."""
-    slack = 0.0
     if stop[0]:
-        count, slack = min(count, _HURRIED_NEIGHBOURS), _HURRIED_SLACK
-    distances, columns = tree.query(points, k=np.arange(1, count + 1), eps=slack)
+        count = min(count, _HURRIED_NEIGHBOURS)
+    distances, columns = tree.query(points, k=np.arange(1, count + 1))
     return columns.astype(np.int64), distances**2
 
 

@@ -6,7 +6,7 @@ from dcreg.problem.frame import Frame
 from dcreg.problem.pairs import Candidates
 from dcreg.problem.pose import nearest_rotation, rotation_angle_deg, scale_of
 from dcreg.problem.problem import MODEL_DIM, ModelName, Problem
-from dcreg.problem.sample import farthest_points, representative_points
+from dcreg.problem.sample import farthest_points, median_spacing, representative_points
 from dcreg.problem.tolerance import (
     EXACT,
     TOLERATED_NORM_RESIDUAL,
@@ -31,6 +31,7 @@ __all__ = [
     "default_gap_tol",
     "farthest_points",
     "gap_tol_of",
+    "median_spacing",
     "nearest_rotation",
     "representative_points",
     "rms_radius",

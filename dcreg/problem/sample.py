@@ -5,8 +5,17 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+_LOOKED_AT = 5000  # points, for the median distance to the next one
 _NEIGHBOURS = 3
 _ISOLATED = 6.0  # times the median distance to the third neighbour
+
+
+def median_spacing(points: np.ndarray) -> float:
+    """Median distance of a point to the next one, of at most `_LOOKED_AT` points; 0 for a single one."""
+    if len(points) < 2:
+        return 0.0
+    some = points[:: -(-len(points) // _LOOKED_AT)]
+    return float(np.median(cKDTree(points).query(some, k=2)[0][:, 1]))
 
 
 def farthest_points(points: np.ndarray, count: int) -> np.ndarray:

@@ -619,6 +619,17 @@ def test_a_bound_of_zero_needs_no_proof(monkeypatch):
     assert "bound is false" in verify(forged, source, target, n_samples=0).reason
 
 
+def test_a_lower_bound_of_zero_says_nothing_in_the_plane_too(rng):
+    source = rng.random((12, 2))
+    target = source + 1e-3 * rng.standard_normal((12, 2))
+    found = dcreg.register(source, target, n_inliers=12, model="similarity2d", certificate=True)
+    assert found.success
+    assert found.lower_bound == 0 < found.upper_bound
+    report = verify(found.certificate, source, target)
+    assert report.accepted, report.reason
+    assert report.is_trivial
+
+
 def test_the_check_says_what_was_proven(case):
     certificate, source, target = case
     area = certificate.unit**2

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.local import Matched, objective, quick_objective
-from dcreg.problem import Problem
+from dcreg.problem import Problem, median_spacing
 from dcreg.sampling import refined
 from dcreg.search import Budget
 
@@ -21,8 +21,8 @@ def clouds(rng):
 
 @pytest.fixture
 def known(clouds):
-    value, pairs = objective(*clouds, np.eye(4), 50)
-    return Matched(np.eye(4), pairs, value)
+    _, pairs = objective(*clouds, np.eye(4), 50)
+    return Matched(np.eye(4), pairs, median_spacing(clouds[1]))
 
 
 def turned(angle):
@@ -49,11 +49,37 @@ def test_elsewhere_and_in_time_points_are_looked_up(clouds, known, angle, stop):
     np.testing.assert_array_equal(found[1], alone[1])
 
 
+def test_pairs_of_a_bad_pose_do_not_pass_for_those_of_a_good_one(clouds):
+    _, pairs = objective(*clouds, turned(1.5), 60)
+    bad = Matched(turned(1.5), pairs, median_spacing(clouds[1]))
+    found = quick_objective(*clouds, np.eye(4), 40, known=bad, stop=OVER)
+    assert found[0] == objective(*clouds, np.eye(4), 40)[0]
+
+
+def test_small_clouds_are_matched_to_the_end_past_the_limit(rng):
+    source = rng.random((400, 3))
+    target = source[rng.permutation(400)] + 0.05 * rng.standard_normal((400, 3))
+    late, in_time = (objective(source, target, turned(0.3), 300, stop=s) for s in (OVER, UNDER_WAY))
+    assert late[0] == in_time[0]
+    np.testing.assert_array_equal(late[1], in_time[1])
+
+
+def test_a_sweep_past_its_limit_states_the_pairs_of_its_poses(rng):
+    source = rng.random((300, 3)) * [2.0, 1.0, 0.5]
+    target = np.concatenate(
+        [source[:150] + 0.01 * rng.standard_normal((150, 3)), rng.random((150, 3)) + 1.0]
+    )
+    found = dcreg.sweep(source, target, [100, 150, 300], model="rigid3d", time_limit=0.2)
+    for result in found.results:
+        best, _ = objective(source, target, result.T_target_source, result.n_inliers)
+        assert result.objective == pytest.approx(best, rel=1e-9)
+
+
 @pytest.mark.parametrize(("known_angle", "taken"), [(0.0, True), (3.0, False)])
 def test_the_better_pose_of_other_pairs_is_taken(clouds, known_angle, taken):
     """That of a larger cardinality, refined on all points, may better what a sample gave."""
-    value, pairs = objective(*clouds, turned(known_angle), 50)
-    known = Matched(turned(known_angle), pairs, value)
+    _, pairs = objective(*clouds, turned(known_angle), 50)
+    known = Matched(turned(known_angle), pairs, median_spacing(clouds[1]))
     sample = Problem(clouds[0][:30], clouds[1][:30], 20, "rigid3d")
     found = dcreg.register(
         sample.source, sample.target, n_inliers=20, model="rigid3d", node_limit=1

@@ -3,6 +3,7 @@
 import itertools
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from dcreg.kernels.points import NEVER
 from dcreg.problem import InputError
+from dcreg.remedies import TOO_MANY_PAIRS
 from dcreg.search import Budget
 from dcreg.spaces import Similarity2D
 from dcreg.status import Status
@@ -118,6 +120,22 @@ def test_suggested_is_where_the_clutter_begins(found):
 @pytest.mark.parametrize("counts", [[16, 18, 20, 22], [18, 19, 20, 21, 22, 23, 24], [8, 20, 24]])
 def test_suggestion_does_not_depend_on_where_the_sweep_begins_and_ends(clouds, counts):
     assert dcreg.sweep(*clouds, counts, model="similarity2d").suggested_n_inliers == 20
+
+
+def test_nothing_is_suggested_that_a_warning_calls_too_many_pairs(found):
+    def warned(counts):
+        results = [
+            replace(
+                r, warnings=[f"{r.n_inliers} {TOO_MANY_PAIRS}"] if r.n_inliers in counts else []
+            )
+            for r in found.results
+        ]
+        return replace(found, results=results).suggested_n_inliers
+
+    larger = [r.n_inliers for r in found.results if r.n_inliers > 20]
+    assert warned(larger) == 20
+    assert warned([20, *larger]) < 20
+    assert warned([r.n_inliers for r in found.results]) is None
 
 
 def test_no_suggestion_where_nothing_stands_out(clouds):
