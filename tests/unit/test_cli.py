@@ -638,10 +638,12 @@ def test_written_certificate_is_verified_and_a_damaged_one_refused(tmp_path):
     a, b, proof = (str(tmp_path / name) for name in ("a.txt", "b.txt", "proof.npz"))
     runner = CliRunner()
     arguments = ["register", a, b, "--model", "similarity2d", "--n-inliers", "12"]
-    assert runner.invoke(app, [*arguments, "--certificate", proof]).exit_code == 0
-    accepted = runner.invoke(app, ["verify", proof, a, b])
-    assert accepted.exit_code == 0
-    assert "proven:" in accepted.output
+    for tolerance, said in (([], "holds, but says nothing:"), (["--tol", "0.0005"], "proven:")):
+        made = runner.invoke(app, [*arguments, *tolerance, "--certificate", proof])
+        assert made.exit_code == 0
+        accepted = runner.invoke(app, ["verify", proof, a, b])
+        assert accepted.exit_code == 0
+        assert said in accepted.output
     refused = runner.invoke(app, ["verify", proof, b, a])
     assert refused.exit_code == 1
     assert "refused:" in refused.output

@@ -82,7 +82,8 @@ def test_paths_named_in_code_spans_exist():
 
 def test_every_public_name_is_in_the_reference():
     reference = text_of(DOCS / "api.md")
-    assert not [name for name in dcreg.__all__ if f"dcreg.{name}\n" not in reference]
+    # a module by what it holds
+    assert not [n for n in dcreg.__all__ if not re.search(rf"dcreg\.{n}[.\n]", reference)]
 
 
 @pytest.mark.parametrize(
