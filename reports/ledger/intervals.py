@@ -65,10 +65,10 @@ def ratio(above: np.ndarray, below: np.ndarray) -> Interval:
     return bootstrap(lambda rows: above[rows].mean(axis=1) / below[rows].mean(axis=1), len(above))
 
 
-# side -> (wholly on the claimed side, wholly on the other)
+# side -> (wholly on the claimed side, wholly on the other); a tie is not below, nor above
 _SIDES: dict[str, Callable[[Interval, Any], tuple[bool, bool]]] = {
-    "below": lambda i, t: (i.high < t, i.low > t),
-    "above": lambda i, t: (i.low > t, i.high < t),
+    "below": lambda i, t: (i.high < t, i.low >= t),
+    "above": lambda i, t: (i.low > t, i.high <= t),
     "at_most": lambda i, t: (i.high <= t, i.low > t),
     "at_least": lambda i, t: (i.low >= t, i.high < t),
     "within": lambda i, t: (i.low >= t[0] and i.high <= t[1], i.low > t[1] or i.high < t[0]),
