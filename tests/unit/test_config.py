@@ -47,23 +47,32 @@ def test_the_configs_of_the_checkout_are_valid(name):
 
 @pytest.mark.parametrize("name", WITH_QUICK)
 def test_quick_parts_have_every_method_and_test_and_end_within_15_minutes(name):
-    """On two cores, if every run took its limit, or, of most methods, what they are known to take."""
+    """On two cores, if every run took its limit, or, of most methods, what they are known to take.
+
+    Searches that end by boxes were seen to take 0.4 of their limit in the mean of horse and dino.
+    """
     whole, quick = config.load(name), config.load(f"{name}-quick")
     assert quick.name == config.origin(quick.name) == f"{name}-quick"
     assert {m.baseline for m in quick.methods} == {m.baseline for m in whole.methods}
     if quick.datasets[0].dataset == "threedmatch":  # lists of their own: test_threedmatch.py
         return
-    assert [method.name for method in quick.methods] == [method.name for method in whole.methods]
+    names = [{method.name for method in each.methods} for each in (whole, quick)]
+    # where a setting is varied, fewer of its values
+    assert names[1] < names[0] if name == "sensitivity" else names[1] == names[0]
     tests = [{t for entry in each.datasets for t in entry.tests} for each in (whole, quick)]
     assert tests[0] == tests[1]
     plan = expand(quick)
-    # Methods of the harness that treat pairs, or are local, take less than a second at these sizes.
-    short = {"teaser", "gnc_tls", "clipper", "sc2_pcr", "sc2_pcr_pp", "turboreg", "ransac", "icp"}
-    short |= {name for name in methods.names() if methods.card(name).requires}
-    seconds = sum(
-        min(1.0, quick.limits.time_s) if run.method.baseline in short else quick.limits.time_s
-        for run in plan.runs()
-    )
+    # Methods of the harness that treat pairs, or are local, take less than that at these sizes.
+    at_most = dict.fromkeys(("gnc_tls", "sc2_pcr", "sc2_pcr_pp", "turboreg", "ransac"), 0.1)
+    at_most |= {name: 0.1 for name in methods.names() if methods.card(name).requires}
+    at_most |= {"icp": 0.2, "clipper": 0.5, "mac": 1.0, "cpd": 1.0}
+
+    def seconds_of(method):
+        limits = quick.limits_of(method)
+        by_boxes = limits.nodes is not None or limits.nodes_at_100 is not None
+        return min(limits.time_s * (0.5 if by_boxes else 1.0), at_most.get(method.baseline, np.inf))
+
+    seconds = sum(seconds_of(run.method) for run in plan.runs())
     start_s = 3.0  # of a job, on one core
     assert seconds + start_s * len(list(plan.jobs())) < 2 * 14 * 60
 
