@@ -16,8 +16,7 @@ as well as those before, the bounds per pair hardly move and one search serves m
 where outliers come in, every cardinality has its own search, over its own (smaller) start box.
 
 Poses travel both ways: the best one for k, refined, is tried for the neighbours of k; as it is where
-the time is over. Results are made from the most pairs down: at poses nearby their pairs hold those for
-fewer, so that after a limit or a stop many cardinalities of large clouds take hardly longer than one.
+the time is over. Results are made from the most pairs down: their pairs and poses are tried for fewer.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from dcreg.modes import AUTO, CHOSEN, Answer, Mode, Task, choose_mode, find_mode
 from dcreg.modes.full import pose_in
 from dcreg.modes.paper import TRANSLATION_SHARE, place, pose_of
 from dcreg.names import DEFAULT_TIME_LIMIT_S, mode_names
-from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of, median_spacing
+from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
 from dcreg.registration import advise, check_settings, completed, in_file_units, result_of
 from dcreg.result import Result, Stage
 from dcreg.sampling import SEARCH_SHARE, to_search
@@ -291,17 +290,16 @@ class _Sweep:
     def results(self, polish: bool, time_setup: float) -> list[Result]:
         """Poses and results, each with an equal share of the time that is left.
 
-        The most pairs come first: they hold those for fewer where their poses are near.
+        The most pairs come first: the cheapest of them may serve for fewer.
         """
         found: list[Result] = []
         known: Matched | None = None
-        spacing = median_spacing(self.levels[0].whole.target)
         for n_left in range(len(self.levels), 0, -1):
             budget = self.budget.part(1.0 / n_left)
             level = self.levels[n_left - 1]
             found.insert(0, self._result(level, polish, time_setup, budget, known))
             last = found[0]
-            known = Matched(last.T_target_source, last.assignment, spacing)
+            known = Matched(last.T_target_source, last.assignment)
         return found
 
     def _result(

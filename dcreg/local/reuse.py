@@ -1,4 +1,4 @@
-"""Pairs matched at one pose, used again for fewer pairs at a pose nearby: no point is looked up anew."""
+"""Pairs matched at one pose, tried for fewer pairs at another."""
 
 from __future__ import annotations
 
@@ -9,10 +9,6 @@ import numpy as np
 from dcreg.kernels.points import NEVER
 from dcreg.local.polish import objective
 
-# At another pose the pairs are still good ones where it moves the points by so little, in spacings of the
-# target (root mean square).
-_STILL_NEAR = 0.5
-
 
 @dataclass(frozen=True)
 class Matched:
@@ -22,20 +18,10 @@ class Matched:
     ----------
     T_target_source : (d+1, d+1) array
     pairs : (K, 2) int array
-    spacing : float
-        Of the target's points.
     """
 
     T_target_source: np.ndarray
     pairs: np.ndarray
-    spacing: float
-
-    def is_near(self, source: np.ndarray, T: np.ndarray) -> bool:
-        """Whether `T` is so near that the pairs will do there too."""
-        d = source.shape[1]
-        change = T - self.T_target_source
-        moved = source @ change[:d, :d].T + change[:d, d]
-        return float((moved**2).sum(axis=1).mean()) <= (_STILL_NEAR * self.spacing) ** 2
 
     def cheapest(
         self, source: np.ndarray, target: np.ndarray, T: np.ndarray, k: int
@@ -60,7 +46,7 @@ def quick_objective(
     prove: bool = True,
     stop: np.ndarray = NEVER,
 ) -> tuple[float, np.ndarray]:
-    """`objective`, but that once `stop` is set pairs of a pose nearby will do, and better ones are taken.
+    """`objective`, but that once `stop` is set the better of its pairs and of known ones is taken.
 
     Parameters
     ----------
@@ -78,8 +64,6 @@ def quick_objective(
         return objective(
             source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop
         )
-    found = known.cheapest(source, target, T_target_source, n_inliers)
-    if known.is_near(source, T_target_source):
-        return found
     own = objective(source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop)
-    return min(found, own, key=lambda matched: matched[0])
+    found = known.cheapest(source, target, T_target_source, n_inliers)
+    return min(own, found, key=lambda matched: matched[0])
