@@ -51,6 +51,10 @@ from dcreg.warm_up import special, warm_up_mode
 TIGHTEST_SHARE = 0.5
 # Of the time, for the descents of all cardinalities together: none goes without.
 STARTING_SHARE = 0.5
+# What it takes to match all points at a pose, roughly: kept free for every cardinality, though no
+# more than this share of the time.
+_ENDING_S_PER_POINT = 5e-6
+_LARGEST_ENDING = 0.75
 
 
 def sweep(
@@ -193,11 +197,21 @@ class _Sweep:
 
     def __init__(self, levels: list[Level], mode: Mode, budget: Budget) -> None:
         self.levels, self.mode, self.budget = levels, mode, budget
-        share = TRANSLATION_SHARE if mode.in_norm_space else 1.0
-        if levels[0].is_sampled:
-            share *= SEARCH_SHARE
-        self.searching = budget.stage(share)
+        self.searching = budget.stage(self._searching_share())
         self.rotation: np.ndarray | None = None  # that of the last translation
+
+    def _searching_share(self) -> float:
+        """Share of the time that is searched: the rest is for placing and matching what was found."""
+        share = TRANSLATION_SHARE if self.mode.in_norm_space else 1.0
+        if self.levels[0].is_sampled:
+            share *= SEARCH_SHARE
+        limit = self.budget.left()
+        if not limit:
+            return share
+        whole = self.levels[0].whole
+        points = max(len(whole.source), len(whole.target))
+        ending = len(self.levels) * points * _ENDING_S_PER_POINT / limit
+        return min(share, 1.0 - min(ending, _LARGEST_ENDING))
 
     def incumbents(self) -> None:
         """A pose for every cardinality, from descents of its own and from its neighbours'."""
@@ -295,7 +309,7 @@ class _Sweep:
         found: list[Result] = []
         known: Matched | None = None
         for n_left in range(len(self.levels), 0, -1):
-            budget = self.budget.part(1.0 / n_left)
+            budget = self.budget.stage(1.0 / n_left)
             level = self.levels[n_left - 1]
             found.insert(0, self._result(level, polish, time_setup, budget, known))
             last = found[0]

@@ -69,7 +69,8 @@ class Budget:
         self._began = self._told = time.perf_counter()
         time_s = None if time_s == np.inf else time_s
         self._deadline = None if time_s is None else self._began + time_s
-        self._closing_s = _CLOSING_S + _CLOSING_SHARE * (time_s or 0.0)
+        closing_s = _CLOSING_S + _CLOSING_SHARE * (time_s or 0.0)
+        self._closing = None if self._deadline is None else self._deadline + closing_s
         self._root = self  # of all parts: the one that knows whether the caller asked to stop
         self._stopped = False
         self._stage = "start"
@@ -106,9 +107,12 @@ class Budget:
                 stage.stop[0] |= stage.is_over
             if over_s is None and self.is_over:
                 over_s, self.stop[0] = now, 1
-            closing_s = _CLOSING_S if self.stopped else self._closing_s  # who stops it is waiting
-            if over_s is not None and now - over_s >= closing_s:
-                self.closed[0] = 1
+            hurry = self.stopped and over_s is not None and now - over_s >= _CLOSING_S
+            for part in (self, *self._stages):
+                part.closed[0] |= hurry or part._is_closing(now)
+
+    def _is_closing(self, now: float) -> bool:
+        return self._closing is not None and now >= self._closing
 
     def elapsed(self) -> float:
         """Seconds since the solve began; the same clock in all parts."""
@@ -145,9 +149,11 @@ class Budget:
         return part
 
     def stage(self, share: float) -> Budget:
-        """A part with a `stop` of its own, so that no kernel of this stage takes the time of the next."""
-        part = self.part(share)
-        part.stop = self.stop.copy()
+        """A part with a `stop` and a `closed` of its own: its kernels take no time of the next stage."""
+        part, now = self.part(share), time.perf_counter()
+        if self._closing is not None:
+            part._closing = now + share * max(0.0, self._closing - now)
+        part.stop, part.closed = self.stop.copy(), self.closed | part._is_closing(now)
         self._root._stages.append(part)
         return part
 

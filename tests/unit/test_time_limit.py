@@ -152,6 +152,24 @@ def test_kernels_of_a_stage_are_stopped_at_its_end():
         assert not budget.stop[0]
 
 
+def test_what_completes_a_stage_ends_before_the_next():
+    with Budget(20.0) as budget:
+        closed_before = budget.stage(0.01).stage(1.0).closed[0]
+        stage = budget.stage(0.01)
+        while not stage.closed[0] and budget.elapsed() < 10.0:
+            time.sleep(0.01)
+        assert not closed_before
+        # later than its own end, by its share of what follows the limit
+        assert 0.2 < budget.elapsed() < 10.0
+        assert not budget.closed[0]
+
+
+def test_a_stage_after_the_end_is_closed_at_once():
+    budget = Budget(0.0)
+    time.sleep(0.25)
+    assert budget.stage(0.5).closed[0] == 1
+
+
 def test_a_stop_is_seen_at_once():
     with Budget(listener=lambda event: True) as budget:
         stage = budget.stage(1.0)
