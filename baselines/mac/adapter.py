@@ -7,6 +7,7 @@ import numpy as np
 from baselines._shared.cliques import pack
 from baselines._shared.consistency import length_differences, sharing, vote_scale
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
+from baselines._shared.poses import median_spacing
 from baselines._shared.robust import squared_residuals
 from baselines.contract import Instance
 from baselines.mac.enumerate import HeaviestCliques
@@ -25,7 +26,11 @@ class Adapter(CorrespondenceMethod):
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
         bound = self.inlier_distance(instance)
         scale = vote_scale(source, target, 2 * bound, instance.scale_range)
-        weights = second_order_graph(scale * source, target, pairs, 2 * bound, for_graph)
+        first = compatibility(
+            scale * source, target, pairs, 2 * bound,
+            self.options["compatibility_width"], self.options["compatibility_threshold"],
+        )  # fmt: skip
+        weights = second_order_graph(first, for_graph)
         order = np.argsort(-weights.sum(axis=1), kind="stable")
         search = HeaviestCliques(pack(weights > 0), weights, order, self.options["max_cliques"])
         listed = search.run(for_cliques)
@@ -45,19 +50,35 @@ class Adapter(CorrespondenceMethod):
         return Estimate(best, listed and judged, message, {"maximal_cliques": search.n_cliques})
 
 
-def second_order_graph(
+def compatibility(
     source: np.ndarray,
     target: np.ndarray,
     pairs: np.ndarray,
     tolerance: float,
-    budget: Budget,
+    width: float | None,
+    threshold: float,
 ) -> np.ndarray:
+    """How well correspondences agree in lengths, 0 for those that share a point.
+
+    With a `width`, as published: ``exp(-difference^2 / (2 width^2))`` in median spacings of the target,
+    0 below the `threshold`. Without, for clouds whose noise is known: ``1 - (difference / tolerance)^2``.
+    """
+    squares = length_differences(source, target) ** 2
+    if width is None:
+        first = np.maximum(0.0, 1 - squares / tolerance**2)
+    else:
+        reach = width * median_spacing(target)
+        first = np.exp(-squares / (2 * reach**2))
+        first[first < threshold] = 0.0
+    first[sharing(pairs)] = 0.0  # with the diagonal
+    return first
+
+
+def second_order_graph(first: np.ndarray, budget: Budget) -> np.ndarray:
     """Weights of the graph: compatibility times that of the neighbours two pairs share.
 
     Edges not reached within the budget keep the compatibility alone as their weight.
     """
-    first = np.maximum(0.0, 1 - (length_differences(source, target) / tolerance) ** 2)
-    first[sharing(pairs)] = 0.0  # with the diagonal
     weights = first.copy()
     for start in range(0, len(first), ROWS):
         rows = slice(start, start + ROWS)

@@ -21,9 +21,9 @@ class Adapter(CorrespondenceMethod):
         bound = self.inlier_distance(instance)
         scale = vote_scale(source, target, 2 * bound, instance.scale_range)
         source = scale * source  # rigid from here on
-        rows = consistency_graph(source, target, pairs, 2 * bound, 1.0)
+        rows = consistency_graph(source, target, pairs, bound, 1.0)
         most_seeds = max(1, round(self.options["seed_ratio"] * len(pairs)))
-        seeds = choose_seeds(source, target, 2 * bound, most_seeds)
+        seeds = choose_seeds(source, target, bound, most_seeds)
         sizes = self.options["first_neighbours"], self.options["second_neighbours"]
         pose, finished = best_pose(source, target, rows, seeds, sizes, bound, budget)
         if pose is None:

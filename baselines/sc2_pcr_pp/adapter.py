@@ -19,9 +19,9 @@ class Adapter(CorrespondenceMethod):
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
         bound = self.inlier_distance(instance)
-        rows = consistency_graph(source, target, pairs, 2 * bound, 1.0)
+        rows = consistency_graph(source, target, pairs, bound, 1.0)
         most_seeds = max(1, round(self.options["seed_ratio"] * len(pairs)))
-        seeds = choose_seeds(source, target, 2 * bound, most_seeds)
+        seeds = choose_seeds(source, target, bound, most_seeds)
         sizes = self.options["first_neighbours"], self.options["second_neighbours"]
         poses: list[tuple[int, np.ndarray]] = []  # with their numbers of inliers
         for seed in seeds:

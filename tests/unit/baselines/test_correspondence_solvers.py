@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 
 import networkx as nx
@@ -20,6 +21,7 @@ from baselines._shared.ransac import ransac
 from baselines._shared.robust import gnc_pose
 from baselines.clipper.dense import dense_clique
 from baselines.contract import Instance, Limits
+from baselines.mac.adapter import compatibility
 from baselines.mac.enumerate import HeaviestCliques
 from baselines.sc2_pcr_pp.adapter import candidate_closeness
 from baselines.turboreg.adapter import ordered_scores
@@ -181,6 +183,44 @@ def test_cap_on_maximal_cliques_is_told() -> None:
     noisy = Instance(**{**vars(instance), "noise_bound": 0.15})
     found = registry.load("mac", max_cliques=3).estimate(noisy, rows_as_pairs(150), Budget(20.0))
     assert "starts capped at 3" in found.message
+
+
+def test_mac_agrees_in_lengths_by_noise_bounds_or_as_published() -> None:
+    """On a line: lengths that differ by 1 and by 1.5, and two pairs that share a point."""
+    source = np.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0], [2.0, 0, 0]])
+    target = np.array([[0.0, 0, 0], [2.0, 0, 0], [0.5, 0, 0], [2.5, 0, 0]])
+    pairs = np.array([[0, 0], [1, 1], [2, 2], [2, 3]])
+    own = compatibility(source, target, pairs, 1.2, None, 0.99)
+    assert own[0, 1] == pytest.approx(1 - (1 / 1.2) ** 2)
+    assert own[0, 2] == own[2, 3] == own[0, 0] == 0.0
+    # median spacing of the target: 0.5
+    published = compatibility(source, target, pairs, 1.2, 10.0, 0.97)
+    assert published[0, 1] == pytest.approx(np.exp(-1 / (2 * 5.0**2)))
+    assert published[0, 2] == 0.0  # exp(-0.045) = 0.956
+
+
+@pytest.mark.parametrize("name", ["sc2_pcr", "sc2_pcr_pp"])
+@pytest.mark.parametrize(("factor", "n_pairs"), [(0.9, 8), (1.1, 4)])
+def test_lengths_of_sc2_pcr_may_differ_by_the_inlier_distance(
+    name: str, factor: float, n_pairs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of a target moved as a whole: lengths across differ by at most that."""
+    graphs = []
+
+    def watched(*arguments: object) -> np.ndarray:
+        graphs.append(consistency_graph(*arguments))
+        return graphs[-1]
+
+    solver = registry.load(name)
+    monkeypatch.setattr(sys.modules[type(solver).__module__], "consistency_graph", watched)
+    source = np.zeros((8, 3))
+    source[:, 0] = np.repeat([0.0, 1.0], 4)
+    source[:, 1:] = np.tile([[0, 0], [0.01, 0], [0, 0.01], [0.01, 0.01]], (2, 1))
+    target = source + np.where(source[:, :1] > 0.5, [[factor * NOISE, 0, 0]], 0.0)
+    instance = Instance("halves", source, target, "rigid3d", 8, (1, 1), NOISE, 5)
+    solver.estimate(instance, rows_as_pairs(8), Budget(time_s=10.0))
+    degrees = np.unpackbits(graphs[0].view(np.uint8), axis=1).sum(axis=1)
+    assert (degrees == n_pairs - 1).all()
 
 
 def test_vote_minimises_the_truncated_cost() -> None:
