@@ -60,6 +60,12 @@ class Tables:
         """Method label -> card fields, options and availability."""
         return self.provenance.get("methods", {})
 
+    def told_true_pairs(self, method: str) -> bool:
+        """Whether a method is handed the true pairs, among random ones."""
+        card = self.cards.get(method, {})
+        settings = {**card.get("parameters", {}), **card.get("options", {})}
+        return settings.get("front_end") == "oracle"
+
     @property
     def methods(self) -> list[str]:
         """Method labels in the order of the experiment's configuration."""

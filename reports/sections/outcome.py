@@ -29,6 +29,7 @@ def context(page: Page) -> dict[str, Any]:
         "counts": count(judgements),
         "claims": len(ledger().claims),
         "outcomes": outcomes(tables),
+        "any_told": any(tables.told_true_pairs(method) for method in tables.methods),
         "penalty": PENALTY,
         "wrong_certificates": list(
             tables.runs.loc[tables.runs["bound_violation"].fillna(0) > 0, "run_id"]
@@ -42,7 +43,7 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
     for (dataset, model), part in runs.groupby(["dataset", "model"], sort=False):
         tests = part["test"].nunique()
         grid = f"{tests} test{'s' * (tests > 1)}, {part['instance_id'].nunique()} instances"
-        data.append(f"{_named(part['shape'].unique())} of {dataset} ({model}; {grid})")
+        data.append(f"{_named(part['shape'].unique(), dataset)} ({model}; {grid})")
         both = part[["n_source", "n_target"]].to_numpy()
         points.append(f"{both.min()}" + (f" to {both.max()}" if both.max() > both.min() else ""))
     ratios = sorted(runs["n_inliers_ratio"].unique(), reverse=True)
@@ -55,10 +56,12 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
     ]
 
 
-def _named(names: np.ndarray) -> str:
+def _named(names: np.ndarray, dataset: str) -> str:
+    if list(names) == [dataset]:
+        return dataset
     few = [str(name) for name in names[:MOST_NAMED]]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return ", ".join(few) + more
+    return ", ".join(few) + more + f" of {dataset}"
 
 
 def _limit(tables: Tables) -> str:
@@ -85,7 +88,10 @@ def _success(runs: pd.DataFrame) -> str:
 
 
 def outcomes(tables: Tables) -> list[dict[str, Any]]:
-    """Per model and method: shares over attempted runs; a run without a pose is no success."""
+    """Per model and method: shares over attempted runs; a run without a pose is no success.
+
+    The most right ones first, but those that are told the true pairs after all others.
+    """
     runs = attempted(tables.runs)
     runs = runs.assign(time=counted_time(runs, tables.cards))
     rows = []
@@ -96,7 +102,12 @@ def outcomes(tables: Tables) -> list[dict[str, Any]]:
             if len(part):
                 rows.append({"model": model, "method": method, **_outcome(part)})
     models = list(runs["model"].unique())
-    return sorted(rows, key=lambda row: (models.index(row["model"]), -row["success"]))
+
+    def rank(row: dict[str, Any]) -> tuple[int, bool, float]:
+        told = tables.told_true_pairs(row["method"])
+        return models.index(row["model"]), told, -row["success"]
+
+    return sorted(rows, key=rank)
 
 
 def _outcome(part: pd.DataFrame) -> dict[str, Any]:

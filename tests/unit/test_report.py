@@ -305,6 +305,18 @@ def test_outcome_counts_limits_and_missing_poses(tables):
     assert success == sorted(success, reverse=True)
 
 
+def test_methods_that_are_told_the_true_pairs_come_after_all_others(tables):
+    best = outcome.outcomes(tables)[0]
+    cards = {
+        name: {**card, "options": {"front_end": "oracle"}} if name == best["method"] else card
+        for name, card in tables.cards.items()
+    }
+    told = dataclasses.replace(tables, provenance={**tables.provenance, "methods": cards})
+    ranked = [r["method"] for r in outcome.outcomes(told) if r["model"] == best["model"]]
+    assert len(ranked) > 1
+    assert ranked[-1] == best["method"]
+
+
 def test_first_screen_says_what_was_run(html):
     shown = re.sub(r"<[^>]*>", " ", html.split('class="run"')[1].split("</dl>")[0])
     for text in ("fish-like, glyph-like of demo", "98", "10 s a run", "0.05 of the longest side",
