@@ -43,7 +43,7 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
     for (dataset, model), part in runs.groupby(["dataset", "model"], sort=False):
         tests = part["test"].nunique()
         grid = f"{tests} test{'s' * (tests > 1)}, {part['instance_id'].nunique()} instances"
-        data.append(f"{_named(part['shape'].unique(), dataset)} ({model}; {grid})")
+        data.append(f"{_named(part['shape'].unique(), str(dataset))} ({model}; {grid})")
         both = part[["n_source", "n_target"]].to_numpy()
         points.append(f"{both.min()}" + (f" to {both.max()}" if both.max() > both.min() else ""))
     ratios = sorted(runs["n_inliers_ratio"].unique(), reverse=True)
