@@ -3,8 +3,8 @@
 A check takes the tables of one experiment and its parameters from the ledger, and returns a
 `Finding`: parts with a figure and an interval each, and which runs they rest on. Common parameters:
 ``tests``, ``levels`` (a list, or ``top``, ``bottom`` of several, ``disturbed``: above 0; levels beyond
-the paper's own axes only where a list names them), ``by`` (columns: a part per group), and ``claimed``,
-the side on which a figure has to lie.
+the paper's own axes only where a list names them), ``by`` (columns: a part per group), ``any`` (one part
+is enough), and ``claimed``, the side on which a figure has to lie.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ UNITS = {
 }
 SHARES = ("success", "search_error")  # quantities of which a mean is a share
 LIMITED, SETTLED = "limited", "settled"  # ends of runs; settled: at a limit, but proven optimal
+BEST_FIRST = (intervals.REPRODUCED, intervals.OPEN, intervals.NOT)
 NO_BOUND = (
     1.0 - 1e-9
 )  # relative gap of a search that has no bound but that squares are not negative
@@ -149,11 +150,22 @@ def check(
 
 
 def found(source: Source, p: Parameters, *, limits_decide: bool = False) -> Finding:
-    """What a check finds; a part is open where runs at a limit, gone on, could have turned it."""
+    """What a check finds; a part is open where runs at a limit, gone on, could have turned it.
+
+    With ``any``, one part on the claimed side is enough: of the parts those that speak best for it count.
+    """
+    finding = CHECKS[p["kind"]](source, p)
+    if not limits_decide and (LIMITED in finding.runs.values() or _of_work(p, finding)):
+        _doubt(finding, source, p)
+    if p.get("any"):
+        best = min((BEST_FIRST.index(part.verdict) for part in finding.parts), default=0)
+        finding.parts = [part for part in finding.parts if BEST_FIRST.index(part.verdict) == best]
+    return finding
+
+
+def _doubt(finding: Finding, source: Source, p: Parameters) -> None:
+    """Open the parts that runs at a limit could have turned."""
     kind = p["kind"]
-    finding = CHECKS[kind](source, p)
-    if limits_decide or (LIMITED not in finding.runs.values() and not _of_work(p, finding)):
-        return finding
     worlds = [
         CHECKS[kind](replace(source, fates=(mine, theirs)), p).parts
         for mine, theirs in product(FATES[kind], repeat=2)
@@ -164,7 +176,6 @@ def found(source: Source, p: Parameters, *, limits_decide: bool = False) -> Find
         else replace(part, verdict=intervals.OPEN, hangs=part.verdict != intervals.OPEN)
         for at, part in enumerate(finding.parts)
     ]
-    return finding
 
 
 def _stands(part: Part, extremes: Sequence[Part], claimed: Parameters) -> bool:

@@ -427,6 +427,13 @@ def test_one_part_against_refutes_and_is_the_evidence():
     assert found.reason == "of 3 comparisons 2 as claimed, 1 against"
 
 
+@pytest.mark.parametrize(("least", "verdict"), [(0.1, REPRODUCED), (0.5, NOT)])
+def test_one_part_is_enough_where_a_claim_says_or(least, verdict):
+    ours = runs_of("ours", rmse_excess=lambda level, draw: draw * (least if level == 0.1 else 0.9))
+    check = {**RATIO, "any": True}
+    assert judged(evidence(ours, runs_of("rival", rmse_excess=0.2)), check).verdict == verdict
+
+
 def test_one_wrong_certificate_refutes_that_there_are_none():
     (claim,) = (claim for claim in ledger().claims if claim.id == "eps-min")
     right = [runs_of(name) for name in ("ours", "half", "bound")]
