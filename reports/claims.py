@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from reports import templating
-from reports.ledger.evidence import Evidence
+from reports.ledger.evidence import STUDY, Evidence
 from reports.ledger.judging import Judgement, Ledger, as_table, count, judge, ledger
 from reports.tables import ReportError
 from workflows.records import SchemaError
@@ -36,7 +36,10 @@ def write(book: Ledger, judgements: list[Judgement], evidence: Evidence, out: Pa
             judgements=judgements,
             counts=count(judgements),
             facts=book.facts,
-            seen=[*evidence.experiments, *(["bounds"] if evidence.study else [])],
+            seen=[
+                *(found.tables.experiment for found in evidence.experiments.values()),
+                *([STUDY] if evidence.study else []),
+            ],
         ),
         encoding="utf-8",
     )

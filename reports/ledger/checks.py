@@ -2,8 +2,9 @@
 
 A check takes the tables of one experiment and its parameters from the ledger, and returns a
 `Finding`: parts with a figure and an interval each, and which runs they rest on. Common parameters:
-``tests``, ``levels`` (a list, or ``top``, ``bottom``, ``disturbed``: above 0), ``by`` (columns: a part
-per group), and ``claimed``, the side on which a figure has to lie.
+``tests``, ``levels`` (a list, or ``top``, ``bottom`` of several, ``disturbed``: above 0; levels beyond
+the paper's own axes only where a list names them), ``by`` (columns: a part per group), ``any`` (one part
+is enough), and ``claimed``, the side on which a figure has to lie.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from reports.ledger import intervals
-from reports.ledger.evidence import Evidence, Experiment, Role, imagined
+from reports.ledger.evidence import FOR_EVER, QUICK, Evidence, Experiment, Role, imagined
 from reports.ledger.intervals import Interval
 from reports.theme import words
 
@@ -30,7 +31,12 @@ UNITS = {
     "rmse": "RMSE (m)",
     "n_nodes": "boxes",
 }
+SHARES = ("success", "search_error")  # quantities of which a mean is a share
 LIMITED, SETTLED = "limited", "settled"  # ends of runs; settled: at a limit, but proven optimal
+BEST_FIRST = (intervals.REPRODUCED, intervals.OPEN, intervals.NOT)
+NO_BOUND = (
+    1.0 - 1e-9
+)  # relative gap of a search that has no bound but that squares are not negative
 SHARED = ["dataset", "shape", "trial"]  # what draws of different levels have in common
 
 
@@ -94,6 +100,9 @@ class Source:
     evidence: Evidence
     experiment: Experiment | None
     roles: Mapping[str, Role]
+    axes: Mapping[str, float] = field(
+        default_factory=dict
+    )  # test -> last level of the paper's axis
     fates: tuple[Fate, Fate] | None = None  # of the subject's and of the rivals' runs at a limit
 
     def runs(
@@ -102,10 +111,16 @@ class Source:
         """Name and chosen runs of every method in a role; noted as missing if there is none."""
         assert self.experiment is not None
         labels = self.experiment.playing(self.roles[role])
-        chosen = [(label, select(self.experiment.runs, label, p)) for label in labels]
+        tried = self.experiment.runs
+        if not isinstance(p.get("levels"), list):
+            tried = tried[tried["level"] <= tried["test"].map(self.axes).fillna(np.inf)]
+        finding.missing += [what for what in _absent(tried, p) if what not in finding.missing]
+        chosen = [(label, select(tried, label, p)) for label in labels]
         filled = [(label, runs) for label, runs in chosen if len(runs)]
-        if not filled and self.roles[role].title not in finding.missing:
-            finding.missing.append(self.roles[role].title)
+        title = self.roles[role].title
+        what = f"{title} in these tests and levels" if labels else title
+        if not filled and what not in finding.missing:
+            finding.missing.append(what)
         names = self.experiment.runs.drop_duplicates("method").set_index("method")["display_name"]
         for label, runs in filled:
             if self.fates:
@@ -135,11 +150,22 @@ def check(
 
 
 def found(source: Source, p: Parameters, *, limits_decide: bool = False) -> Finding:
-    """What a check finds; a part is open where runs at a limit, gone on, could have turned it."""
+    """What a check finds; a part is open where runs at a limit, gone on, could have turned it.
+
+    With ``any``, one part on the claimed side is enough: of the parts those that speak best for it count.
+    """
+    finding = CHECKS[p["kind"]](source, p)
+    if not limits_decide and (LIMITED in finding.runs.values() or _of_work(p, finding)):
+        _doubt(finding, source, p)
+    if p.get("any"):
+        best = min((BEST_FIRST.index(part.verdict) for part in finding.parts), default=0)
+        finding.parts = [part for part in finding.parts if BEST_FIRST.index(part.verdict) == best]
+    return finding
+
+
+def _doubt(finding: Finding, source: Source, p: Parameters) -> None:
+    """Open the parts that runs at a limit could have turned."""
     kind = p["kind"]
-    finding = CHECKS[kind](source, p)
-    if limits_decide or (LIMITED not in finding.runs.values() and not _of_work(p, finding)):
-        return finding
     worlds = [
         CHECKS[kind](replace(source, fates=(mine, theirs)), p).parts
         for mine, theirs in product(FATES[kind], repeat=2)
@@ -150,7 +176,6 @@ def found(source: Source, p: Parameters, *, limits_decide: bool = False) -> Find
         else replace(part, verdict=intervals.OPEN, hangs=part.verdict != intervals.OPEN)
         for at, part in enumerate(finding.parts)
     ]
-    return finding
 
 
 def _stands(part: Part, extremes: Sequence[Part], claimed: Parameters) -> bool:
@@ -165,9 +190,28 @@ def _stands(part: Part, extremes: Sequence[Part], claimed: Parameters) -> bool:
 
 
 def _of_work(p: Parameters, finding: Finding) -> bool:
-    """Whether a figure of time or boxes rests on runs at a limit, settled ones too."""
+    """Whether a figure of time or boxes rests on runs at a limit, settled ones too.
+
+    Or, in a race, on searches that ended without a bound, by themselves as well.
+    """
     quantities = {p.get("quantity"), *p.get("quantities", ())}
+    if p["kind"] == "race":
+        return True
     return bool(quantities & {"time", "n_nodes"}) and SETTLED in finding.runs.values()
+
+
+def _absent(runs: pd.DataFrame, p: Parameters) -> Iterator[str]:
+    """Tests and levels that a check names and no run of the experiment is of."""
+    # a list and its quick part are the same test
+    present = {test.removesuffix(QUICK) for test in runs["test"].unique()}
+    for test in dict.fromkeys(test.removesuffix(QUICK) for test in p.get("tests", ())):
+        if test not in present:
+            yield words(test)
+    if isinstance(p.get("levels"), list):
+        of_tests = runs[runs["test"].isin(p.get("tests", runs["test"].unique()))]
+        for level in p["levels"]:
+            if level not in of_tests["level"].unique():
+                yield f"level {level:g}"
 
 
 def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
@@ -179,8 +223,10 @@ def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
     match p.get("levels"):
         case "top":
             part = part[part["level"] == levels.transform("max")]
-        case "bottom":
-            part = part[part["level"] == levels.transform("min")]
+        case "bottom":  # the only level of a test is its top
+            part = part[
+                (part["level"] == levels.transform("min")) & (levels.transform("nunique") > 1)
+            ]
         case "disturbed":
             part = part[part["level"] > 0]
         case [*wanted]:
@@ -214,7 +260,10 @@ def paired(one: pd.DataFrame, other: pd.DataFrame, quantity: str) -> pd.DataFram
 
 @check("ratio")
 def ratio(source: Source, p: Parameters) -> Finding:
-    """Ratio of means of a subject and each rival, paired by instance. ``any``: one part is enough."""
+    """Ratio of means of a subject and each rival, paired by instance.
+
+    ``closed``: of instances that both prove, by more than that squares are not negative.
+    """
     quantity: str = p.get("quantity", "error")
     finding = Finding(f"ratio of mean {UNITS.get(quantity, words(quantity)).partition(' (')[0]}")
     subjects = [item for role in _list(p["subject"]) for item in source.runs(role, p, finding)]
@@ -224,7 +273,10 @@ def ratio(source: Source, p: Parameters) -> Finding:
                 both = paired(runs, theirs, quantity)
                 if p.get("closed"):
                     closed = set(theirs.loc[theirs["certified"], "instance_id"])
-                    both = both[both["certified"] & both["instance_id"].isin(closed)]
+                    proven = both["certified"] & both["instance_id"].isin(closed)
+                    both = both[proven & (both["objective"] > both["gap_tol"])]
+                    if both.empty:
+                        finding.missing.append(f"instances that {name} and {rival} close")
                 kept = set(both["instance_id"])
                 finding.rest_on(*(t[t["instance_id"].isin(kept)] for t in (runs, theirs)))
                 for where, part in groups(both, p):
@@ -247,7 +299,10 @@ def value(source: Source, p: Parameters) -> Finding:
                 values = part[quantity].to_numpy(dtype=float)
                 values = values[np.isfinite(values)]
                 if len(values):
-                    interval = getattr(intervals, statistic)(values)
+                    if statistic == "mean" and quantity in SHARES:
+                        interval = intervals.share(values)
+                    else:
+                        interval = getattr(intervals, statistic)(values)
                     finding.add(f"{name}, {where}", interval, p["claimed"])
     return finding
 
@@ -386,40 +441,60 @@ def _correlations(ranks: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.divide(above, below, out=np.zeros_like(above), where=below > 0)
 
 
-@check("race", fates=())
+@check("race")
 def race(source: Source, p: Parameters) -> Finding:
-    """Ratio of times to the smallest relative gap that both searches of an instance reached."""
+    """Ratio of times to the smallest relative gap that both searches of an instance reached.
+
+    Where one of them came to no bound at all: to the gap that the other reached, and it needs at least
+    the time that it took.
+    """
     finding = Finding("ratio of mean time to equal gap")
     assert source.experiment is not None
     traces = source.experiment.tables.traces
     traces = traces[traces["upper_bound"] > 0]
     gap = (traces["upper_bound"] - traces["lower_bound"]) / traces["upper_bound"]
     histories = dict(list(traces.assign(gap=gap).groupby("run_id")))
+    never = pd.Series([0.0])  # a level: what becomes of searches without a bound is that of all
+    factors = [FOR_EVER if fate(never).all() else 1.0 for fate in source.fates or (_none, _none)]
     for name, runs in source.runs(p["subject"], p, finding):
         for role in p["rivals"]:
             for rival, theirs in source.runs(role, p, finding):
                 both = paired(runs, theirs, "run_id")
                 both = both[both["run_id"].isin(histories) & both["run_id_rival"].isin(histories)]
-                times = np.array(
-                    [
-                        _times_to_equal_gap(histories[mine], histories[other])
-                        for mine, other in zip(both["run_id"], both["run_id_rival"], strict=True)
-                    ]
-                )
-                for part, kept in ((runs, both["run_id"]), (theirs, both["run_id_rival"])):
+                times = {
+                    (mine, other): found
+                    for mine, other in zip(both["run_id"], both["run_id_rival"], strict=True)
+                    if (found := _times_to_equal_gap(histories[mine], histories[other], factors))
+                }
+                for part, kept in zip((runs, theirs), zip(*times, strict=True), strict=False):
                     finding.rest_on(part[part["run_id"].isin(set(kept))])
-                if len(times):
-                    interval = intervals.ratio(times[:, 0], times[:, 1])
-                    finding.add(f"{name} / {rival}", interval, p["claimed"])
+                if times:
+                    mine, other = np.array(list(times.values())).T
+                    finding.add(f"{name} / {rival}", intervals.ratio(mine, other), p["claimed"])
                 else:
                     finding.missing.append(f"bound histories of {rival}")
     return finding
 
 
-def _times_to_equal_gap(one: pd.DataFrame, other: pd.DataFrame) -> tuple[float, float]:
-    reached = max(one["gap"].min(), other["gap"].min())
-    first = [float(h.loc[h["gap"] <= reached, "time_s"].iloc[0]) for h in (one, other)]
-    return max(first[0], 1e-6), max(first[1], 1e-6)
+def _times_to_equal_gap(
+    one: pd.DataFrame, other: pd.DataFrame, factors: Sequence[float]
+) -> list[float] | None:
+    """Seconds to the gap at which two searches are compared; None: neither has a bound.
+
+    `factors`: of the whole time of a search that has none, which might have needed that much longer.
+    """
+    smallest = [one["gap"].min(), other["gap"].min()]
+    reached = max(smallest) if max(smallest) < NO_BOUND else min(smallest)
+    if reached >= NO_BOUND:
+        return None
+    times = []
+    for history, least, factor in zip((one, other), smallest, factors, strict=True):
+        if least <= reached:
+            seconds = float(history.loc[history["gap"] <= reached, "time_s"].iloc[0])
+        else:
+            seconds = factor * float(history["time_s"].iloc[-1])
+        times.append(max(seconds, 1e-6))
+    return times
 
 
 @check("regret")
@@ -437,7 +512,7 @@ def regret(source: Source, p: Parameters) -> Finding:
             within = both["objective"] - both["objective_ref"] <= both["gap_tol_ref"] * (1 + 1e-9)
             finding.rest_on(runs[runs["instance_id"].isin(set(both["instance_id"]))])
             if len(both):
-                interval = intervals.mean(within.to_numpy(dtype=float))
+                interval = intervals.share(within.to_numpy(dtype=float))
                 finding.add(f"{name} where {against} closed", interval, p["claimed"])
             else:
                 finding.missing.append(f"runs that {against} closed")
@@ -464,7 +539,7 @@ def boxes(source: Source, p: Parameters) -> Finding:
         above = both[p["subject"]] >= both[rival] - 1e-9 * (1 + both[rival].abs())
         for width, part in above.groupby(both["width"]):
             where = f"{p['subject']} ≥ {rival}, width {width:.2g}"
-            finding.add(where, intervals.mean(part.to_numpy(dtype=float)), p["claimed"])
+            finding.add(where, intervals.share(part.to_numpy(dtype=float)), p["claimed"])
     return finding
 
 

@@ -76,8 +76,7 @@ class Experiment:
         sides = (runs["rmse_excess"] / scale).fillna(LONGEST)
         limited = runs["outcome"].eq("limited")
         violated = (runs["bound_violation"] > 0) | (
-            runs["lower_bound"].where(runs["status"].eq("optimal"))
-            > runs["objective_best"] * (1 + 1e-9) + 1e-12
+            runs["lower_bound"] > runs["objective_best"] * (1 + 1e-9) + 1e-12
         )
         worst = runs["rmse"].max()
         speaks = runs["certificate_scope"].isin(POSE_SCOPES)

@@ -1,4 +1,4 @@
-"""Bootstrap intervals, and what an interval says of a claimed side."""
+"""Intervals, bootstrap but for shares, and what they say of a claimed side."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 DRAWS = 2000
 SEED = 20260326
@@ -20,7 +21,7 @@ VERDICTS = (REPRODUCED, NOT, OPEN, NOT_RUN)
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure with its 95 % bootstrap interval over `n` instances."""
+    """A figure with its 95 % interval over `n` instances."""
 
     value: float
     low: float
@@ -47,6 +48,13 @@ def bootstrap(statistic: Callable[[np.ndarray], np.ndarray], n: int) -> Interval
 def mean(values: np.ndarray) -> Interval:
     """The mean."""
     return bootstrap(lambda rows: values[rows].mean(axis=1), len(values))
+
+
+def share(values: np.ndarray) -> Interval:
+    """The share of ones, with Wilson's interval: of draws from nothing but ones none has a zero."""
+    found = binomtest(int(values.sum()), len(values))
+    ends = found.proportion_ci(COVERED[1] - COVERED[0], method="wilson")
+    return Interval(float(values.mean()), float(ends.low), float(ends.high), len(values))
 
 
 def median(values: np.ndarray) -> Interval:

@@ -63,6 +63,7 @@ class Judgement:
 class Ledger:
     claims: tuple[Claim, ...]
     roles: dict[str, Role]
+    axes: dict[str, float]  # test -> last level of the paper's own axis
     commands: dict[str, str]
     facts: tuple[str, ...]
 
@@ -74,7 +75,7 @@ class Ledger:
         claims = tuple(
             Claim(**{**entry, "checks": tuple(entry["checks"])}) for entry in content["claims"]
         )
-        ledger = cls(claims, roles, content["commands"], tuple(content["facts"]))
+        ledger = cls(claims, roles, content["axes"], content["commands"], tuple(content["facts"]))
         for claim in claims:
             ledger._check(claim, path)
         return ledger
@@ -117,18 +118,19 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     experiment = evidence.experiments.get(claim.experiment)
     findings: list[Finding] = []
     if (claim.experiment == STUDY and evidence.study) or experiment is not None:
-        source = Source(evidence, experiment, book.roles)
+        source = Source(evidence, experiment, book.roles, book.axes)
         findings = [
             found(source, entry, limits_decide=claim.limits_decide) for entry in claim.checks
         ]
     runs = {run: outcome for finding in findings for run, outcome in finding.runs.items()}
     limited = sum(outcome in (LIMITED, SETTLED) for outcome in runs.values())
     verdict, reason = _verdict(claim, findings)
+    command = book.commands[claim.experiment]
+    quick = experiment is not None and experiment.is_quick
     if verdict == NOT_RUN:
-        quick = experiment is not None and experiment.is_quick
-        reason += (
-            f"; {'the whole of it' if quick else 'tables'} by {book.commands[claim.experiment]}"
-        )
+        reason += f"; {'the whole of it' if quick else 'tables'} by {command}"
+    elif quick:
+        command += " QUICK=1"
     return Judgement(
         id=claim.id,
         verdict=verdict,
@@ -139,7 +141,7 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
         reconstruction=_reconstructed(claim, findings, experiment),
         runs=len(runs),
         limited=limited,
-        command=book.commands[claim.experiment],
+        command=command,
         note=claim.note,
     )
 

@@ -45,6 +45,16 @@ def test_manual_builds_without_a_warning(tmp_path):
         assert not loaded, f"{page.name} needs a network"
 
 
+def test_readme_and_limits_name_every_reconstruction():
+    from baselines import registry
+
+    cards = {name: registry.read_card(name) for name in registry.names()}
+    for name, card in cards.items():
+        if card.provenance == "reconstruction":
+            assert card.display_name.removesuffix(" (reconstructed)") in text_of(README)
+            assert f"`{name}`" in text_of(DOCS / "limits.md")
+
+
 def anchors(path: Path) -> set[str]:
     """Anchors of a page: its headings as GitHub names them, and labels of its own."""
     text = re.sub(r"^```.*?^```", "", text_of(path), flags=re.M | re.S)

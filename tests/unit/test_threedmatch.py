@@ -71,6 +71,16 @@ def test_configs_have_every_pair_of_every_list():
     assert not planned - Counter(lists)
 
 
+def test_all_methods_on_nearest_matches_get_as_many():
+    most = {
+        method.name: method.options.get("max_pairs")
+        for method in load("threedmatch").methods
+        if method.options.get("front_end") == "shared-nearest"
+    }
+    assert "dcreg-nearest" in most
+    assert set(most.values()) == {5000}
+
+
 @pytest.mark.parametrize("name", LISTS)
 def test_quick_part_leaves_out_slow_variants_but_no_method(name):
     methods, quick = load(name).methods, load(f"{name}-quick").methods
