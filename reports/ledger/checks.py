@@ -34,9 +34,8 @@ UNITS = {
 SHARES = ("success", "search_error")  # quantities of which a mean is a share
 LIMITED, SETTLED = "limited", "settled"  # ends of runs; settled: at a limit, but proven optimal
 BEST_FIRST = (intervals.REPRODUCED, intervals.OPEN, intervals.NOT)
-NO_BOUND = (
-    1.0 - 1e-9
-)  # relative gap of a search that has no bound but that squares are not negative
+# Relative gap of a search that has no bound but that squares are not negative.
+NO_BOUND = 1.0 - 1e-9
 SHARED = ["dataset", "shape", "trial"]  # what draws of different levels have in common
 
 
@@ -100,9 +99,7 @@ class Source:
     evidence: Evidence
     experiment: Experiment | None
     roles: Mapping[str, Role]
-    axes: Mapping[str, float] = field(
-        default_factory=dict
-    )  # test -> last level of the paper's axis
+    axes: Mapping[str, float] = field(default_factory=dict)  # test -> last level the paper shows
     fates: tuple[Fate, Fate] | None = None  # of the subject's and of the rivals' runs at a limit
 
     def runs(
