@@ -1,8 +1,9 @@
 """Are the tables of two runs of an experiment the same, times apart? Row by row, to the last digit.
 
-A run that differs is of one of three kinds (`KINDS`): the clock ended it, so that it stood elsewhere
-this time; or it differs in what it is measured by only, the best that any run found or certified on its
-instance, and one of those differs; or neither, which is a fault of the method or of the harness.
+A run that differs is of one of four kinds (`KINDS`): the clock ended it, so that it stood elsewhere
+this time; or its method does not repeat itself, and says so on its card; or it differs in what it is
+measured by only, the best that any run found or certified on its instance, and one of those differs; or
+none of these, which is a fault of the method or of the harness.
 """
 
 from __future__ import annotations
@@ -26,11 +27,13 @@ TIMES = (
     "peak_memory_mb",
     "machine_id",
     "clocked",
+    "random",
 )
 # Columns that set a run against all others on its instance.
 AGAINST_OTHERS = ("objective_best", "objective_regret", *COLUMNS)
 KINDS = {
     "clock": "ended by the clock",
+    "random": "not deterministic, as its card says",
     "others": "measured by others that differ",
     "unexplained": "for no reason known",
 }
@@ -59,14 +62,15 @@ class Differences:
 
     @property
     def unexplained(self) -> bool:
-        """Whether more differs than the clock accounts for."""
+        """Whether more differs than the clock and the cards account for."""
         return bool(self.alone) or not self.same_order or "unexplained" in set(self.cells["kind"])
 
 
 def read(folder: Path) -> pd.DataFrame:
     """The table of runs of a folder of results, or of a part of it; the index is ``run_id``.
 
-    Beside its columns it has ``clocked``: whether the run ended at its time, or at its memory.
+    Beside its columns it has ``clocked``: whether the run ended at its time, or at its memory; and
+    ``random``: whether the card of its method says that it does not repeat itself.
     """
     path = folder / "tables" / "runs.parquet"
     if not path.is_file():
@@ -75,7 +79,10 @@ def read(folder: Path) -> pd.DataFrame:
     cards = json.loads(path.with_name("provenance.json").read_text(encoding="utf-8"))["methods"]
     limits = {name: card.get("limits", {}).get("time_s", np.inf) for name, card in cards.items()}
     late = runs["time_solve_s"] >= runs["method"].map(limits)
-    return runs.assign(clocked=runs["status"].isin(CLOCKED) | late)
+    random = [name for name, card in cards.items() if not card.get("deterministic", True)]
+    return runs.assign(
+        clocked=runs["status"].isin(CLOCKED) | late, random=runs["method"].isin(random)
+    )
 
 
 def differences(one: pd.DataFrame, other: pd.DataFrame) -> Differences:
@@ -111,10 +118,12 @@ def _differ(a: pd.Series, b: pd.Series) -> np.ndarray:
 
 def _kinds(differs: pd.DataFrame, a: pd.DataFrame, b: pd.DataFrame) -> pd.Series:
     """One of `KINDS` for every run that differs."""
-    clocked = a["clocked"] | b["clocked"]
+    clocked, random = a["clocked"] | b["clocked"], a["random"] | b["random"]
     by_itself = differs.drop(columns=list(AGAINST_OTHERS)).any(axis=1)
     neighbour = by_itself.groupby(a["instance_id"]).transform("any")
-    kinds = np.select([clocked, ~by_itself & neighbour], ["clock", "others"], "unexplained")
+    kinds = np.select(
+        [clocked, random, ~by_itself & neighbour], ["clock", "random", "others"], "unexplained"
+    )
     return pd.Series(kinds, index=differs.index)
 
 

@@ -41,7 +41,9 @@ def changed(runs, row, **values):
 def test_times_may_differ_and_missing_numbers_are_equal(runs):
     other = runs.copy()
     for column in TIMES:
-        other[column] = {"machine_id": "elsewhere", "clocked": True}.get(column, 7.0)
+        other[column] = {"machine_id": "elsewhere", "clocked": True, "random": True}.get(
+            column, 7.0
+        )
     found = differences(runs, other)
     assert runs.isna().any(axis=None)
     assert found.cells.empty
@@ -88,6 +90,21 @@ def test_a_run_is_ended_by_the_clock_whatever_it_says_of_itself(folder):
     path.write_text(json.dumps({**known, "methods": limit}))
     assert (read(folder / "a")["clocked"].to_numpy() == expected(runs)).all()
     assert 0 < expected(runs).sum() < len(runs)
+
+
+def test_a_method_that_does_not_repeat_itself_says_so_on_its_card(folder, runs):
+    path = folder / "a" / "tables" / "provenance.json"
+    known = json.loads(path.read_text())
+    method, other = runs["method"].unique()[:2]
+    known["methods"][method]["deterministic"] = False
+    known["methods"][other]["deterministic"] = True
+    path.write_text(json.dumps(known))
+    told = read(folder / "a").assign(clocked=False)
+    of = [list(told["method"]).index(name) for name in (method, other)]
+    differ = changed(changed(told, of[0], objective=0.5), of[1], objective=0.5)
+    assert kinds(told, differ) == {
+        "random": {told.index[of[0]]}, "unexplained": {told.index[of[1]]},
+    }  # fmt: skip
 
 
 def expected(runs) -> np.ndarray:
