@@ -18,8 +18,8 @@ FAILURE = 1e-3  # wished probability that no source pair consists of true points
 MIN_PAIRS, MAX_PAIRS = 12, 60
 MAX_TARGETS = 200  # target points that pairs are made of
 MAX_LOOKED = 60  # source points that score
-KEPT_PER_PAIR = 4
-MAX_POSES = 12
+KEPT_PER_PAIR = 12
+MAX_POSES = 48
 CELLS_PER_REACH, MAX_CELLS = 3.0, 2000  # of the field of nearness, along the longest side: 32 MB
 APART = 0.15  # poses whose parameters, in units of the clouds, differ by less are one
 
