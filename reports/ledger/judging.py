@@ -11,7 +11,9 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from reports.ledger.checks import (
+from reports.ledger import checks  # noqa: F401 (registers the kinds)
+from reports.ledger.evidence import STUDY, Evidence, Experiment, Role
+from reports.ledger.finding import (
     CHECKS,
     LIMITED,
     SETTLED,
@@ -21,7 +23,6 @@ from reports.ledger.checks import (
     Source,
     found,
 )
-from reports.ledger.evidence import STUDY, Evidence, Experiment, Role
 from reports.ledger.intervals import LEAST_PAIRS, NOT, NOT_RUN, OPEN, REPRODUCED, VERDICTS
 from reports.tables import ReportError
 

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 from reports import claims
 from reports.ledger import intervals
-from reports.ledger.checks import CHECKS, STUDY_CHECKS, Source, select
 from reports.ledger.evidence import Evidence, Experiment
+from reports.ledger.finding import CHECKS, STUDY_CHECKS, Source, select
 from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED, Interval
 from reports.ledger.judging import Claim, Ledger, judge_claim, ledger
 from reports.tables import PENALTY, ReportError, Tables, counted_time
