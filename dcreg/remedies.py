@@ -19,6 +19,7 @@ _MANY_POINTS = 1000
 _MUCH_LARGER = 100.0
 _OTHER_SIZE = 10.0
 TOO_MANY_PAIRS = "pairs are probably too many"  # in the line of `loose_pairs`
+_ROUGH = 1.01  # times the upper bound: more than rounding
 _LOOSE = (
     2.0  # RMSE in spacings of the target; scans of one object stay below where n_inliers is right
 )
@@ -73,6 +74,21 @@ def misled(case: Case) -> str | None:
         f"a pair costs {found:.3g} at the pose on average, {ratio:.3g} times the upper bound "
         f"{promised:.3g} in norm space: the norms do not determine the pose, which may be wrong. Use "
         "mode 'full', for clouds too large for it with downsample=200, or another n_inliers"
+    )
+
+
+def rough_pairs(case: Case) -> str | None:
+    """The pairs cost more than the best ones at their pose are known to."""
+    result = case.result
+    of_other = case.in_norm_space or result.downsampled is not None
+    if of_other or result.objective <= _ROUGH * result.upper_bound:
+        return None
+    if _is_rounding(result.objective, case):
+        return None
+    return (
+        "the time was over before all pairs were matched: those listed cost "
+        f"{result.objective:.3g}, the best ones at this pose at most {result.upper_bound:.3g}. Give more "
+        "time, or use downsample=200 (--downsample 200)"
     )
 
 
@@ -143,6 +159,7 @@ def too_many_points(case: Case) -> str | None:
 RULES: tuple[Callable[[Case], str | None], ...] = (
     nothing_proven,
     misled,
+    rough_pairs,
     scale_at_limit,
     undetermined,
     other_size,

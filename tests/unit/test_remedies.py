@@ -65,6 +65,17 @@ def test_a_pose_far_worse_than_its_norms():
     assert remedies.misled(case(result, source, target, True, **sampled | {"objective": 60.0}))
 
 
+def test_pairs_that_cost_more_than_the_pose_does():
+    source, target = clouds()
+    result = solve(source, target, 30)
+    made = {"objective": 44.1, "upper_bound": 19.8}
+    assert "cost 44.1, the best ones" in remedies.rough_pairs(case(result, source, target, **made))
+    assert remedies.rough_pairs(case(result, source, target)) is None
+    assert remedies.rough_pairs(case(result, source, target, True, **made)) is None
+    sampled = made | {"downsampled": (9, 9, 1)}
+    assert remedies.rough_pairs(case(result, source, target, **sampled)) is None
+
+
 def test_a_target_ten_times_larger():
     source, target = clouds()
     lines = solve(source, 12.0 * target, 30, time_limit=2.0).warnings
