@@ -86,7 +86,7 @@ def rough_pairs(case: Case) -> str | None:
     if _is_rounding(result.objective, case):
         return None
     return (
-        "the time was over before all pairs were matched: those listed cost "
+        "the search ended before all pairs were matched: those listed cost "
         f"{result.objective:.3g}, the best ones at this pose at most {result.upper_bound:.3g}. Give more "
         "time, or use downsample=200 (--downsample 200)"
     )
