@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import orjson
+
+_JSON = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS
 
 
 @contextmanager
@@ -44,21 +46,11 @@ def write_text(path: str | Path, text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
 
-def as_json(content: Any) -> str:
+def as_json(content: Any, *, indented: bool = True) -> str:
     """`content` as JSON, arrays as lists; a number that is not finite (an unknown bound) is null."""
-    return json.dumps(plain(content), indent=1, allow_nan=False)
+    return orjson.dumps(content, option=_JSON | (orjson.OPT_INDENT_2 if indented else 0)).decode()
 
 
 def plain(value: Any) -> Any:
     """`value` made of what JSON knows; a number that is not finite becomes None."""
-    match value:
-        case dict():
-            return {str(key): plain(item) for key, item in value.items()}
-        case list() | tuple():
-            return [plain(item) for item in value]
-        case float() if not math.isfinite(value):
-            return None
-        case _ if hasattr(value, "tolist"):  # arrays and numbers of NumPy
-            return plain(value.tolist())
-        case _:
-            return value
+    return orjson.loads(orjson.dumps(value, option=_JSON))

@@ -10,7 +10,7 @@ import numpy as np
 
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
-from dcreg.local import Matched, quick_objective
+from dcreg.local import Matched, objective
 from dcreg.local import polish as polish_pose
 from dcreg.modes import AUTO, Answer, Mode, Task
 from dcreg.modes.table import choose_mode, find_mode
@@ -231,7 +231,7 @@ def result_of(
     polish: bool,
     time_setup_s: float,
     budget: Budget | None = None,
-    known: Matched | None = None,
+    matched: tuple[float, np.ndarray] | None = None,
 ) -> Result:
     """The answer in the coordinates of the clouds, its pose polished as far as the budget allows.
 
@@ -242,15 +242,15 @@ def result_of(
     time_setup_s : float
     budget : Budget, optional
         Of the polish; default: the task's.
-    known : Matched, optional
-        Pairs of another pose, which may do past the limit.
+    matched : (value, pairs), optional
+        At the pose; default: `objective`'s.
     """
     budget = budget or task.budget
     frame = Frame.of(problem)
     area = frame.area
     T = T_certified = frame.pose(answer.T)
-    value, pairs = quick_objective(
-        problem.source, problem.target, T, problem.n_inliers, problem.candidates, known=known,
+    value, pairs = matched or objective(
+        problem.source, problem.target, T, problem.n_inliers, problem.candidates,
         prove=not (polish or budget.is_over), stop=budget.closed,
     )  # fmt: skip
     # where not one descent came to its end; norms differ by no more than the points do

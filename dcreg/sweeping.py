@@ -30,7 +30,7 @@ from dataclasses import replace
 import numpy as np
 
 from dcreg.bounds import RigidBound, make_bound
-from dcreg.local import Matched
+from dcreg.local import Matched, objective, quick_objective
 from dcreg.modes import AUTO, CHOSEN, Answer, Mode, Task, choose_mode, find_mode
 from dcreg.modes.full import pose_in
 from dcreg.modes.paper import TRANSLATION_SHARE, place, pose_of
@@ -334,7 +334,7 @@ class _Sweep:
             self._place(level.task, level.space, level.theta, placing, answer)
         result = result_of(
             level.problem, self.mode, level.task, answer, polish=polish, time_setup_s=time_setup,
-            budget=placing, known=None if level.is_sampled else known,
+            budget=placing, matched=_matched(level, answer.T, polish, placing, known),
         )  # fmt: skip
         result = completed(result, level.whole, level.problem, self.mode, budget, known)
         return replace(result, time_solve_s=spent + budget.elapsed() - began)
@@ -351,3 +351,23 @@ class _Sweep:
                 answer.status = budget.ended_by
         if isinstance(space, Translation3D):
             self.rotation = answer.T[:3, :3]
+
+
+def _matched(
+    level: Level, T: np.ndarray, polish: bool, budget: Budget, known: Matched | None
+) -> tuple[float, np.ndarray]:
+    """Value and pairs at a pose in the frame; pairs of a sample are seen by nobody and may be rough."""
+    problem = level.problem
+    clouds, T = (problem.source, problem.target), Frame.of(problem).pose(T)
+    prove = not (polish or budget.is_over)
+    if level.is_sampled:
+        return objective(*clouds, T, problem.n_inliers, prove=prove, stop=budget.closed, at_once=0)
+    return quick_objective(
+        *clouds,
+        T,
+        problem.n_inliers,
+        problem.candidates,
+        known=known,
+        prove=prove,
+        stop=budget.closed,
+    )

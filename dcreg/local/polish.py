@@ -14,7 +14,7 @@ from dcreg.local.sparse import is_large, nearest_pairs, sparse_matching
 from dcreg.search import Budget
 
 # So few pairs are matched to the end in a quarter of a second, whatever the clock says.
-_AT_ONCE_PAIRS = 1_200_000
+AT_ONCE_PAIRS = 1_200_000
 _MAX_ROUNDS = 100
 _MAX_LARGE_ROUNDS = 10
 # Share of the objective by which a step has to lower it.
@@ -30,6 +30,7 @@ def objective(
     *,
     prove: bool = True,
     stop: np.ndarray = NEVER,
+    at_once: int = AT_ONCE_PAIRS,
 ) -> tuple[float, np.ndarray]:
     """Least sum of squared residuals of `n_inliers` one-to-one pairs at a pose.
 
@@ -46,8 +47,9 @@ def objective(
     prove : bool
         For large clouds: False takes a quick upper bound instead.
     stop : (1,) uint8 array
-        Set from another thread, it asks for an upper bound at once: near pairs, chosen greedily. Small
-        clouds are matched to the end all the same.
+        Set from another thread, it asks for an upper bound at once: near pairs, chosen greedily.
+    at_once : int
+        Clouds of so many pairs of points are matched to the end all the same.
 
     Returns
     -------
@@ -56,7 +58,7 @@ def objective(
     """
     d = source.shape[1]
     moved = source @ T_target_source[:d, :d].T + T_target_source[:d, d]
-    if len(source) * len(target) <= _AT_ONCE_PAIRS:
+    if len(source) * len(target) <= at_once:
         stop = NEVER
     if candidates is None and (stop[0] or is_large(len(source), len(target))):
         found = sparse_matching(moved, target, n_inliers, prove=prove, stop=stop)

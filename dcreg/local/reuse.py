@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dcreg.kernels.points import NEVER
-from dcreg.local.polish import objective
+from dcreg.local.polish import AT_ONCE_PAIRS, objective
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,16 @@ def quick_objective(
     value, assignment
         As in `objective`: the true value of these pairs, which bounds the least one from above.
     """
-    if known is None or not stop[0]:
+
+    def own() -> tuple[float, np.ndarray]:
         return objective(
             source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop
         )
-    own = objective(source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop)
-    found = known.cheapest(source, target, T_target_source, n_inliers)
-    return min(own, found, key=lambda matched: matched[0])
+
+    if known is None or not stop[0]:
+        return own()
+    given = known.cheapest(source, target, T_target_source, n_inliers)
+    greedy = len(source) * len(target) > AT_ONCE_PAIRS
+    if greedy and np.array_equal(known.T_target_source, T_target_source):
+        return given  # a greedy matching has the k nearest pairs first, however many follow
+    return min(own(), given, key=lambda matched: matched[0])

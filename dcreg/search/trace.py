@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from dcreg.files import plain, write_text
+from dcreg.files import as_json, write_text
 
 
 @dataclass(frozen=True)
@@ -77,4 +76,4 @@ class Trace:
 
         An infinite bound becomes null.
         """
-        write_text(path, "".join(json.dumps(plain(row)) + "\n" for row in self.rows()))
+        write_text(path, "".join(as_json(row, indented=False) + "\n" for row in self.rows()))

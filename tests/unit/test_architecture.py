@@ -62,6 +62,7 @@ USERS = {
     "numba": "dcreg.kernels",
     "llvmlite": "dcreg.kernels",
     "lazy_loader": "dcreg",
+    "orjson": "dcreg.files",
     "typer": "dcreg.cli",
     "rich": "dcreg.cli",
     "plotly": "dcreg.plot",

@@ -85,3 +85,14 @@ def test_the_better_pose_of_other_pairs_is_taken(clouds, known_angle, taken):
     )
     assert result.objective == pytest.approx((residuals**2).sum())
     assert (result.objective < result.objective_certified) == taken
+
+
+def test_one_greedy_matching_of_large_clouds_serves_all_cardinalities_of_its_pose(rng):
+    source = rng.random((1200, 3))
+    target = source[rng.permutation(1200)] + 0.01 * rng.standard_normal((1200, 3))
+    T = turned(0.05)
+    known = Matched(T, objective(source, target, T, 900, stop=OVER)[1])
+    given = quick_objective(source, target, T.copy(), 400, known=known, stop=OVER)
+    own = objective(source, target, T, 400, stop=OVER)
+    assert given[0] == pytest.approx(own[0], rel=1e-12)
+    np.testing.assert_array_equal(given[1], own[1])

@@ -214,7 +214,7 @@ SHARES = [0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8]
 @pytest.mark.parametrize("mode", [None, "paper"])
 @pytest.mark.parametrize("stops", [True, False])
 def test_a_sweep_of_large_clouds_ends_in_time(mode, stops):
-    clouds, clock = pair_of_clouds(24_000, 3), Clock(stops)
+    clouds, clock = pair_of_clouds(33_000, 3), Clock(stops)
     found = dcreg.sweep(
         *clouds, SHARES, model="rigid3d", mode=mode, gap_tol=0.0, time_limit=2.0, listener=clock
     )
@@ -222,7 +222,7 @@ def test_a_sweep_of_large_clouds_ends_in_time(mode, stops):
     assert found.status is (Status.STOPPED if stops else Status.TIME_LIMIT)
     for share, result in zip(SHARES, found.results, strict=True):
         rows, columns = result.assignment.T
-        assert len(set(rows)) == len(set(columns)) == round(share * 24_000)
+        assert len(set(rows)) == len(set(columns)) == round(share * 33_000)
         residuals = clouds[0][rows] @ result.rotation.T + result.translation - clouds[1][columns]
         assert (residuals**2).sum() == pytest.approx(result.objective)
 
