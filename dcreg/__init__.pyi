@@ -10,6 +10,7 @@ from .plot import plot_registration, plot_sweep
 from .problem import Candidates, InputError, Problem, advice, default_gap_tol, gap_tol_of
 from .registration import register
 from .result import Result, Stage
+from .rival import Rival
 from .search import Event, Listener, Trace
 from .status import Status
 from .sweep_result import SweepResult
@@ -27,6 +28,7 @@ __all__ = [
     "Problem",
     "Report",
     "Result",
+    "Rival",
     "Stage",
     "Status",
     "SweepResult",

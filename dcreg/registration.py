@@ -28,6 +28,7 @@ from dcreg.problem import (
 )
 from dcreg.remedies import Case, warnings_for
 from dcreg.result import Result, Stage
+from dcreg.rival import find_rival
 from dcreg.sampling import SEARCH_SHARE, refined, to_search
 from dcreg.search import Budget, Leaves, Listener, Trace
 from dcreg.status import Status
@@ -114,9 +115,9 @@ def register(
     downsample : int, optional
         Search with this many points of each cloud at most, farthest points but for stray ones, and refine
         the pose on all.
-        A counted `n_inliers` speaks of all points and is scaled down with them. Default: 1,000 for clouds
-        in space of more than 4,000,000 pairs that match in part, where no mode, bound, certificate or
-        candidates are given; all points elsewhere.
+        A counted `n_inliers` speaks of all points and is scaled down with them. Default: 1,000 in
+        space and 300 in the plane for clouds of more than 4,000,000 pairs that match in part, where no
+        mode, bound, certificate or candidates are given; all points elsewhere.
     listener : callable, optional
         Called with every `dcreg.Event`, and at least every half second, then from another thread;
         returning True stops (status ``stopped``).
@@ -292,6 +293,9 @@ def result_of(
         trace=Trace([event.scaled(area) for event in answer.events]),
         stages=stages,
         certificate=_certificate(problem, mode, task, answer),
+        rival=find_rival(
+            problem, T, final, ((frame.pose(end), value * area) for end, value in answer.ends)
+        ),
     )
 
 

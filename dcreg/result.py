@@ -15,6 +15,7 @@ from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, write_text
 from dcreg.problem import InputError, rotation_angle_deg, scale_of
+from dcreg.rival import Rival
 from dcreg.search import Outcome, Trace
 from dcreg.status import Status
 
@@ -134,6 +135,8 @@ class Result:
     score : (float, float), optional
         Of `dcreg.register_matches`: the chosen matches, each counted as 1 less its squared residual in
         squared inlier distances, and the most that any pose can score, as far as is proven.
+    rival : Rival, optional
+        The best pose met that differs from this one, with its share of the objective.
     warnings : list of str
         What should not be trusted without a second look, each with its remedy.
     """
@@ -161,6 +164,7 @@ class Result:
     certificate: Certificate | None = None
     downsampled: tuple[int, int, int] | None = None
     score: tuple[float, float] | None = None
+    rival: Rival | None = None
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -231,6 +235,7 @@ class Result:
             "assignment": self.assignment.tolist(),
             "downsampled": None if self.downsampled is None else list(self.downsampled),
             "score": None if self.score is None else list(self.score),
+            "rival": None if self.rival is None else self.rival.to_dict(),
             "warnings": list(self.warnings),
             "stages": [stage.to_dict() for stage in self.stages],
         }
@@ -310,6 +315,12 @@ class Result:
                 "downsampled",
                 f"the bounds are of {text.count(pairs, 'pair')} of {n} and {m} farthest points; the pose "
                 "is refined on all points",
+            )
+        if self.rival is not None:
+            yield (
+                "best other pose",
+                f"{self.rival.objective_ratio:.3g} times the objective, turned by "
+                f"{self.rival.turned_deg:.0f} deg (the best of the descents, not proven)",
             )
         for warning in self.warnings:
             yield "warning", warning

@@ -32,7 +32,7 @@ import numpy as np
 from dcreg.bounds import RigidBound, make_bound
 from dcreg.local import Matched, objective, quick_objective
 from dcreg.modes import AUTO, CHOSEN, Answer, Mode, Task, choose_mode, find_mode
-from dcreg.modes.full import pose_in
+from dcreg.modes.full import ends_in, pose_in
 from dcreg.modes.paper import TRANSLATION_SHARE, place, pose_of
 from dcreg.names import DEFAULT_TIME_LIMIT_S, mode_names
 from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
@@ -330,6 +330,7 @@ class _Sweep:
         spent = sum(stage.time_s for stage in answer.stages)
         if isinstance(level.space, Rigid3D):
             answer.T = pose_in(level.space, level.theta, level.swapped)
+            answer.ends = ends_in(level.space, level.swapped)
         else:
             self._place(level.task, level.space, level.theta, placing, answer)
         result = result_of(

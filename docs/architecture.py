@@ -147,7 +147,7 @@ PARTS = (
     Part("dcreg.io", 2, 3, ("dcreg.io",), "data"),
     Part("dcreg.bounds", 3, 0.5, ("dcreg.bounds",), "solve"),
     Part(
-        "results", 3, 2, ("dcreg.result", "dcreg.sweep_result", "dcreg.remedies"), "data",
+        "results", 3, 2, ("dcreg.result", "dcreg.rival", "dcreg.sweep_result", "dcreg.remedies"), "data",
         "What register and sweep return: it prints and writes itself.",
     ),
     Part("dcreg.spaces", 4, 0.5, ("dcreg.spaces",), "solve"),

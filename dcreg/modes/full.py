@@ -31,6 +31,11 @@ def pose_in(space: Rigid3D, theta: np.ndarray, swapped: bool) -> np.ndarray:
     return np.linalg.inv(T) if swapped else T
 
 
+def ends_in(space: Rigid3D, swapped: bool) -> list[tuple[np.ndarray, float]]:
+    """Where descents ended, as poses of the source with their objectives."""
+    return [(pose_in(space, theta, swapped), value) for theta, value in space.ends]
+
+
 def run(task: Task) -> Answer:
     """The rigid pose, certified."""
     space, swapped = rigid_space(task)
@@ -41,4 +46,5 @@ def run(task: Task) -> Answer:
         space.scope,
     )  # fmt: skip
     answer.add("rigid", found)
+    answer.ends = ends_in(space, swapped)
     return answer

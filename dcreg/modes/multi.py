@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dcreg.bounds import RotationBound, make_bound
+from dcreg.modes.full import ends_in
 from dcreg.modes.paper import pose_of
 from dcreg.modes.task import Answer, Task
 from dcreg.result import Stage
@@ -115,6 +116,7 @@ def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
         stages=[first_stage], basins=[first],
     )  # fmt: skip
     answer.add("search", found)
+    answer.ends = ends_in(rigid, swapped=False)
     try:
         in_time = _follow(task, settings, norms, rigid, bound, descents, found, answer)
     except Interrupted:

@@ -95,6 +95,7 @@ def place(
     """Complete the answer of a search that ended at `theta`: its pose, in space by a rotation search."""
     if isinstance(space, Similarity2D):
         answer.T = space.pose(theta)
+        answer.ends = [(space.pose(end), value) for end, value in space.ends]
         return
     found = turn(task, task.source + theta, budget)
     answer.add("rotation", found)

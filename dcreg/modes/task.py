@@ -74,6 +74,8 @@ class Answer:
         What these bounds speak of.
     stages : list of Stage
     events : list of Event
+    ends : list of (pose, objective)
+        Where descents over poses ended.
     cover : (Box, Outcome), optional
         The root and the outcome of the search whose leaves were collected.
     """
@@ -85,6 +87,7 @@ class Answer:
     scope: str
     stages: list[Stage] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
+    ends: list[tuple[np.ndarray, float]] = field(default_factory=list)
     cover: tuple[Box, Outcome] | None = None
 
     def add(self, stage: str, found: Outcome) -> None:

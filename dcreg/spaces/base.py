@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -25,6 +25,8 @@ class Space(abc.ABC):
         Descents made for the first incumbent: enough for a good upper bound, cheap beside any search.
     stop : (1,) uint8 array
         Once it is set, kernels return at once and `check` raises; see `heed`.
+    ends : sequence of (theta, value)
+        Where the descents of the last `start` ended.
     """
 
     n_inliers: int
@@ -32,6 +34,7 @@ class Space(abc.ABC):
     scope: str
     n_descents: int
     stop: np.ndarray = NEVER
+    ends: Sequence[tuple[np.ndarray, float]] = ()
 
     def heed(self, stop: np.ndarray) -> None:
         """From now on look at `stop`, as of `Budget.stop`, within everything that takes long."""
@@ -106,6 +109,7 @@ class Space(abc.ABC):
         """
         best: np.ndarray | None = None
         value, spent = np.inf, 0
+        ends = self.ends = []
         try:
             for tried, (theta, choosing) in enumerate(self.starts(budget), start=1):
                 spent += choosing
@@ -114,6 +118,7 @@ class Space(abc.ABC):
                 best = theta if best is None else best
                 theta, found, descending = self.refine(theta)
                 spent += descending
+                ends.append((theta, found))
                 if found < value:
                     best, value = theta, found
                     budget.found(value)

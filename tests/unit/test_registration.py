@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.modes import choose_mode
+from dcreg.modes.table import LARGE_SAMPLE
 from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.spaces import Similarity2D, Translation3D
 from dcreg.status import Status
@@ -451,10 +452,24 @@ def test_downsampling_refuses_what_it_would_ignore(rng, options, words):
         dcreg.register(source, source, n_inliers=20, model="similarity2d", **options)
 
 
+def test_large_clouds_in_the_plane_are_searched_by_a_sample(rng):
+    source = rng.random((2_400, 2)) * [2.0, 1.0]
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    target = source[:1_800] @ turn.T + 0.002 * rng.standard_normal((1_800, 2))
+    found = dcreg.register(source, target, n_inliers=1_500, model="similarity2d", time_limit=10.0)
+    assert found.downsampled == (300, 300, 250)
+    assert found.rotation_deg == pytest.approx(90.0, abs=0.5)
+    assert len(found.assignment) == 1_500
+    mode = dcreg.register(
+        source, target, n_inliers=1_500, model="similarity2d", mode="paper", time_limit=0.1
+    )
+    assert mode.downsampled is None
+
+
 def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     """All their points would leave only norms, which mislead there."""
     monkeypatch.setattr("dcreg.modes.table.RIGID_PAIRS", 900)
-    monkeypatch.setattr("dcreg.modes.table.LARGE_SAMPLE", 25)
+    monkeypatch.setitem(LARGE_SAMPLE, 3, 25)
     generator = np.random.default_rng(0)
     source = generator.random((40, 3)) * [2.0, 1.0, 0.5]
     target = source[:, [1, 2, 0]] + 1.0

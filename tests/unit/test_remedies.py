@@ -8,6 +8,7 @@ from scipy.spatial.distance import cdist
 
 import dcreg
 from dcreg import remedies
+from dcreg.rival import find_rival
 from dcreg.status import Status
 
 
@@ -109,3 +110,47 @@ def test_too_many_points():
     late = case(result, source, target, status=Status.TIME_LIMIT)
     assert "--downsample" in remedies.too_many_points(late)
     assert remedies.too_many_points(case(result, source, target)) is None
+
+
+def cluttered(n_true=25, n_clutter=55, seed=1):
+    """Two clouds in the plane that share `n_true` points, turned by 69 degrees, among dense clutter."""
+    generator = np.random.default_rng(seed)
+    shared = generator.random((n_true, 2)) * [2.0, 1.0]
+    turn = np.array([[np.cos(1.2), -np.sin(1.2)], [np.sin(1.2), np.cos(1.2)]])
+    image = shared @ turn.T + 0.005 * generator.standard_normal((n_true, 2))
+    source = np.concatenate([shared, generator.random((n_clutter, 2)) * [2.0, 1.0]])
+    return source, np.concatenate([image, generator.random((n_clutter, 2)) * [2.0, 1.0] @ turn.T])
+
+
+@pytest.mark.parametrize(("k", "right"), [(25, True), (65, False)])
+def test_pairs_in_clutter_tell_by_another_pose_whether_they_are_too_many(k, right):
+    result = solve(*cluttered(), k, time_limit=10.0)
+    assert (abs(result.rotation_deg - np.degrees(1.2)) < 2.0) == right
+    assert (result.rival.objective_ratio > 3.0) == right
+    assert any("another pose" in line for line in result.warnings) == (not right)
+    assert "best other pose" in str(result)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_symmetric_shape_has_a_rival_of_the_same_cost(dim):
+    grid = np.stack(np.meshgrid(*[np.arange(4) * step for step in (2.0, 1.1, 0.5)[:dim]]), axis=-1)
+    grid = grid.reshape(-1, dim)
+    noisy = grid + 0.02 * np.random.default_rng(0).standard_normal(grid.shape)
+    result = solve(grid, noisy, len(grid) - 1)
+    assert result.rival.objective_ratio == pytest.approx(1.0, abs=0.3)
+    assert result.rival.turned_deg == pytest.approx(180.0, abs=3.0)
+    assert any("may be symmetric" in line for line in result.warnings)
+    made = result.to_dict()["rival"]
+    T = np.array(made["T_target_source"])
+    residual = cdist(grid @ T[:dim, :dim].T + T[:dim, dim], noisy).min(axis=1)
+    assert np.sqrt((residual**2).mean()) < 0.1
+
+
+def test_a_pose_close_by_is_no_rival():
+    source, target = clouds()
+    problem = dcreg.Problem(source, target, 30, "similarity2d")
+    near, far, open_end = np.eye(3), np.eye(3), np.eye(3)
+    near[0, 2], far[0, 2] = 0.01, 1.0
+    assert find_rival(problem, np.eye(3), 1.0, [(near, 1.0), (open_end, np.inf)]) is None
+    found = find_rival(problem, np.eye(3), 2.0, [(near, 1.0), (far, 5.0)])
+    assert (found.objective_ratio, found.turned_deg) == pytest.approx((2.5, 0.0))

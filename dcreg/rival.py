@@ -1,0 +1,81 @@
+"""The best pose that differs from the one found: how far the data tell them apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dcreg.problem import (
+    EXACT,
+    Problem,
+    nearest_rotation,
+    rms_radius,
+    rotation_angle_deg,
+    unit_length,
+)
+
+# Poses differ whose images of the source lie farther apart than this share of the target's RMS radius.
+APART = 0.2
+
+
+@dataclass(frozen=True)
+class Rival:
+    """The best other place where a descent of the search ended; a better one may exist.
+
+    Attributes
+    ----------
+    T_target_source : (d+1, d+1) array
+        Its pose, where the descent left it.
+    objective_ratio : float
+        Its objective in units of that of the pose found: near 1 the two can hardly be told apart.
+    turned_deg : float
+        Angle between the two rotations.
+    """
+
+    T_target_source: np.ndarray
+    objective_ratio: float
+    turned_deg: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "T_target_source": self.T_target_source.tolist(),
+            "objective_ratio": self.objective_ratio,
+            "turned_deg": self.turned_deg,
+        }
+
+
+def find_rival(
+    problem: Problem, T: np.ndarray, objective: float, ends: Iterable[tuple[np.ndarray, float]]
+) -> Rival | None:
+    """The cheapest of the `ends` that differs from the pose `T`, if any does.
+
+    Parameters
+    ----------
+    problem : Problem
+    T : (d+1, d+1) array
+    objective : float
+        At `T`.
+    ends : iterable of (pose, objective)
+        In units of the clouds.
+    """
+    source, target, d = problem.source, problem.target, problem.dim
+    least = (APART * rms_radius(target)) ** 2
+    centre = source.mean(axis=0)
+    spread = np.cov(source, rowvar=False, bias=True).reshape(d, d)
+
+    def apart(other: np.ndarray) -> bool:
+        linear, shift = other[:d, :d] - T[:d, :d], other[:d, d] - T[:d, d]
+        moved = ((linear @ centre + shift) ** 2).sum() + np.trace(linear @ spread @ linear.T)
+        return bool(moved > least)
+
+    others = [end for end in ends if np.isfinite(end[1]) and apart(end[0])]
+    if not others:
+        return None
+    other, value = min(others, key=lambda end: end[1])
+    rounding = EXACT * problem.n_inliers * (unit_length(source, target) or 1.0) ** 2
+    angle = rotation_angle_deg(nearest_rotation(other[:d, :d] @ T[:d, :d].T))
+    return Rival(other, (value + rounding) / (objective + rounding), abs(angle))
