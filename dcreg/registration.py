@@ -10,7 +10,7 @@ import numpy as np
 
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
-from dcreg.local import Matched, objective
+from dcreg.local import AT_ONCE_PAIRS, Matched, objective
 from dcreg.local import polish as polish_pose
 from dcreg.modes import AUTO, Answer, Mode, Task
 from dcreg.modes.table import choose_mode, find_mode
@@ -115,9 +115,9 @@ def register(
     downsample : int, optional
         Search with this many points of each cloud at most, farthest points but for stray ones, and refine
         the pose on all.
-        A counted `n_inliers` speaks of all points and is scaled down with them. Default: 1,000 in
-        space and 300 in the plane for clouds of more than 4,000,000 pairs that match in part, where no
-        mode, bound, certificate or candidates are given; all points elsewhere.
+        A counted `n_inliers` speaks of all points and is scaled down with them. Default, where no
+        mode, bound, certificate or candidates are given: 300 in the plane beyond 1,000,000 pairs of
+        points, 1,000 in space beyond 4,000,000 that match in part; all points elsewhere.
     listener : callable, optional
         Called with every `dcreg.Event`, and at least every half second, then from another thread;
         returning True stops (status ``stopped``).
@@ -254,6 +254,7 @@ def result_of(
         problem.source, problem.target, T, problem.n_inliers, problem.candidates,
         prove=not (polish or budget.is_over), stop=budget.closed,
     )  # fmt: skip
+    hurried = bool(budget.closed[0]) and len(problem.source) * len(problem.target) > AT_ONCE_PAIRS
     # where not one descent came to its end; norms differ by no more than the points do
     upper_bound = value if np.isinf(answer.upper_bound) else answer.upper_bound * area
     final = value
@@ -268,7 +269,7 @@ def result_of(
         stages.append(
             Stage(
                 "polish", budget.elapsed() - polishing, n_assignments=spent,
-                objective_before=value, objective_after=final,
+                objective_before=value, objective_after=final, hurried=hurried or None,
             )
         )  # fmt: skip
     return Result(
@@ -294,7 +295,10 @@ def result_of(
         stages=stages,
         certificate=_certificate(problem, mode, task, answer),
         rival=find_rival(
-            problem, T, final, ((frame.pose(end), value * area) for end, value in answer.ends)
+            problem,
+            T,
+            final if mode.in_norm_space else min(final, upper_bound),
+            ((frame.pose(end), value * area) for end, value in answer.ends),
         ),
     )
 

@@ -39,6 +39,8 @@ class Stage:
         The gap asked of this stage, where it is not the one asked of the solve.
     objective_before, objective_after : float, optional
         Of the polish: sum of squared residuals of the matched pairs.
+    hurried : bool, optional
+        True where the time was over before the pairs were matched: near ones were taken.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Stage:
     gap_tol: float | None = None
     objective_before: float | None = None
     objective_after: float | None = None
+    hurried: bool | None = None
 
     @classmethod
     def of(cls, name: str, found: Outcome, gap_tol: float | None = None) -> Stage:
@@ -316,12 +319,8 @@ class Result:
                 f"the bounds are of {text.count(pairs, 'pair')} of {n} and {m} farthest points; the pose "
                 "is refined on all points",
             )
-        if self.rival is not None:
-            yield (
-                "best other pose",
-                f"{self.rival.objective_ratio:.3g} times the objective, turned by "
-                f"{self.rival.turned_deg:.0f} deg (the best of the descents, not proven)",
-            )
+        if self.score is None:
+            yield "best other pose", "not known" if self.rival is None else str(self.rival)
         for warning in self.warnings:
             yield "warning", warning
 

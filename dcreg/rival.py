@@ -39,6 +39,13 @@ class Rival:
     objective_ratio: float
     turned_deg: float
 
+    def __str__(self) -> str:
+        ratio = f"{self.objective_ratio:.3g}" if self.objective_ratio < 1000 else "over 1000"
+        return (
+            f"{ratio} times the objective, turned by {self.turned_deg:.0f} deg (the best that was "
+            "met, not proven)"
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         return {

@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from dcreg.local import Matched, polish, quick_objective
+from dcreg.local import Matched, objective, polish, quick_objective
 from dcreg.modes.table import default_sample
 from dcreg.problem import InputError, Problem, representative_points
 from dcreg.result import Result, Stage
+from dcreg.rival import find_rival
 from dcreg.search import Budget
+from dcreg.status import Status
 
 # Of the time, for the search of a sample: the rest is for refining its pose on all points.
 SEARCH_SHARE = 0.8
+HOPELESS = 4.0  # times the best objective, from which on a pose is not refined
 
 
 def to_search(
@@ -85,36 +88,49 @@ def refined(
 ) -> Result:
     """The result of a sample, its pose refined on all points.
 
-    The pose of the `known` pairs is refined as well, the better of the two first.
+    The pose of the `known` pairs and the rival are refined as well, the best of them first; the rival of
+    the result is then of all points too.
     """
     began = budget.elapsed()
     clouds, k = (problem.source, problem.target), problem.n_inliers
     T, spent = result.T_target_source, 1
     before, pairs = quick_objective(*clouds, T, k, known=known, prove=False, stop=budget.closed)
-    starts = [(before, T, pairs)]
+    hurried = bool(budget.closed[0])
+    ends = [(before, T, pairs)]
+    if result.rival is not None and not budget.is_over:
+        T, spent = result.rival.T_target_source, spent + 1
+        value, pairs = objective(*clouds, T, k, prove=False, stop=budget.closed)
+        ends.append((value, T, pairs))
     if known is not None:
-        other, cheapest = known.cheapest(*clouds, known.T_target_source, k)
-        starts.append((other, known.T_target_source, cheapest))
-    starts.sort(key=lambda start: start[0])
-    value, T, pairs = starts[0]
-    for _, start, _ in starts:
-        if budget.is_over:
+        value, pairs = known.cheapest(*clouds, known.T_target_source, k)
+        ends.append((value, known.T_target_source, pairs))
+    ends.sort(key=_value)
+    for at, (value, T, _) in enumerate(ends):
+        if budget.is_over or value > HOPELESS * min(map(_value, ends)):
             break
-        better, least, chosen, more = polish(*clouds, start, k, problem.scale_range, budget=budget)
+        T, less, pairs, more = polish(*clouds, T, k, problem.scale_range, budget=budget)
         spent += more
-        if least < value:
-            T, value, pairs = better, least, chosen
+        if less < value:
+            ends[at] = less, T, pairs
+    value, T, pairs = min(ends, key=_value)
     stage = Stage(
         "all points", budget.elapsed() - began, n_assignments=spent,
-        objective_before=before, objective_after=value,
+        objective_before=before, objective_after=value, hurried=hurried or None,
     )  # fmt: skip
+    ended = result.status in (Status.OPTIMAL, Status.CONVERGED)
     return replace(
         result,
+        status=budget.ended_by if ended and budget.is_over else result.status,
         T_target_source=T,
         assignment=pairs,
         n_inliers=problem.n_inliers,
         objective=value,
         objective_certified=before,
+        rival=find_rival(problem, T, value, [(other, cost) for cost, other, _ in ends]),
         stages=[*result.stages, stage],
         downsampled=(len(searched.source), len(searched.target), searched.n_inliers),
     )
+
+
+def _value(end: tuple[float, np.ndarray, np.ndarray]) -> float:
+    return end[0]

@@ -25,8 +25,9 @@ MAX_PAIRS = 100_000_000
 MATRIX_FREE_BOUNDS = {"tight", "tight-exact", "shared"}
 # Beyond this a single assignment of mode `full` takes seconds.
 RIGID_PAIRS = 4_000_000
-# Points of each cloud that are searched instead, where that many pairs do not all match, by dimension:
-# in the plane searches of some hundred come to their end.
+# By dimension: pairs beyond which a sample is searched instead, and the points of each cloud in it. In
+# the plane searches of some hundred come to their end, and of thousands not one descent does.
+LARGE_PAIRS = {2: 1_000_000, 3: 4_000_000}
 LARGE_SAMPLE = {2: 300, 3: 1_000}
 
 
@@ -160,11 +161,12 @@ def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = 
 def default_sample(problem: Problem, bound: str | None, certificate: bool) -> int | None:
     """Points that are searched instead of all; None: all.
 
-    Of large clouds that match in part some of the points give a better pose than all: in space only norms
-    of all could be searched, which mislead; in the plane not one descent ends in time.
+    Of large clouds some of the points give a better pose than all of them. Not so in space where all of
+    them match: then norms tell enough.
     """
     n, m = len(problem.source), len(problem.target)
     free = bound is None and not certificate and problem.candidates is None
-    if not free or n * m <= RIGID_PAIRS or problem.n_inliers == n == m:
+    by_norms = problem.dim == 3 and problem.n_inliers == n == m
+    if not free or by_norms or n * m <= LARGE_PAIRS[problem.dim]:
         return None
     return LARGE_SAMPLE[problem.dim]

@@ -102,9 +102,11 @@ class Similarity2D(FeatureSpace):
         return self._score(seeds, self.n_inliers)
 
     def _score(self, seeds: np.ndarray, count: int) -> tuple[np.ndarray, int]:
-        values = [cheapest_pairs(self._costs(seed), count, self.stop)[0] for seed in seeds]
-        self.check()
-        return np.array(values), len(seeds)
+        values = np.empty(len(seeds))
+        for at, seed in enumerate(seeds):
+            values[at], _, _ = cheapest_pairs(self._costs(seed), count, self.stop)
+            self.check()
+        return values, len(seeds)
 
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
         """The best seeds, poses that pairs of points suggest, and where descents with more pairs lead.

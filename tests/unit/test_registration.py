@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.modes import choose_mode
-from dcreg.modes.table import LARGE_SAMPLE
+from dcreg.modes.table import LARGE_PAIRS, LARGE_SAMPLE
 from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.spaces import Similarity2D, Translation3D
 from dcreg.status import Status
@@ -469,6 +469,7 @@ def test_large_clouds_in_the_plane_are_searched_by_a_sample(rng):
 def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     """All their points would leave only norms, which mislead there."""
     monkeypatch.setattr("dcreg.modes.table.RIGID_PAIRS", 900)
+    monkeypatch.setitem(LARGE_PAIRS, 3, 900)
     monkeypatch.setitem(LARGE_SAMPLE, 3, 25)
     generator = np.random.default_rng(0)
     source = generator.random((40, 3)) * [2.0, 1.0, 0.5]

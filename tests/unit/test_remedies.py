@@ -77,6 +77,18 @@ def test_pairs_that_cost_more_than_the_pose_does():
     assert remedies.rough_pairs(case(result, source, target, **sampled)) is None
 
 
+def test_pairs_taken_in_a_hurry_are_not_called_too_many():
+    source, target = clouds()
+    result = solve(source, target, 30)
+    late = [*result.stages, dcreg.Stage("all points", 0.1, hurried=True)]
+    made = {"objective": 50.0, "downsampled": (9, 9, 9), "stages": late}
+    assert "near ones were taken" in remedies.rough_pairs(case(result, source, target, **made))
+    assert remedies.loose_pairs(case(result, source, target, **made)) is None
+    made["stages"] = result.stages
+    assert remedies.rough_pairs(case(result, source, target, **made)) is None
+    assert "too many" in remedies.loose_pairs(case(result, source, target, **made))
+
+
 def test_a_target_ten_times_larger():
     source, target = clouds()
     lines = solve(source, 12.0 * target, 30, time_limit=2.0).warnings

@@ -1,5 +1,7 @@
 """Pairs of one pose used for fewer pairs at another: true values, and only where the poses are near."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -7,8 +9,10 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from dcreg.local import Matched, objective, quick_objective
 from dcreg.problem import Problem
+from dcreg.rival import Rival
 from dcreg.sampling import refined
 from dcreg.search import Budget
+from dcreg.status import Status
 
 OVER, UNDER_WAY = np.ones(1, np.uint8), np.zeros(1, np.uint8)
 
@@ -96,3 +100,32 @@ def test_one_greedy_matching_of_large_clouds_serves_all_cardinalities_of_its_pos
     own = objective(source, target, T, 400, stop=OVER)
     assert given[0] == pytest.approx(own[0], rel=1e-12)
     np.testing.assert_array_equal(given[1], own[1])
+
+
+@pytest.mark.parametrize(("angle", "taken"), [(0.0, True), (3.0, False)])
+def test_the_rival_of_a_sample_is_compared_on_all_points(clouds, angle, taken):
+    """It may be the better pose there; the rival is then the other one."""
+    sample = Problem(clouds[0][:30], clouds[1][:30], 20, "rigid3d")
+    found = dcreg.register(
+        sample.source, sample.target, n_inliers=20, model="rigid3d", node_limit=1
+    )
+    found.T_target_source[:] = turned(1.5)
+    found = replace(found, rival=Rival(turned(angle), 1.02, 86.0))
+    result = refined(found, Problem(*clouds, 40, "rigid3d"), sample, Budget())
+    near = np.allclose(result.rotation, np.eye(3), atol=0.05)
+    assert near == taken
+    other = result.rival.T_target_source
+    value, _ = objective(*clouds, other, 40)
+    assert result.rival.objective_ratio == pytest.approx(value / result.objective, rel=1e-6)
+    assert result.rival.objective_ratio >= 1.0
+    apart = clouds[0] @ (other[:3, :3] - result.rotation).T + other[:3, 3] - result.translation
+    assert np.sqrt((apart**2).sum(axis=1).mean()) > 0.1
+
+
+def test_a_sample_whose_pose_is_not_refined_to_the_end_ended_at_the_limit(clouds):
+    sample = Problem(clouds[0][:30], clouds[1][:30], 20, "rigid3d")
+    found = dcreg.register(sample.source, sample.target, n_inliers=20, model="rigid3d", gap_tol=9.0)
+    assert found.status is Status.OPTIMAL
+    whole = Problem(*clouds, 40, "rigid3d")
+    assert refined(found, whole, sample, Budget()).status is Status.OPTIMAL
+    assert refined(found, whole, sample, Budget(0.0)).status is Status.TIME_LIMIT

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.kernels.points import NEVER
-from dcreg.modes.table import LARGE_SAMPLE
+from dcreg.modes.table import LARGE_PAIRS, LARGE_SAMPLE
 from dcreg.problem import InputError
 from dcreg.remedies import TOO_MANY_PAIRS
 from dcreg.search import Budget
@@ -461,6 +461,7 @@ def test_advice_is_given_before_the_search(caplog):
 
 def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     monkeypatch.setattr("dcreg.modes.table.RIGID_PAIRS", 900)
+    monkeypatch.setitem(LARGE_PAIRS, 3, 900)
     monkeypatch.setitem(LARGE_SAMPLE, 3, 25)
     generator = np.random.default_rng(0)
     source = generator.random((40, 3)) * [2.0, 1.0, 0.5]

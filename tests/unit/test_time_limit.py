@@ -208,6 +208,18 @@ def test_a_caller_can_stop_a_search_of_large_clouds(mode, size):
     assert len(result.assignment) == round(0.7 * size)
 
 
+@pytest.mark.parametrize("mode", [None, "paper"])
+def test_large_clouds_in_the_plane_that_match_in_full_end_in_time(mode):
+    """Scores of the first poses take a second each, of 5,000 points."""
+    clouds, clock = pair_of_clouds(5_000, 2), Clock(stops=False)
+    result = dcreg.register(
+        *clouds, n_inliers=1.0, model="similarity2d", mode=mode, time_limit=2.0, listener=clock
+    )
+    assert clock.since_first() <= 1.1 * 2.0 + 1.0
+    assert len(result.assignment) == 5_000
+    assert result.downsampled == (None if mode else (300, 300, 300))
+
+
 SHARES = [0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8]
 
 

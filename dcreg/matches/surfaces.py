@@ -1,0 +1,93 @@
+"""Evidence beside the matches: how well the surfaces of both clouds coincide.
+
+Wrong poses often agree with more matches than the right one does: of some thousand matches by
+descriptors many agree by chance. Hardly ever do they also bring the surfaces together, near points with
+like normals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dcreg.kernels.matches.surfaces import (
+    SurfaceGrid,
+    fill_nearest,
+    surface_scores,
+    surface_weights,
+)
+from dcreg.local import fit_pose
+from dcreg.matches.problem import LEAST
+
+NEIGHBOURS = 16  # of a point, the plane through which has its normal
+MAX_CELLS = 256  # of the grid along an axis
+CELLS_PER_REACH = 2.0
+MAX_LOOKED = 400  # source points, where many poses are judged
+MAX_PULLED = 1000  # source points of a descent
+WIDE = 2.0  # reaches, from which points are pulled at first
+WIDE_STEPS, STEPS = 10, 10
+
+
+class Surfaces:
+    """Two clouds and their normals; poses are judged by what of the source lies on the target.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+    reach : float
+        Distance beyond which two points are not on one surface.
+    """
+
+    def __init__(self, source: np.ndarray, target: np.ndarray, reach: float) -> None:
+        self._reach = reach
+        self._points, self._normals = np.ascontiguousarray(source), normals_of(source)
+        order = np.random.default_rng(0).permutation(len(source))
+        self._looked, self._pulled = order[:MAX_LOOKED], order[:MAX_PULLED]
+        farthest = WIDE * reach
+        origin = target.min(axis=0) - farthest
+        extent = np.ptp(target, axis=0) + 2.0 * farthest
+        cell = max(reach / CELLS_PER_REACH, float(extent.max()) / MAX_CELLS)
+        shape = tuple((extent / cell).astype(int) + 1)
+        nearest, square = np.full(shape, -1, np.int32), np.full(shape, np.inf)
+        fill_nearest(np.ascontiguousarray(target), origin, cell, farthest, nearest, square)
+        self._grid = SurfaceGrid(
+            np.ascontiguousarray(target), normals_of(target), origin, cell, nearest
+        )
+
+    def scores(self, poses: np.ndarray, *, quick: bool = False) -> np.ndarray:
+        """How many source points lie on the target, for (P, 3, 4) poses; `quick`: of some hundred.
+
+        Each counts by how near it is, and how like the normals are.
+        """
+        looked = self._looked if quick else slice(None)
+        out = np.empty(len(poses))
+        surface_scores(
+            self._points[looked], self._normals[looked], self._grid, self._reach,
+            np.ascontiguousarray(poses), out,
+        )  # fmt: skip
+        return out
+
+    def descend(self, pose: np.ndarray) -> np.ndarray:
+        """A pose that brings the surfaces closer together: like points pull, first from afar."""
+        points, normals = self._points[self._pulled], self._normals[self._pulled]
+        columns, weights = np.empty(len(points), np.int64), np.empty(len(points))
+        for reach, steps in ((WIDE * self._reach, WIDE_STEPS), (self._reach, STEPS)):
+            for _ in range(steps):
+                pose = np.ascontiguousarray(pose)
+                surface_weights(points, normals, self._grid, reach, pose, columns, weights)
+                if (weights > 0.0).sum() < LEAST:
+                    return pose
+                near = weights > 0.0
+                x, y = points[near], self._grid.points[columns[near]]
+                pose = fit_pose(x, y, (1.0, 1.0), weights[near])[:3]
+        return pose
+
+
+def normals_of(points: np.ndarray) -> np.ndarray:
+    """Unit normals, of any sign, of the planes through a point's neighbours."""
+    count = min(NEIGHBOURS, len(points))
+    _, near = cKDTree(points).query(points, k=np.arange(1, count + 1))
+    apart = points[near] - points[near].mean(axis=1, keepdims=True)
+    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
+    normals: np.ndarray = np.ascontiguousarray(axes[:, :, 0])
+    return normals
