@@ -6,8 +6,16 @@ import time
 
 import numpy as np
 
-from dcreg.matches import MatchBound, MatchProblem, doubts, is_near, promising_poses
+from dcreg.matches import (
+    MatchBound,
+    MatchProblem,
+    coinciding_poses,
+    doubts,
+    is_near,
+    promising_poses,
+)
 from dcreg.names import DEFAULT_TIME_LIMIT_S
+from dcreg.problem import InputError, suggestion
 from dcreg.registration import check_settings
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, Listener, LongestEdge, Trace, branch_and_bound
@@ -15,6 +23,7 @@ from dcreg.status import Status
 from dcreg.warm_up import warm_up_matches
 
 MODE, BOUND = "matches", "nested"
+JUDGES = ("matches", "surfaces")
 TOLERATED = 0.1  # gap per chosen match, in squared inlier distances
 SCOPE = "rigid pose over the given matches, those not chosen priced at inlier_distance^2"
 
@@ -25,7 +34,8 @@ def register_matches(
     matches: np.ndarray,
     *,
     inlier_distance: float,
-    certify: bool = True,
+    judge: str = JUDGES[0],
+    certify: bool | None = None,
     gap_tol: float | None = None,
     time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
@@ -50,8 +60,14 @@ def register_matches(
         Starts are made of the first 5,000.
     inlier_distance : float
         Residual from which on a match counts as wrong, in the unit of the clouds.
-    certify : bool
-        False: the pose alone, with no lower bound but 0 and status ``converged``.
+    judge : {"matches", "surfaces"}
+        What tells the right one of the poses that matches agree on: the cost above; or the score of
+        the matches times that of the surfaces of both clouds, near points with like normals, once these
+        are brought together. It is right more often for dense scans that overlap in part, and says
+        nothing where points are sparse. The pose need not be that of least cost, and is not certified.
+    certify : bool, optional
+        False: the pose alone, with no lower bound but 0 and status ``converged``. Default: whether the
+        matches judge.
     gap_tol : float, optional
         Absolute tolerance on the gap, in squared units; default a tenth of `inlier_distance` squared for
         every match chosen by the start.
@@ -89,17 +105,38 @@ def register_matches(
     began = time.perf_counter()
     problem = MatchProblem.checked(source, target, matches, inlier_distance)
     check_settings(gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit)
+    certify = _certified(judge, certify)
     warm_up_matches()
     setup = time.perf_counter() - began
     with Budget(time_limit, node_limit, listener=listener) as budget:
-        return _solved(problem, certify, gap_tol, budget, setup)
+        return _solved(problem, judge, certify, gap_tol, budget, setup)
+
+
+def _certified(judge: str, certify: bool | None) -> bool:
+    """Whether bounds are wanted; refuses a judge that is unknown, or has none."""
+    if judge not in JUDGES:
+        raise InputError(f"judge: {judge!r} is unknown{suggestion(judge, JUDGES)}")
+    if certify and judge == "surfaces":
+        raise InputError(
+            "certify: bounds speak of the cost of matches, and judge='surfaces' chooses a pose by other "
+            "evidence; leave one of both out"
+        )
+    return judge == "matches" if certify is None else certify
 
 
 def _solved(
-    problem: MatchProblem, certify: bool, gap_tol: float | None, budget: Budget, setup: float
+    problem: MatchProblem,
+    judge: str,
+    certify: bool,
+    gap_tol: float | None,
+    budget: Budget,
+    setup: float,
 ) -> Result:
-    starts = promising_poses(problem, budget)
-    pose = starts[0][1]
+    if judge == "surfaces":
+        starts = coinciding_poses(problem, budget)
+    else:
+        starts = [(problem.score(cost), pose) for cost, pose in promising_poses(problem, budget)]
+    best, pose = starts[0]
     value, chosen = problem.cost(pose)
     stages = [Stage("start", budget.elapsed(), n_assignments=len(starts))]
     if gap_tol is None:
@@ -116,11 +153,10 @@ def _solved(
         lower, events = found.lower_bound, found.events
         stages.append(Stage.of("rotation", found))
         value, chosen = problem.cost(pose)
+        best = problem.score(value)
     lower = max(0.0, lower)
     score = problem.score(value), problem.score(lower)
-    others = [
-        problem.score(cost) for cost, other in starts if not is_near(other, pose, problem.reach)
-    ]
+    others = [evidence for evidence, other in starts if not is_near(other, pose, problem.reach)]
     objective = float(problem.residuals(pose)[chosen].sum())
     is_open = certify and status is not Status.OPTIMAL
     T = problem.pose(pose)
@@ -132,5 +168,6 @@ def _solved(
         n_nodes=sum(stage.n_nodes for stage in stages),
         n_assignments=sum(stage.n_assignments for stage in stages),
         time_setup_s=setup, time_solve_s=budget.elapsed(), stages=stages,
-        trace=Trace(events), score=score, warnings=doubts(problem, chosen, score, others, is_open),
+        trace=Trace(events), score=score,
+        warnings=doubts(problem, chosen, judge, [best, *others], score if is_open else None),
     )  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 from dcreg.kernels.compiling import forget_old_kernels, when_compiling
 from dcreg.local import objective, polish
 from dcreg.local.sparse import is_large, sparse_matching
-from dcreg.matches import MatchBound, MatchProblem, promising_poses
+from dcreg.matches import MatchBound, MatchProblem, coinciding_poses, promising_poses
 from dcreg.modes import MODES, Mode, Task, find_mode
 from dcreg.modes.sampled_rotation import search_sampled_rotation
 from dcreg.problem import Problem
@@ -119,6 +119,7 @@ def warm_up_matches() -> None:
     problem = MatchProblem(points, points, np.column_stack([rows, rows]), 0.5)
     with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
         promising_poses(problem, Budget())
+        coinciding_poses(problem, Budget())
         worst = problem.reach**2 * problem.most
         bound = MatchBound(problem, worst, 0.0)
         branch_and_bound(

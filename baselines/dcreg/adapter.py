@@ -44,6 +44,7 @@ class Adapter(BranchAndBound):
             instance.target,
             putative.pairs,
             inlier_distance=instance.noise_bound,
+            judge=self.options["judge"],
             certify=self.options["certify"],
             time_limit=limits.time_s,
             node_limit=limits.nodes,

@@ -40,9 +40,20 @@ def register_matches(
             help="Residual from which on a match counts as wrong, in units of the target.",
         ),
     ],
+    judge: Annotated[
+        str,
+        typer.Option(
+            metavar="WHAT",
+            help="What tells the right pose: 'matches', their cost; or 'surfaces', how far those of both "
+            "clouds coincide, for dense scans, without bounds.",
+        ),
+    ] = "matches",
     certify: Annotated[
-        bool, typer.Option(help="Branch and bound after the first pose, for bounds.")
-    ] = True,
+        bool | None,
+        typer.Option(
+            help="Branch and bound after the first pose, for bounds. Default: where matches judge.",
+        ),
+    ] = None,
     gap_tol: Annotated[
         float | None,
         typer.Option(
@@ -82,7 +93,7 @@ def register_matches(
         with Progress(gap_tol=gap_tol, quiet=quiet) as progress:
             result = progress.run(
                 partial(
-                    solve, *clouds, pairs, inlier_distance=inlier_distance, certify=certify,
+                    solve, *clouds, pairs, inlier_distance=inlier_distance, judge=judge, certify=certify,
                     gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
                     listener=progress,
                 )

@@ -30,6 +30,8 @@ _OPTIONS |= {
     "certificate",
     "downsample",
     "inlier_distance",
+    "judge",
+    "certify",
 }
 
 # Writes one file, whole or not at all.

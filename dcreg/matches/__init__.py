@@ -3,6 +3,6 @@
 from dcreg.matches.bound import MatchBound
 from dcreg.matches.doubts import doubts
 from dcreg.matches.problem import MatchProblem
-from dcreg.matches.start import is_near, promising_poses
+from dcreg.matches.start import coinciding_poses, is_near, promising_poses
 
-__all__ = ["MatchBound", "MatchProblem", "doubts", "is_near", "promising_poses"]
+__all__ = ["MatchBound", "MatchProblem", "coinciding_poses", "doubts", "is_near", "promising_poses"]

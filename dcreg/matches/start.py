@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from dcreg.kernels.matches.compatible import closest_allies, compatible_matches
 from dcreg.local import fit_pose
 from dcreg.matches.problem import MatchProblem
+from dcreg.matches.surfaces import Surfaces
 from dcreg.search import Budget
 
 MAX_LOOKED = 5000  # matches, the first of the list, that sets are made of: all pairs are compared
@@ -51,6 +52,31 @@ def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, 
         end, value = descend(problem, np.column_stack([np.eye(3), first]))
         ends.append((value, end))
     return sorted(ends, key=lambda end: end[0])
+
+
+def coinciding_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, np.ndarray]]:
+    """Evidence for, and centred poses of, descents from distinct poses, the best first.
+
+    The poses are those that matches agree on. The evidence is the score over the matches times that of
+    the surfaces, which coincide at few wrong poses; the descents bring these together and look at no
+    match. Where no matches agree it is one of `promising_poses`.
+    """
+    poses = _agreed_poses(problem)
+    if not len(poses):
+        return [(0.0, promising_poses(problem, budget)[0][1])]
+    surfaces = Surfaces(problem.source - problem.centre, problem.target, problem.reach)
+    seen: list[np.ndarray] = []
+    ends: list[np.ndarray] = []
+    evidence = surfaces.scores(poses, quick=True) * problem.scores(poses)
+    for pose in poses[np.argsort(-evidence, kind="stable")]:
+        if len(ends) == MAX_DESCENTS or (ends and budget.is_over):
+            break
+        if not any(is_near(pose, other, problem.reach) for other in seen):
+            ends.append(surfaces.descend(pose))
+            seen += [pose, ends[-1]]
+    found = np.array(ends)
+    evidence = surfaces.scores(found) * problem.scores(found)
+    return [(float(evidence[at]), ends[at]) for at in np.argsort(-evidence, kind="stable")]
 
 
 def descend(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, float]:

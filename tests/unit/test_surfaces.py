@@ -1,0 +1,158 @@
+"""Poses over matches judged by the surfaces of the clouds too."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from dcreg.matches.surfaces import Surfaces, normals_of
+
+REACH = 0.1
+
+
+def room(n, seed):
+    """Points of a floor, two walls of different lengths, a crate and a ball, without noise."""
+    rng = np.random.default_rng(seed)
+    u = rng.random((n, 2))
+    which = rng.integers(5, size=n)
+    zero = np.zeros(n)
+    floor = np.column_stack([3.0 * u[:, 0], 2.0 * u[:, 1], zero])
+    wall = np.column_stack([3.0 * u[:, 0], zero, 1.5 * u[:, 1]])
+    side = np.column_stack([zero, 2.0 * u[:, 0], 1.5 * u[:, 1]])
+    crate = np.array([1.2, 0.8, 0.0]) + np.column_stack(
+        [0.7 * u[:, 0], np.full(n, 0.4), 0.6 * u[:, 1]]
+    )
+    ball = rng.standard_normal((n, 3))
+    ball = np.array([2.4, 1.5, 0.35]) + 0.35 * ball / np.linalg.norm(ball, axis=1, keepdims=True)
+    return np.choose(which[:, None], [floor, wall, side, crate, ball])
+
+
+def pose(seed):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.random(random_state=seed).as_matrix()
+    T[:3, 3] = np.random.default_rng(seed).uniform(-2, 2, 3)
+    return T
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Two views of a room, and matches: a few right ones, more that agree on a wrong pose, and noise."""
+    rng = np.random.default_rng(5)
+    source, T, wrong = room(2500, 0), pose(1), pose(2)
+    target = room(2500, 7)
+    target = target[target[:, 0] > 0.8] @ T[:3, :3].T + T[:3, 3]
+    target += 0.005 * rng.standard_normal(target.shape)
+    distances, nearest = nearest_after(source, target, T)
+    right = rng.permutation(np.flatnonzero(distances < 0.05))[:25]
+    liars = rng.permutation(len(source))[:40]
+    lies = len(target) + np.arange(40)
+    target = np.concatenate([target, source[liars] @ wrong[:3, :3].T + wrong[:3, 3]])
+    chance = np.column_stack(
+        [rng.integers(len(source), size=300), rng.integers(len(target), size=300)]
+    )
+    pairs = np.concatenate(
+        [np.column_stack([right, nearest[right]]), np.column_stack([liars, lies]), chance]
+    )
+    return source, target, pairs, T, wrong
+
+
+def nearest_after(source, target, T):
+    moved = source @ T[:3, :3].T + T[:3, 3]
+    apart = np.linalg.norm(moved[:, None] - target[None], axis=-1)
+    return apart.min(axis=1), apart.argmin(axis=1)
+
+
+def error(result, T):
+    turned = Rotation.from_matrix(result.rotation @ T[:3, :3].T).magnitude()
+    return np.rad2deg(turned), np.linalg.norm(result.translation - T[:3, 3])
+
+
+def test_surfaces_tell_the_right_pose_where_more_matches_agree_on_a_wrong_one(scene):
+    source, target, pairs, T, wrong = scene
+    by_matches = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, certify=False)
+    assert error(by_matches, wrong) < (2.0, 0.1)
+    found = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, judge="surfaces")
+    degrees, shift = error(found, T)
+    assert degrees < 1.5
+    assert shift < 0.05
+    assert found.status is dcreg.Status.CONVERGED
+    assert found.lower_bound == 0.0
+    assert found.score[0] < by_matches.score[0]
+
+
+def test_the_result_states_the_matches_of_its_pose(scene):
+    source, target, pairs, *_ = scene
+    found = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, judge="surfaces")
+    rows, columns = found.assignment.T
+    assert len(set(rows)) == len(set(columns)) == found.n_inliers
+    residuals = source[rows] @ found.rotation.T + found.translation - target[columns]
+    assert found.objective == pytest.approx((residuals**2).sum())
+    assert (np.linalg.norm(residuals, axis=1) <= REACH).all()
+
+
+def test_scores_are_those_of_their_definition():
+    source, target = room(300, 1), room(400, 2)
+    poses = np.array([np.eye(3, 4), pose(3)[:3], np.eye(3, 4) + [[0, 0, 0, 0.03]] * 3])
+    surfaces = Surfaces(source, target, REACH)
+    grid = surfaces._grid
+    found = surfaces.scores(poses)
+    normals, others = normals_of(source), normals_of(target)
+    for at, T in enumerate(poses):
+        moved = source @ T[:, :3].T + T[:, 3]
+        cells = np.floor((moved - grid.origin) / grid.cell).astype(int)
+        inside = ((cells >= 0) & (cells < grid.nearest.shape)).all(axis=1)
+        total = 0.0
+        for i in np.flatnonzero(inside):
+            centre = grid.origin + (cells[i] + 0.5) * grid.cell
+            j = int(((target - centre) ** 2).sum(axis=1).argmin())
+            near = 1.0 - ((moved[i] - target[j]) ** 2).sum() / REACH**2
+            along = others[j] @ T[:, :3] @ normals[i]
+            total += max(0.0, near) * max(0.0, 2.0 * along**2 - 1.0)
+        assert found[at] == pytest.approx(total, rel=1e-9, abs=1e-9)
+    assert found[0] > 5.0 * found[1]
+
+
+def test_a_descent_brings_surfaces_together():
+    source = room(2000, 1)
+    near = np.eye(4)
+    near[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.05]).as_matrix()
+    near[:3, 3] = [0.05, -0.04, 0.03]
+    surfaces = Surfaces(source, room(2000, 2), REACH)
+    end = surfaces.descend(near[:3])
+    assert np.abs(end - np.eye(3, 4)).max() < 0.02
+    scores = surfaces.scores(np.array([near[:3], end]))
+    assert scores[1] > scores[0]
+    far = near[:3] + [[0, 0, 0, 50.0]] * 3
+    np.testing.assert_array_equal(surfaces.descend(far), far)
+
+
+def test_normals_of_a_plane():
+    points = np.column_stack([np.random.default_rng(0).random((50, 2)), np.full(50, 2.0)])
+    assert np.abs(normals_of(points)[:, 2]) == pytest.approx(np.ones(50))
+
+
+def test_few_points_and_no_agreement_give_an_answer_all_the_same():
+    rng = np.random.default_rng(0)
+    source, target = rng.random((4, 3)), 10.0 * rng.random((4, 3))
+    rows = np.arange(4)
+    found = dcreg.register_matches(
+        source, target, np.column_stack([rows, rows]), inlier_distance=1e-3, judge="surfaces"
+    )
+    assert np.isfinite(found.T_target_source).all()
+    assert found.warnings
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"judge": "surface"}, "judge: 'surface' is unknown.*surfaces"),
+        ({"judge": "surfaces", "certify": True}, "certify: bounds speak of the cost of matches"),
+    ],
+)
+def test_what_cannot_be_is_refused(options, message):
+    points = np.random.default_rng(0).random((8, 3))
+    rows = np.arange(8)
+    with pytest.raises(dcreg.InputError, match=message):
+        dcreg.register_matches(
+            points, points, np.column_stack([rows, rows]), inlier_distance=0.1, **options
+        )
