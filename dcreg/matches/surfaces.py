@@ -22,6 +22,7 @@ from dcreg.matches.problem import LEAST
 NEIGHBOURS = 16  # of a point, the plane through which has its normal
 MAX_CELLS = 256  # of the grid along an axis
 CELLS_PER_REACH = 2.0
+MAX_SOURCE, MAX_TARGET = 5_000, 100_000  # points of larger clouds, drawn at random
 MAX_LOOKED = 400  # source points, where many poses are judged
 MAX_PULLED = 1000  # source points of a descent
 WIDE = 2.0  # reaches, from which points are pulled at first
@@ -40,26 +41,23 @@ class Surfaces:
 
     def __init__(self, source: np.ndarray, target: np.ndarray, reach: float) -> None:
         self._reach = reach
-        self._points, self._normals = np.ascontiguousarray(source), normals_of(source)
-        order = np.random.default_rng(0).permutation(len(source))
-        self._looked, self._pulled = order[:MAX_LOOKED], order[:MAX_PULLED]
+        self._points, self._normals = _some(source, MAX_SOURCE)
+        target, normals = _some(target, MAX_TARGET)
         farthest = WIDE * reach
         origin = target.min(axis=0) - farthest
         extent = np.ptp(target, axis=0) + 2.0 * farthest
         cell = max(reach / CELLS_PER_REACH, float(extent.max()) / MAX_CELLS)
         shape = tuple((extent / cell).astype(int) + 1)
         nearest, square = np.full(shape, -1, np.int32), np.full(shape, np.inf)
-        fill_nearest(np.ascontiguousarray(target), origin, cell, farthest, nearest, square)
-        self._grid = SurfaceGrid(
-            np.ascontiguousarray(target), normals_of(target), origin, cell, nearest
-        )
+        fill_nearest(target, origin, cell, farthest, nearest, square)
+        self._grid = SurfaceGrid(target, normals, origin, cell, nearest)
 
     def scores(self, poses: np.ndarray, *, quick: bool = False) -> np.ndarray:
         """How many source points lie on the target, for (P, 3, 4) poses; `quick`: of some hundred.
 
         Each counts by how near it is, and how like the normals are.
         """
-        looked = self._looked if quick else slice(None)
+        looked = slice(MAX_LOOKED if quick else None)
         out = np.empty(len(poses))
         surface_scores(
             self._points[looked], self._normals[looked], self._grid, self._reach,
@@ -69,7 +67,7 @@ class Surfaces:
 
     def descend(self, pose: np.ndarray) -> np.ndarray:
         """A pose that brings the surfaces closer together: like points pull, first from afar."""
-        points, normals = self._points[self._pulled], self._normals[self._pulled]
+        points, normals = self._points[:MAX_PULLED], self._normals[:MAX_PULLED]
         columns, weights = np.empty(len(points), np.int64), np.empty(len(points))
         for reach, steps in ((WIDE * self._reach, WIDE_STEPS), (self._reach, STEPS)):
             for _ in range(steps):
@@ -81,6 +79,13 @@ class Surfaces:
                 x, y = points[near], self._grid.points[columns[near]]
                 pose = fit_pose(x, y, (1.0, 1.0), weights[near])[:3]
         return pose
+
+
+def _some(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """At most so many of the points in random order, and their normals."""
+    order = np.random.default_rng(0).permutation(len(points))[:count]
+    some = np.ascontiguousarray(points[order])
+    return some, normals_of(some)
 
 
 def normals_of(points: np.ndarray) -> np.ndarray:

@@ -96,6 +96,7 @@ def test_scores_are_those_of_their_definition():
     surfaces = Surfaces(source, target, REACH)
     grid = surfaces._grid
     found = surfaces.scores(poses)
+    source, target = surfaces._points, grid.points  # the same in another order
     normals, others = normals_of(source), normals_of(target)
     for at, T in enumerate(poses):
         moved = source @ T[:, :3].T + T[:, 3]
