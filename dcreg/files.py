@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import threading
 from collections.abc import Iterator
@@ -48,9 +50,25 @@ def write_text(path: str | Path, text: str) -> None:
 
 def as_json(content: Any, *, indented: bool = True) -> str:
     """`content` as JSON, arrays as lists; a number that is not finite (an unknown bound) is null."""
-    return orjson.dumps(content, option=_JSON | (orjson.OPT_INDENT_2 if indented else 0)).decode()
+    layout = orjson.OPT_INDENT_2 if indented else 0
+    try:
+        return orjson.dumps(content, option=_JSON | layout).decode()
+    except (
+        orjson.JSONEncodeError
+    ):  # a file name that is no text, an array that is not contiguous, ...
+        return json.dumps(plain(content), indent=2 if indented else None, allow_nan=False)
 
 
 def plain(value: Any) -> Any:
     """`value` made of what JSON knows; a number that is not finite becomes None."""
-    return orjson.loads(orjson.dumps(value, option=_JSON))
+    match value:
+        case dict():
+            return {str(key): plain(item) for key, item in value.items()}
+        case list() | tuple():
+            return [plain(item) for item in value]
+        case float() if not math.isfinite(value):
+            return None
+        case _ if hasattr(value, "tolist"):  # arrays and numbers of NumPy
+            return plain(value.tolist())
+        case _:
+            return value

@@ -14,7 +14,7 @@ from dcreg.matches import (
     is_near,
     promising_poses,
 )
-from dcreg.names import DEFAULT_TIME_LIMIT_S
+from dcreg.names import DEFAULT_TIME_LIMIT_S, JUDGES
 from dcreg.problem import InputError, suggestion
 from dcreg.registration import check_settings
 from dcreg.result import Result, Stage
@@ -23,7 +23,6 @@ from dcreg.status import Status
 from dcreg.warm_up import warm_up_matches
 
 MODE, BOUND = "matches", "nested"
-JUDGES = ("matches", "surfaces")
 TOLERATED = 0.1  # gap per chosen match, in squared inlier distances
 SCOPE = "rigid pose over the given matches, those not chosen priced at inlier_distance^2"
 
@@ -74,7 +73,7 @@ def register_matches(
     time_limit : float, optional
         Seconds for the solve, 60 unless told otherwise; None or inf: no limit.
     node_limit : int, optional
-        Boxes bounded.
+        Boxes bounded. As `gap_tol`, it is of the certificate, and does nothing without.
     listener : callable, optional
         Called with every `dcreg.Event`, and at least every half second, then from another thread;
         returning True stops (status ``stopped``).

@@ -44,3 +44,7 @@ def mode_names(model: str) -> list[str]:
 def bound_names() -> list[str]:
     """What ``bound`` takes, beside combinations ``a+b``."""
     return [*BOUND_NAMES, *BOUND_ALIASES]
+
+
+# What tells apart the poses that matches agree on; the first is the default.
+JUDGES = ("matches", "surfaces")

@@ -10,7 +10,7 @@ import numpy as np
 
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
-from dcreg.local import AT_ONCE_PAIRS, Matched, objective
+from dcreg.local import Matched, is_hurried, objective
 from dcreg.local import polish as polish_pose
 from dcreg.modes import AUTO, Answer, Mode, Task
 from dcreg.modes.table import choose_mode, find_mode
@@ -254,11 +254,13 @@ def result_of(
         problem.source, problem.target, T, problem.n_inliers, problem.candidates,
         prove=not (polish or budget.is_over), stop=budget.closed,
     )  # fmt: skip
-    hurried = bool(budget.closed[0]) and len(problem.source) * len(problem.target) > AT_ONCE_PAIRS
+    hurried = is_hurried(len(problem.source), len(problem.target), budget.closed)
     # where not one descent came to its end; norms differ by no more than the points do
     upper_bound = value if np.isinf(answer.upper_bound) else answer.upper_bound * area
     final = value
     stages = [stage.scaled(area) for stage in answer.stages]
+    if hurried and not polish:
+        stages.append(Stage("pairs", 0.0, hurried=True))
     if polish:
         polishing, spent = budget.elapsed(), 0
         if not budget.is_over:

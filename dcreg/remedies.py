@@ -19,7 +19,6 @@ _MANY_POINTS = 1000
 _MUCH_LARGER = 100.0
 _OTHER_SIZE = 10.0
 TOO_MANY_PAIRS = "pairs are probably too many"  # in the line of `loose_pairs`
-HURRIED = "the search ended before all pairs were matched"  # in that of `rough_pairs`
 _ROUGH = 1.01  # times the upper bound: more than rounding
 # Measured on 180 problems of four shapes: all 45 wrong poses have a rival below, 18 of 135 right ones.
 _CLOSE = 1.5
@@ -76,7 +75,7 @@ def misled(case: Case) -> str | None:
     if (
         not case.in_norm_space
         or ratio <= _MUCH_LARGER
-        or _is_hurried(result)
+        or result.is_hurried
         or _is_rounding(result.objective, case)
     ):
         return None
@@ -89,27 +88,27 @@ def misled(case: Case) -> str | None:
 
 
 def rough_pairs(case: Case) -> str | None:
-    """The pairs cost more than the best ones at their pose are known to."""
+    """The pairs cost more than the best ones at their pose are known to, or may."""
     result = case.result
     if _is_rounding(result.objective, case):
         return None
-    remedy = "Give more time, or use downsample=200 (--downsample 200)"
     of_other = case.in_norm_space or result.downsampled is not None
     if not of_other and result.objective > _ROUGH * result.upper_bound:
-        return (
-            f"{HURRIED}: those listed cost {result.objective:.3g}, the best ones at this pose at most "
-            f"{result.upper_bound:.3g}. {remedy}"
+        what = (
+            f"those listed cost {result.objective:.3g}, the best ones at this pose at most "
+            f"{result.upper_bound:.3g}"
         )
-    if of_other and _is_hurried(result):
-        return (
-            f"{HURRIED}: near ones were taken one after another, and the best ones at this pose can cost "
-            f"much less than the {result.objective:.3g} that they do. {remedy}"
+    elif of_other and result.is_hurried:
+        what = (
+            "near ones were taken one after another, and the best at this pose can cost much less than "
+            f"the {result.objective:.3g} that they do"
         )
-    return None
-
-
-def _is_hurried(result: Result) -> bool:
-    return any(stage.hurried for stage in result.stages)
+    else:
+        return None
+    return (
+        f"the search ended before all pairs were matched: {what}. Give more time, or use downsample=200 "
+        "(--downsample 200)"
+    )
 
 
 def scale_at_limit(case: Case) -> str | None:
@@ -155,7 +154,7 @@ def loose_pairs(case: Case) -> str | None:
     """Matched points lie farther apart than neighbours do: some of the pairs can hardly be true."""
     problem, result = case.problem, case.result
     spacing = median_spacing(problem.target)
-    if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or _is_hurried(result):
+    if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_hurried:
         return None
     return (
         f"matched points lie {result.rmse_matched:.3g} apart (RMS), neighbours in the target "
@@ -169,9 +168,11 @@ def ambiguous(case: Case) -> str | None:
     rival = case.result.rival
     if rival is None or rival.objective_ratio >= _CLOSE:
         return None
+    percent = 100.0 * (rival.objective_ratio - 1.0)
+    more = f"only {percent:.2g} % more" if percent >= 0.1 else "no more"
     return (
-        f"another pose, turned by {rival.turned_deg:.0f} deg against this one, costs only "
-        f"{100 * (rival.objective_ratio - 1):.2g} % more: these pairs hardly tell them apart. The shape "
+        f"another pose, turned by {rival.turned_deg:.0f} deg against this one, costs {more}: "
+        f"these pairs hardly tell them apart. The shape "
         f"may be symmetric, noise large, or {case.result.n_inliers} the wrong number of pairs (`dcreg "
         "sweep` tries several); look at both (`rival` of the result)"
     )

@@ -181,6 +181,11 @@ class Result:
         return self.n_inliers if self.downsampled is None else self.downsampled[2]
 
     @property
+    def is_hurried(self) -> bool:
+        """Whether the time was over before the pairs were matched, so that near ones were taken."""
+        return any(stage.hurried for stage in self.stages)
+
+    @property
     def success(self) -> bool:
         """Whether the bounds closed: status ``optimal``."""
         return self.status is Status.OPTIMAL

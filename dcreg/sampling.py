@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dcreg.local import Matched, objective, polish, quick_objective
+from dcreg.local import Matched, is_hurried, objective, polish, quick_objective
 from dcreg.modes.table import default_sample
 from dcreg.problem import InputError, Problem, representative_points
 from dcreg.result import Result, Stage
@@ -95,7 +95,7 @@ def refined(
     clouds, k = (problem.source, problem.target), problem.n_inliers
     T, spent = result.T_target_source, 1
     before, pairs = quick_objective(*clouds, T, k, known=known, prove=False, stop=budget.closed)
-    hurried = bool(budget.closed[0])
+    hurried = is_hurried(len(problem.source), len(problem.target), budget.closed)
     ends = [(before, T, pairs)]
     if result.rival is not None and not budget.is_over:
         T, spent = result.rival.T_target_source, spent + 1

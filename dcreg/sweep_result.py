@@ -13,7 +13,7 @@ import numpy as np
 from dcreg import text
 from dcreg._version import __version__
 from dcreg.files import as_json, plain, whole_file, write_text
-from dcreg.remedies import HURRIED, TOO_MANY_PAIRS
+from dcreg.remedies import TOO_MANY_PAIRS
 from dcreg.result import Result
 from dcreg.status import Status
 
@@ -55,7 +55,7 @@ class SweepResult:
         those that no warning calls too many pairs. None where it is least at an end, so that the answer
         may lie beyond, and where the time was over before all pairs were matched.
         """
-        if any(HURRIED in line for result in self.results for line in result.warnings):
+        if any(result.is_hurried for result in self.results):
             return None
         k = np.array([r.n_inliers for r in self.results], dtype=float)
         rmse = np.array([r.rmse_matched for r in self.results])

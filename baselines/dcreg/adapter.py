@@ -8,6 +8,7 @@ import dcreg
 from baselines._shared.front_ends import SHARED, FrontEndError, missing_matches, putative_pairs
 from baselines._shared.library_search import BranchAndBound, solution_of
 from baselines.contract import Card, Instance, Limits, Solution
+from dcreg.names import JUDGES
 from dcreg.status import Status
 from dcreg.warm_up import warm_up_matches
 
@@ -21,6 +22,14 @@ class Adapter(BranchAndBound):
             raise ValueError(
                 f"option front_end = {self.options['front_end']!r}; choose one of "
                 f"{', '.join(SHARED)}, or null for raw points"
+            )
+        judge, certify = self.options["judge"], self.options["certify"]
+        if judge not in JUDGES:
+            raise ValueError(f"option judge = {judge!r}; choose one of {', '.join(JUDGES)}")
+        if judge != JUDGES[0] and (certify or self.options["front_end"] is None):
+            raise ValueError(
+                f"option judge = {judge!r} tells poses over matches apart, without bounds: give a "
+                "front_end, and leave certify out"
             )
 
     def supports(self, instance: Instance) -> str | None:

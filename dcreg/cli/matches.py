@@ -17,7 +17,7 @@ from dcreg.cli.output import (
     finish,
     print_tolerance_advice,
 )
-from dcreg.names import DEFAULT_TIME_LIMIT_S
+from dcreg.names import DEFAULT_TIME_LIMIT_S, JUDGES
 
 MODEL = "rigid3d"
 
@@ -47,7 +47,7 @@ def register_matches(
             help="What tells the right pose: 'matches', their cost; or 'surfaces', how far those of both "
             "clouds coincide, for dense scans, without bounds.",
         ),
-    ] = "matches",
+    ] = JUDGES[0],
     certify: Annotated[
         bool | None,
         typer.Option(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dcreg.kernels.points import NEVER
-from dcreg.local.polish import AT_ONCE_PAIRS, objective
+from dcreg.local.polish import objective
 
 
 @dataclass(frozen=True)
@@ -18,10 +18,13 @@ class Matched:
     ----------
     T_target_source : (d+1, d+1) array
     pairs : (K, 2) int array
+    greedy : bool
+        Whether near pairs were taken one after another, the nearest first.
     """
 
     T_target_source: np.ndarray
     pairs: np.ndarray
+    greedy: bool = False
 
     def cheapest(
         self, source: np.ndarray, target: np.ndarray, T: np.ndarray, k: int
@@ -69,7 +72,6 @@ def quick_objective(
     if known is None or not stop[0]:
         return own()
     given = known.cheapest(source, target, T_target_source, n_inliers)
-    greedy = len(source) * len(target) > AT_ONCE_PAIRS
-    if greedy and np.array_equal(known.T_target_source, T_target_source):
-        return given  # a greedy matching has the k nearest pairs first, however many follow
+    if known.greedy and np.array_equal(known.T_target_source, T_target_source):
+        return given  # the k nearest pairs come first, however many follow
     return min(own(), given, key=lambda matched: matched[0])

@@ -7,6 +7,7 @@ import numpy as np
 from dcreg.matches.problem import LEAST, MatchProblem
 
 RIVAL = 0.8  # score of a distinct pose, in shares of the best one's, from which on it is told
+_REMEDY = "Look at both clouds, or give better matches"
 _FLAT = 1e-9  # extent across a line, in extents along it, that is rounding
 
 
@@ -26,12 +27,13 @@ def doubts(
         The matches that the pose chooses.
     judge : {"matches", "surfaces"}
     evidence : list of float
-        For the pose, then for distinct ones, the best first: in matches or in points.
+        For the pose, then for distinct ones, the best first: scores, or what `coinciding_poses` gives.
     unproven : (float, float), optional
         Where bounds were asked for and did not meet: the score of the pose, and the most that any pose
         can have as far as was proven.
     """
-    lines = [_undetermined(problem, chosen), _rival(judge, *evidence)]
+    by_chance = _few(chosen) if judge == "surfaces" else _chance(*evidence)
+    lines = [_undetermined(problem, chosen), _rival(judge, *evidence) or by_chance]
     if unproven is not None:
         lines.append(
             f"the search ended early: a pose with a score of up to {unproven[1]:.4g} is not ruled out, "
@@ -54,18 +56,29 @@ def _undetermined(problem: MatchProblem, chosen: np.ndarray) -> str | None:
 
 
 def _rival(judge: str, best: float, other: float = 0.0, *_: float) -> str | None:
-    """Another pose is nearly as good, or no worse than chance alone makes it."""
-    does = "agrees with the matches" if judge == "matches" else "does with matches and surfaces"
-    remedy = "Look at both clouds, or give better matches"
-    if other >= RIVAL * best:
-        share = f", {other / best:.0%} of this one" if best > 0.0 else ""
-        return (
-            f"another pose {does} nearly as well{share}: either may be right. {remedy}, or several for "
-            "each point"
-        )
+    """Another pose is nearly as good."""
+    if other < RIVAL * best:
+        return None
+    share = f", {other / best:.0%} of this one" if best > 0.0 else ""
+    agrees = "agrees with the matches" + (" and the surfaces" if judge == "surfaces" else "")
+    return (
+        f"another pose {agrees} nearly as well{share}: either may be right. {_REMEDY}, or several for "
+        "each point"
+    )
+
+
+def _chance(best: float, other: float = 0.0, *_: float) -> str | None:
+    """The next pose is as good as chance makes this one."""
     if best - other >= LEAST:
         return None
     return (
-        f"the pose {does} hardly better than others do (score {best:.3g}, next best "
-        f"{other:.3g}); any three matches can agree by chance. {remedy}"
+        f"the pose agrees with the matches hardly better than others do (score {best:.3g}, next best "
+        f"{other:.3g}); any three matches can agree by chance. {_REMEDY}"
     )
+
+
+def _few(chosen: np.ndarray) -> str | None:
+    """So few matches agree with the pose as often do by chance."""
+    if len(chosen) >= 2 * LEAST:
+        return None
+    return f"only {len(chosen)} matches agree with the pose, and that many often do by chance. {_REMEDY}"

@@ -23,6 +23,7 @@ NEIGHBOURS = 16  # of a point, the plane through which has its normal
 MAX_CELLS = 256  # of the grid along an axis
 CELLS_PER_REACH = 2.0
 MAX_SOURCE, MAX_TARGET = 5_000, 100_000  # points of larger clouds, drawn at random
+STRAY = 0.005  # of the points, on either side of an axis
 MAX_LOOKED = 400  # source points, where many poses are judged
 MAX_PULLED = 1000  # source points of a descent
 WIDE = 2.0  # reaches, from which points are pulled at first
@@ -44,8 +45,9 @@ class Surfaces:
         self._points, self._normals = _some(source, MAX_SOURCE)
         target, normals = _some(target, MAX_TARGET)
         farthest = WIDE * reach
-        origin = target.min(axis=0) - farthest
-        extent = np.ptp(target, axis=0) + 2.0 * farthest
+        origin, end = _box(target)
+        origin -= farthest
+        extent = end + farthest - origin
         cell = max(reach / CELLS_PER_REACH, float(extent.max()) / MAX_CELLS)
         shape = tuple((extent / cell).astype(int) + 1)
         nearest, square = np.full(shape, -1, np.int32), np.full(shape, np.inf)
@@ -81,17 +83,27 @@ class Surfaces:
         return pose
 
 
+def _box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of a box around all points but stray ones, for which cells would have to be large."""
+    low, high = np.quantile(points, [STRAY, 1.0 - STRAY], axis=0)
+    margin = 0.5 * (high - low)
+    return (
+        np.maximum(points.min(axis=0), low - margin),
+        np.minimum(points.max(axis=0), high + margin),
+    )
+
+
 def _some(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """At most so many of the points in random order, and their normals."""
     order = np.random.default_rng(0).permutation(len(points))[:count]
     some = np.ascontiguousarray(points[order])
-    return some, normals_of(some)
+    return some, normals_of(points, some)
 
 
-def normals_of(points: np.ndarray) -> np.ndarray:
-    """Unit normals, of any sign, of the planes through a point's neighbours."""
+def normals_of(points: np.ndarray, some: np.ndarray) -> np.ndarray:
+    """Unit normals, of any sign, at some of the points: of the planes through their neighbours."""
     count = min(NEIGHBOURS, len(points))
-    _, near = cKDTree(points).query(points, k=np.arange(1, count + 1))
+    _, near = cKDTree(points).query(some, k=np.arange(1, count + 1))
     apart = points[near] - points[near].mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
     normals: np.ndarray = np.ascontiguousarray(axes[:, :, 0])

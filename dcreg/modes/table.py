@@ -23,10 +23,9 @@ from dcreg.problem import (
 MAX_PAIRS = 100_000_000
 # In norm space these match sorted numbers and need no cost matrix.
 MATRIX_FREE_BOUNDS = {"tight", "tight-exact", "shared"}
-# Beyond this a single assignment of mode `full` takes seconds.
-RIGID_PAIRS = 4_000_000
 # By dimension: pairs beyond which a sample is searched instead, and the points of each cloud in it. In
-# the plane searches of some hundred come to their end, and of thousands not one descent does.
+# the plane searches of some hundred come to their end, and of thousands not one descent does; in space a
+# single assignment of mode `full` takes seconds.
 LARGE_PAIRS = {2: 1_000_000, 3: 4_000_000}
 LARGE_SAMPLE = {2: 300, 3: 1_000}
 
@@ -153,7 +152,7 @@ def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = 
     """
     pairs = len(problem.source) * len(problem.target)
     only_paper = certificate or bound is not None
-    if problem.model == "similarity2d" or only_paper or pairs > RIGID_PAIRS:
+    if problem.model == "similarity2d" or only_paper or pairs > LARGE_PAIRS[3]:
         return "paper"
     return "full"
 

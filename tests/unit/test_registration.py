@@ -468,7 +468,6 @@ def test_large_clouds_in_the_plane_are_searched_by_a_sample(rng):
 
 def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     """All their points would leave only norms, which mislead there."""
-    monkeypatch.setattr("dcreg.modes.table.RIGID_PAIRS", 900)
     monkeypatch.setitem(LARGE_PAIRS, 3, 900)
     monkeypatch.setitem(LARGE_SAMPLE, 3, 25)
     generator = np.random.default_rng(0)

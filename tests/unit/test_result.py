@@ -224,6 +224,8 @@ def test_plain_values():
     mixed = {"a": np.arange(2), 3: (np.float64("nan"), math.inf, 0.5), "b": [None, True, "x"]}
     assert plain(mixed) == {"a": [0, 1], "3": [None, None, 0.5], "b": [None, True, "x"]}
     assert json.loads(as_json(mixed)) == plain(mixed)
+    odd = {"file": "a\udcff.txt", "pose": np.eye(3)[:, ::2], "one": np.array(3.0), "large": 2**70}
+    assert json.loads(as_json(odd)) == plain(odd)
 
 
 def test_columns_of_text():

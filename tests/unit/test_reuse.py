@@ -95,7 +95,7 @@ def test_one_greedy_matching_of_large_clouds_serves_all_cardinalities_of_its_pos
     source = rng.random((1200, 3))
     target = source[rng.permutation(1200)] + 0.01 * rng.standard_normal((1200, 3))
     T = turned(0.05)
-    known = Matched(T, objective(source, target, T, 900, stop=OVER)[1])
+    known = Matched(T, objective(source, target, T, 900, stop=OVER)[1], greedy=True)
     given = quick_objective(source, target, T.copy(), 400, known=known, stop=OVER)
     own = objective(source, target, T, 400, stop=OVER)
     assert given[0] == pytest.approx(own[0], rel=1e-12)
@@ -129,3 +129,23 @@ def test_a_sample_whose_pose_is_not_refined_to_the_end_ended_at_the_limit(clouds
     whole = Problem(*clouds, 40, "rigid3d")
     assert refined(found, whole, sample, Budget()).status is Status.OPTIMAL
     assert refined(found, whole, sample, Budget(0.0)).status is Status.TIME_LIMIT
+
+
+def test_pairs_matched_to_the_end_do_not_stand_in_for_fewer(rng):
+    """Of the best pairs of all points the cheapest few are dearer than the nearest few."""
+    source, target = rng.random((1200, 3)), rng.random((1200, 3))
+    known = Matched(np.eye(4), objective(source, target, np.eye(4), 1200, prove=False)[1])
+    given = quick_objective(source, target, np.eye(4), 300, known=known, stop=OVER)
+    own = objective(source, target, np.eye(4), 300, stop=OVER)
+    assert given[0] <= own[0] < known.cheapest(source, target, np.eye(4), 300)[0]
+
+
+@pytest.mark.parametrize(("size", "hurried"), [(60, None), (1200, True)])
+def test_pairs_are_called_hurried_where_they_are(rng, size, hurried):
+    source = rng.random((size, 3))
+    sample = Problem(source[:30], source[:30], 20, "rigid3d")
+    found = dcreg.register(sample.source, sample.target, n_inliers=20, model="rigid3d")
+    whole = Problem(source, source, size // 2, "rigid3d")
+    over = Budget(0.0)
+    over.closed[0] = 1
+    assert refined(found, whole, sample, over).stages[-1].hurried is hurried

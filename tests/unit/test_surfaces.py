@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
+from baselines.registry import load
 from dcreg.matches.surfaces import Surfaces, normals_of
 
 REACH = 0.1
@@ -97,7 +98,7 @@ def test_scores_are_those_of_their_definition():
     grid = surfaces._grid
     found = surfaces.scores(poses)
     source, target = surfaces._points, grid.points  # the same in another order
-    normals, others = normals_of(source), normals_of(target)
+    normals, others = normals_of(source, source), normals_of(target, target)
     for at, T in enumerate(poses):
         moved = source @ T[:, :3].T + T[:, 3]
         cells = np.floor((moved - grid.origin) / grid.cell).astype(int)
@@ -129,7 +130,7 @@ def test_a_descent_brings_surfaces_together():
 
 def test_normals_of_a_plane():
     points = np.column_stack([np.random.default_rng(0).random((50, 2)), np.full(50, 2.0)])
-    assert np.abs(normals_of(points)[:, 2]) == pytest.approx(np.ones(50))
+    assert np.abs(normals_of(points, points)[:, 2]) == pytest.approx(np.ones(50))
 
 
 def test_few_points_and_no_agreement_give_an_answer_all_the_same():
@@ -157,3 +158,31 @@ def test_what_cannot_be_is_refused(options, message):
         dcreg.register_matches(
             points, points, np.column_stack([rows, rows]), inlier_distance=0.1, **options
         )
+
+
+def test_a_stray_point_does_not_blur_the_grid():
+    source, target = room(2000, 1), room(2000, 2)
+    alone = Surfaces(source, target, REACH).scores(np.eye(3, 4)[None])
+    strayed = Surfaces(source, np.vstack([target, [[500.0, 0.0, 0.0]]]), REACH)
+    assert strayed.scores(np.eye(3, 4)[None]) == pytest.approx(alone, rel=0.03)
+
+
+def test_normals_are_those_of_all_points_where_some_are_drawn(monkeypatch):
+    cloud = room(3000, 1)
+    whole = Surfaces(cloud, cloud, REACH).scores(np.eye(3, 4)[None])[0] / 3000
+    monkeypatch.setattr("dcreg.matches.surfaces.MAX_SOURCE", 300)
+    some = Surfaces(cloud, cloud, REACH).scores(np.eye(3, 4)[None])[0] / 300
+    assert some == pytest.approx(whole, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"front_end": "shared-mutual", "judge": "nonsense"},
+        {"front_end": "shared-mutual", "judge": "surfaces", "certify": True},
+        {"judge": "surfaces"},
+    ],
+)
+def test_the_method_refuses_what_it_would_ignore(options):
+    with pytest.raises(ValueError, match="option judge"):
+        load("dcreg", **options)

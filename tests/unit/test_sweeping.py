@@ -460,7 +460,6 @@ def test_advice_is_given_before_the_search(caplog):
 
 
 def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
-    monkeypatch.setattr("dcreg.modes.table.RIGID_PAIRS", 900)
     monkeypatch.setitem(LARGE_PAIRS, 3, 900)
     monkeypatch.setitem(LARGE_SAMPLE, 3, 25)
     generator = np.random.default_rng(0)
