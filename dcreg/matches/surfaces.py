@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from dcreg.kernels.matches.surfaces import (
     SurfaceGrid,
     fill_nearest,
+    surface_pulls,
     surface_scores,
-    surface_weights,
 )
 from dcreg.local import fit_pose
 from dcreg.matches.problem import LEAST
@@ -74,7 +74,7 @@ class Surfaces:
         for reach, steps in ((WIDE * self._reach, WIDE_STEPS), (self._reach, STEPS)):
             for _ in range(steps):
                 pose = np.ascontiguousarray(pose)
-                surface_weights(points, normals, self._grid, reach, pose, columns, weights)
+                surface_pulls(points, normals, self._grid, reach, pose, columns, weights)
                 if (weights > 0.0).sum() < LEAST:
                     return pose
                 near = weights > 0.0

@@ -69,50 +69,39 @@ def moved_axis(T, a, p):
 
 
 @jit_part
-def coincidence(T, grid, j, u, v, w, normal, reach):
-    """Nearness of a moved point to point j of the grid's cloud times likeness of their normals.
+def pull(T, point, normal, grid, reach):
+    """The point of the grid's cloud to which a moved point is pulled, and how much; 0: not at all.
 
     At distance d the nearness is 1 - (d / reach)^2, at an angle a between the normals, whose sign does
-    not count, the likeness cos 2a; both are 0 where they would be negative.
+    not count, the likeness cos 2a; the pull is their product, and 0 where one would be negative.
     """
+    u, v, w = moved_axis(T, 0, point), moved_axis(T, 1, point), moved_axis(T, 2, point)
+    j = partner(grid, u, v, w)
+    if j < 0:
+        return 0, 0.0
     q = grid.points[j]
     near = 1.0 - ((u - q[0]) ** 2 + (v - q[1]) ** 2 + (w - q[2]) ** 2) / (reach * reach)
     if near <= 0.0:
-        return 0.0
+        return j, 0.0
     along = 0.0
     for a in range(3):
         turned = T[a, 0] * normal[0] + T[a, 1] * normal[1] + T[a, 2] * normal[2]
         along += grid.normals[j, a] * turned
-    return near * max(0.0, 2.0 * along * along - 1.0)
+    return j, near * max(0.0, 2.0 * along * along - 1.0)
 
 
 @jit
 def surface_scores(points, normals, grid, reach, poses, out):
-    """For (P, 3, 4) poses the sum of coincidence over the points."""
+    """For (P, 3, 4) poses the sum of the pulls of all points."""
     for p in range(poses.shape[0]):
-        T = poses[p]
-        total = 0.0
+        out[p] = 0.0
         for i in range(points.shape[0]):
-            u, v, w = (
-                moved_axis(T, 0, points[i]),
-                moved_axis(T, 1, points[i]),
-                moved_axis(T, 2, points[i]),
-            )
-            j = partner(grid, u, v, w)
-            if j >= 0:
-                total += coincidence(T, grid, j, u, v, w, normals[i], reach)
-        out[p] = total
+            _, strength = pull(poses[p], points[i], normals[i], grid, reach)
+            out[p] += strength
 
 
 @jit
-def surface_weights(points, normals, grid, reach, T, columns, weights):
-    """For every point the one it is pulled to at the pose T, and how much; none: weight 0."""
+def surface_pulls(points, normals, grid, reach, T, columns, weights):
+    """For every point the one it is pulled to at the pose T, and how much."""
     for i in range(points.shape[0]):
-        u, v, w = (
-            moved_axis(T, 0, points[i]),
-            moved_axis(T, 1, points[i]),
-            moved_axis(T, 2, points[i]),
-        )
-        j = partner(grid, u, v, w)
-        columns[i] = max(j, 0)
-        weights[i] = 0.0 if j < 0 else coincidence(T, grid, j, u, v, w, normals[i], reach)
+        columns[i], weights[i] = pull(T, points[i], normals[i], grid, reach)
