@@ -53,9 +53,8 @@ def as_json(content: Any, *, indented: bool = True) -> str:
     layout = orjson.OPT_INDENT_2 if indented else 0
     try:
         return orjson.dumps(content, option=_JSON | layout).decode()
-    except (
-        orjson.JSONEncodeError
-    ):  # a file name that is no text, an array that is not contiguous, ...
+    except orjson.JSONEncodeError:
+        # a file name that is no text, an array that is not contiguous, a number beyond 64 bits
         return json.dumps(plain(content), indent=2 if indented else None, allow_nan=False)
 
 

@@ -34,6 +34,8 @@ FIGURE_PACKAGES = {
     ".png": ("plotly", "matplotlib", "seaborn"),
     ".svg": ("plotly", "matplotlib", "seaborn"),
 }
+# What tells apart the poses that matches agree on; the first is the default.
+JUDGES = ("matches", "surfaces")
 
 
 def mode_names(model: str) -> list[str]:
@@ -44,7 +46,3 @@ def mode_names(model: str) -> list[str]:
 def bound_names() -> list[str]:
     """What ``bound`` takes, beside combinations ``a+b``."""
     return [*BOUND_NAMES, *BOUND_ALIASES]
-
-
-# What tells apart the poses that matches agree on; the first is the default.
-JUDGES = ("matches", "surfaces")

@@ -171,10 +171,10 @@ def ambiguous(case: Case) -> str | None:
     percent = 100.0 * (rival.objective_ratio - 1.0)
     more = f"only {percent:.2g} % more" if percent >= 0.1 else "no more"
     return (
-        f"another pose, turned by {rival.turned_deg:.0f} deg against this one, costs {more}: "
-        f"these pairs hardly tell them apart. The shape "
-        f"may be symmetric, noise large, or {case.result.n_inliers} the wrong number of pairs (`dcreg "
-        "sweep` tries several); look at both (`rival` of the result)"
+        f"another pose, turned by {rival.turned_deg:.0f} deg against this one, costs {more}: these pairs "
+        "hardly tell them apart. The shape may be symmetric, noise large, or "
+        f"{case.result.n_inliers} the wrong number of pairs (`dcreg sweep` tries several); look at both "
+        "(`rival` of the result)"
     )
 
 

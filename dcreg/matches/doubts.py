@@ -32,8 +32,9 @@ def doubts(
         Where bounds were asked for and did not meet: the score of the pose, and the most that any pose
         can have as far as was proven.
     """
-    by_chance = _few(chosen) if judge == "surfaces" else _chance(*evidence)
-    lines = [_undetermined(problem, chosen), _rival(judge, *evidence) or by_chance]
+    best, other = [*evidence, 0.0][:2]
+    by_chance = _few(chosen) if judge == "surfaces" else _chance(best, other)
+    lines = [_undetermined(problem, chosen), _rival(judge, best, other) or by_chance]
     if unproven is not None:
         lines.append(
             f"the search ended early: a pose with a score of up to {unproven[1]:.4g} is not ruled out, "
@@ -55,7 +56,7 @@ def _undetermined(problem: MatchProblem, chosen: np.ndarray) -> str | None:
     )
 
 
-def _rival(judge: str, best: float, other: float = 0.0, *_: float) -> str | None:
+def _rival(judge: str, best: float, other: float) -> str | None:
     """Another pose is nearly as good."""
     if other < RIVAL * best:
         return None
@@ -67,7 +68,7 @@ def _rival(judge: str, best: float, other: float = 0.0, *_: float) -> str | None
     )
 
 
-def _chance(best: float, other: float = 0.0, *_: float) -> str | None:
+def _chance(best: float, other: float) -> str | None:
     """The next pose is as good as chance makes this one."""
     if best - other >= LEAST:
         return None
