@@ -1,10 +1,10 @@
 """Bounds over boxes of rigid poses.
 
-The objective and the boxes are those of `dcreg.spaces.rigid3d`. Bounded is, over a box of quaternions
-times a box of translations with centres R_c, t_c, the least E. Below, x_i stands for R_c x_i and y_j for
-y_j - t_c, so that the centre of the box is (R, t) = (I, 0); t lies within half-widths h, rho = |h|, and
-r_a are the Gibbs vectors (axis times tan of half the angle) of the corners of the quaternion box, seen
-from its centre.
+The objective and the boxes are those of `dcreg.spaces.rigid3d`. Bounded is, over a box of
+quaternions times a box of translations with centres R_c, t_c, the least E. Below, x_i stands for
+R_c x_i and y_j for y_j - t_c, so that the centre of the box is (R, t) = (I, 0); t lies within
+half-widths h, rho = |h|, and r_a are the Gibbs vectors (axis times tan of half the angle) of the
+corners of the quaternion box, seen from its centre.
 
 Which rotations a box holds
 ---------------------------
@@ -13,25 +13,39 @@ becomes p = sum c_a p_a, and its Gibbs vector (p_x, p_y, p_z) / p_w is, when all
 convex combination of the r_a with weights c_a p_a,w / p_w. So the r of the box lie in the convex
 hull of the r_a, and no rotation turns by more than the angle 2 atan(max |r_a|). Else: pi.
 
-First bound: caps
------------------
-Turned by at most that angle, x_i stays on a spherical cap. With d_ij the distance of y_j from the
-cap, |R x_i + t - y_j| >= d_ij - rho, and |R x_i + t_c - y_j| >= d_ij.
+First bound: ways to the middle
+-------------------------------
+This holds for the optima of the box, which is all that a search needs. Let (R*, t*) in it be the
+best pose for its matching P*, with residuals e_i = R* x_i + t* - y_i, and let u_i be the way of x_i
+from there to the centre. Both the translation and the rotation are stationary, so sum p e = 0 and
+sum p x' x e = 0 for x' = R* x_i: what the residuals at the centre have in common with the ways
+vanishes but for terms of second order in the angle. With c_ij = |x_i - y_j|^2 and w the angle
+between R* and R_c,
 
-The first holds at every pose: E is at least the sum of the k smallest squares of the rows' least
-d_ij - rho, cut at 0 (`nearest_sums`). It is of first order in rho.
+    sum p c  =  sum p |e + u|^2  <=  E* + sum p |u|^2 + 2 (1 - cos w) sqrt(E*) sqrt(sum p |x|^2).
 
-The second is of second order, and holds for the optima of the box, which is all that a search
-needs. Let (R*, t*) in the box be the best pose for its matching P*. The best translation for R* and
-P* is the mean of what R* leaves over, so away from it their sum grows by exactly k times the squared
-distance. At t_c it is no less than E there, which every pair bounds by its cap:
+For Gibbs vector r and a shift s of the translation the way is 2 r x x + s but for second order: the
+sum of its squares is at most that of the |2 r x x + s|^2 plus 4 |r|^2 (1 + |r|) |s| |sum p x|. That
+square is convex in (r, s), so it is greatest at a corner (r_a, +-h). Hence, with C the least of sum
+p (c - |2 r x x + s|^2) over the matchings and the 8 x 8 corners, and over any k sources I the
+greatest sum of their squares and D the greatest length of their sum,
 
-    E* + k |t_c - t*|^2  =  E_P*(R*, t_c)  >=  min_P sum p_ij d_ij^2,
-    so   E*  >=  min_P sum p_ij d_ij^2 - k rho^2.
+    E* + 4 |r|^2 / (1 + |r|^2) sqrt(I) sqrt(E*) + 4 |r|^2 (1 + |r|) |s| D  >=  C.
 
-The minimum is one k-assignment; it is at least the `dual_bound` of any prices b >= 0, for which a
-rough auction (`bid`) is enough, and at least the sum of the k smallest row minima. With all
-rotations in the box d_ij is the norm distance ||x_i| - |y_j|| of the paper's Case II.
+The ways are those of rows: one matching's prices b >= 0 serve all corners. At each, C is at least
+the sum of the k smallest min_j (c_ij + b_j) - |way_i|^2, less the sum of b. Good prices come from
+the box that this one is a part of (the hints of the search): they are lowered as far as no row pays
+less, raised again by bids, and replaced by those of an exact assignment where bids do not help.
+Squares, minima and bids are computed in single precision, and what that may be off by is taken off.
+
+For wide boxes, whose rotations are too far from the middle, caps are left. Turned by at most an
+angle, x_i stays on a spherical cap. With d_ij the distance of y_j from the cap and rho = |h|, |R
+x_i + t - y_j| >= d_ij - rho holds everywhere, and as the best translation for R* and P* is a mean,
+
+    E* + k |t_c - t*|^2  =  E_P*(R*, t_c)  >=  min_P sum p_ij d_ij^2.
+
+Both sums are bounded by the rows' least costs (`nearest_sums`). With all rotations in the box d_ij
+is the norm distance ||x_i| - |y_j|| of the paper's Case II.
 
 Second bound: Cayley's form
 ---------------------------
@@ -53,28 +67,72 @@ is least at one of 8 x 8 vertices; divided by 1 + max |r_a|^2 and cut at 0 it bo
 of delta0 are valid. Best is the least-squares fit of a good matching within the box: while that
 matching stays the best one at the vertices, the bound is the exact minimum over the box of its sum,
 and the curvature of E costs nothing. This is DC-Reg's linearisation, with the point chosen as in
-its planar case. As in `dcreg.bounds.rotation3d`, a vertex is bounded by duals and solved only if binding.
+its planar case. As in `dcreg.bounds.rotation3d`, a vertex is bounded by duals and solved only if
+binding.
 
-A box is bounded by the greatest of these, cheapest first and only as far as it decides; the last
-only where the box is small. At a single pose the first is E.
+A box is bounded by the greatest of these, the last only where the box is small. At a single pose
+the first is E.
 
 Feasible pairs
 --------------
 Pairs that may not be matched cost a constant more, in E and in every cost above. Feasible matchings
 cost what they did, so the least over all matchings is still no more than the least over those: the
-bounds hold whatever the constant. For E itself no other pair may be matched, so the constant exceeds
-k squared residuals at any pose of the start box (`dcreg.problem.pairs.FeasiblePairs`).
-"""
+bounds hold whatever the constant. For E itself no other pair may be matched, so the constant
+exceeds k squared residuals at any pose of the start box (`dcreg.problem.pairs.FeasiblePairs`)."""
 
 from __future__ import annotations
 
-from dcreg.bounds.clouds import CloudBound
+from collections.abc import Sequence
+
+import numpy as np
+
+from dcreg.bounds.base import SpaceBound
 from dcreg.kernels.space.rigid import bound_boxes
+from dcreg.search import Box, Evaluation
 from dcreg.spaces import Rigid3D
+from dcreg.spaces.rigid3d import largest_subset_mean_3d
 
 
-class RigidBound(CloudBound[Rigid3D]):
-    """The greatest of the bounds in the module's docstring, over boxes of poses."""
+class RigidBound(SpaceBound[Rigid3D]):
+    """The greatest of the bounds in the module's docstring, over boxes of poses.
 
-    round_pairs, max_round = 1_000_000, 256
-    bound_boxes = staticmethod(bound_boxes)
+    The prices of a box are its hints: the boxes made from it begin with them.
+    """
+
+    round_pairs, max_round = 4_000_000, 256
+
+    def __init__(
+        self, space: Rigid3D, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> None:
+        super().__init__(space, roots, threads)
+        source, k = space.clouds.source, space.n_inliers
+        squares = np.sort((source**2).sum(axis=0))
+        self._limits = float(squares[-k:].sum()), k * largest_subset_mean_3d(source.T, k)
+
+    def evaluate(
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float,
+        *,
+        thorough: bool = False,
+        hints: np.ndarray | None = None,
+    ) -> Evaluation:
+        """Bound B boxes; see `dcreg.search.Bound`."""
+        count, space = len(lower), self.space
+        prices = np.zeros((count, space.n_target), np.uint16) if hints is None else hints
+        bounds, values = np.empty(count), np.empty(count)
+
+        def work(part: slice) -> int:
+            return bound_boxes(
+                lower[part], upper[part], np.inf if thorough else cutoff, space.clouds, self._limits,
+                prices[part], bounds[part], values[part],
+            )  # fmt: skip
+
+        self._run(work, count)
+        return Evaluation(bounds, 0.5 * (lower + upper), values, prices)
+
+    def _evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+    ) -> Evaluation:
+        return self.evaluate(lower, upper, cutoff, thorough=thorough)

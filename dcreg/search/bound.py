@@ -23,11 +23,15 @@ class Evaluation:
         One parameter per box worth knowing, admissible or not.
     values : (B,) array
         Upper bounds on the objective at `thetas`; +inf where theta is not admissible.
+    hints : (B, h) array, optional
+        What the bound wants to be told again of the boxes that are made from these: a start for its work
+        on them, on which the validity of what it says does not depend.
     """
 
     lower_bounds: np.ndarray
     thetas: np.ndarray
     values: np.ndarray
+    hints: np.ndarray | None = None
 
 
 class Bound(Protocol):
@@ -54,6 +58,7 @@ class Bound(Protocol):
         """Bound B boxes (rows of `lower`, `upper`).
 
         Above `cutoff` precision is of no use, and where the cutoff is out of reach the box is divided
-        anyway, so that a bound may stop early; with `thorough` it does its best on every box.
+        anyway, so that a bound may stop early; with `thorough` it does its best on every box. One that
+        gives hints takes them too, as ``hints=``: (B, h), of the boxes that these were made from.
         """
         ...

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -76,20 +77,23 @@ def branch_and_bound(
     lower = np.array([box.lower for box in bound.roots])
     upper = np.array([box.upper for box in bound.roots])
     inherited = np.zeros(len(lower))  # the objective is a sum of squares
+    hints: dict[str, Any] = {}  # for bounds that give some
     while search.status is None:
         try:
-            found = bound.evaluate(lower, upper, search.cutoff)
+            found = bound.evaluate(lower, upper, search.cutoff, **hints)
         except Interrupted:
-            search.put_back(lower, upper, inherited)
+            search.put_back(lower, upper, inherited, **hints)
             break
         bounds = np.maximum(_settled(found.lower_bounds, gap_tol), inherited)
         search.update(found, refine)
-        search.prune(lower, upper, bounds)
+        search.prune(lower, upper, bounds, found.hints)
         search.terminate()
         if search.status is None:
-            lower, upper, inherited = search.select()
+            lower, upper, inherited, kept = search.select()
             lower, upper = branching(lower, upper)
-            inherited = np.repeat(inherited, len(lower) // len(inherited))
+            parts = len(lower) // len(inherited)
+            inherited = np.repeat(inherited, parts)
+            hints = {} if kept is None else {"hints": np.repeat(kept, parts, axis=0)}
     return search.outcome(budget.elapsed() - began)
 
 
@@ -146,7 +150,13 @@ class _Search:
         if value < self.upper_bound:
             self.theta, self.upper_bound = theta.copy(), value
 
-    def prune(self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray) -> None:
+    def prune(
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        bounds: np.ndarray,
+        hints: np.ndarray | None,
+    ) -> None:
         """Keep the boxes that may still hold something better."""
         self.n_nodes += len(bounds)
         keep = bounds < self.cutoff
@@ -154,11 +164,19 @@ class _Search:
             self.pruned_bound = min(self.pruned_bound, float(bounds[~keep].min()))
             if self.leaves is not None:
                 self.leaves.add(lower[~keep], upper[~keep], bounds[~keep])
-        self.nodes.push(lower[keep], upper[keep], bounds[keep])
+        self.nodes.push(
+            lower[keep], upper[keep], bounds[keep], None if hints is None else hints[keep]
+        )
 
-    def put_back(self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray) -> None:
+    def put_back(
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        bounds: np.ndarray,
+        hints: np.ndarray | None = None,
+    ) -> None:
         """End with boxes open that there was no time to bound."""
-        self.nodes.push(lower, upper, bounds)
+        self.nodes.push(lower, upper, bounds, hints)
         self.is_over = True
         self.terminate()
 
@@ -178,8 +196,8 @@ class _Search:
             self.status = Status.STOPPED
             self._report("end")
 
-    def select(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The best open boxes, to be divided next, with their bounds."""
+    def select(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+        """The best open boxes, to be divided next, with their bounds and hints."""
         count = min(self.bound.round_size, max(MIN_ROUND, len(self.nodes) // 4))
         return self.nodes.pop(count, self.cutoff)
 
@@ -187,7 +205,7 @@ class _Search:
         lower_bound = self.lower_bound
         if self.leaves is not None and len(self.nodes):
             is_open = self.status is not Status.OPTIMAL
-            self.leaves.add(*self.nodes.pop(len(self.nodes), np.inf), is_open=is_open)
+            self.leaves.add(*self.nodes.pop(len(self.nodes), np.inf)[:3], is_open=is_open)
         assert self.status is not None
         return Outcome(
             self.status,

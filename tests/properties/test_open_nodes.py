@@ -21,9 +21,9 @@ batches = st.lists(
 )
 
 
-@given(batches)
+@given(batches, st.booleans())
 @settings(max_examples=150)
-def test_best_bound_then_larger_then_older(batches):
+def test_best_bound_then_larger_then_older(batches, has_hints):
     nodes, reference, serial = OpenNodes(2), [], 0
     for boxes, count, cutoff in batches:
         bounds = np.array([float(bound) for bound, _ in boxes])
@@ -33,10 +33,15 @@ def test_best_bound_then_larger_then_older(batches):
         for i, bound in enumerate(bounds):
             heapq.heappush(reference, (bound, -upper[i].sum(), serial + i, tuple(upper[i])))
         serial += len(boxes)
-        nodes.push(lower, upper, bounds)
+        hints = upper.astype(np.uint16) if has_hints else None
+        nodes.push(lower, upper, bounds, hints)
         assert len(nodes) == len(reference)
         assert nodes.lower_bound == (reference[0][0] if reference else np.inf)
-        _, taken, taken_bounds = nodes.pop(count, cutoff)
+        _, taken, taken_bounds, taken_hints = nodes.pop(count, cutoff)
+        if has_hints:
+            assert (taken_hints == taken.astype(np.uint16)).all()
+        else:
+            assert taken_hints is None
         expected = []
         while reference and len(expected) < count and reference[0][0] < cutoff:
             expected.append(heapq.heappop(reference))

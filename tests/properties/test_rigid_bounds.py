@@ -1,6 +1,6 @@
 """Bounds over boxes of rigid poses: below the objective, and tight where the search needs it."""
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dcreg.bounds import RigidBound
-from dcreg.kernels.assignment.dense import dual_bound
 from dcreg.kernels.points import NEVER
 from dcreg.kernels.space.caps import cap_costs
 from dcreg.kernels.space.cayley import vertex_bound
 from dcreg.kernels.space.poses import View, nearest_sums, relative_corners
-from dcreg.kernels.space.rigid import bid
+from dcreg.kernels.space.priced import priced_bound, room_for_prices
+from dcreg.kernels.space.rough import Bids, bid, rough_costs, rough_minima, settle
+from dcreg.kernels.space.stationary import least_at_corners, loss_of, needed, proven, room_for_ways
 from dcreg.local import k_assignment, objective
 from dcreg.search import Box
 from dcreg.spaces import Rigid3D
@@ -95,8 +96,8 @@ class Parts:
         buffer = np.empty((8, 3))
         count = relative_corners(box.centre, box.lower, box.upper, buffer)
         self.corners = buffer[:count]
-        tangent = np.linalg.norm(self.corners, axis=1).max() if count else np.inf
-        self.angle = 2.0 * np.arctan(tangent)
+        self.tangent = np.linalg.norm(self.corners, axis=1).max() if count else np.inf
+        self.angle = 2.0 * np.arctan(self.tangent)
         self.half = box.half_widths[4:]
         source, target, prices, k, _ = model.clouds
         moved = model.pose(box.centre)[:3, :3] @ source
@@ -107,6 +108,11 @@ class Parts:
         out = np.empty((self.view.moved.shape[1], self.view.shifted.shape[1]))
         cap_costs(self.view.moved, self.angle, self.view.shifted, self.view.prices, out)
         return out
+
+    def squares(self):
+        """Squared residuals at the centre."""
+        moved, shifted = self.view.moved, self.view.shifted
+        return ((moved[:, :, None] - shifted[:, None, :]) ** 2).sum(axis=0)
 
     @property
     def lost(self):
@@ -191,14 +197,123 @@ def test_rotations_of_a_box_lie_within_its_angle(problem, box):
         assert turn.magnitude() <= parts.angle + 1e-9
 
 
-@given(problems(), boxes(halves=(0.5, 0.1)), st.floats(0.5, 2.0))
-def test_auction_never_exceeds_the_assignment(problem, box, scale):
-    parts = Parts(Rigid3D(*problem), box)
-    costs = scale * parts.costs()
-    b = np.zeros(costs.shape[1])
-    bid(costs, parts.k, b)
+@st.composite
+def costs_and_prices(draw):
+    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n, m = draw(st.integers(1, 12)), draw(st.integers(1, 12))
+    cost = generator.exponential(size=(n, m)).astype(np.float32)
+    prices = draw(st.sampled_from([0.0, 0.3, 3.0])) * generator.random(m)
+    return cost, prices.astype(np.float32), draw(st.integers(1, min(n, m)))
+
+
+def priced(cost, b, k):
+    """The bound that prices give on the k-assignment."""
+    return np.sort((cost + b).min(axis=1))[:k].sum() - b.sum()
+
+
+@given(costs_and_prices())
+def test_auction_and_settling_never_exceed_the_assignment(problem):
+    cost, b, k = problem
+    n, m = cost.shape
+    best = k_assignment(cost.astype(float), k)[0]
+    low = np.empty(n, np.float32)
+    rough_minima(cost, b, low)
+    assert low == pytest.approx((cost + b).min(axis=1))
+    level = np.sort(low)[k - 1]
+    before = priced(cost, b, k)
+    settle(cost, low, level, b)
     assert (b >= 0.0).all()
-    assert dual_bound(costs, parts.k, b) <= k_assignment(costs, parts.k)[0] + 1e-9
+    assert before - 1e-5 <= priced(cost, b, k) <= best + 1e-5
+    queue, owner, totals = np.empty(n, np.int64), np.empty(m, np.int64), np.empty(m, np.int32)
+    bid(cost, b, low, Bids(3 * k, level, np.float32(0.02 * level)), queue, owner, totals)
+    assert (b >= 0.0).all()
+    assert priced(cost, b, k) <= best + 1e-5
+
+
+@given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 2**32 - 1))
+def test_rough_costs_are_squared_distances(n, m, seed):
+    generator = np.random.default_rng(seed)
+    a, b = (generator.standard_normal((3, size)).astype(np.float32) for size in (n, m))
+    out = np.empty((n, m), np.float32)
+    rough_costs(a, b, out)
+    expected = ((a[:, :, None].astype(float) - b[:, None, :]) ** 2).sum(axis=0)
+    assert out == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+@given(problems(12), boxes(halves=(0.3, 0.1, 0.01)), st.integers(0, 2**32 - 1))
+def test_sums_at_corners_are_below_all_ways(problem, box, seed):
+    """The vectorised sums against each corner on its own, and against ways in between."""
+    parts = Parts(Rigid3D(*problem), box)
+    if not len(parts.corners):
+        return
+    generator = np.random.default_rng(seed)
+    n, k = parts.view.moved.shape[1], parts.k
+    low = generator.exponential(0.1, n)
+    found = least_at_corners(
+        parts.view.moved, low, k, parts.corners, parts.half, 0.1, room_for_ways(n)
+    )
+    weights = np.concatenate(
+        [np.eye(len(parts.corners)), generator.dirichlet(np.ones(len(parts.corners)), 20)]
+    )
+    signs = np.array(list(product([-1.0, 1.0], repeat=3)))
+    sums = []
+    for r in weights @ parts.corners:
+        for s in signs * parts.half:
+            ways = 2.0 * np.cross(r, parts.view.moved.T) + s
+            sums.append(np.sort(low - (ways**2).sum(axis=1))[:k].sum())
+    assert found <= min(sums) + 1e-9
+    if k == n:
+        assert found == pytest.approx(min(sums[: 8 * len(parts.corners)]), abs=1e-9)
+
+
+@given(st.floats(0.0, 0.6), st.floats(0.0, 1.0), st.floats(0.0, 50.0), st.floats(0.0, 5.0))
+def test_what_is_needed_proves_what_it_is_needed_for(tangent, slack, cutoff, drift):
+    loss = loss_of(tangent, slack, 30.0, drift)
+    assert proven(loss, needed(loss, cutoff)) == pytest.approx(cutoff, rel=1e-9, abs=1e-9)
+
+
+@given(
+    problems(10),
+    st.sampled_from([0.3, 0.1, 0.01, 0.0]),
+    st.sampled_from([0.0, 0.1, 10.0]),
+    st.integers(0, 2**32 - 1),
+)
+def test_prices_of_any_kind_stay_below_every_matching_at_its_best_pose(problem, size, scale, seed):
+    generator = np.random.default_rng(seed)
+    theta, left_over = best_pose(problem, generator)
+    parts = Parts(Rigid3D(*problem), box_about(theta, generator, size))
+    if not len(parts.corners) or parts.tangent > 0.6:
+        return
+    source, target, k = problem
+    squares = (source**2).sum(axis=1)
+    inertia, drift = np.sort(squares)[-k:].sum(), k * largest_subset_mean_3d(source, k)
+    slack = np.linalg.norm(parts.half)
+    loss = loss_of(parts.tangent, slack, inertia, drift)
+    kept = (scale * 6000 * generator.random(len(target))).astype(np.uint16)
+    reach = slack + 2.0 * parts.tangent * np.sqrt(squares.max())
+    room = room_for_prices(len(source), len(target))
+    found, _ = priced_bound(parts.view, parts.corners, parts.half, reach, np.inf, kept, room)
+    assert proven(loss, found) <= left_over + 1e-9
+
+
+def test_prices_of_boxes_before_come_near_an_assignment(rng):
+    """Along a chain of ever smaller boxes, each elsewhere in the one before."""
+    source, target = centred(rng.standard_normal((40, 3))), centred(rng.standard_normal((45, 3)))
+    model, kept, room = (
+        Rigid3D(source, target, 30),
+        np.zeros(45, np.uint16),
+        room_for_prices(40, 45),
+    )
+    centre = np.array([1.0, 0.2, -0.3, 0.1, 0.05, 0.02, -0.04])
+    for size in 0.2 * 0.8 ** np.arange(15):
+        half = size * np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+        centre = centre + 0.3 * rng.choice([-1.0, 1.0], 7) * half
+        parts = Parts(model, Box(centre - half, centre + half))
+        priced_bound(parts.view, parts.corners, parts.half, 0.1, np.inf, kept, room)
+    squares = parts.squares()
+    best, inherited = k_assignment(squares, 30)[0], priced(squares, kept * 2.0**-14, 30)
+    nearest = priced(squares, np.zeros(45), 30)
+    assert 0.5 * (nearest + best) < inherited <= best + 1e-9
 
 
 def test_cayley_residual_is_below_the_true_one(rng):

@@ -53,6 +53,29 @@ def test_bounds_enclose_the_minimum_and_close():
     assert Ripples().value(found.theta[None])[0] == found.upper_bound
 
 
+class Remembering(Ripples):
+    """Hints are the bounds themselves, so that every box can tell whether they come from its parent."""
+
+    def evaluate(self, lower, upper, cutoff, *, thorough=False, hints=None):
+        found = super().evaluate(lower, upper, cutoff)
+        if hints is not None:
+            assert hints.shape == (len(lower), 2)
+            assert (hints[:, 0] <= lower[:, 0]).all()
+            assert (hints[:, 1] <= lower[:, 1]).all()
+            # a parent is at most twice as wide along each axis
+            assert (lower - hints <= upper - lower + 1e-12).all()
+        found.hints = lower.copy()
+        return found
+
+
+def test_hints_of_a_box_go_to_its_parts():
+    found = branch_and_bound(
+        Remembering(), Budget(), gap_tol=1e-2, branching=LongestEdge(np.ones(2))
+    )
+    assert found.upper_bound == solve().upper_bound
+    assert found.n_nodes == solve().n_nodes
+
+
 @pytest.mark.parametrize("round_size", [1, 7, 64])
 def test_any_round_size_reaches_the_same_optimum(round_size):
     assert solve(round_size=round_size).upper_bound == pytest.approx(dense_minimum(), abs=1.1e-2)
