@@ -105,6 +105,7 @@ class Strongest:
             best.lower_bounds = np.maximum(best.lower_bounds, other.lower_bounds)
             better = other.values < best.values
             best.thetas[better], best.values[better] = other.thetas[better], other.values[better]
+        best.hints = None  # they would be those of one part
         return best
 
 

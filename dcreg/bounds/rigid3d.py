@@ -25,12 +25,12 @@ between R* and R_c,
     sum p c  =  sum p |e + u|^2  <=  E* + sum p |u|^2 + 2 (1 - cos w) sqrt(E*) sqrt(sum p |x|^2).
 
 For Gibbs vector r and a shift s of the translation the way is 2 r x x + s but for second order: the
-sum of its squares is at most that of the |2 r x x + s|^2 plus 4 |r|^2 (1 + |r|) |s| |sum p x|. That
-square is convex in (r, s), so it is greatest at a corner (r_a, +-h). Hence, with C the least of sum
+sum of its squares is at most that of the |2 r x x + s|^2 plus 4 |r|^2 / sqrt(1 + |r|^2) |s| |sum p x|.
+That square is convex in (r, s), so it is greatest at a corner (r_a, +-h). Hence, with C the least of sum
 p (c - |2 r x x + s|^2) over the matchings and the 8 x 8 corners, and over any k sources I the
 greatest sum of their squares and D the greatest length of their sum,
 
-    E* + 4 |r|^2 / (1 + |r|^2) sqrt(I) sqrt(E*) + 4 |r|^2 (1 + |r|) |s| D  >=  C.
+    E* + 4 |r|^2 / (1 + |r|^2) sqrt(I) sqrt(E*) + 4 |r|^2 / sqrt(1 + |r|^2) |s| D  >=  C.
 
 The ways are those of rows: one matching's prices b >= 0 serve all corners. At each, C is at least
 the sum of the k smallest min_j (c_ij + b_j) - |way_i|^2, less the sum of b. Good prices come from
@@ -118,7 +118,7 @@ class RigidBound(SpaceBound[Rigid3D]):
         thorough: bool = False,
         hints: np.ndarray | None = None,
     ) -> Evaluation:
-        """Bound B boxes; see `dcreg.search.Bound`."""
+        """Bound B boxes; see `dcreg.search.Bound`. The hints given become those of these boxes."""
         count, space = len(lower), self.space
         prices = np.zeros((count, space.n_target), np.uint16) if hints is None else hints
         bounds, values = np.empty(count), np.empty(count)

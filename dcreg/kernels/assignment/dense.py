@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels.assignment.selection import kth_smallest, least, sum_of_smallest
+from dcreg.kernels.assignment.selection import kth_smallest, least
 from dcreg.kernels.compiling import jit, jit_part, jit_reduction
 from dcreg.kernels.points import NEVER
 
@@ -75,7 +75,8 @@ def improve_assignment(cost, k, b, stop):
     k : int
         1 <= k <= min(n, m).
     b : (m,) array
-        Any non-negative prices; on return the optimal duals of `dual_bound`.
+        Any non-negative prices; on return optimal ones. For any of them the k least
+        ``min_j (c_ij + b_j)``, less the sum of b, are a lower bound; for optimal ones, the value.
     stop : (1,) uint8 array
         Looked at before every path; once it is set what is returned is unfinished and of no use.
     """
@@ -102,17 +103,6 @@ def improve_assignment(cost, k, b, stop):
         else:
             value += cost[i, col_of[i]]
     return value, col_of
-
-
-@jit
-def dual_bound(cost, k, b):
-    """Lower bound on the k-assignment from any ``b >= 0``: k smallest min_j(c_ij+b_j), minus sum b."""
-    r = np.empty(cost.shape[0])
-    row_minima(cost, b, r)
-    bound = sum_of_smallest(r, k)
-    for j in range(b.size):
-        bound -= b[j]
-    return bound
 
 
 @jit

@@ -108,7 +108,7 @@ def linear_costs(terms, step, out):
 
 @jit
 def dual_bound_at(terms, step, k, b, low):
-    """`dual_bound` of `linear_costs` without forming the matrix."""
+    """What prices prove of the k-assignment of `linear_costs`, without forming the matrix."""
     _, m, n = terms.shape
     p, q, r, u, v, w = step[0], step[1], step[2], step[3], step[4], step[5]
     for i in range(n):

@@ -55,6 +55,17 @@ def column_norms(points, out):
 
 
 @jit
+def extent(points):
+    """RMS and greatest length of (3, n) points."""
+    square = most = 0.0
+    for i in range(points.shape[1]):
+        own = points[0, i] ** 2 + points[1, i] ** 2 + points[2, i] ** 2
+        square += own
+        most = max(most, own)
+    return math.sqrt(square / points.shape[1]), math.sqrt(most)
+
+
+@jit
 def matched_cost(moved, target, col_of):
     """Sum of squared residuals of given pairs."""
     total = 0.0

@@ -20,8 +20,6 @@ class View(NamedTuple):
     ----------
     moved : (3, n) array
         R_c x.
-    reach : (n,) array
-        |x|.
     shifted : (3, m) array
         y - t_c.
     prices : (n, m) array, or (0, 0) where every pair is feasible
@@ -31,7 +29,6 @@ class View(NamedTuple):
     """
 
     moved: np.ndarray
-    reach: np.ndarray
     shifted: np.ndarray
     prices: np.ndarray
     k: int
@@ -70,9 +67,15 @@ def relative_corners(centre, lower, upper, out):
 def look_from(clouds, theta, view):
     """Move the points of `view` to where they are seen from the pose `theta`."""
     transform(chord_matrix(theta, theta), clouds.source, view.moved)
+    _shift(clouds.target, theta, view.shifted)
+
+
+@jit
+def _shift(target, theta, out):
+    """Targets as seen from the translation of a pose."""
     for c in range(3):
-        for j in range(clouds.target.shape[1]):
-            view.shifted[c, j] = clouds.target[c, j] - theta[4 + c]
+        for j in range(target.shape[1]):
+            out[c, j] = target[c, j] - theta[4 + c]
 
 
 @jit
@@ -98,15 +101,19 @@ def nearest_sums(caps, slack, k):
 @jit
 def pose_costs(theta, clouds, out):
     """(n, m) squared residuals at a pose, and the prices."""
-    source, target, prices = clouds.source, clouds.target, clouds.prices
-    moved = np.empty(source.shape)
-    transform(chord_matrix(theta, theta), source, moved)
+    moved, shifted = np.empty(clouds.source.shape), np.empty(clouds.target.shape)
+    transform(chord_matrix(theta, theta), clouds.source, moved)
+    _shift(clouds.target, theta, shifted)
+    pair_costs(moved, shifted, clouds.prices, out)
+
+
+@jit
+def pair_costs(moved, shifted, prices, out):
+    """(n, m) squared distances, and the prices."""
     for i in range(out.shape[0]):
         a, b, c = moved[0, i], moved[1, i], moved[2, i]
         for j in range(out.shape[1]):
-            x = a - (target[0, j] - theta[4])
-            y = b - (target[1, j] - theta[5])
-            z = c - (target[2, j] - theta[6])
+            x, y, z = a - shifted[0, j], b - shifted[1, j], c - shifted[2, j]
             out[i, j] = x * x + y * y + z * z
     add_prices(prices, out)
 

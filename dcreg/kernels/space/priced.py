@@ -1,6 +1,6 @@
 """Matchings at the centre of a box, bounded by prices that come from the box it is a part of.
 
-In single precision: nine boxes of ten are closed or divided without an exact assignment.
+In single precision: most boxes are closed or divided without an exact assignment.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.kernels.assignment.selection import smallest_sum
+from dcreg.kernels.assignment.selection import smallest_sum, total
 from dcreg.kernels.compiling import jit
 from dcreg.kernels.points import add_prices
+from dcreg.kernels.space.geometry import extent
 from dcreg.kernels.space.rough import Bids, bid, rough_costs, rough_minima, settle
 from dcreg.kernels.space.stationary import Ways, least_at_corners, room_for_ways
 
@@ -61,7 +62,7 @@ def keep_prices(b, kept):
 
 
 @jit
-def priced_bound(view, corners, half, reach, goal, kept, room):
+def priced_bound(view, corners, half, farthest, goal, kept, room):
     """A lower bound on C of `Loss`, up to `goal`, and whether bids for a better one were in vain.
 
     Parameters
@@ -69,8 +70,8 @@ def priced_bound(view, corners, half, reach, goal, kept, room):
     view : View
     corners, half : arrays
         Gibbs vectors of the corners of the box, half its widths in translation.
-    reach : float
-        The farthest way of a point.
+    farthest : float
+        The greatest length of a source point.
     goal : float
     kept : (m,) uint16 array
         Prices from another pose, replaced by better ones.
@@ -83,7 +84,7 @@ def priced_bound(view, corners, half, reach, goal, kept, room):
     for j in range(kept.size):
         room.b[j] = np.float32(kept[j] * _UNIT)
     here, level = _settled(view, room.b, room)
-    found = _at_corners(view, corners, half, reach, level, room.b, room)
+    found = _at_corners(view, corners, half, farthest, level, room.b, room)
     in_vain = False
     if found < goal:
         for j in range(kept.size):
@@ -96,14 +97,15 @@ def priced_bound(view, corners, half, reach, goal, kept, room):
             here = better
             for j in range(kept.size):
                 room.b[j] = room.tried[j]
-            found = max(found, _at_corners(view, corners, half, reach, level, room.b, room))
+            found = max(found, _at_corners(view, corners, half, farthest, level, room.b, room))
     keep_prices(room.b, kept)
     return found, in_vain
 
 
 @jit
 def _settled(view, b, room):
-    """Settle prices; the sum of the k cheapest rows less all prices, and the cost of the k-th."""
+    """Settle prices; the sum of the k cheapest rows less all prices, and a cost from the k-th to the
+    next."""
     rough_minima(room.cost, b, room.low)
     mean = 0.0
     for i in range(room.low.size):
@@ -113,44 +115,23 @@ def _settled(view, b, room):
     if view.k == room.low.size:  # no row is left out
         level = room.low.max()
     settle(room.cost, room.low, _CEILING * np.float32(level), b)
-    return here - _total(b), level
+    return here - total(b), level
 
 
 @jit
-def _at_corners(view, corners, half, reach, level, b, room):
+def _at_corners(view, corners, half, farthest, level, b, room):
     """C of `Loss` from below, with what single precision may be off by."""
     for i in range(room.low.size):
         room.exact_low[i] = room.low[i]
     found = least_at_corners(view.moved, room.exact_low, view.k, corners, half, level, room.ways)
-    total = _total(b)
+    prices = total(b)
+    reach = extent(half.reshape((3, 1)))[1] + 2.0 * extent(corners.T)[1] * farthest  # of a way
     # A residual of length d is off by less than step = 2 eps (|x| + |y|), its square by 2 d step +
     # step^2; the sum of d over k pairs is at most the root of k times the sum of their squares.
-    size = max(0.0, found - total) + view.k * reach * reach
-    step = 2.0 * _ROUNDING * _extent(view)
+    size = max(0.0, found - prices) + view.k * reach * reach
+    step = 2.0 * _ROUNDING * (farthest + extent(view.shifted)[1])
     off = 2.0 * step * math.sqrt(view.k * size) + view.k * step * step
-    return found - total - off - 2.0 * _ROUNDING * (size + total)
-
-
-@jit
-def _extent(view):
-    """The greatest |x| + |y|."""
-    farthest = most = 0.0
-    for i in range(view.reach.size):
-        farthest = max(farthest, view.reach[i])
-    for j in range(view.shifted.shape[1]):
-        square = 0.0
-        for c in range(3):
-            square += view.shifted[c, j] ** 2
-        most = max(most, square)
-    return farthest + math.sqrt(most)
-
-
-@jit
-def _total(b):
-    found = 0.0
-    for j in range(b.size):
-        found += b[j]
-    return found
+    return found - prices - off - 2.0 * _ROUNDING * (size + prices)
 
 
 @jit

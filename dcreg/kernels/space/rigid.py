@@ -11,12 +11,12 @@ import math
 import numpy as np
 
 from dcreg.kernels.assignment.dense import improve_assignment, row_minima
+from dcreg.kernels.assignment.selection import kth_smallest, total
 from dcreg.kernels.compiling import jit
-from dcreg.kernels.points import add_prices
 from dcreg.kernels.space.caps import cap_costs
 from dcreg.kernels.space.cayley import vertex_bound
-from dcreg.kernels.space.geometry import column_norms, matched_cost
-from dcreg.kernels.space.poses import View, look_from, nearest_sums, relative_corners
+from dcreg.kernels.space.geometry import extent, matched_cost
+from dcreg.kernels.space.poses import View, look_from, nearest_sums, pair_costs, relative_corners
 from dcreg.kernels.space.priced import keep_prices, priced_bound, room_for_prices
 from dcreg.kernels.space.stationary import least_at_corners, loss_of, needed, proven
 
@@ -43,13 +43,8 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, prices, bounds, values):
         Receive the bounds, and upper bounds on E at the centres, +inf where no matching was sought.
     """
     n, m, k = clouds.source.shape[1], clouds.target.shape[1], clouds.k
-    view = View(np.empty((3, n)), np.empty(n), np.empty((3, m)), clouds.prices, k, clouds.stop)
-    column_norms(clouds.source, view.reach)
-    square = farthest = 0.0
-    for i in range(n):
-        square += view.reach[i] ** 2
-        farthest = max(farthest, view.reach[i])
-    radius = math.sqrt(square / n)
+    view = View(np.empty((3, n)), np.empty((3, m)), clouds.prices, k, clouds.stop)
+    radius, farthest = extent(clouds.source)
     room, costs, b = room_for_prices(n, m), np.empty((n, m)), np.empty(m)
     corners, centre, half = np.empty((8, 3)), np.empty(7), np.empty(3)
     spent = 0
@@ -62,7 +57,7 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, prices, bounds, values):
         for c in range(3):
             half[c] = 0.5 * (upper[box, 4 + c] - lower[box, 4 + c])
         count = relative_corners(centre, lower[box], upper[box], corners)
-        tangent = _farthest(corners[:count]) if count > 0 else np.inf
+        tangent = extent(corners[:count].T)[1] if count > 0 else np.inf
         slack = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
         angle = 2.0 * math.atan(tangent)
         look_from(clouds, centre, view)
@@ -73,14 +68,16 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, prices, bounds, values):
             continue
 
         loss = loss_of(tangent, slack, limits[0], limits[1])
-        goal, reach = needed(loss, cutoff), slack + 2.0 * tangent * farthest
-        found, in_vain = priced_bound(view, corners[:count], half, reach, goal, prices[box], room)
+        goal = needed(loss, cutoff)
+        found, in_vain = priced_bound(
+            view, corners[:count], half, farthest, goal, prices[box], room
+        )
         bounds[box] = proven(loss, found)
         # however low their bounds, the poses of a small box are alike and must be told from others
         small = k * (angle * radius + slack) ** 2 < cutoff
         if bounds[box] >= cutoff or not (small or in_vain):
             continue
-        _exact_costs(view, costs)
+        pair_costs(view.moved, view.shifted, view.prices, costs)
         for j in range(m):
             b[j] = room.b[j]
         _, col_of = improve_assignment(costs, k, b, clouds.stop)
@@ -88,11 +85,11 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, prices, bounds, values):
         spent += 1
         values[box] = matched_cost(view.moved, view.shifted, col_of)
         row_minima(costs, b, room.exact_low)
+        level = kth_smallest(room.exact_low, k - 1)
         found = least_at_corners(
-            view.moved, room.exact_low, k, corners[:count], half, 0.0, room.ways
+            view.moved, room.exact_low, k, corners[:count], half, level, room.ways
         )
-        for j in range(m):
-            found -= b[j]
+        found -= total(b)
         bounds[box] = max(bounds[box], proven(loss, found))
         if bounds[box] >= cutoff or not small:
             continue
@@ -100,22 +97,3 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, prices, bounds, values):
         bounds[box] = max(bounds[box], value)
         spent += solved
     return spent
-
-
-@jit
-def _farthest(corners):
-    most = 0.0
-    for a in range(corners.shape[0]):
-        most = max(most, corners[a, 0] ** 2 + corners[a, 1] ** 2 + corners[a, 2] ** 2)
-    return math.sqrt(most)
-
-
-@jit
-def _exact_costs(view, out):
-    moved, shifted = view.moved, view.shifted
-    for i in range(out.shape[0]):
-        a, b, c = moved[0, i], moved[1, i], moved[2, i]
-        for j in range(out.shape[1]):
-            x, y, z = a - shifted[0, j], b - shifted[1, j], c - shifted[2, j]
-            out[i, j] = x * x + y * y + z * z
-    add_prices(view.prices, out)

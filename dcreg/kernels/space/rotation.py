@@ -89,7 +89,7 @@ def nearest_bound(costs, k):
 
 @jit
 def dual_bound_at(M, clouds, b):
-    """`dual_bound` of `pair_costs` at M, without forming the matrix."""
+    """What prices prove of the k-assignment of `pair_costs` at M, without forming the matrix."""
     source, target, prices = clouds.source, clouds.target, clouds.prices
     n = source.shape[1]
     moved, low = np.empty(source.shape), np.empty(n)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.kernels.assignment.selection import smallest_sum
+from dcreg.kernels.assignment.selection import smallest_sum, total
 from dcreg.kernels.compiling import jit, jit_reduction
 
 
@@ -38,7 +38,7 @@ def loss_of(tangent, slack, inertia, drift):
     square = tangent * tangent
     return Loss(
         4.0 * square / (1.0 + square) * math.sqrt(inertia),
-        4.0 * square * (1.0 + tangent) * slack * drift,
+        4.0 * square / math.sqrt(1.0 + square) * slack * drift,
     )
 
 
@@ -102,10 +102,11 @@ def least_at_corners(moved, low, k, corners, half, level, ways):
     ``k level - sum max(0, level - number)`` at any level: one that is best for one corner does for all.
     """
     square = half[0] ** 2 + half[1] ** 2 + half[2] ** 2
-    least, spacing = np.inf, 0.02 * abs(level)
+    least = np.inf
     for a in range(corners.shape[0]):
         _turn(moved, 2.0 * corners[a, 0], 2.0 * corners[a, 1], 2.0 * corners[a, 2], low, ways)
         if a == 0 or k == low.size:
+            spacing = 0.02 * (abs(level) + abs(total(ways.net)) / low.size)
             found, level = smallest_sum(ways.net, k, level, spacing)
         if k == low.size:  # all rows are matched: the shifts of all add up
             least = min(least, found - 2.0 * _drift(ways, half))
