@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dcreg.bounds import RigidBound
+from dcreg.bounds.base import Strongest
 from dcreg.kernels.points import NEVER
 from dcreg.kernels.space.caps import cap_costs
 from dcreg.kernels.space.cayley import vertex_bound
@@ -17,7 +18,7 @@ from dcreg.kernels.space.priced import priced_bound, room_for_prices
 from dcreg.kernels.space.rough import Bids, bid, rough_costs, rough_minima, settle
 from dcreg.kernels.space.stationary import least_at_corners, loss_of, needed, proven, room_for_ways
 from dcreg.local import k_assignment, objective
-from dcreg.search import Box
+from dcreg.search import Box, Budget, minimise
 from dcreg.spaces import Rigid3D
 from dcreg.spaces.rigid3d import largest_subset_mean_3d
 from tests.problems import KINDS, cloud
@@ -319,6 +320,15 @@ def test_prices_of_boxes_before_come_near_an_assignment(rng):
     best, inherited = k_assignment(squares, 30)[0], priced(squares, kept * 2.0**-14, 30)
     nearest = priced(squares, np.zeros(45), 30)
     assert 0.5 * (nearest + best) < inherited <= best + 1e-9
+
+
+def test_the_strongest_of_two_bounds_is_searched_without_their_hints(rng):
+    source = centred(rng.standard_normal((8, 3)))
+    model = Rigid3D(source, centred(source + 0.05 * rng.standard_normal((8, 3))), 6)
+    one, both = RigidBound(model), Strongest([RigidBound(model), RigidBound(model)])
+    found = [minimise(model, each, Budget(nodes=3000), gap_tol=0.01) for each in (one, both)]
+    assert found[0].upper_bound == pytest.approx(found[1].upper_bound)
+    assert max(each.lower_bound for each in found) <= found[0].upper_bound
 
 
 def test_cayley_residual_is_below_the_true_one(rng):
