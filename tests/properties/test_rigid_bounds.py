@@ -326,7 +326,7 @@ def test_the_strongest_of_two_bounds_is_searched_without_their_hints(rng):
     source = centred(rng.standard_normal((8, 3)))
     model = Rigid3D(source, centred(source + 0.05 * rng.standard_normal((8, 3))), 6)
     one, both = RigidBound(model), Strongest([RigidBound(model), RigidBound(model)])
-    found = [minimise(model, each, Budget(nodes=3000), gap_tol=0.01) for each in (one, both)]
+    found = [minimise(model, each, Budget(nodes=3000), gap_tol=1e-6) for each in (one, both)]
     assert found[0].upper_bound == pytest.approx(found[1].upper_bound)
     assert max(each.lower_bound for each in found) <= found[0].upper_bound
 
