@@ -48,7 +48,7 @@ def room_for_prices(n, m):
     single = np.float32
     return Room(
         np.empty((3, n), single), np.empty((3, m), single), np.empty((n, m), single),
-        np.empty(m, single), np.empty(m, single), np.empty(n, single),
+        np.zeros(m, single), np.empty(m, single), np.empty(n, single),
         np.empty(n, np.int64), np.empty(m, np.int64), np.empty(m, np.int32),
         np.empty(n), room_for_ways(n),
     )  # fmt: skip

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from dcreg.kernels.assignment.dense import improve_assignment, row_minima
+from dcreg.kernels.assignment.dense import improve_assignment, k_assignment, row_minima
 from dcreg.kernels.assignment.selection import kth_smallest, total
 from dcreg.kernels.compiling import jit
 from dcreg.kernels.space.caps import cap_costs
@@ -23,6 +23,10 @@ from dcreg.kernels.space.stationary import least_at_corners, loss_of, needed, pr
 # Boxes with rotations farther than this from the middle, as tangents of half the angle, are left to caps:
 # what a matching loses by the square of the angle is more there than all there is.
 _WIDE = 0.6
+# As many pairs take no longer to assign than to price: their boxes are left to caps too.
+_FEW = 1000
+# A sum of nearest costs below this share of what closes the box is not worth an assignment.
+_WORTH_ASSIGNMENT = 0.35
 
 
 @jit
@@ -45,6 +49,7 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, prices, bounds, values):
     n, m, k = clouds.source.shape[1], clouds.target.shape[1], clouds.k
     view = View(np.empty((3, n)), np.empty((3, m)), clouds.prices, k, clouds.stop)
     radius, farthest = extent(clouds.source)
+    few = n * m <= _FEW
     room, costs, b = room_for_prices(n, m), np.empty((n, m)), np.empty(m)
     corners, centre, half = np.empty((8, 3)), np.empty(7), np.empty(3)
     spent = 0
@@ -61,25 +66,25 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, prices, bounds, values):
         slack = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
         angle = 2.0 * math.atan(tangent)
         look_from(clouds, centre, view)
-        if tangent > _WIDE:
-            cap_costs(view.moved, angle, view.shifted, view.prices, costs)
-            nearest, narrowed = nearest_sums(costs, slack, k)
-            bounds[box] = max(narrowed, nearest - k * slack * slack)
-            continue
-
-        loss = loss_of(tangent, slack, limits[0], limits[1])
-        goal = needed(loss, cutoff)
-        found, in_vain = priced_bound(
-            view, corners[:count], half, farthest, goal, prices[box], room
-        )
-        bounds[box] = proven(loss, found)
         # however low their bounds, the poses of a small box are alike and must be told from others
         small = k * (angle * radius + slack) ** 2 < cutoff
-        if bounds[box] >= cutoff or not (small or in_vain):
-            continue
+        if few or tangent > _WIDE:
+            bounds[box], solved = _capped(view, angle, slack, cutoff, small, costs)
+            spent += solved
+            if bounds[box] >= cutoff or not small or tangent > _WIDE:
+                continue
+        loss = loss_of(tangent, slack, limits[0], limits[1])
+        if not few:
+            goal = needed(loss, cutoff)
+            found, in_vain = priced_bound(
+                view, corners[:count], half, farthest, goal, prices[box], room
+            )
+            bounds[box] = proven(loss, found)
+            if bounds[box] >= cutoff or not (small or in_vain):
+                continue
         pair_costs(view.moved, view.shifted, view.prices, costs)
         for j in range(m):
-            b[j] = room.b[j]
+            b[j] = room.b[j]  # 0 where pairs are few
         _, col_of = improve_assignment(costs, k, b, clouds.stop)
         keep_prices(b, prices[box])
         spent += 1
@@ -97,3 +102,16 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, prices, bounds, values):
         bounds[box] = max(bounds[box], value)
         spent += solved
     return spent
+
+
+@jit
+def _capped(view, angle, slack, cutoff, small, costs):
+    """The bound by caps, and the assignments solved for it."""
+    cap_costs(view.moved, angle, view.shifted, view.prices, costs)
+    nearest, narrowed = nearest_sums(costs, slack, view.k)
+    shift = view.k * slack * slack
+    bound = max(narrowed, nearest - shift)
+    if bound >= cutoff or not (small or nearest > _WORTH_ASSIGNMENT * (cutoff + shift)):
+        return bound, 0
+    value, _ = k_assignment(costs, view.k, view.stop)
+    return max(bound, value - shift), 1
