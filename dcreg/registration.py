@@ -101,7 +101,7 @@ def register(
     node_limit : int, optional
         Boxes bounded per stage.
     memory_limit_mb : float, optional
-        Memory of the open boxes.
+        Memory of the open boxes; up to three times that is in use while their number grows.
     threads : int
         Threads that evaluate bounds; the result does not depend on it.
     candidates : (n, m) bool array, or n sequences of target indices, optional

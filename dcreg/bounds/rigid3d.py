@@ -38,14 +38,15 @@ the box that this one is a part of (the hints of the search): they are lowered a
 less, raised again by bids, and replaced by those of an exact assignment where bids do not help.
 Squares, minima and bids are computed in single precision, and what that may be off by is taken off.
 
-For wide boxes, whose rotations are too far from the middle, caps are left. Turned by at most an
-angle, x_i stays on a spherical cap. With d_ij the distance of y_j from the cap and rho = |h|, |R
-x_i + t - y_j| >= d_ij - rho holds everywhere, and as the best translation for R* and P* is a mean,
+Caps are left for wide boxes, whose rotations are too far from the middle, and come first where pairs
+are so few that an assignment takes no longer than prices. Turned by at most an angle, x_i stays on a
+spherical cap. With d_ij the distance of y_j from the cap and rho = |h|, |R x_i + t - y_j| >= d_ij - rho
+holds everywhere, and as the best translation for R* and P* is a mean,
 
     E* + k |t_c - t*|^2  =  E_P*(R*, t_c)  >=  min_P sum p_ij d_ij^2.
 
-Both sums are bounded by the rows' least costs (`nearest_sums`). With all rotations in the box d_ij
-is the norm distance ||x_i| - |y_j|| of the paper's Case II.
+Both sums are bounded by the rows' least costs (`nearest_sums`), the second also by an assignment. With
+all rotations in the box d_ij is the norm distance ||x_i| - |y_j|| of the paper's Case II.
 
 Second bound: Cayley's form
 ---------------------------
