@@ -79,7 +79,8 @@ Feasible pairs
 Pairs that may not be matched cost a constant more, in E and in every cost above. Feasible matchings
 cost what they did, so the least over all matchings is still no more than the least over those: the
 bounds hold whatever the constant. For E itself no other pair may be matched, so the constant
-exceeds k squared residuals at any pose of the start box (`dcreg.problem.pairs.FeasiblePairs`)."""
+exceeds k squared residuals at any pose of the start box (`dcreg.problem.pairs.FeasiblePairs`).
+"""
 
 from __future__ import annotations
 

@@ -73,16 +73,8 @@ class OpenNodes:
 
     def _double(self) -> None:
         capacity = len(self._heap)
-        for name in (
-            "_lower",
-            "_upper",
-            "_hints",
-            "_bounds",
-            "_sizes",
-            "_serials",
-            "_heap",
-            "_free",
-        ):
+        boxes = ("_lower", "_upper", "_hints", "_bounds", "_sizes", "_serials")
+        for name in (*boxes, "_heap", "_free"):
             old = getattr(self, name)
             setattr(self, name, np.concatenate([old, np.empty_like(old)]))
         self._free[capacity:] = np.arange(capacity, 2 * capacity)

@@ -320,6 +320,9 @@ def test_prices_of_boxes_before_come_near_an_assignment(rng):
     best, inherited = k_assignment(squares, 30)[0], priced(squares, kept * 2.0**-14, 30)
     nearest = priced(squares, np.zeros(45), 30)
     assert 0.5 * (nearest + best) < inherited <= best + 1e-9
+    anew = np.zeros(45, np.uint16)
+    priced_bound(parts.view, parts.corners, parts.half, 4.0, np.inf, anew, room)
+    assert priced(squares, anew * 2.0**-14, 30) < inherited
 
 
 def test_the_strongest_of_two_bounds_is_searched_without_their_hints(rng):

@@ -54,11 +54,14 @@ def test_bounds_enclose_the_minimum_and_close():
 
 
 class Remembering(Ripples):
-    """Hints are the bounds themselves, so that every box can tell whether they come from its parent."""
+    """Hints are the lower corners, so that every box can tell whether they come from its parent."""
+
+    n_hinted = 0
 
     def evaluate(self, lower, upper, cutoff, *, thorough=False, hints=None):
         found = super().evaluate(lower, upper, cutoff)
         if hints is not None:
+            self.n_hinted += len(hints)
             assert hints.shape == (len(lower), 2)
             assert (hints[:, 0] <= lower[:, 0]).all()
             assert (hints[:, 1] <= lower[:, 1]).all()
@@ -69,9 +72,9 @@ class Remembering(Ripples):
 
 
 def test_hints_of_a_box_go_to_its_parts():
-    found = branch_and_bound(
-        Remembering(), Budget(), gap_tol=1e-2, branching=LongestEdge(np.ones(2))
-    )
+    bound = Remembering()
+    found = branch_and_bound(bound, Budget(), gap_tol=1e-2, branching=LongestEdge(np.ones(2)))
+    assert bound.n_hinted == found.n_nodes - len(ROOT) > 0
     assert found.upper_bound == solve().upper_bound
     assert found.n_nodes == solve().n_nodes
 

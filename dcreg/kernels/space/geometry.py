@@ -47,14 +47,6 @@ def transform(M, points, out):
 
 
 @jit
-def column_norms(points, out):
-    """Lengths of (3, n) points."""
-    for i in range(points.shape[1]):
-        x, y, z = points[0, i], points[1, i], points[2, i]
-        out[i] = math.sqrt(x * x + y * y + z * z)
-
-
-@jit
 def extent(points):
     """RMS and greatest length of (3, n) points."""
     square = most = 0.0

@@ -94,7 +94,6 @@ def priced_bound(view, corners, half, farthest, goal, kept, room):
         better, level = _settled(view, room.tried, room)
         in_vain = better <= here
         if not in_vain:
-            here = better
             for j in range(kept.size):
                 room.b[j] = room.tried[j]
             found = max(found, _at_corners(view, corners, half, farthest, level, room.b, room))
