@@ -89,7 +89,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from dcreg.bounds.base import SpaceBound
-from dcreg.kernels.space.rigid import bound_boxes
+from dcreg.bounds.corner_values import CornerValues
+from dcreg.kernels.space.rigid import bound_boxes, room_for_findings
+from dcreg.kernels.space.stationary import Limits
 from dcreg.search import Box, Evaluation
 from dcreg.spaces import Rigid3D
 from dcreg.spaces.rigid3d import largest_subset_mean_3d
@@ -101,15 +103,19 @@ class RigidBound(SpaceBound[Rigid3D]):
     The prices of a box are its hints: the boxes made from it begin with them.
     """
 
-    round_pairs, max_round = 4_000_000, 256
+    round_pairs, max_round = 8_000_000, 512
 
     def __init__(
         self, space: Rigid3D, roots: Sequence[Box] | None = None, threads: int = 1
     ) -> None:
         super().__init__(space, roots, threads)
         source, k = space.clouds.source, space.n_inliers
-        squares = np.sort((source**2).sum(axis=0))
-        self._limits = float(squares[-k:].sum()), k * largest_subset_mean_3d(source.T, k)
+        self._limits = Limits(
+            inertia=float(np.sort((source**2).sum(axis=0))[-k:].sum()),
+            drift=k * largest_subset_mean_3d(source.T, k),
+            spread=float(np.linalg.eigvalsh(source @ source.T)[-1]),
+        )
+        self._corners = CornerValues(space.clouds, self._run)
 
     def evaluate(
         self,
@@ -121,18 +127,30 @@ class RigidBound(SpaceBound[Rigid3D]):
         hints: np.ndarray | None = None,
     ) -> Evaluation:
         """Bound B boxes; see `dcreg.search.Bound`. The hints given become those of these boxes."""
-        count, space = len(lower), self.space
+        count, space, corners = len(lower), self.space, self._corners
+        cutoff = np.inf if thorough else cutoff
         prices = np.zeros((count, space.n_target), np.uint16) if hints is None else hints
-        bounds, values = np.empty(count), np.empty(count)
+        found = room_for_findings(prices)
+        corners.make_room(count)
 
         def work(part: slice) -> int:
             return bound_boxes(
-                lower[part], upper[part], np.inf if thorough else cutoff, space.clouds, self._limits,
-                prices[part], bounds[part], values[part],
+                lower[part], upper[part], cutoff, space.clouds, self._limits, corners.known,
+                found.part(part),
             )  # fmt: skip
 
         self._run(work, count)
-        return Evaluation(bounds, 0.5 * (lower + upper), values, prices)
+        corners.raise_bounds(lower, upper, cutoff, found)
+        thetas = 0.5 * (lower + upper)
+        self._look_at_best(thetas, found.guesses, found.values)
+        return Evaluation(found.bounds, thetas, found.values, prices)
+
+    def _look_at_best(self, thetas: np.ndarray, guesses: np.ndarray, values: np.ndarray) -> None:
+        """The objective where it may be least."""
+        best = int(np.argmin(guesses))
+        if guesses[best] < min(np.inf, values.min()):
+            values[best] = self.space.objective(thetas[best])[0]
+            self.n_assignments += 1
 
     def _evaluate(
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool

@@ -116,7 +116,7 @@ class Rigid3D(CloudSpace):
             # rounding must not cut off the optimum, yet a centred set keeps zero width
             reach = 0.0 if reach < _ROUNDING else reach
             lower, upper = (np.where(np.abs(v) < _ROUNDING, 0.0, v) for v in (lower, upper))
-            return Box(lower - reach, upper + reach)
+            return Box(np.minimum(lower, upper) - reach, np.maximum(lower, upper) + reach)
         reach = radius(source.T) + radius(target.T)
         return Box(np.full(3, -reach), np.full(3, reach))
 

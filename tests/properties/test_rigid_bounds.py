@@ -10,13 +10,24 @@ from scipy.spatial.transform import Rotation
 
 from dcreg.bounds import RigidBound
 from dcreg.bounds.base import Strongest
+from dcreg.bounds.corner_values import CornerValues
 from dcreg.kernels.points import NEVER
 from dcreg.kernels.space.caps import cap_costs
 from dcreg.kernels.space.cayley import vertex_bound
+from dcreg.kernels.space.corners import corner_pose
 from dcreg.kernels.space.poses import View, nearest_sums, relative_corners
-from dcreg.kernels.space.priced import priced_bound, room_for_prices
+from dcreg.kernels.space.priced import priced_bound, priced_value, room_for_prices
 from dcreg.kernels.space.rough import Bids, bid, rough_costs, rough_minima, settle
-from dcreg.kernels.space.stationary import least_at_corners, loss_of, needed, proven, room_for_ways
+from dcreg.kernels.space.stationary import (
+    Limits,
+    Surroundings,
+    joint_loss_of,
+    look_at_corners,
+    loss_of,
+    needed,
+    proven,
+    room_for_ways,
+)
 from dcreg.local import k_assignment, objective
 from dcreg.search import Box, Budget, minimise
 from dcreg.spaces import Rigid3D
@@ -255,36 +266,48 @@ def test_sums_at_corners_are_below_all_ways(problem, box, level, seed):
     generator = np.random.default_rng(seed)
     n, k = parts.view.moved.shape[1], parts.k
     low = generator.exponential(0.1, n)
-    found = least_at_corners(
-        parts.view.moved, low, k, parts.corners, parts.half, level, room_for_ways(n)
+    found = np.empty(64)
+    least = look_at_corners(
+        parts.view.moved, low, k, parts.corners, parts.half, level, room_for_ways(n), found
     )
+    assert least == found.min()
     weights = np.concatenate(
         [np.eye(len(parts.corners)), generator.dirichlet(np.ones(len(parts.corners)), 20)]
     )
-    signs = np.array(list(product([-1.0, 1.0], repeat=3)))
+    signs = np.array([s[::-1] for s in product([1.0, -1.0], repeat=3)])
     sums = []
     for r in weights @ parts.corners:
         for s in signs * parts.half:
             ways = 2.0 * np.cross(r, parts.view.moved.T) + s
             sums.append(np.sort(low - (ways**2).sum(axis=1))[:k].sum())
-    assert found <= min(sums) + 1e-9
+    at_corners = 8 * len(parts.corners)
+    assert (found[:at_corners] <= np.array(sums[:at_corners]) + 1e-9).all()
+    assert np.isinf(found[at_corners:]).all()
+    assert least <= min(sums) + 1e-9
     if k == n or (box.lower == box.upper).all():
-        assert found == pytest.approx(min(sums[: 8 * len(parts.corners)]), abs=1e-9)
+        assert found[:at_corners] == pytest.approx(np.array(sums[:at_corners]), abs=1e-9)
 
 
 @given(st.floats(0.0, 0.6), st.floats(0.0, 1.0), st.floats(0.0, 50.0), st.floats(0.0, 5.0))
 def test_what_is_needed_proves_what_it_is_needed_for(tangent, slack, cutoff, drift):
-    loss = loss_of(tangent, slack, 30.0, drift)
-    assert proven(loss, needed(loss, cutoff)) == pytest.approx(cutoff, rel=1e-9, abs=1e-9)
+    box, limits = (
+        Surroundings(np.empty((0, 3)), np.empty(3), tangent, slack),
+        Limits(30.0, drift, 9.0),
+    )
+    for loss in loss_of(box, limits), joint_loss_of(box, limits):
+        assert proven(loss, needed(loss, cutoff)) == pytest.approx(cutoff, rel=1e-9, abs=1e-9)
 
 
 @given(
     problems(10),
     st.sampled_from([0.3, 0.1, 0.01, 0.0]),
     st.sampled_from([0.0, 0.1, 10.0]),
+    st.sampled_from([0.0, 1.0, np.inf]),
     st.integers(0, 2**32 - 1),
 )
-def test_prices_of_any_kind_stay_below_every_matching_at_its_best_pose(problem, size, scale, seed):
+def test_prices_of_any_kind_stay_below_every_matching_at_its_best_pose(
+    problem, size, scale, goal, seed
+):
     generator = np.random.default_rng(seed)
     theta, left_over = best_pose(problem, generator)
     parts = Parts(Rigid3D(*problem), box_about(theta, generator, size))
@@ -294,35 +317,117 @@ def test_prices_of_any_kind_stay_below_every_matching_at_its_best_pose(problem, 
     squares = (source**2).sum(axis=1)
     inertia, drift = np.sort(squares)[-k:].sum(), k * largest_subset_mean_3d(source, k)
     slack = np.linalg.norm(parts.half)
-    loss = loss_of(parts.tangent, slack, inertia, drift)
+    box = Surroundings(parts.corners, parts.half, parts.tangent, slack)
+    loss = loss_of(box, Limits(inertia, drift, inertia))
     kept = (scale * 6000 * generator.random(len(target))).astype(np.uint16)
     farthest = np.sqrt(squares.max())
     room = room_for_prices(len(source), len(target))
-    found, _ = priced_bound(parts.view, parts.corners, parts.half, farthest, np.inf, kept, room)
+    out = np.empty(64)
+    found, guess = priced_bound(parts.view, box, farthest, goal, kept, room, out)
+    assert found == out.min()
     assert proven(loss, found) <= left_over + 1e-9
+    assert guess <= k_assignment(parts.squares(), k)[0] + 1e-5 * (1.0 + guess)
 
 
 def test_prices_of_boxes_before_come_near_an_assignment(rng):
     """Along a chain of ever smaller boxes, each elsewhere in the one before."""
     source, target = centred(rng.standard_normal((40, 3))), centred(rng.standard_normal((45, 3)))
-    model, kept, room = (
-        Rigid3D(source, target, 30),
-        np.zeros(45, np.uint16),
-        room_for_prices(40, 45),
-    )
+    model, kept = Rigid3D(source, target, 30), np.zeros(45, np.uint16)
+    room, out = room_for_prices(40, 45), np.empty(64)
     centre = np.array([1.0, 0.2, -0.3, 0.1, 0.05, 0.02, -0.04])
     for size in 0.2 * 0.8 ** np.arange(15):
         half = size * np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
         centre = centre + 0.3 * rng.choice([-1.0, 1.0], 7) * half
         parts = Parts(model, Box(centre - half, centre + half))
-        priced_bound(parts.view, parts.corners, parts.half, 4.0, np.inf, kept, room)
-    squares = parts.squares()
-    best, inherited = k_assignment(squares, 30)[0], priced(squares, kept * 2.0**-14, 30)
-    nearest = priced(squares, np.zeros(45), 30)
-    assert 0.5 * (nearest + best) < inherited <= best + 1e-9
-    anew = np.zeros(45, np.uint16)
-    priced_bound(parts.view, parts.corners, parts.half, 4.0, np.inf, anew, room)
-    assert priced(squares, anew * 2.0**-14, 30) < inherited
+        box = Surroundings(parts.corners, parts.half, parts.tangent, np.linalg.norm(parts.half))
+        _, inherited = priced_bound(parts.view, box, 4.0, np.inf, kept, room, out)
+    best = k_assignment(parts.squares(), 30)[0]
+    assert 0.95 * best < inherited <= best + 1e-5
+    value, is_final = priced_value(parts.view, 4.0, np.inf, kept, room)
+    assert is_final
+    assert 0.95 * best < value <= best
+    value, is_final = priced_value(parts.view, 4.0, 0.5 * best, kept, room)
+    assert not is_final
+    assert 0.5 * best <= value <= best
+
+
+@given(
+    problems(),
+    st.sampled_from([1.0, 0.5, 0.2, 0.05]),
+    st.integers(0, 2**32 - 1),
+)
+def test_means_with_values_at_corners_are_below_every_matching_at_its_best_pose(
+    problem, size, seed
+):
+    """The mathematics alone: by exact assignments, for one matching and for the least of all."""
+    generator = np.random.default_rng(seed)
+    theta, left_over = best_pose(problem, generator)
+    box = box_about(theta, generator, size)
+    model = Rigid3D(*problem)
+    parts = Parts(model, box)
+    if not len(parts.corners) or parts.tangent > 0.6:
+        return
+    source, _, k = problem
+    seen = Surroundings(parts.corners, parts.half, parts.tangent, np.linalg.norm(parts.half))
+    loss = joint_loss_of(seen, limits_of(source, k))
+    least = np.inf
+    for index in range(8 * len(parts.corners)):
+        pose = np.empty(7)
+        corner_pose(box.lower, box.upper, index, pose)
+        signs = 1.0 - 2.0 * np.array([index & 1, index >> 1 & 1, index >> 2 & 1])
+        ways = 2.0 * np.cross(parts.corners[index >> 3], parts.view.moved.T) + signs * parts.half
+        shortened = parts.squares() - (ways**2).sum(axis=1)[:, None]
+        here = k_assignment(shortened + 1e3, k)[0] - 1e3 * k
+        least = min(least, 0.5 * (here + model.objective(pose)[0]))
+    assert proven(loss, least) <= left_over + 1e-9
+
+
+def limits_of(source, k):
+    squares = np.sort((source**2).sum(axis=1))
+    spread = np.linalg.eigvalsh(source.T @ source)[-1]
+    return Limits(squares[-k:].sum(), k * largest_subset_mean_3d(source, k), spread)
+
+
+@given(
+    st.integers(33, 40),
+    st.integers(33, 40),
+    st.sampled_from([0.6, 0.9, 1.0]),
+    st.sampled_from([0.02, 0.3, 1.0]),
+    st.integers(0, 2**32 - 1),
+)
+def test_no_box_about_a_local_optimum_is_bounded_above_it(n, m, share, noise, seed):
+    """Of so many pairs that corners are priced; again from the values and prices left by other boxes."""
+    generator = np.random.default_rng(seed)
+    source, target = (centred(generator.standard_normal((size, 3))) for size in (n, m))
+    both = min(n, m)
+    target[:both] = source[:both] + noise * generator.standard_normal((both, 3))
+    k = int(share * both)
+    model = Rigid3D(source, target, k)
+    theta, best, _ = model.refine(np.append(1.0, 0.3 * generator.standard_normal(6)))
+    bound = RigidBound(model)
+    for _ in range(6):
+        around = box_about(theta, generator, generator.choice([0.3, 0.1, 0.03, 0.003]))
+        lower, upper = around.lower[None], around.upper[None]
+        for tightness in 0.5, 0.97, 1.03, 10.0:
+            found = bound.evaluate(lower, upper, tightness * best)
+            assert found.lower_bounds[0] <= best + 1e-9
+            found = bound.evaluate(lower, upper, tightness * best, hints=found.hints)
+            assert found.lower_bounds[0] <= best + 1e-9
+
+
+def test_values_at_corners_close_boxes_that_nothing_else_does(rng, monkeypatch):
+    source = centred(rng.standard_normal((40, 3)))
+    model = Rigid3D(source, centred(source + 0.1 * rng.standard_normal((40, 3))), 30)
+    theta, best, _ = model.refine(np.array([1.0, 0, 0, 0, 0, 0, 0]))
+    centres = theta + rng.choice([-1.0, 1.0], (200, 7)) * rng.uniform(0.1, 0.3, (200, 7))
+    half = 0.13 * np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    centres[:, 0] = 1.0
+    lower, upper = centres - half, centres + half
+    with_corners = RigidBound(model).evaluate(lower, upper, best).lower_bounds
+    monkeypatch.setattr(CornerValues, "raise_bounds", lambda *_: None)
+    without = RigidBound(model).evaluate(lower, upper, best).lower_bounds
+    assert (with_corners >= without).all()
+    assert (with_corners >= best).sum() > 1.5 * (without >= best).sum() > 0
 
 
 def test_the_strongest_of_two_bounds_is_searched_without_their_hints(rng):

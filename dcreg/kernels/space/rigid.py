@@ -7,6 +7,7 @@ stored by axis, (3, n) and (3, m). Why the bounds hold is written in `dcreg.boun
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,10 +16,18 @@ from dcreg.kernels.assignment.selection import kth_smallest, total
 from dcreg.kernels.compiling import jit
 from dcreg.kernels.space.caps import cap_costs
 from dcreg.kernels.space.cayley import vertex_bound
+from dcreg.kernels.space.corners import CORNERS, LEFT, Prospects, judge
 from dcreg.kernels.space.geometry import extent, matched_cost
 from dcreg.kernels.space.poses import View, look_from, nearest_sums, pair_costs, relative_corners
 from dcreg.kernels.space.priced import keep_prices, priced_bound, room_for_prices
-from dcreg.kernels.space.stationary import least_at_corners, loss_of, needed, proven
+from dcreg.kernels.space.stationary import (
+    Surroundings,
+    joint_loss_of,
+    look_at_corners,
+    loss_of,
+    needed,
+    proven,
+)
 
 # Boxes with rotations farther than this from the middle, as tangents of half the angle, are left to caps:
 # what a matching loses by the square of the angle is more there than all there is.
@@ -29,8 +38,45 @@ _FEW = 1000
 _WORTH_ASSIGNMENT = 0.35
 
 
+class Found(NamedTuple):
+    """What is found out about B boxes.
+
+    Attributes
+    ----------
+    bounds, values : (B,) arrays
+        Lower bounds on E, and upper bounds on it at the centres: +inf where no matching was sought.
+    guesses : (B,) array
+        Lower bounds on it at the centres: +inf where none was sought.
+    prices : (B, m) uint16 array
+        Those of the box that each is a part of; replaced by its own.
+    prospects : Prospects
+        Of the boxes that values at their corners may close.
+    """
+
+    bounds: np.ndarray
+    values: np.ndarray
+    guesses: np.ndarray
+    prices: np.ndarray
+    prospects: Prospects
+
+    def part(self, which: slice) -> Found:
+        bounds, values, guesses, prices, prospects = self
+        some = prospects.part(which)
+        return Found(bounds[which], values[which], guesses[which], prices[which], some)
+
+
+def room_for_findings(prices: np.ndarray) -> Found:
+    """What `bound_boxes` fills for boxes with these prices."""
+    count = len(prices)
+    prospects = Prospects(
+        np.empty((count, CORNERS)), np.empty((count, 2)),
+        np.full((count, CORNERS), -1, np.int32), np.empty(count, np.int8),
+    )  # fmt: skip
+    return Found(np.empty(count), np.empty(count), np.empty(count), prices, prospects)
+
+
 @jit
-def bound_boxes(lower, upper, cutoff, clouds, limits, prices, bounds, values):
+def bound_boxes(lower, upper, cutoff, clouds, limits, known, found):
     """Bound every box, cheapest test first; returns the assignments solved.
 
     Parameters
@@ -39,68 +85,74 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, prices, bounds, values):
     cutoff : float
         A bound above it is of no use.
     clouds : Clouds
-    limits : (inertia, drift)
-        Of any k sources: the greatest sum of their squares, and the greatest length of their sum.
-    prices : (B, m) uint16 array
-        Those of the box that each is a part of; replaced by its own.
-    bounds, values : (B,) arrays
-        Receive the bounds, and upper bounds on E at the centres, +inf where no matching was sought.
+    limits : Limits
+    known : Known
+    found : Found
     """
     n, m, k = clouds.source.shape[1], clouds.target.shape[1], clouds.k
     view = View(np.empty((3, n)), np.empty((3, m)), clouds.prices, k, clouds.stop)
     radius, farthest = extent(clouds.source)
     few = n * m <= _FEW
     room, costs, b = room_for_prices(n, m), np.empty((n, m)), np.empty(m)
-    corners, centre, half = np.empty((8, 3)), np.empty(7), np.empty(3)
+    buffer, centre, half = np.empty((8, 3)), np.empty(7), np.empty(3)
+    bounds, values, guesses, prices, prospects = found
     spent = 0
-    for box in range(lower.shape[0]):
+    for at in range(lower.shape[0]):
         if clouds.stop[0]:
             break
-        values[box] = np.inf
+        values[at] = guesses[at] = np.inf
+        prospects.states[at] = LEFT
         for c in range(7):
-            centre[c] = 0.5 * (lower[box, c] + upper[box, c])
+            centre[c] = 0.5 * (lower[at, c] + upper[at, c])
         for c in range(3):
-            half[c] = 0.5 * (upper[box, 4 + c] - lower[box, 4 + c])
-        count = relative_corners(centre, lower[box], upper[box], corners)
-        tangent = extent(corners[:count].T)[1] if count > 0 else np.inf
+            half[c] = 0.5 * (upper[at, 4 + c] - lower[at, 4 + c])
+        corners = buffer[: relative_corners(centre, lower[at], upper[at], buffer)]
+        tangent = extent(corners.T)[1] if corners.shape[0] > 0 else np.inf
         slack = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+        box = Surroundings(corners, half, tangent, slack)
         angle = 2.0 * math.atan(tangent)
         look_from(clouds, centre, view)
         # however low their bounds, the poses of a small box are alike and must be told from others
         small = k * (angle * radius + slack) ** 2 < cutoff
         if few or tangent > _WIDE:
-            bounds[box], solved = _capped(view, angle, slack, cutoff, small, costs)
+            bounds[at], solved = _capped(view, angle, slack, cutoff, small, costs)
             spent += solved
-            if bounds[box] >= cutoff or not small or tangent > _WIDE:
+            if bounds[at] >= cutoff or not small or tangent > _WIDE:
                 continue
-        loss = loss_of(tangent, slack, limits[0], limits[1])
+        loss, joint = loss_of(box, limits), joint_loss_of(box, limits)
         if not few:
-            goal = needed(loss, cutoff)
-            found, in_vain = priced_bound(
-                view, corners[:count], half, farthest, goal, prices[box], room
+            goal = needed(joint, cutoff)
+            least, guesses[at] = priced_bound(
+                view, box, farthest, goal, prices[at], room, prospects.least[at]
             )
-            bounds[box] = proven(loss, found)
-            if bounds[box] >= cutoff or not (small or in_vain):
+            bounds[at] = proven(loss, least)
+            if bounds[at] >= cutoff:
+                continue
+            prospects.losses[at, 0], prospects.losses[at, 1] = joint.root, joint.rest
+            if not small:
+                prospects.states[at] = judge(known, lower[at], upper[at], prospects, at, cutoff)
                 continue
         pair_costs(view.moved, view.shifted, view.prices, costs)
         for j in range(m):
             b[j] = room.b[j]  # 0 where pairs are few
         _, col_of = improve_assignment(costs, k, b, clouds.stop)
-        keep_prices(b, prices[box])
+        keep_prices(b, prices[at])
         spent += 1
-        values[box] = matched_cost(view.moved, view.shifted, col_of)
+        values[at] = matched_cost(view.moved, view.shifted, col_of)
         row_minima(costs, b, room.exact_low)
         level = kth_smallest(room.exact_low, k - 1)
-        found = least_at_corners(
-            view.moved, room.exact_low, k, corners[:count], half, level, room.ways
+        least = look_at_corners(
+            view.moved, room.exact_low, k, box.corners, half, level, room.ways, prospects.least[at]
         )
-        found -= total(b)
-        bounds[box] = max(bounds[box], proven(loss, found))
-        if bounds[box] >= cutoff or not small:
+        prospects.least[at] -= total(b)
+        bounds[at] = max(bounds[at], proven(loss, least - total(b)))
+        if bounds[at] >= cutoff:
             continue
-        value, solved = vertex_bound(view, corners[:count], half, bounds[box], cutoff, col_of)
-        bounds[box] = max(bounds[box], value)
+        value, solved = vertex_bound(view, corners, half, bounds[at], cutoff, col_of)
+        bounds[at] = max(bounds[at], value)
         spent += solved
+        if bounds[at] < cutoff and not few:
+            prospects.states[at] = judge(known, lower[at], upper[at], prospects, at, cutoff)
     return spent
 
 

@@ -15,7 +15,7 @@ from numba.extending import intrinsic
 
 from dcreg.kernels.compiling import jit, jit_reduction
 
-_NONE = np.int32(0x7FFFFFFF)
+_NONE = np.int32(0x7F800000)  # the bits of infinity
 _ZERO = np.float32(0.0)
 
 
@@ -79,22 +79,22 @@ def settle(cost, low, ceiling, b):
 
 
 @jit_reduction
-def _two_least(row, b, totals):
-    """Where the cheapest column of a row is, and the totals of the two cheapest."""
+def _two_least(row, b, places, totals):
+    """Where the cheapest column of a row is, and the totals of the two cheapest, cut to some digits.
+
+    The last bits of every total make room for its column: so one minimum gives both.
+    """
     first = second = _NONE
     for j in range(b.size):
-        totals[j] = _bits(row[j] + b[j])
+        totals[j] = (_bits(row[j] + b[j]) & ~places) | np.int32(j)
         first = min(first, totals[j])
-    at = last = np.int32(b.size - 1)
     for j in range(b.size):
-        is_first = totals[j] == first
-        at = min(at, np.int32(j) if is_first else last)
-        second = min(second, _NONE if is_first else totals[j])
-    return at, _as_float(first), _as_float(second)
+        second = min(second, totals[j] if totals[j] != first else _NONE)
+    return first & places, _as_float(first & ~places), _as_float(second & ~places)
 
 
 class Bids(NamedTuple):
-    """How many bids there are, who bids (rows that cost no more than `level`), and the least raise."""
+    """How many bids there are at most, what a row may pay, and the least raise."""
 
     most: int
     level: float
@@ -103,30 +103,36 @@ class Bids(NamedTuple):
 
 @jit
 def bid(cost, b, low, bids, queue, owner, totals):
-    """Raise prices by bids of the rows that are cheapest: a rough auction.
+    """Raise prices by bids: a rough auction, which rows leave where it costs more than they may pay.
 
     `low` are the row minima under the prices; the last three are room to work in: (n,), (m,) and (m,)
     integers, the last of 32 bits.
     """
     left = bids.most
-    size = 0
+    places, size = np.int32(1), 0
+    while places < b.size:
+        places *= np.int32(2)
+    places -= np.int32(1)
     for i in range(low.size):
         if low[i] <= bids.level:
             queue[size] = i
             size += 1
     for j in range(b.size):
         owner[j] = -1
-    head = 0
+    head, tail = 0, size if size < queue.size else 0
     while size > 0 and left > 0:
         i = queue[head]
-        head = (head + 1) % queue.size
+        head = head + 1 if head + 1 < queue.size else 0
         size -= 1
         left -= 1
-        at, first, second = _two_least(cost[i], b, totals)
+        at, first, second = _two_least(cost[i], b, places, totals)
+        if first > bids.level:
+            continue
         loser = owner[at]
         owner[at] = i
-        if (loser >= 0 or b[at] > _ZERO) and second < np.inf:
-            b[at] += second - first + bids.step
+        if loser >= 0 or b[at] > _ZERO:
+            b[at] += min(second, bids.level) - first + bids.step
         if loser >= 0:
-            queue[(head + size) % queue.size] = loser
+            queue[tail] = loser
+            tail = tail + 1 if tail + 1 < queue.size else 0
             size += 1

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.kernels.assignment.selection import smallest_sum, total
+from dcreg.kernels.assignment.selection import least, smallest_sum, total
 from dcreg.kernels.compiling import jit, jit_reduction
 
 
@@ -29,16 +29,62 @@ class Loss(NamedTuple):
     rest: float
 
 
-@jit
-def loss_of(tangent, slack, inertia, drift):
-    """The loss of third order in a box whose Gibbs vectors reach `tangent` and shifts `slack`.
+class Surroundings(NamedTuple):
+    """A box as seen from its centre.
 
-    `inertia` is the greatest sum of squares of any k sources, `drift` the greatest length of their sum.
+    Attributes
+    ----------
+    corners : (a, 3) array
+        Gibbs vectors of the corners of its rotations.
+    half : (3,) array
+        Half its widths in translation.
+    tangent, slack : float
+        The greatest length of a Gibbs vector, and of a shift.
     """
-    square = tangent * tangent
+
+    corners: np.ndarray
+    half: np.ndarray
+    tangent: float
+    slack: float
+
+
+class Limits(NamedTuple):
+    """What a matching of k sources has at most.
+
+    Attributes
+    ----------
+    inertia : float
+        The sum of their squares.
+    drift : float
+        The length of their sum.
+    spread : float
+        The difference of two eigenvalues of their second moments.
+    """
+
+    inertia: float
+    drift: float
+    spread: float
+
+
+@jit
+def loss_of(box, limits):
+    """The loss of third order in a box."""
+    square = box.tangent**2
     return Loss(
-        4.0 * square / (1.0 + square) * math.sqrt(inertia),
-        4.0 * square / math.sqrt(1.0 + square) * slack * drift,
+        4.0 * square / (1.0 + square) * math.sqrt(limits.inertia),
+        4.0 * square / math.sqrt(1.0 + square) * box.slack * limits.drift,
+    )
+
+
+@jit
+def joint_loss_of(box, limits):
+    """The loss of the mean of C at a corner and the least sum of costs there."""
+    square = box.tangent**2
+    return Loss(
+        2.0 * square * math.sqrt(limits.inertia),
+        2.0 * square / math.sqrt(1.0 + square) * box.slack * limits.drift
+        + 0.77 * square * box.tangent * limits.spread
+        + 0.5 * square * square * limits.inertia,
     )
 
 
@@ -94,37 +140,33 @@ def _depths(ways, a, b, c, level):
 
 
 @jit
-def least_at_corners(moved, low, k, corners, half, level, ways):
-    """C of `Loss` less the prices, from below, for rows that cost at least `low`.
+def look_at_corners(moved, low, k, corners, half, level, ways, out):
+    """C of `Loss` at every corner of a box, from below, for rows that cost at least `low`; the least.
 
-    The least is at corners, since ways are linear in (r, s): turned by Gibbs vector r and shifted by s, a
-    point x goes the way 2 r x x + s. The sum of the k smallest numbers is at least
+    It is the least in the box, since ways are linear in (r, s): turned by Gibbs vector r and shifted by
+    s, a point x goes the way 2 r x x + s. The sum of the k smallest numbers is at least
     ``k level - sum max(0, level - number)`` at any level: one that is best for one corner does for all.
+
+    Entry 8 a + s of `out` is that of the rotation corner a and the shift s, the three bits of which tell
+    where it is negative; +inf where there is no such corner.
     """
-    square = half[0] ** 2 + half[1] ** 2 + half[2] ** 2
-    least = np.inf
+    square = k * (half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    out[:] = np.inf
     for a in range(corners.shape[0]):
         _turn(moved, 2.0 * corners[a, 0], 2.0 * corners[a, 1], 2.0 * corners[a, 2], low, ways)
         if a == 0 or k == low.size:
             spacing = 0.02 * (abs(level) + abs(total(ways.net)) / low.size)
             found, level = smallest_sum(ways.net, k, level, spacing)
         if k == low.size:  # all rows are matched: the shifts of all add up
-            least = min(least, found - 2.0 * _drift(ways, half))
-            continue
+            u, v, w = total(ways.u), total(ways.v), total(ways.w)
         for sign in range(4):
-            b = 2.0 * half[1] * (1.0 - (sign & 1) * 2.0)
-            c = 2.0 * half[2] * (1.0 - (sign & 2))
-            one, other = _depths(ways, 2.0 * half[0], b, c, level)
-            least = min(least, k * level - max(one, other))
-    return least - k * square
-
-
-@jit
-def _drift(ways, half):
-    """The greatest inner product of a shift with the sum of all ways."""
-    u = v = w = 0.0
-    for i in range(ways.u.size):
-        u += ways.u[i]
-        v += ways.v[i]
-        w += ways.w[i]
-    return half[0] * abs(u) + half[1] * abs(v) + half[2] * abs(w)
+            x, y, z = half[0], half[1] * (1.0 - 2.0 * (sign & 1)), half[2] * (1.0 - (sign & 2))
+            if k == low.size:
+                cross = 2.0 * (x * u + y * v + z * w)
+                one, other = found - cross, found + cross
+            else:
+                depths = _depths(ways, 2.0 * x, 2.0 * y, 2.0 * z, level)
+                one, other = k * level - depths[0], k * level - depths[1]
+            out[8 * a + 2 * sign] = one - square
+            out[8 * a + 7 - 2 * sign] = other - square
+    return least(out)
