@@ -36,6 +36,7 @@ def write(book: Ledger, judgements: list[Judgement], evidence: Evidence, out: Pa
             judgements=judgements,
             counts=count(judgements),
             facts=book.facts,
+            notes=evidence.notes,
             seen=[
                 *(found.tables.experiment for found in evidence.experiments.values()),
                 *([STUDY] if evidence.study else []),
@@ -69,6 +70,8 @@ def main(
         raise typer.Exit(2) from error
     judgements = judge(book, evidence)
     _print(judgements)
+    for note in evidence.notes:
+        typer.echo(f"note: {note}")
     typer.echo(f"page: {write(book, judgements, evidence, out)}")
 
 

@@ -34,9 +34,40 @@ greatest sum of their squares and D the greatest length of their sum,
 
 The ways are those of rows: one matching's prices b >= 0 serve all corners. At each, C is at least
 the sum of the k smallest min_j (c_ij + b_j) - |way_i|^2, less the sum of b. Good prices come from
-the box that this one is a part of (the hints of the search): they are lowered as far as no row pays
-less, raised again by bids, and replaced by those of an exact assignment where bids do not help.
+the box that this one is a part of (the hints of the search): a share of them is taken over, lowered as
+far as no row pays less, and raised again by bids where it is in doubt whether they are good enough.
 Squares, minima and bids are computed in single precision, and what that may be off by is taken off.
+
+Second bound: values at the corners
+-----------------------------------
+Balls about the middles of cubes cover six dimensions badly; with balls about their corners they may have
+twice the loss. Let v be the pose at a corner, turned by r_a and shifted by s_b, C_v what C is at that
+corner alone, and e_v the least sum of costs at v. With u_v the ways to v and w_v the angle to R_v, as
+above
+
+    e_v  <=  E* + sum p |u_v|^2 + 2 (1 - cos w_v) sqrt(E*) sqrt(sum p |x|^2).
+
+The optimum lies at (r, s), r a mean of the r_a and s one of the s_b. Take the inequality half at the
+centre and half at the corners, with the products of the weights of these two means. Were the ways to v
+2 (r_a - r) x x + s_b - s, the mean of their squares would be that of the |2 r_a x x + s_b|^2 less
+|2 r x x + s|^2, the square of the way to the centre: half the mean of the |2 r_a x x + s_b|^2 would be
+all that remains, whatever (r, s). What else there is: with d = r_a - r, and x as seen from R*,
+
+    |R_v x - R* x|^2  =  4 |(d - r x d) x x|^2 / ((1 + |r|^2) (1 + |r_a|^2)),
+
+as conj(q*) q_v has the vector part d - r x d for quaternions (1, r) and (1, r_a). Summed over the pairs
+that is at most 4 (d.J d + |r| |d|^2 S + |r|^2 |d|^2 I), J the moments of inertia and S the difference of
+two eigenvalues of sum p x x^T: that r x d turns ways is felt as far as J is not round. The mean of |d|^2
+is at most tau^2 - |r|^2, tau = max |r_a|, so that half the last two terms is at most 0.77 tau^3 S +
+tau^4 I / 2. Shifts and turns do not mix, as the mean of s_b - s is 0; and 1 - cos w_v <= 2 |d|^2. So
+
+    E* + 2 tau^2 sqrt(I) sqrt(E*) + 2 tau^2 / sqrt(1 + tau^2) |s| D + 0.77 tau^3 S + tau^4 I / 2
+        >=  min over v of (C_v + e_v) / 2,
+
+where D and I are those of the first bound. Where e_v is not known, E* itself may stand for it: there C_v
+has to be as great as what is to be shown, with twice the loss. A value at a corner serves all boxes that
+have it, up to 64, and those made from them. It is found like that of a middle, by the prices of the first
+box that asks; a box asks for few at first, those of least C_v, and for all only if none tells against it.
 
 Caps are left for wide boxes, whose rotations are too far from the middle, and come first where pairs
 are so few that an assignment takes no longer than prices. Turned by at most an angle, x_i stays on a
@@ -48,8 +79,8 @@ holds everywhere, and as the best translation for R* and P* is a mean,
 Both sums are bounded by the rows' least costs (`nearest_sums`), the second also by an assignment. With
 all rotations in the box d_ij is the norm distance ||x_i| - |y_j|| of the paper's Case II.
 
-Second bound: Cayley's form
----------------------------
+Third bound: Cayley's form
+--------------------------
 R = (I - [r])^-1 (I + [r]) for Gibbs vector r. For any vector v, |(I - [r]) v|^2 = |v|^2 + |r x v|^2
 <= (1 + |r|^2) |v|^2. With v = R x + t - y,
 

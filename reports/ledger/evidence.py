@@ -134,6 +134,7 @@ class Evidence:
 
     experiments: dict[str, Experiment]
     study: dict[str, pd.DataFrame]
+    notes: tuple[str, ...] = ()  # which of several tables of an experiment were taken
 
     @classmethod
     def of_tables(cls, tables: Tables) -> Evidence:
@@ -148,17 +149,36 @@ class Evidence:
     def of_folders(cls, folders: Sequence[Path]) -> Evidence:
         """Tables below `folders`: results of experiments, or folders of such results.
 
-        The whole of an experiment goes before its quick part.
+        The folder of an experiment's own name goes before others with its tables, the whole of it before
+        its quick part.
         """
-        found: dict[str, Experiment] = {}
+        found: dict[str, tuple[Path, Tables]] = {}
         study: dict[str, pd.DataFrame] = {}
-        places = [place for folder in folders for place in (folder, *sorted(folder.glob("*")))]
+        notes = []
+        places = {
+            place: None for folder in folders for place in (folder, *sorted(folder.glob("*")))
+        }
+        tables = {
+            place: Tables.load(place / "tables")
+            for place in places
+            if (place / "tables" / "accounting.csv").is_file()
+        }
+        for place in sorted(tables, key=lambda at: _rank(at, tables[at].experiment)):
+            name = _plain(tables[place].experiment)
+            taken, _ = found.setdefault(name, (place, tables[place]))
+            if taken != place:
+                notes.append(f"{name}: the tables of {taken} are judged, not those of {place}")
+            elif place.name != tables[place].experiment:
+                notes.append(f"{name}: the tables of {place}, a folder of another name, are judged")
         for place in sorted(places, key=lambda path: path.name.endswith(QUICK)):
-            if (place / "tables" / "accounting.csv").is_file():
-                tables = Tables.load(place / "tables")
-                found.setdefault(_plain(tables.experiment), Experiment(tables))
             study = study or _read_study(place)
-        return cls(found, study)
+        experiments = {name: Experiment(own) for name, (_, own) in found.items()}
+        return cls(experiments, study, tuple(notes))
+
+
+def _rank(place: Path, experiment: str) -> tuple[bool, bool]:
+    """Which of several folders with tables of one experiment goes first."""
+    return place.name != experiment, experiment.endswith(QUICK)
 
 
 def _plain(name: str) -> str:

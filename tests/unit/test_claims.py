@@ -594,6 +594,15 @@ def test_roles_prefer_the_plain_method_and_leave_out_oracles():
     assert roles["dcreg_half"].fit({"baseline": "dcreg", "n_inliers_ratio": 0.5, "options": {}})
 
 
+def test_a_folder_of_another_name_does_not_take_the_place_of_an_experiment_in_silence(tmp_path):
+    for folder in ("a-trial", "paper2d"):
+        report_fixture.write_tables(tmp_path / folder / "tables", experiment="paper2d")
+    (note,) = Evidence.of_folders([tmp_path]).notes
+    assert f"those of {tmp_path / 'a-trial'}" in note
+    (note,) = Evidence.of_folders([tmp_path / "a-trial"]).notes
+    assert f"{tmp_path / 'a-trial'}, a folder of another name" in note
+
+
 def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick_part(tmp_path):
     for name in ("paper2d-quick", "paper2d", "other"):
         report_fixture.write_tables(tmp_path / name / "tables", experiment=name)
@@ -604,6 +613,8 @@ def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick
     found = Evidence.of_folders([tmp_path])
     assert set(found.experiments) == {"paper2d", "other"}
     assert found.experiments["paper2d"].tables.experiment == "paper2d"
+    whole, quick = tmp_path / "paper2d", tmp_path / "paper2d-quick"
+    assert found.notes == (f"paper2d: the tables of {whole} are judged, not those of {quick}",)
     named = Evidence.of_folders([tmp_path / "paper2d-quick", tmp_path / "paper2d"])
     assert named.experiments["paper2d"].tables.experiment == "paper2d"
     of_quick = [
