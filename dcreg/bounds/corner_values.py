@@ -15,11 +15,11 @@ from dcreg.kernels.space.corners import (
     bounds_by_corners,
     price_corners,
 )
-from dcreg.kernels.space.rigid import Found
+from dcreg.kernels.space.rigid import Found, is_small
 
 # Corners a box asks for, time after time, as long as no value tells against it; then it is judged.
 _ASKED_FOR = 1, 4, CORNERS, CORNERS, 0
-_REMEMBERED = 2**21  # corners, of 90 bytes each; then all are forgotten
+_REMEMBERED = 2**21  # corners, of 73 bytes each; then all are forgotten
 
 
 class CornerValues:
@@ -30,21 +30,28 @@ class CornerValues:
     clouds : Clouds
     run : callable
         Applies a function to slices that cover so many items, in several threads.
+
+    Attributes
+    ----------
+    most_boxes : int
+        As many may be looked at at a time.
     """
 
     def __init__(self, clouds: Clouds, run: Callable[[Callable[[slice], int], int], None]) -> None:
         self._clouds, self._run = clouds, run
+        room = 1 if is_small(clouds) else _REMEMBERED
+        self.most_boxes = _REMEMBERED // CORNERS
         self._used = 0
         self.known = Known(
-            np.full(2 * _REMEMBERED, -1, np.int32),
-            np.empty((_REMEMBERED, 7)),
-            np.empty(_REMEMBERED),
-            np.empty(_REMEMBERED, np.bool_),
+            np.full(2 * room, -1, np.int32),
+            np.empty((room, 7)),
+            np.empty(room),
+            np.empty(room, np.bool_),
         )
 
     def make_room(self, boxes: int) -> None:
         """Forget all values if those of so many boxes might not find room."""
-        if self._used + CORNERS * boxes > _REMEMBERED:
+        if self._used + CORNERS * boxes > len(self.known.values):
             self.known.table[:] = -1
             self._used = 0
 

@@ -64,10 +64,11 @@ tau^4 I / 2. Shifts and turns do not mix, as the mean of s_b - s is 0; and 1 - c
     E* + 2 tau^2 sqrt(I) sqrt(E*) + 2 tau^2 / sqrt(1 + tau^2) |s| D + 0.77 tau^3 S + tau^4 I / 2
         >=  min over v of (C_v + e_v) / 2,
 
-where D and I are those of the first bound. Where e_v is not known, E* itself may stand for it: there C_v
-has to be as great as what is to be shown, with twice the loss. A value at a corner serves all boxes that
-have it, up to 64, and those made from them. It is found like that of a middle, by the prices of the first
-box that asks; a box asks for few at first, those of least C_v, and for all only if none tells against it.
+where D and I are those of the first bound. Where e_v is not known, E* itself may stand for it, as no pose
+is better for P*: there C_v has to be as great as what is to be shown, with twice the loss. A value at a
+corner serves all boxes that have it, up to 64, and those made from them. It is found like that of a
+middle, by the prices of the first box that asks; a box asks for few at first, those of least C_v, and for
+all only if none tells against it.
 
 Caps are left for wide boxes, whose rotations are too far from the middle, and come first where pairs
 are so few that an assignment takes no longer than prices. Turned by at most an angle, x_i stays on a
@@ -134,7 +135,7 @@ class RigidBound(SpaceBound[Rigid3D]):
     The prices of a box are its hints: the boxes made from it begin with them.
     """
 
-    round_pairs, max_round = 8_000_000, 512
+    max_round = 512
 
     def __init__(
         self, space: Rigid3D, roots: Sequence[Box] | None = None, threads: int = 1
@@ -161,6 +162,8 @@ class RigidBound(SpaceBound[Rigid3D]):
         count, space, corners = len(lower), self.space, self._corners
         cutoff = np.inf if thorough else cutoff
         prices = np.zeros((count, space.n_target), np.uint16) if hints is None else hints
+        if count > corners.most_boxes:
+            return self._in_parts(lower, upper, cutoff, prices)
         found = room_for_findings(prices)
         corners.make_room(count)
 
@@ -175,6 +178,22 @@ class RigidBound(SpaceBound[Rigid3D]):
         thetas = 0.5 * (lower + upper)
         self._look_at_best(thetas, found.guesses, found.values)
         return Evaluation(found.bounds, thetas, found.values, prices)
+
+    def _in_parts(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, prices: np.ndarray
+    ) -> Evaluation:
+        """More boxes than there is room for the corners of."""
+        most = self._corners.most_boxes
+        found = [
+            self.evaluate(lower[part], upper[part], cutoff, hints=prices[part])
+            for part in (slice(at, at + most) for at in range(0, len(lower), most))
+        ]
+        return Evaluation(
+            np.concatenate([part.lower_bounds for part in found]),
+            np.concatenate([part.thetas for part in found]),
+            np.concatenate([part.values for part in found]),
+            prices,
+        )
 
     def _look_at_best(self, thetas: np.ndarray, guesses: np.ndarray, values: np.ndarray) -> None:
         """The objective where it may be least."""

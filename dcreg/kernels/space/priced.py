@@ -1,4 +1,4 @@
-"""Matchings at the centre of a box, bounded by prices that come from the box it is a part of.
+"""Matchings at a pose, bounded by prices that come from another: that of a box this one is a part of.
 
 In single precision: most boxes are closed or divided without an exact assignment.
 """
@@ -113,18 +113,19 @@ def priced_value(view, farthest, goal, kept, room):
     _begin(view, kept, room)
     found, level = _settled(view, room.b, room, _ONE)
     prices = total(room.b)
+    off = _rounding(view, farthest, 0.0, found + prices, prices)
     is_final = False
     for at in range(_ROUNDS):
-        if found >= goal:
+        if found - off >= goal:
             break
         better, level = _raised(view, level, room, _ONE)
-        prices = max(prices, total(room.tried))
         room.b[:] = room.tried
         is_final = better <= found or at == _ROUNDS - 1
         if better <= found:
             break
-        found = better
-    return found - _rounding(view, farthest, 0.0, found + prices, prices), is_final
+        found, prices = better, total(room.b)
+        off = _rounding(view, farthest, 0.0, found + prices, prices)
+    return found - off, is_final
 
 
 @jit

@@ -76,6 +76,12 @@ def room_for_findings(prices: np.ndarray) -> Found:
 
 
 @jit
+def is_small(clouds):
+    """Whether pairs are so few that no corners are looked at."""
+    return clouds.source.shape[1] * clouds.target.shape[1] <= _FEW
+
+
+@jit
 def bound_boxes(lower, upper, cutoff, clouds, limits, known, found):
     """Bound every box, cheapest test first; returns the assignments solved.
 
@@ -92,7 +98,7 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, known, found):
     n, m, k = clouds.source.shape[1], clouds.target.shape[1], clouds.k
     view = View(np.empty((3, n)), np.empty((3, m)), clouds.prices, k, clouds.stop)
     radius, farthest = extent(clouds.source)
-    few = n * m <= _FEW
+    few = is_small(clouds)
     room, costs, b = room_for_prices(n, m), np.empty((n, m)), np.empty(m)
     buffer, centre, half = np.empty((8, 3)), np.empty(7), np.empty(3)
     bounds, values, guesses, prices, prospects = found
