@@ -71,7 +71,9 @@ def keep_prices(b, kept):
 
 @jit
 def priced_bound(view, box, farthest, goal, kept, room, out):
-    """Lower bounds on C of `Loss`, with some effort where `goal` is in doubt, and on costs at the centre.
+    """A lower bound on C of `Loss` and a guess of the costs at the centre.
+
+    Some effort is made where it is in doubt whether they reach `goal`.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ class Found(NamedTuple):
     bounds, values : (B,) arrays
         Lower bounds on E, and upper bounds on it at the centres: +inf where no matching was sought.
     guesses : (B,) array
-        Lower bounds on it at the centres: +inf where none was sought.
+        Guesses of it at the centres, from below but for rounding: +inf where none was made.
     prices : (B, m) uint16 array
         Those of the box that each is a part of; replaced by its own.
     prospects : Prospects
