@@ -129,6 +129,15 @@ class Space(abc.ABC):
         return self.seeds()[0] if best is None else best, value, spent
 
 
+def means_of_subsets(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Per axis of (d, n) points, the least and the greatest mean of any `count` of them."""
+    low = np.array([-mean_of_largest(-values, count) for values in points])
+    high = np.array([mean_of_largest(values, count) for values in points])
+    return np.minimum(low, high), np.maximum(
+        low, high
+    )  # equal but for rounding where all are taken
+
+
 def mean_of_largest(values: np.ndarray, count: int) -> float:
     """Mean of the `count` largest numbers: the most a mean over `count` of them can be."""
     return float(np.sort(values)[-count:].mean())

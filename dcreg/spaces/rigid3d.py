@@ -25,7 +25,7 @@ from dcreg.kernels.assignment.dense import cheapest_pairs
 from dcreg.kernels.space.geometry import best_rotation
 from dcreg.kernels.space.poses import nearest_scores, pose_costs
 from dcreg.search import Box, Budget
-from dcreg.spaces.base import mean_of_largest, radius
+from dcreg.spaces.base import means_of_subsets, radius
 from dcreg.spaces.clouds import CloudSpace
 from dcreg.spaces.congruent import SCALES, best_descents, congruent_poses, rounds_for
 from dcreg.spaces.rotation3d import Rotation3D
@@ -111,12 +111,11 @@ class Rigid3D(CloudSpace):
                 reach = float(np.linalg.norm(source.mean(axis=1)))
             else:
                 reach = largest_subset_mean_3d(source.T, k)
-            lower = np.array([-mean_of_largest(-y, k) for y in target])
-            upper = np.array([mean_of_largest(y, k) for y in target])
+            lower, upper = means_of_subsets(target, k)
             # rounding must not cut off the optimum, yet a centred set keeps zero width
             reach = 0.0 if reach < _ROUNDING else reach
             lower, upper = (np.where(np.abs(v) < _ROUNDING, 0.0, v) for v in (lower, upper))
-            return Box(np.minimum(lower, upper) - reach, np.maximum(lower, upper) + reach)
+            return Box(lower - reach, upper + reach)
         reach = radius(source.T) + radius(target.T)
         return Box(np.full(3, -reach), np.full(3, reach))
 

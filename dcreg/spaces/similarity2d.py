@@ -12,7 +12,7 @@ from dcreg.kernels.features.bounds import objectives
 from dcreg.kernels.points import NEVER, Points
 from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box, Budget
-from dcreg.spaces.base import largest_subset_mean, mean_of_largest, radius
+from dcreg.spaces.base import largest_subset_mean, means_of_subsets, radius
 from dcreg.spaces.descent import alternate
 from dcreg.spaces.features import LEAST_GAIN, FeatureSpace
 from dcreg.spaces.similar import similar_poses
@@ -71,8 +71,7 @@ class Similarity2D(FeatureSpace):
         high = self.scale_range[1]
         if self.reduced_box:
             reach = high * largest_subset_mean(self.source, self.n_inliers)
-            low_y = np.array([-mean_of_largest(-y, self.n_inliers) for y in self.points.target])
-            high_y = np.array([mean_of_largest(y, self.n_inliers) for y in self.points.target])
+            low_y, high_y = means_of_subsets(self.points.target, self.n_inliers)
             # rounding must not cut off the optimum, yet an exactly centred set keeps zero width
             reach = 0.0 if reach < 1e-12 else reach
             low_y, high_y = (np.where(np.abs(y) < 1e-12, 0.0, y) for y in (low_y, high_y))

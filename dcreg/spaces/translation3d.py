@@ -11,7 +11,7 @@ from dcreg.kernels.norm.line import match_on_line, objectives_on_line
 from dcreg.kernels.points import NEVER, Points
 from dcreg.problem.pairs import FeasiblePairs
 from dcreg.search import Box
-from dcreg.spaces.base import mean_of_largest, radius
+from dcreg.spaces.base import mean_of_largest, means_of_subsets, radius
 from dcreg.spaces.descent import alternate
 from dcreg.spaces.features import LEAST_GAIN, FeatureSpace
 
@@ -70,9 +70,8 @@ class Translation3D(FeatureSpace):
             reach = self.norms.max() + np.sqrt((self.source**2).sum(axis=1)).max()
             return [Box(np.full(3, -reach), np.full(3, reach))]
         reach = mean_of_largest(self.norms, self.n_inliers)
-        low_x = np.array([mean_of_largest(-x, self.n_inliers) for x in self.source.T])
-        high_x = np.array([mean_of_largest(x, self.n_inliers) for x in self.source.T])
-        return [Box(-(reach + high_x), reach + low_x)]
+        low_x, high_x = means_of_subsets(self.source.T, self.n_inliers)
+        return [Box(-(reach + high_x), reach - low_x)]
 
     def seeds(self) -> np.ndarray:
         """The identity and the 26 neighbours of a coarse grid around it."""

@@ -477,3 +477,24 @@ def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     assert (part.mode, part.downsampled) == ("full", (25, 25, 20))
     whole = dcreg.register(source, target, n_inliers=40, model="rigid3d", time_limit=5.0)
     assert (whole.mode, whole.downsampled) == ("paper", None)
+
+
+@pytest.mark.parametrize(("model", "dim"), [("similarity2d", 2), ("rigid3d", 3)])
+@pytest.mark.parametrize("offset", [1e4, 1e6])
+def test_targets_far_from_the_origin_are_registered(model, dim, offset):
+    """All their points match, so that least and greatest mean are the same but for rounding."""
+    for seed in range(8):
+        source = np.random.default_rng(seed).normal(size=(20 + seed, dim))
+        found = dcreg.register(
+            source, source[::-1] + offset, n_inliers=len(source), model=model, time_limit=5.0
+        )
+        assert found.status == "optimal"
+        assert found.objective < 1e-6
+
+
+def test_one_pair_far_from_the_origin_is_no_rough_one():
+    generator = np.random.default_rng(0)
+    for _ in range(40):
+        source, target = generator.normal(size=(1, 3)), 10.0 * generator.normal(size=(1, 3))
+        found = dcreg.register(source, target, n_inliers=1, model="rigid3d")
+        assert not any("before all pairs" in warning for warning in found.warnings)
