@@ -70,5 +70,7 @@ class CornerValues:
             self._used, count = ask_for_values(
                 known, self._used, (lower, upper), found.prospects, cutoff, share, asked
             )
+            if not count:  # every box is judged
+                break
             self._run(price, count)
         bounds_by_corners(known, found.prospects, cutoff, found.bounds)

@@ -198,7 +198,7 @@ class RigidBound(SpaceBound[Rigid3D]):
     def _look_at_best(self, thetas: np.ndarray, guesses: np.ndarray, values: np.ndarray) -> None:
         """The objective where it may be least."""
         best = int(np.argmin(guesses))
-        if guesses[best] < min(np.inf, values.min()):
+        if guesses[best] < values.min():
             values[best] = self.space.objective(thetas[best])[0]
             self.n_assignments += 1
 

@@ -133,9 +133,8 @@ def means_of_subsets(points: np.ndarray, count: int) -> tuple[np.ndarray, np.nda
     """Per axis of (d, n) points, the least and the greatest mean of any `count` of them."""
     low = np.array([-mean_of_largest(-values, count) for values in points])
     high = np.array([mean_of_largest(values, count) for values in points])
-    return np.minimum(low, high), np.maximum(
-        low, high
-    )  # equal but for rounding where all are taken
+    # where all are taken they are equal but for rounding, which may put them the wrong way round
+    return np.minimum(low, high), np.maximum(low, high)
 
 
 def mean_of_largest(values: np.ndarray, count: int) -> float:

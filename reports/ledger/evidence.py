@@ -155,9 +155,7 @@ class Evidence:
         found: dict[str, tuple[Path, Tables]] = {}
         study: dict[str, pd.DataFrame] = {}
         notes = []
-        places = {
-            place: None for folder in folders for place in (folder, *sorted(folder.glob("*")))
-        }
+        places = [place for folder in folders for place in (folder, *sorted(folder.glob("*")))]
         tables = {
             place: Tables.load(place / "tables")
             for place in places
