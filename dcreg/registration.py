@@ -99,7 +99,7 @@ def register(
         Seconds for the solve, 60 unless told otherwise; None or inf: no limit. The best pose so far is
         returned with status ``time_limit``, at most a tenth of the limit and a second later.
     node_limit : int, optional
-        Boxes bounded per stage.
+        Boxes bounded per stage; the round begun, of up to a thousand boxes, is ended.
     memory_limit_mb : float, optional
         Memory of the open boxes; up to three times that is in use while their number grows.
     threads : int

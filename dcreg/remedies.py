@@ -133,7 +133,8 @@ def undetermined(case: Case) -> str | None:
     extent = max(rms_radius(case.problem.source), rms_radius(case.problem.target))
     if spread[case.problem.dim - 2] > 1e-9 * extent > 0.0:
         return None
-    where = "coincide" if case.problem.dim == 2 else "lie on one line"
+    is_point = case.problem.dim == 2 or spread[0] <= 1e-9 * extent
+    where = "coincide" if is_point else "lie on one line"
     return (
         f"the {case.result.n_inliers} matched source points {where}, so that they do not determine "
         "the pose. Match more pairs (n_inliers), of distinct points"
@@ -173,7 +174,7 @@ def ambiguous(case: Case) -> str | None:
     percent = 100.0 * (rival.objective_ratio - 1.0)
     more = f"only {percent:.2g} % more" if percent >= 0.1 else "no more"
     return (
-        f"another pose, turned by {rival.turned_deg:.0f} deg against this one, costs {more}: these pairs "
+        f"another pose, {rival.way} against this one, costs {more}: these pairs "
         "hardly tell them apart. The shape may be symmetric, noise large, or "
         f"{case.result.n_inliers} the wrong number of pairs (`dcreg sweep` tries several); look at both "
         "(`rival` of the result)"

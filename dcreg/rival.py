@@ -33,18 +33,23 @@ class Rival:
         Its objective in units of that of the pose found: near 1 the two can hardly be told apart.
     turned_deg : float
         Angle between the two rotations.
+    apart : float
+        RMS distance between the two images of the source, in units of the target.
     """
 
     T_target_source: np.ndarray
     objective_ratio: float
     turned_deg: float
+    apart: float
 
     def __str__(self) -> str:
         ratio = f"{self.objective_ratio:.3g}" if self.objective_ratio < 1000 else "over 1000"
-        return (
-            f"{ratio} times the objective, turned by {self.turned_deg:.0f} deg (the best that was "
-            "met, not proven)"
-        )
+        return f"{ratio} times the objective, {self.way} (the best that was met, not proven)"
+
+    @property
+    def way(self) -> str:
+        """Where it lies, in words."""
+        return f"{self.apart:.3g} away (RMS), turned by {self.turned_deg:.0f} deg"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -52,6 +57,7 @@ class Rival:
             "T_target_source": self.T_target_source.tolist(),
             "objective_ratio": self.objective_ratio,
             "turned_deg": self.turned_deg,
+            "apart": self.apart,
         }
 
 
@@ -70,19 +76,20 @@ def find_rival(
         In units of the clouds.
     """
     source, target, d = problem.source, problem.target, problem.dim
-    least = (APART * rms_radius(target)) ** 2
+    least = APART * rms_radius(target)
     centre = source.mean(axis=0)
     spread = np.cov(source, rowvar=False, bias=True).reshape(d, d)
 
-    def apart(other: np.ndarray) -> bool:
+    def distance(other: np.ndarray) -> float:
         linear, shift = other[:d, :d] - T[:d, :d], other[:d, d] - T[:d, d]
-        moved = ((linear @ centre + shift) ** 2).sum() + np.trace(linear @ spread @ linear.T)
-        return bool(moved > least)
+        squared = ((linear @ centre + shift) ** 2).sum() + np.trace(linear @ spread @ linear.T)
+        return float(np.sqrt(squared))
 
-    others = [end for end in ends if np.isfinite(end[1]) and apart(end[0])]
+    others = [end for end in ends if np.isfinite(end[1]) and distance(end[0]) > least]
     if not others:
         return None
     other, value = min(others, key=lambda end: end[1])
     rounding = EXACT * problem.n_inliers * (unit_length(source, target) or 1.0) ** 2
     angle = rotation_angle_deg(nearest_rotation(other[:d, :d] @ T[:d, :d].T))
-    return Rival(other, (value + rounding) / (objective + rounding), abs(angle))
+    ratio = (value + rounding) / (objective + rounding)
+    return Rival(other, ratio, abs(angle), distance(other))

@@ -101,7 +101,7 @@ def test_a_pose_that_the_pairs_do_not_determine(dim):
     source, target = clouds(dim, size=12)
     assert any("n_inliers" in line for line in solve(source, target, dim - 1).warnings)
     equal = np.ones((6, dim))
-    assert any("do not determine" in line for line in solve(equal, equal, 6).warnings)
+    assert any("coincide, so that they do not" in line for line in solve(equal, equal, 6).warnings)
     good = solve(source, target, 12)
     assert remedies.undetermined(case(good, source, target)) is None
 
@@ -165,4 +165,5 @@ def test_a_pose_close_by_is_no_rival():
     near[0, 2], far[0, 2] = 0.01, 1.0
     assert find_rival(problem, np.eye(3), 1.0, [(near, 1.0), (open_end, np.inf)]) is None
     found = find_rival(problem, np.eye(3), 2.0, [(near, 1.0), (far, 5.0)])
-    assert (found.objective_ratio, found.turned_deg) == pytest.approx((2.5, 0.0))
+    assert (found.objective_ratio, found.turned_deg, found.apart) == pytest.approx((2.5, 0.0, 1.0))
+    assert "1 away (RMS), turned by 0 deg" in str(found)

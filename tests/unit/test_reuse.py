@@ -110,7 +110,7 @@ def test_the_rival_of_a_sample_is_compared_on_all_points(clouds, angle, taken):
         sample.source, sample.target, n_inliers=20, model="rigid3d", node_limit=1
     )
     found.T_target_source[:] = turned(1.5)
-    found = replace(found, rival=Rival(turned(angle), 1.02, 86.0))
+    found = replace(found, rival=Rival(turned(angle), 1.02, 86.0, 0.5))
     result = refined(found, Problem(*clouds, 40, "rigid3d"), sample, Budget())
     near = np.allclose(result.rotation, np.eye(3), atol=0.05)
     assert near == taken

@@ -101,7 +101,7 @@ def ask_for_values(known, used, boxes, prospects, cutoff, most, asked):
         Slots taken now, and how many of them are asked for.
     """
     lower, upper = boxes
-    theta, open_corners, count = np.empty(7), np.empty(CORNERS, np.int64), 0
+    open_corners, count = np.empty(CORNERS, np.int64), 0
     for box in range(lower.shape[0]):
         if prospects.states[box] == OPEN:
             prospects.states[box] = judge(known, lower[box], upper[box], prospects, box, cutoff)
@@ -115,33 +115,45 @@ def ask_for_values(known, used, boxes, prospects, cutoff, most, asked):
             if is_short and _may_tell_more(known, slots[corner], 2.0 * together - least[corner]):
                 open_corners[n_open] = corner
                 n_open += 1
+        if most < n_open:
+            _least_first(open_corners[:n_open], least, most)
         for turn in range(min(most, n_open)):
-            if most < n_open:  # the one of least C next
-                best = turn
-                for other in range(turn + 1, n_open):
-                    if least[open_corners[other]] < least[open_corners[best]]:
-                        best = other
-                open_corners[turn], open_corners[best] = open_corners[best], open_corners[turn]
             at = open_corners[turn]
-            slot = slots[at]
-            if slot < 0:
-                corner_pose(lower[box], upper[box], at, theta)
-                place = _place(known, theta, _joined(_hash(theta[:4]), _hash(theta[4:])))
-                slot = known.table[place]
-                if slot < 0:
-                    slot = used
-                    used += 1
-                    known.table[place] = slot
-                    known.poses[slot] = theta
-                    known.values[slot] = -np.inf
-                    known.is_final[slot] = False
-                slots[at] = slot
-            if _may_tell_more(known, slot, 2.0 * together - least[at]):
-                known.values[slot] = np.nan
-                asked.slots[count], asked.boxes[count] = slot, box
-                asked.goals[count] = 2.0 * together - least[at]
+            goal = 2.0 * together - least[at]
+            if slots[at] < 0:
+                slots[at], used = _slot_of(known, used, lower[box], upper[box], at)
+            if _may_tell_more(known, slots[at], goal):
+                known.values[slots[at]] = np.nan
+                asked.slots[count], asked.boxes[count], asked.goals[count] = slots[at], box, goal
                 count += 1
     return used, count
+
+
+@jit
+def _least_first(corners, least, most):
+    """Bring so many of the corners to the front, in order of C."""
+    for turn in range(most):
+        best = turn
+        for other in range(turn + 1, corners.size):
+            if least[corners[other]] < least[corners[best]]:
+                best = other
+        corners[turn], corners[best] = corners[best], corners[turn]
+
+
+@jit
+def _slot_of(known, used, lower, upper, corner):
+    """The slot of a corner, taken now if it has none, and how many are taken then."""
+    theta = np.empty(7)
+    corner_pose(lower, upper, corner, theta)
+    place = _place(known, theta, _joined(_hash(theta[:4]), _hash(theta[4:])))
+    slot = known.table[place]
+    if slot >= 0:
+        return slot, used
+    known.table[place] = used
+    known.poses[used] = theta
+    known.values[used] = -np.inf
+    known.is_final[used] = False
+    return used, used + 1
 
 
 @jit
