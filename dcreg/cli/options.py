@@ -91,7 +91,8 @@ TimeLimitOption = Annotated[
     float, typer.Option(metavar="S", parser=number, help="Seconds of search; inf: no limit.")
 ]
 NodeLimitOption = Annotated[
-    int | None, typer.Option(metavar="N", parser=whole_number, help="Boxes to bound; a round begun is ended.")
+    int | None,
+    typer.Option(metavar="N", parser=whole_number, help="Boxes to bound; a round begun is ended."),
 ]
 ThreadsOption = Annotated[int, typer.Option(metavar="N", parser=whole_number, help="Threads.")]
 PolishOption = Annotated[
