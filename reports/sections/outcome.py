@@ -46,14 +46,21 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
         data.append(f"{_named(part['shape'].unique(), str(dataset))} ({model}; {grid})")
         both = part[["n_source", "n_target"]].to_numpy()
         points.append(f"{both.min()}" + (f" to {both.max()}" if both.max() > both.min() else ""))
-    ratios = sorted(runs["n_inliers_ratio"].unique(), reverse=True)
     return [
         ("data", "; ".join(data)),
         ("points per cloud", "; ".join(dict.fromkeys(points))),
         ("limit", _limit(tables)),
         ("success", _success(runs)),
-        ("n_p", " and ".join(f"{ratio:g}" for ratio in ratios) + " × the true pairs"),
+        ("n_p", _prior(runs)),
     ]
+
+
+def _prior(runs: pd.DataFrame) -> str:
+    ratios = sorted(runs["n_inliers_ratio"].unique(), reverse=True)
+    told = runs.loc[runs["n_inliers_ratio"] == 1.0]
+    tests = told.loc[told["n_inliers"] != told["n_inliers_true"], "test"].unique()
+    other = f" ({', '.join(tests)}: × the number of its data set's rule)" if len(tests) else ""
+    return " and ".join(f"{ratio:g}" for ratio in ratios) + " × the true pairs" + other
 
 
 def _named(names: np.ndarray, dataset: str) -> str:
