@@ -117,11 +117,6 @@ def count_outcomes(runs: pd.DataFrame) -> pd.DataFrame:
     return counts
 
 
-def attempted(runs: pd.DataFrame) -> pd.DataFrame:
-    """Runs that were really started: neither unsupported nor unavailable."""
-    return runs[runs["outcome"].isin(("finished", "limited", "failed"))]
-
-
 def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Series:
     """Seconds of a run; one that ended at any limit or failed counts `PENALTY` times the time limit.
 

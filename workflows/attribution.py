@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-# Scopes in which the certified objective is the very objective the harness evaluates at a pose.
-POSE_SCOPES = ("similarity pose", "rigid pose")
+from workflows.metrics import POSE_SCOPES
+from workflows.records import STARTED
 
 # verdict -> (heading, explanation)
 VERDICTS = {
@@ -29,7 +29,10 @@ VERDICTS = {
         "wrong pose, objective within the tolerance of the best known but above E(reference)",
     ),
     "inadmissible": ("inadmissible", "wrong pose, outside the told range of scales"),
-    "not_evaluated": ("not evaluated", "a pose of clouds too large for the objective"),
+    "not_evaluated": (
+        "not evaluated",
+        "a pose of clouds too large for the objective, or of a method that was given fewer points",
+    ),
     "no_pose": ("no pose", "the run was started and gave no pose"),
 }
 
@@ -72,12 +75,14 @@ def optimum_at_least(runs: pd.DataFrame) -> pd.Series:
 def tolerance(runs: pd.DataFrame) -> pd.Series:
     """What counts as equal objectives: the least tolerance of a gap on this problem, of proofs first.
 
-    Without any, 1 % of the objective at the reference.
+    Tolerances of other objectives, of which some are counts, say nothing of this one. Without any, 1 % of
+    the objective at the reference.
     """
     groups = [runs[key] for key in _ALIKE]
-    proven = runs["status"].eq("optimal") & runs["certificate_scope"].isin(POSE_SCOPES)
-    of_proofs = runs["gap_tol"].where(proven).groupby(groups).transform("min")
-    of_any = runs["gap_tol"].groupby(groups).transform("min")
+    speaks = runs["certificate_scope"].isin(POSE_SCOPES)
+    gap_tol = runs["gap_tol"].where(speaks)
+    of_proofs = gap_tol.where(runs["status"].eq("optimal")).groupby(groups).transform("min")
+    of_any = gap_tol.groupby(groups).transform("min")
     stated = of_proofs.fillna(of_any).fillna(0.01 * runs["objective_true"].abs()).fillna(0.0)
     return stated + _rounding(runs["objective_best"])
 
@@ -92,7 +97,7 @@ def verdicts(runs: pd.DataFrame) -> pd.Series:
     behind = runs["objective"] - runs["objective_best"] > tolerance(runs)
     preferred = runs["objective"] <= runs["objective_true"]
     conditions = {
-        "": runs["outcome"].isin(("unsupported", "unavailable")),
+        "": ~runs["outcome"].isin(STARTED),
         "no_pose": runs["rmse"].isna(),
         "not_evaluated": runs["objective"].isna(),
         "right_not_optimal": success & behind,

@@ -119,7 +119,13 @@ def runs_columns() -> dict[str, Column]:
     return {**identity, **PLAN, **RAW, **metrics, **attribution}
 
 
-OUTCOMES = ("finished", "limited", "failed", "unsupported", "unavailable")
+STARTED = ("finished", "limited", "failed")
+OUTCOMES = (*STARTED, "unsupported", "unavailable")
+
+
+def attempted(runs: pd.DataFrame) -> pd.DataFrame:
+    """Runs that were really started: neither unsupported nor unavailable."""
+    return runs[runs["outcome"].isin(STARTED)]
 
 
 def outcome(status: str) -> str:

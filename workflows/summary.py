@@ -29,7 +29,7 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     A run without a pose counts with the worst RMSE and as no success: dropping it would make a
     method look better the more it fails.
     """
-    tried = runs[~runs["outcome"].isin(("unsupported", "unavailable"))]
+    tried = records.attempted(runs)
     tried = tried.assign(
         rmse=tried["rmse"].fillna(METRICS["rmse"].worst),
         bounding=tried["gap"].notna(),

@@ -10,7 +10,7 @@ from reports.figures.grid import Grid, Panel
 from reports.page import Figure
 from reports.tables import Tables, row_names, thin_trace
 from reports.theme import Style, words
-from workflows.attribution import POSE_SCOPES
+from workflows.metrics import POSE_SCOPES
 
 MOST_EVENTS = 60_000  # what one page carries; the rest is in the downloadable table
 

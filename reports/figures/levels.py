@@ -10,8 +10,9 @@ import pandas as pd
 from reports.figures.grid import Grid, Panel
 from reports.figures.printing import LIMITED, NO_POSE
 from reports.page import Figure
-from reports.tables import Tables, attempted, level_titles, row_names
+from reports.tables import Tables, level_titles, row_names
 from reports.theme import Style, number, seconds, words
+from workflows.records import attempted
 
 # column -> (menu text, axis title)
 ERRORS = {

@@ -9,8 +9,9 @@ import pandas as pd
 
 from reports.figures.grid import Grid, Panel
 from reports.page import Figure
-from reports.tables import Tables, attempted
+from reports.tables import Tables
 from reports.theme import Style
+from workflows.records import attempted
 
 _COLUMNS = {"rmse": "RMSE", "time_solve_s": "time (s)"}
 _MOST_STEPS = 250

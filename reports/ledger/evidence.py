@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.tables import Tables, attempted, counted_time
-from workflows.attribution import POSE_SCOPES
+from reports.tables import Tables, counted_time
+from workflows.metrics import POSE_SCOPES
+from workflows.records import attempted
 
 STUDY = "bounds"  # of which no runs are planned: its tables lie beside the experiments'
 QUICK = "-quick"

@@ -10,8 +10,9 @@ import pandas as pd
 from reports.ledger.evidence import STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
-from reports.tables import PENALTY, Tables, attempted, counted_time
+from reports.tables import PENALTY, Tables, counted_time
 from workflows.metrics import SUCCESS_LENGTH, SUCCESS_SHARE
+from workflows.records import attempted
 
 ID = "outcome"
 TITLE = "Outcome"

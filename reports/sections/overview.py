@@ -8,8 +8,8 @@ import pandas as pd
 
 from reports.figures import profile
 from reports.page import Page
-from reports.tables import Tables, attempted, count_outcomes
-from workflows.records import OUTCOMES
+from reports.tables import Tables, count_outcomes
+from workflows.records import OUTCOMES, attempted
 from workflows.summary import summarise
 
 ID = "overview"

@@ -10,8 +10,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from data.sampling import reference_pose
+from dcreg.modes import multi
+from dcreg.spaces import Rigid3D, Similarity2D, Translation3D
 from workflows.instances import Problem, Truth
-from workflows.metrics import METRICS, Case, rmse, rmse_excess, rotation_error_deg
+from workflows.metrics import (
+    BELOW_OBJECTIVE,
+    METRICS,
+    NORM_SCOPES,
+    POSE_SCOPES,
+    Case,
+    rmse,
+    rmse_excess,
+    rotation_error_deg,
+)
 from workflows.stages.evaluate import judge, relate
 
 
@@ -89,13 +100,38 @@ def test_objective_takes_the_best_pairs_at_the_pose(rng):
     assert judged.objective_true == pytest.approx(0, abs=1e-12)
 
 
-def test_a_bound_above_what_the_truth_attains_is_a_violation(rng):
-    T = np.eye(3)
-    assert METRICS["bound_violation"].compute(case(T, T, rng, lower_bound=0.1)) == pytest.approx(
-        0.1
-    )
-    assert METRICS["bound_violation"].compute(case(T, T, rng, lower_bound=0.0)) == 0
-    assert METRICS["bound_violation"].compute(case(T, T, rng)) == 0
+@pytest.mark.parametrize("scope", BELOW_OBJECTIVE)
+def test_a_bound_above_what_the_truth_attains_is_a_violation(rng, scope):
+    T, violation = np.eye(3), METRICS["bound_violation"].compute
+    above = case(T, T, rng, lower_bound=0.1, scope=scope)
+    assert violation(above) == pytest.approx(0.1)
+    assert violation(case(T, T, rng, lower_bound=0.0, scope=scope)) == 0
+
+
+def test_scopes_are_those_of_the_library():
+    assert set(POSE_SCOPES) == {Similarity2D.scope, Rigid3D.scope}
+    assert set(NORM_SCOPES) == {Translation3D.scope, multi.SCOPE}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"scope": "rotation about the translation found in norm space"},
+        {"scope": ""},
+        {"lower_bound": np.nan},
+        {"is_thinned": True},
+    ],
+)
+def test_a_bound_on_something_else_is_not_compared_with_the_objective(rng, changes):
+    told = {"lower_bound": 0.1, "scope": "similarity pose"} | changes
+    assert np.isnan(METRICS["bound_violation"].compute(case(np.eye(3), np.eye(3), rng, **told)))
+
+
+def test_the_objective_is_left_out_where_the_method_saw_fewer_points(rng):
+    found = values(case(np.eye(3), np.eye(3), rng, is_thinned=True))
+    assert np.isnan(found["objective"])
+    assert np.isnan(found["objective_true"])
+    assert found["success"]
 
 
 def test_the_floor_is_below_every_pose(rng):
@@ -172,6 +208,9 @@ def test_a_run_without_pose_has_no_metrics_and_no_success(rng):
         "n_inliers": 8,
         "T_target_source": "",
         "lower_bound": np.nan,
+        "certificate_scope": "",
+        "n_source": 11,
+        "n_target": 11,
     }
     row = judge(run, problem, Truth("i", np.eye(3), judged.pairs), "embedded")
     assert np.isnan(row["rmse"])
@@ -190,6 +229,7 @@ def test_a_run_is_judged_by_the_marks_and_the_told_range(rng):
     )  # fmt: skip
     run = {
         "run_id": "r", "instance_id": "i", "n_inliers": 8, "lower_bound": np.nan,
+        "certificate_scope": "", "n_source": 8, "n_target": 8,
         "T_target_source": json.dumps(np.eye(3).tolist()),
     }  # fmt: skip
     rows = np.column_stack([np.arange(8)] * 2)
@@ -197,7 +237,12 @@ def test_a_run_is_judged_by_the_marks_and_the_told_range(rng):
     row = judge(run, problem, Truth("i", np.eye(3), rows, marks), "embedded")
     assert row["rmse"] == pytest.approx(0.5)
     assert row["admissible"] is False
-    assert judge(run, problem, Truth("i", np.eye(3), rows), "embedded")["rmse"] == 0.0
+    truth = Truth("i", np.eye(3), rows)
+    whole = judge(run, problem, truth, "embedded")
+    assert (whole["rmse"], whole["objective"]) == (0.0, 0.0)
+    thinned = judge(run | {"n_target": 7}, problem, truth, "embedded")
+    assert thinned["rmse"] == 0.0
+    assert np.isnan(thinned["objective"])
 
 
 def test_regret_is_against_every_known_pose_of_the_same_prior():

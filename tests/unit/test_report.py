@@ -35,10 +35,10 @@ from reports.figures import (
 from reports.ledger.judging import ledger
 from reports.page import pack_json
 from reports.sections import outcome
-from reports.tables import ReportError, Tables, attempted, row_names, thin_trace
+from reports.tables import ReportError, Tables, row_names, thin_trace
 from workflows.attribution import VERDICTS
 from workflows.config import CONFIGS, load
-from workflows.records import SchemaError
+from workflows.records import SchemaError, attempted
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,13 @@ from workflows.instances import Problem, content_digest, read_problems, write_pr
 from workflows.metrics import METRICS, Case
 from workflows.stages import generate
 from workflows.stages.plan import InstanceSpec, expand, run_identity
-from workflows.studies.threedmatch import against_overlap, draw, recalls, with_pairs
+from workflows.studies.threedmatch import (
+    against_overlap,
+    draw,
+    not_attempted,
+    recalls,
+    with_pairs,
+)
 
 LISTS = ("threedmatch", "threedlomatch", "threedmatch_oriented")
 MATCHES = np.column_stack([np.arange(30), np.arange(30)])
@@ -243,13 +249,16 @@ def test_both_recalls_are_the_published_ones(tmp_path):
     runs.loc[0, "translation_error"] = 0.31  # wrong by pose, right by RMSE
     runs.loc[1, ["rotation_error_deg", "rmse"]] = 15.1, 0.21
     runs.loc[2, ["rmse", "rotation_error_deg", "translation_error"]] = np.nan  # no pose
-    runs = with_pairs(runs, dataset("threedmatch"))
-    row = recalls(runs).iloc[0]
+    absent = {"method": "n", "display_name": "N", "outcome": "unavailable", "message": "no package"}
+    planned = pd.concat([runs, runs.head(3).assign(rmse=np.nan, **absent)], ignore_index=True)
+    assert not_attempted(planned) == {"N": "no package"}
+    runs = with_pairs(planned, dataset("threedmatch"))
+    (row,) = recalls(runs).to_dict("records")
     assert row["recall_pairs_pct"] == pytest.approx(100 * 37 / 40)
     good = [ok and i not in (1, 2) for i, ok in enumerate(apart)]
     shares = sum(good[:30]) / sum(apart[:30]), sum(good[30:]) / sum(apart[30:])
     assert row["recall_scenes_pct"] == pytest.approx(100 * np.mean(shares))
     bins = against_overlap(runs)
-    assert bins["pairs"].sum() == 40
+    assert (bins["pairs"].sum(), bins["poses"].sum()) == (40, 39)
     draw(bins, tmp_path / "figure")
     assert {path.suffix for path in tmp_path.iterdir()} == {".pdf", ".svg"}

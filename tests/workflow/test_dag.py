@@ -137,7 +137,8 @@ def test_the_whole_path_leads_to_complete_tables(checkout):
     assert set(runs["status"]) == {"optimal", "converged"}
     assert runs.loc[runs["method"] == "dcreg", "success"].all()
     assert (runs["objective_regret"] >= 0).all()
-    assert (runs["bound_violation"] == 0).all()
+    assert (runs["bound_violation"].dropna() == 0).all()
+    assert (runs["bound_violation"].notna() == (runs["method"] == "dcreg")).all()
     assert runs["time_overhead_s"].min() < 0.005  # of a machine that may be busy with other tests
     tables = checkout.root / "results/tiny/tables"
     counts = pd.read_csv(tables / "accounting.csv")

@@ -57,6 +57,8 @@ def judge(run: Mapping[Any, Any], problem: Problem, truth: Truth, dataset: str) 
         scale_range=problem.scale_range,
         dataset=dataset,
         lower_bound=run["lower_bound"],
+        scope=run["certificate_scope"],
+        is_thinned=(run["n_source"], run["n_target"]) != (len(problem.source), len(problem.target)),
     )
     for name, metric in METRICS.items():
         # Metrics of the truth alone have a value also where the method found no pose.

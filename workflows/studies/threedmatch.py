@@ -17,6 +17,7 @@ from data.registry import dataset
 from data.threedmatch.loader import Loader
 from workflows import CHECKOUT
 from workflows.config import load, parse_selection
+from workflows.records import attempted
 from workflows.stages.plan import expand
 
 ANGLE_DEG, LENGTH = 15.0, 0.3  # a pose within both is right
@@ -25,8 +26,8 @@ SOURCES = {"7-scenes": "7-Scenes", "sun3d": "SUN3D"}
 
 
 def with_pairs(runs: pd.DataFrame, loader: Loader) -> pd.DataFrame:
-    """Runs on the official lists, with the overlap, the source and both verdicts of every run."""
-    runs = runs[runs["test"] != "overlap"].copy()
+    """Attempted runs on the official lists, with the overlap, the source and both verdicts of each."""
+    runs = attempted(runs[runs["test"] != "overlap"]).copy()
     keys = runs[["shape", "test", "level", "trial"]].itertuples(index=False, name=None)
     pairs = [loader.pairs[key] for key in keys]
     runs["overlap"] = [float(pair["overlap"]) for pair in pairs]
@@ -72,11 +73,21 @@ def recalls(runs: pd.DataFrame) -> pd.DataFrame:
     return table.sort_values(["test", "recall_pairs_pct"], ascending=[True, False])
 
 
+def not_attempted(runs: pd.DataFrame) -> dict[str, str]:
+    """Methods with no attempted run, and why."""
+    left = runs[~runs["method"].isin(attempted(runs)["method"])]
+    return dict(zip(left["display_name"], left["message"], strict=True))
+
+
 def against_overlap(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean and median RMSE and recall for every list, source, method and bin of overlap."""
+    """Mean and median RMSE and recall for every list, source, method and bin of overlap.
+
+    Recall is over all ``pairs``, the errors over those that the method gave one of the ``poses`` for.
+    """
     groups = runs.groupby(["test", "source", "method", "display_name", "level"], sort=False)
     return groups.agg(
         pairs=("rmse", "size"),
+        poses=("rmse", "count"),
         rmse_mean=("rmse", "mean"),
         rmse_median=("rmse", "median"),
         recall=("is_right", "mean"),
@@ -84,7 +95,7 @@ def against_overlap(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:
-    """Mean RMSE against overlap, a panel for every list and source, as PDF and SVG."""
+    """Mean RMSE of poses against overlap, a panel for every list and source, as PDF and SVG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -98,7 +109,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
             axis.plot(line["level"] + 0.05, line["rmse_mean"], marker="o", ms=3, label=name)
         axis.axhline(RMSE, color="0.5", ls="--", lw=0.8)
         axis.set(title=f"{source}, {test}", xlabel="overlap", yscale="log")
-    axes[0].set_ylabel("mean RMSE of true pairs (m)")
+    axes[0].set_ylabel("mean RMSE of true pairs (m), where there is a pose")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     for kind in ("pdf", "svg"):
         figure.savefig(path.with_suffix(f".{kind}"))
@@ -117,12 +128,15 @@ def main() -> None:
     tables = given.directory / "results" / plan.experiment.name / plan.view / "tables"
     loader = dataset("threedmatch")
     assert isinstance(loader, Loader)
-    runs = with_pairs(pd.read_parquet(tables / "runs.parquet"), loader)
+    planned = pd.read_parquet(tables / "runs.parquet")
+    runs = with_pairs(planned, loader)
     recall, overlap = recalls(runs), against_overlap(runs)
     recall.to_csv(tables / "recall.csv", index=False)
     overlap.to_csv(tables / "overlap.csv", index=False)
     draw(overlap, tables / "overlap")
     print(recall.drop(columns="method").round(2).to_string(index=False))
+    for name, reason in not_attempted(planned).items():
+        print(f"not run: {name}: {reason}")
     print(tables / "overlap.svg")
 
 
