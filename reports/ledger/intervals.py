@@ -80,7 +80,6 @@ _SIDES: dict[str, Callable[[Interval, Any], tuple[bool, bool]]] = {
     "at_most": lambda i, t: (i.high <= t, i.low > t),
     "at_least": lambda i, t: (i.low >= t, i.high < t),
     "within": lambda i, t: (i.low >= t[0] and i.high <= t[1], i.low > t[1] or i.high < t[0]),
-    "contains": lambda i, t: (i.low <= t <= i.high, not i.low <= t <= i.high),
 }
 
 
@@ -100,6 +99,4 @@ def distance(interval: Interval, claimed: Mapping[str, Any]) -> float:
         return threshold - interval.value
     if side in ("above", "at_least"):
         return interval.value - threshold
-    if side == "within":
-        return min(interval.value - threshold[0], threshold[1] - interval.value)
-    return -abs(interval.value - threshold)
+    return min(interval.value - threshold[0], threshold[1] - interval.value)
