@@ -20,9 +20,10 @@ from workflows.hashing import digest_arrays, seed
 class Problem:
     """An instance as the harness keeps it; `for_solver` is what a worker gets.
 
-    ``n_inliers_prior`` is the true number of pairs. The paper derives the prior n_p from it, so the
-    solver is told a stated ratio of it, and nothing else that comes from the truth but
-    ``noise_bound``, the same for all. ``matches`` are the putative pairs that all methods share, if any.
+    ``n_inliers_prior`` is the true number of pairs, or what the rule of a data set gives. The paper
+    derives the prior n_p from it, so the solver is told a stated ratio of it, and nothing else that comes
+    from the truth but ``noise_bound``, the same for all. ``matches`` are the putative pairs that all
+    methods share, if any.
     """
 
     instance_id: str

@@ -53,7 +53,9 @@ RAW: dict[str, Column] = {
     "instance_digest": Column(str, "hash of the content the solver was given"),
     "n_source": Column(int, "points of the source"),
     "n_target": Column(int, "points of the target"),
-    "n_inliers": Column(int, "pairs the solver was told: round(ratio * true count)"),
+    "n_inliers": Column(
+        int, "pairs the solver was told: round(ratio * true count, or that of the data set's rule)"
+    ),
     "seed": Column(int, "seed given to methods that draw random numbers"),
     "status": Column(str, "how the run ended, one of dcreg.Status"),
     "message": Column(str, "why the run ended so, or what ran (DC-Reg: mode and bound)"),
@@ -101,7 +103,10 @@ def runs_columns() -> dict[str, Column]:
         "experiment": Column(str, "name of the experiment"),
         "display_name": Column(str, "how figures call the method"),
         "provenance": Column(str, "official, library, port or reconstruction"),
-        "n_inliers_ratio": Column(float, "share of the true pairs the solver was told"),
+        "n_inliers_ratio": Column(
+            float,
+            "share of the true pairs, or of the number of the data set's rule, that the solver was told",
+        ),
         "n_inliers_true": Column(int, "true pairs (never seen by a solver)"),
         "dim": Column(int, "2 or 3"),
         "noise_bound": Column(

@@ -40,7 +40,11 @@ def parameters(card: dict[str, Any]) -> list[tuple[str, str, str]]:
     defaults, options = card.get("parameters", {}), card.get("options", {})
     rows = [
         ("limits", ", ".join(limits_of(card).values()) or "not stated", ""),
-        ("n_inliers", f"{card.get('n_inliers_ratio', 1):g} × true pairs", ""),
+        (
+            "n_inliers",
+            f"{card.get('n_inliers_ratio', 1):g} × true pairs, or its data set's rule",
+            "",
+        ),
     ]
     for name, default in {**options, **defaults}.items():
         value = options.get(name, default)

@@ -28,6 +28,8 @@ MAX_TRACE = 500  # events kept of one run
 COUNTERS = ("n_nodes", "n_assignments")
 MB = 2**20
 COMPILING = "compiling"
+# A method that has finished this much later than its limit had more time than those that obey.
+LATE = 1.1
 
 
 class Server:
@@ -69,7 +71,7 @@ class Server:
             with _when_compiling(lambda: self.tell(COMPILING)):
                 solution = self.method.solve(instance, limits)
             time_solve_s = time.perf_counter() - start
-            answer = _checked(solution, instance.dim)
+            answer = _in_time(_checked(solution, instance.dim), time_solve_s, limits.time_s)
         except MemoryError as error:
             time_solve_s = time.perf_counter() - start
             message = f"MemoryError: {error}; the limit is {limits.memory_mb} MB"
@@ -125,6 +127,15 @@ def _checked(solution: Solution, dim: int) -> dict[str, Any]:
         "extra": dict(solution.extra),
         "trace": _thinned(solution.trace),
     }
+
+
+def _in_time(answer: dict[str, Any], time_s: float, limit_s: float) -> dict[str, Any]:
+    """The answer, one of a method that did not stop at the limit marked as limited."""
+    if answer["status"] not in (Status.OPTIMAL, Status.CONVERGED) or time_s <= LATE * limit_s:
+        return answer
+    message = f"came after {time_s:.3g} s, the limit is {limit_s:g} s"
+    told = "; ".join(filter(None, (answer["message"], message)))
+    return {**answer, "status": Status.TIME_LIMIT, "message": told}
 
 
 def _when_compiling(tell: Callable[[], None]) -> AbstractContextManager[None]:

@@ -16,6 +16,7 @@ from dcreg.status import Status
 UNLUCKY = 13
 LONG_S = 3.0
 NAP_S = 1.0
+LATE_S = 0.6
 
 
 class Adapter(Baseline):
@@ -78,6 +79,10 @@ class Adapter(Baseline):
 
     def _crashes(self, solution: Solution) -> None:
         os.kill(os.getpid(), signal.SIGSEGV)
+
+    def _is_late(self, solution: Solution) -> None:
+        """Before it would be killed."""
+        time.sleep(LATE_S)
 
     def _gives_no_pose(self, solution: Solution) -> Solution:
         return Solution(Status.OPTIMAL, None)
