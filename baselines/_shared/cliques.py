@@ -31,10 +31,14 @@ STEPS = 4_000_000  # row operations between two looks at the clock: some 10 mill
 
 @dataclass(frozen=True)
 class Clique:
-    """The largest clique found, sorted, and the least proven bound on the size of any."""
+    """The largest clique found, sorted, and the least proven bound on the size of any.
+
+    ``is_cut``: with more time it might have been another one, be it of the same size.
+    """
 
     vertices: np.ndarray
     upper_bound: int
+    is_cut: bool = False
 
     @property
     def is_maximum(self) -> bool:
@@ -71,10 +75,11 @@ def maximum_clique(rows: np.ndarray, budget: Budget) -> Clique:
             best = larger
         if not finished or budget.is_over:
             bound = min(int(most[place]) + 1, _n_colours(rows))
-            return Clique(np.sort(best), max(len(best), bound))
+            return Clique(np.sort(best), max(len(best), bound), is_cut=True)
+    is_cut = False
     if len(best) > len(grown):
-        best = _first(rows, order, core, best, budget)
-    return Clique(np.sort(best), len(best))
+        best, is_cut = _first(rows, order, core, best, budget)
+    return Clique(np.sort(best), len(best), is_cut)
 
 
 def warm_up() -> None:
@@ -87,8 +92,8 @@ def warm_up() -> None:
 
 def _first(
     rows: np.ndarray, order: np.ndarray, core: np.ndarray, clique: np.ndarray, budget: Budget
-) -> np.ndarray:
-    """The first of the maximum cliques, given any one of them.
+) -> tuple[np.ndarray, bool]:
+    """The first of the maximum cliques, given any one of them, and whether the budget cut the search.
 
     Vertex after vertex: the earliest that some maximum clique has next is taken.
     """
@@ -107,14 +112,14 @@ def _first(
             path = [*chosen, vertex]
             other, finished = _extended(rows, order, core, path, position, size - 1, size, budget)
             if not finished or budget.is_over:
-                return clique
+                return clique, True
             if len(other) == size:
                 clique, known = other, position
                 break
         chosen.append(int(order[known]))
         start = known + 1
         candidates &= _members(rows[chosen[-1]], len(rows))
-    return clique
+    return clique, False
 
 
 def _extended(

@@ -55,7 +55,7 @@ def register(
     clique = maximum_clique(rows, budget.part(SHARE_FOR_CLIQUE))
     members = clique.vertices
     if len(members) < source.shape[1]:
-        return TeaserResult(None, clique, clique.is_maximum)
+        return TeaserResult(None, clique, not clique.is_cut)
     following = np.roll(members, -1)  # a closed chain of differences through the clique
     rotation, weights, finished = gnc_rotation(
         scale * (source[following] - source[members]),
@@ -69,7 +69,7 @@ def register(
     return TeaserResult(
         homogeneous(scale, rotation, translation),
         clique,
-        clique.is_maximum and finished,
+        finished and not clique.is_cut,
         int((weights >= 0.5).sum()),
         int((off <= noise_bound).sum()),
     )

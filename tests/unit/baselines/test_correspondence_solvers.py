@@ -112,6 +112,19 @@ def test_hopeless_pairs_end_in_time_with_a_true_status(name: str) -> None:
         assert proven or solution.status is Status.TIME_LIMIT
 
 
+class Clock(Budget):
+    """Over after so many looks at it."""
+
+    def __init__(self, looks: int) -> None:
+        super().__init__()
+        self.looks = looks
+
+    @property
+    def is_over(self) -> bool:
+        self.looks -= 1
+        return self.looks < 0
+
+
 class TestCliques:
     def random_graph(self, seed: int) -> np.ndarray:
         generator = np.random.default_rng(seed)
@@ -159,6 +172,18 @@ class TestCliques:
         assert len(clique.vertices) < clique.upper_bound < 300
         inside = adjacency[np.ix_(clique.vertices, clique.vertices)]
         assert inside.sum() == len(clique.vertices) * (len(clique.vertices) - 1)
+
+    def test_whatever_the_clock_cuts_is_told(self) -> None:
+        """Also where only the choice among maximum cliques was left to make."""
+        generator = np.random.default_rng(3)
+        upper = np.triu(generator.random((60, 60)) < 0.5, 1)
+        rows = pack(upper | upper.T)
+        whole = maximum_clique(rows, Budget())
+        assert not whole.is_cut
+        cut = [maximum_clique(rows, Clock(looks)) for looks in range(400)]
+        assert all((c.vertices == whole.vertices).all() for c in cut if not c.is_cut)
+        assert any(c.is_maximum and c.is_cut for c in cut)
+        assert not cut[-1].is_cut
 
     def test_no_vertices_no_clique(self) -> None:
         clique = maximum_clique(np.zeros((0, 1), dtype=np.uint64), Budget())
