@@ -152,7 +152,8 @@ class Baseline(abc.ABC):
     Parameters
     ----------
     **options
-        Overrides of the card's ``parameters``; an unknown name is an error.
+        Overrides of the card's ``parameters``; an unknown name is an error, and so is one of
+        `idle_options`.
     """
 
     card: Card
@@ -170,6 +171,22 @@ class Baseline(abc.ABC):
         threshold = self.options.get("threshold", "told")
         if threshold not in ("told", "paper"):
             raise ValueError(f"option threshold = {threshold!r}; choose one of told, paper")
+        idle = self.idle_options()
+        for option in options:
+            if option in idle:
+                raise ValueError(
+                    f"option {option} = {options[option]!r} does nothing {idle[option]}; leave it out"
+                )
+
+    def idle_options(self) -> dict[str, str]:
+        """Options that nothing comes of beside the others, each with what makes it so.
+
+        A method that is given one of them is refused: reports would tell of a value that had no
+        effect. Looks at ``self.options`` only, as it is asked before a subclass has checked these.
+        """
+        if self.options.get("threshold") == "paper":
+            return {"noise_factor": "with threshold: paper"}
+        return {}
 
     def available(self) -> str | None:
         """None when the method can run here, otherwise the reason with how to get it."""

@@ -134,9 +134,9 @@ class Experiment(Part):
     limits: LimitSettings = LimitSettings()
     datasets: Annotated[list[DatasetSettings], Field(min_length=1)]
     methods: Annotated[list[MethodSettings], Field(min_length=1)]
-    # A method that takes such a setting, n_inliers_ratio or an option that is not null by default, runs
-    # once with each value.
-    vary: dict[str, Annotated[list[float | str], Field(min_length=1)]] = {}
+    # A method that takes such a setting, n_inliers_ratio or an option that is not null by default and
+    # does something beside its others, runs once with each value.
+    vary: dict[str, Annotated[list[int | float | str], Field(min_length=1)]] = {}
 
     def method(self, name: str) -> MethodSettings:
         return next(method for method in self.methods if method.name == name)
@@ -263,7 +263,9 @@ def _takes(method: MethodSettings, key: str) -> bool:
     card = methods.card(method.baseline)
     if key == "n_inliers_ratio":
         return card.uses_n_inliers and key not in method.model_fields_set
-    return card.parameters.get(key) is not None and key not in method.options
+    if card.parameters.get(key) is None or key in method.options:
+        return False
+    return key not in methods.idle_options(method.baseline, method.options)
 
 
 def _with_setting(method: MethodSettings, key: str, value: float | str) -> MethodSettings:

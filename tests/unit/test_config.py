@@ -175,6 +175,26 @@ def test_shared_lists_of_methods_are_read_from_beside_the_config(write):
         config.load(path)
 
 
+def test_an_option_that_does_nothing_is_neither_taken_nor_varied(write):
+    listed = [
+        {"name": "tuned", "baseline": "gnc_tls", "options": {"threshold": "paper"}},
+        {"name": "told", "baseline": "gnc_tls"},
+        {"name": "raw", "baseline": "dcreg"},
+    ]
+    vary = {"noise_factor": [0.5, 2], "max_pairs": [50]}
+    varied = config.load(write({**GOOD, "methods": listed[:2], "vary": vary})).methods
+    assert [m.name for m in varied if m.name.startswith("tuned")] == ["tuned-max_pairs50"]
+    only = {**GOOD, "methods": [listed[0], listed[2]], "vary": {"noise_factor": [2]}}
+    with pytest.raises(ConfigError, match=r"vary\.noise_factor: no method takes it"):
+        config.load(write(only))
+    listed[0]["options"]["noise_factor"] = 2.0
+    with pytest.raises(
+        ConfigError,
+        match=r"small\.yaml: methods\[0\]\.options: gnc_tls: .* nothing with threshold: paper; leave",
+    ):
+        config.load(write({**GOOD, "methods": listed}))
+
+
 def test_settings_are_varied_one_at_a_time_for_the_methods_that_take_them(write):
     listed = [
         {"name": "icp", "baseline": "icp"},
