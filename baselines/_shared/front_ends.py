@@ -273,13 +273,11 @@ class CorrespondenceMethod(Baseline):
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
-        front_end, outliers = self.options["front_end"], self.options["oracle_outliers"]
+        front_end = self.options["front_end"]
         if front_end not in FRONT_ENDS:
             raise ValueError(
                 f"option front_end = {front_end!r}; choose one of {', '.join(FRONT_ENDS)}"
             )
-        if not 0 <= outliers < 1:
-            raise ValueError(f"option oracle_outliers = {outliers}; give a share in [0, 1)")
 
     def idle_options(self) -> dict[str, str]:
         front_end = self.options["front_end"]

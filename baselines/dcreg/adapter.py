@@ -29,6 +29,8 @@ class Adapter(BranchAndBound):
         judge, certify = self.options["judge"], self.options["certify"]
         if judge not in JUDGES:
             raise ValueError(f"option judge = {judge!r}; choose one of {', '.join(JUDGES)}")
+        if certify is not None and not isinstance(certify, bool):
+            raise ValueError(f"option certify = {certify!r}; give true, false or null")
         if judge != JUDGES[0] and certify:
             raise ValueError(
                 f"option judge = {judge!r} tells poses over matches apart, without bounds: leave "

@@ -138,6 +138,28 @@ def test_wrong_limits_of_single_methods_are_refused(write, monkeypatch, limits_o
         config.load("small-quick")
 
 
+@pytest.mark.parametrize(
+    ("quick", "message"),
+    [
+        (None, r"small\.yaml: has no quick part"),
+        (5, r"small\.yaml: has no quick part"),
+        ({"limit": {}}, r"(?s)small\.yaml: limit: unknown key.* quick part; correct it, or leave"),
+        ({"limits": {"time_s": -1}}, r"(?s)limits\.time_s: .*of the quick part"),
+        (
+            {"limits_of": {"ipc": {"nodes": 5}}},
+            r"(?s)limits_of: no method 'ipc'.*of the quick part",
+        ),
+        (
+            {"vary": {"n_inliers_ratio": [True]}},
+            r"(?s)n_inliers_ratio\[0\] is true.*of the quick part",
+        ),
+    ],
+)
+def test_the_quick_part_is_checked_with_the_whole(write, quick, message):
+    with pytest.raises(ConfigError, match=message):
+        config.load(write({**GOOD, "quick": quick}))
+
+
 def test_limits_that_are_none_are_refused_in_the_quick_part_too(write, monkeypatch):
     wrong = [{"name": "icp", "baseline": "icp", "limits": 5}]
     path = write({**GOOD, "methods": wrong, "quick": {"limits_of": {"icp": {"nodes": 5}}}})
@@ -264,6 +286,21 @@ def test_a_small_config_gets_the_documented_defaults(write):
         (("methods", 1), "name", "dcreg", "name 'dcreg' is used 2 times"),
         ((), "name", "demo", "name: 'demo' is that of workflows/configs/demo.yaml; give another"),
         ((), "chunk_size", True, "chunk_size is true; give a number"),
+        ((), "limits", {"time_s": True}, "time_s is true; give a number or text"),
+        (
+            ("datasets", 0),
+            "tests",
+            {"noise": [0.0, True]},
+            "datasets[0]: tests.noise[1] is true; gi",
+        ),
+        ((), "vary", {"noise_factor": [True]}, "vary.noise_factor[0] is true; give a number"),
+        (("methods", 0), "limits", {"time_s": True}, "methods[0]: limits.time_s is true; give"),
+        (
+            ("methods", 0),
+            "options",
+            {"gap_tol_factor": -1},
+            "gap_tol_factor = -1; give a finite nu",
+        ),
         ((), 5, "x", "Keys should be strings"),
         (
             (),
