@@ -48,7 +48,7 @@ class DatasetSettings(Part):
 def check_datasets(asked: Sequence[DatasetSettings]) -> Iterable[str]:
     """Data sets, shapes, tests, levels and trials that there are not."""
     from data import registry
-    from data.contract import Axis, RecordedDataset
+    from data.contract import Axis, DataError, RecordedDataset
     from workflows.disturb import DISTURBANCES
 
     known = registry.datasets()
@@ -57,7 +57,11 @@ def check_datasets(asked: Sequence[DatasetSettings]) -> Iterable[str]:
         if entry.dataset not in known:
             yield f"{key}.dataset: no dataset {entry.dataset!r}{suggestion(entry.dataset, known)}"
             continue
-        dataset = known[entry.dataset]
+        try:
+            dataset = known[entry.dataset]
+        except DataError as error:
+            yield f"{key}.dataset: {error}"
+            continue
         for shape in entry.shapes or ():
             if shape not in dataset.shapes():
                 yield f"{key}.shapes: no shape {shape!r}{suggestion(shape, dataset.shapes())}"
