@@ -8,11 +8,12 @@ truth lives elsewhere. It never times itself for the record and never computes a
 from __future__ import annotations
 
 import abc
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from dcreg.status import Status
 
@@ -39,6 +40,40 @@ class ThresholdRule(BaseModel):
         from scipy.stats import chi2
 
         return float(np.sqrt(chi2.ppf(self.confidence, dim)))
+
+
+class Range(BaseModel):
+    """Which numbers an option admits, each of them where it is a list."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    above: float | None = None
+    least: float | None = None
+    below: float | None = None
+    most: float | None = None
+    or_null: bool = False
+
+    def __str__(self) -> str:
+        limits = {
+            "above": self.above, "at least": self.least, "below": self.below, "at most": self.most,
+        }  # fmt: skip
+        said = [f"{word} {limit:.12g}" for word, limit in limits.items() if limit is not None]
+        number = ", ".join(filter(None, ["a finite number", " and ".join(said)]))
+        return f"{number}, or null" if self.or_null else number
+
+    def admits(self, value: Any) -> bool:
+        """Whether `value`, a number, a list of numbers or null, is in the range."""
+        if value is None:
+            return self.or_null
+        if isinstance(value, list):
+            return all(self.admits(entry) for entry in value)
+        return (
+            math.isfinite(value)
+            and (self.above is None or value > self.above)
+            and (self.least is None or value >= self.least)
+            and (self.below is None or value < self.below)
+            and (self.most is None or value <= self.most)
+        )
 
 
 class Card(BaseModel):
@@ -68,8 +103,19 @@ class Card(BaseModel):
     marker: str = "o"
     # Parameters with their stated defaults, shown in the report.
     parameters: dict[str, Any] = {}
+    ranges: dict[str, Range] = {}  # of the parameters that are numbers
     # Behind the option ``threshold: paper``, which only cards with a rule have.
     threshold_rule: ThresholdRule | None = None
+
+    @model_validator(mode="after")
+    def _defaults_lie_in_their_ranges(self) -> Card:
+        for option, admitted in self.ranges.items():
+            if option not in self.parameters:
+                raise ValueError(f"ranges.{option} is of no parameter; correct the name")
+            default = self.parameters[option]
+            if default is not None and not admitted.admits(default):
+                raise ValueError(f"parameters.{option}: {default!r} is not {admitted}")
+        return self
 
 
 @dataclass(frozen=True)
@@ -152,7 +198,8 @@ class Baseline(abc.ABC):
     Parameters
     ----------
     **options
-        Overrides of the card's ``parameters``; an unknown name is an error.
+        Overrides of the card's ``parameters``; an unknown name is an error, and so is one of
+        `idle_options`.
     """
 
     card: Card
@@ -170,6 +217,22 @@ class Baseline(abc.ABC):
         threshold = self.options.get("threshold", "told")
         if threshold not in ("told", "paper"):
             raise ValueError(f"option threshold = {threshold!r}; choose one of told, paper")
+        idle = self.idle_options()
+        for option in options:
+            if option in idle:
+                raise ValueError(
+                    f"option {option} = {options[option]!r} does nothing {idle[option]}; leave it out"
+                )
+
+    def idle_options(self) -> dict[str, str]:
+        """Options that nothing comes of beside the others, each with what makes it so.
+
+        A method that is given one of them is refused: reports would tell of a value that had no
+        effect. Looks at ``self.options`` only, as it is asked before a subclass has checked these.
+        """
+        if self.options.get("threshold") == "paper":
+            return {"noise_factor": "with threshold: paper"}
+        return {}
 
     def available(self) -> str | None:
         """None when the method can run here, otherwise the reason with how to get it."""

@@ -34,7 +34,7 @@ TEMPLATE = ROOT / "_template"
 # Facts of a card that a solve cannot depend on: changing one of them reruns nothing.
 PRESENTATION = {
     "display_name", "summary", "input", "provenance", "how_to_get", "citation", "licence", "url",
-    "color", "marker",
+    "color", "marker", "ranges",
 }  # fmt: skip
 
 
@@ -59,7 +59,8 @@ def load(name: str, *, root: Path = ROOT, **options: Any) -> Baseline:
     Raises
     ------
     BaselineError
-        For an unknown method or option, a value of the wrong type, or a broken folder.
+        For an unknown method or option, a value of the wrong type or out of its range, or a broken
+        folder.
     """
     card = read_card(name, root=root)
     for option, value in options.items():
@@ -202,17 +203,32 @@ def _check_option(name: str, card: Card, option: str, value: Any) -> None:
         raise BaselineError(
             f"{name}: unknown option {option!r}{suggestion(option, card.parameters)}"
         )
-    default = card.parameters[option]
-    if default is None or value is None:
+    default, admitted = card.parameters[option], card.ranges.get(option)
+    if value is None and (default is None or (admitted is not None and admitted.or_null)):
         return
-    accepted: tuple[type, ...] = (int, float) if isinstance(default, float) else (type(default),)
-    # A bool is an int for Python, but "iterations: true" is a slip.
-    slip = isinstance(value, bool) and not isinstance(default, bool)
-    if slip or not isinstance(value, accepted):
+    example = 1.0 if default is None and admitted is not None else default
+    if example is None or (value is None and isinstance(example, str)):
+        return  # the method's own to judge
+    if not _is_like(value, example):
         raise BaselineError(
             f"{name}: option {option} = {value!r} is a {type(value).__name__}; "
-            f"give a {type(default).__name__} such as the default {default!r}"
+            f"give a {type(example).__name__} such as "
+            + (f"{example!r}" if default is None else f"the default {default!r}")
         )
+    if admitted is not None and not admitted.admits(value):
+        raise BaselineError(f"{name}: option {option} = {value!r}; give {admitted}")
+
+
+def _is_like(value: Any, example: Any) -> bool:
+    """Whether a value is of the kind of another; an int serves as a float."""
+    if isinstance(example, list):
+        return isinstance(value, list) and all(
+            _is_like(entry, first) for first in example[:1] for entry in value
+        )
+    # A bool is an int for Python, but "iterations: true" is a slip.
+    if isinstance(value, bool) or isinstance(example, bool):
+        return isinstance(value, bool) and isinstance(example, bool)
+    return isinstance(value, (int, float) if isinstance(example, float) else type(example))
 
 
 def _card_message(path: Path, error: ValidationError) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from pydantic import field_validator
 from scipy.spatial import cKDTree
 
 from data.contract import Axis, Card, DataError, RawInstance, RecordedDataset
+from data.parameters import Length, Parameters, Points, parameters_of, place_of
 from data.sampling import farthest_points, mutual_nearest, transform
 from dcreg.io import read_points
 from dcreg.problem import InputError, scale_of
@@ -16,7 +17,20 @@ from dcreg.problem import InputError, scale_of
 MAX_POINTS = 200  # of a cloud, by default
 SCALE_RANGE_2D = (0.5, 1.5)  # the default
 RIGID = 1e-3  # how far the rotation of a pose may be from one
-REQUIRED, OPTIONAL = {"folder", "tolerance"}, {"n_points", "scale_range"}
+
+
+class PairParameters(Parameters):
+    folder: str
+    tolerance: Length
+    n_points: Points = MAX_POINTS
+    scale_range: tuple[Length, Length] = SCALE_RANGE_2D
+
+    @field_validator("scale_range")
+    @classmethod
+    def _is_a_range(cls, given: tuple[float, float]) -> tuple[float, float]:
+        if given[0] > given[1]:
+            raise ValueError(f"{list(given)}; give two numbers, 0 < low <= high")
+        return given
 
 
 class CloudPairs(RecordedDataset):
@@ -33,18 +47,11 @@ class CloudPairs(RecordedDataset):
 
     def __init__(self, card: Card) -> None:
         super().__init__(card)
-        self.where = f"data/{card.name}/card.yaml"
-        given = card.parameters
+        self.where = place_of(card)
         if isinstance(card.dim, dict):
             raise DataError(f"{self.where}: dim: {card.dim!r}; give 2 or 3, the same for all pairs")
-        if wrong := sorted((REQUIRED - set(given)) | (set(given) - REQUIRED - OPTIONAL)):
-            raise DataError(
-                f"{self.where}: parameters.{wrong[0]}: missing or unknown; it has folder and "
-                "tolerance, and may have n_points and scale_range"
-            )
-        self.folder = Path(__file__).parent / card.name / Path(str(given["folder"])).expanduser()
-        self.tolerance = self._number("tolerance", 0.0)
-        self.n_points = int(self._number("n_points", 3, MAX_POINTS))
+        self.parameters = parameters_of(card, PairParameters)
+        self.folder = Path(__file__).parent / card.name / Path(self.parameters.folder).expanduser()
 
     def shapes(self) -> list[str]:
         if not self.folder.is_dir():
@@ -79,16 +86,16 @@ class CloudPairs(RecordedDataset):
         self, shape: str, test: str, level: float, trial: int, n_points: int | None
     ) -> RawInstance:
         *paths, pose_path = self.files(shape, test, level, trial)
-        source, target = (self._cloud(path, n_points or self.n_points) for path in paths)
+        source, target = (self._cloud(path, n_points or self.parameters.n_points) for path in paths)
         T_true, scale_range = self._pose(pose_path)
-        pairs = mutual_nearest(transform(T_true, source), target, self.tolerance)
+        pairs = mutual_nearest(transform(T_true, source), target, self.parameters.tolerance)
         if len(pairs) <= self.dim(shape):
             distance, _ = cKDTree(target).query(transform(T_true, source))
             raise DataError(
                 f"{pose_path}: only {len(pairs)} points of the {len(source)} and {len(target)} lie "
-                f"within tolerance {self.tolerance:g} of each other at this pose (median distance "
-                f"{np.median(distance):.3g}). It must map source to target; else raise tolerance in "
-                f"{self.where}, or n_points"
+                f"within tolerance {self.parameters.tolerance:g} of each other at this pose (median "
+                f"distance {np.median(distance):.3g}). It must map source to target; else "
+                f"raise tolerance in {self.where}, or n_points"
             )
         return RawInstance(source, target, pairs, T_true, scale_range)
 
@@ -119,7 +126,7 @@ class CloudPairs(RecordedDataset):
             )
         linear = T[:d, :d]
         scale = scale_of(T)
-        low, high = (1.0, 1.0) if d == 3 else self._scale_range()
+        low, high = (1.0, 1.0) if d == 3 else self.parameters.scale_range
         if not np.allclose(
             linear @ linear.T, scale**2 * np.eye(d), atol=RIGID * max(1.0, scale**2)
         ):
@@ -132,25 +139,3 @@ class CloudPairs(RecordedDataset):
             )
             raise DataError(f"{path}: its scale is {scale:.4g}, not {low:g} to {high:g}; {remedy}")
         return T, (low, high)
-
-    def _scale_range(self) -> tuple[float, float]:
-        given: Any = self.card.parameters.get("scale_range", SCALE_RANGE_2D)
-        try:
-            low, high = map(float, given)
-        except (TypeError, ValueError):
-            low = high = np.nan
-        if not 0 < low <= high < np.inf:
-            raise DataError(
-                f"{self.where}: parameters.scale_range: {given!r}; give two numbers, 0 < low <= high"
-            )
-        return low, high
-
-    def _number(self, name: str, least: float, default: float | None = None) -> float:
-        value: Any = self.card.parameters.get(name, default)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not least <= value < np.inf or value == 0:
-            raise DataError(
-                f"{self.where}: parameters.{name}: {value!r}; give a number "
-                f"{'above 0' if least == 0 else f'from {least:g}'}"
-            )
-        return float(value)

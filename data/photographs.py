@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from data.contract import Axis, Card, DataError, RawInstance, RecordedDataset
 from data.fetch import UnavailableError, cache_root
+from data.parameters import Count, Length, Parameters, Points, parameters_of
 from data.sampling import farthest_points, mutual_nearest, transform
 
 SHARE = 0.9  # of the smaller set: the number of pairs that methods are told
@@ -64,6 +67,15 @@ def near_pairs(T_true: np.ndarray, source: np.ndarray, target: np.ndarray) -> np
     return mutual_nearest(transform(T_true, source), target, reach)
 
 
+class PhotographParameters(Parameters):
+    folder: str
+    layout: Literal["voc", "caltech"]
+    shapes: Annotated[list[str], Field(min_length=1)]
+    n_trials: Count
+    n_points: Points
+    sigma: Length
+
+
 class Photographs(RecordedDataset):
     """A folder of VOC2007 or Caltech-256: each photograph against itself, turned by 180 degrees.
 
@@ -76,13 +88,13 @@ class Photographs(RecordedDataset):
 
     def __init__(self, card: Card) -> None:
         super().__init__(card)
-        self.folder = Path(card.parameters["folder"])
+        self.parameters = parameters_of(card, PhotographParameters)
 
     def shapes(self) -> list[str]:
-        return list(self.card.parameters["shapes"])
+        return list(self.parameters.shapes)
 
     def tests(self) -> dict[str, Axis]:
-        return {"turned": Axis((0.0,), (0.0,), "-", self.card.parameters["n_trials"])}
+        return {"turned": Axis((0.0,), (0.0,), "-", self.parameters.n_trials)}
 
     def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
         listed = self._listed(shape)
@@ -97,8 +109,8 @@ class Photographs(RecordedDataset):
         self, shape: str, test: str, level: float, trial: int, n_points: int | None
     ) -> RawInstance:
         (path,) = self.files(shape, test, level, trial)
-        count = n_points or self.card.parameters["n_points"]
-        sigma, turn = self.card.parameters["sigma"], half_turn(path)
+        count = n_points or self.parameters.n_points
+        sigma, turn = self.parameters.sigma, half_turn(path)
         source = transform(turn, edge_points(path, sigma, count, parity=1))
         target = edge_points(path, sigma, count, parity=0).copy()
         pairs = near_pairs(turn, source, target)
@@ -108,12 +120,12 @@ class Photographs(RecordedDataset):
 
     def _listed(self, shape: str) -> list[Path]:
         """The photographs of a class, in the order of the data set's own lists."""
-        place = cache_root() / self.name / self.folder
+        place = cache_root() / self.name / self.parameters.folder
         if not place.is_dir():
             raise UnavailableError(
                 f"dataset {self.name}: no folder {place}. {self.card.notes.strip()}"
             )
-        if self.card.parameters["layout"] == "caltech":
+        if self.parameters.layout == "caltech":
             folders = [path for path in place.iterdir() if path.name.endswith(f".{shape}")]
             found = sorted(path for folder in folders for path in folder.iterdir())
             return [path for path in found if path.suffix.lower() in PICTURES]

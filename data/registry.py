@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -40,11 +41,32 @@ def _build(card: Card) -> Dataset:
     return loader(card)
 
 
+class Found(Mapping[str, Dataset]):
+    """Datasets by name, whose cards are read when they are asked for: a wrong one stops no others."""
+
+    def __init__(self, root: Path) -> None:
+        self._cards = {path.parent.name: path for path in sorted(root.glob("*/card.yaml"))}
+        self._built: dict[str, Dataset] = {}
+
+    def __getitem__(self, name: str) -> Dataset:
+        if name not in self._built:
+            self._built[name] = _build(read_card(self._cards[name]))
+        return self._built[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._cards
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._cards)
+
+    def __len__(self) -> int:
+        return len(self._cards)
+
+
 @cache
-def datasets() -> dict[str, Dataset]:
+def datasets() -> Found:
     """All datasets by name. Reads cards only; fetches nothing."""
-    cards = (read_card(path) for path in sorted(HERE.glob("*/card.yaml")))
-    return {card.name: _build(card) for card in cards}
+    return Found(HERE)
 
 
 def dataset(name: str) -> Dataset:

@@ -53,6 +53,11 @@ def read(path: Path, quick: bool = False) -> dict[str, Any]:
     return content
 
 
+def has_quick_part(path: Path) -> bool:
+    """Whether a config, which can be read, has the key ``quick``, whatever it holds."""
+    return "quick" in _yaml(path)
+
+
 def _limit(listed: list[Any], limits_of: Any, path: Path) -> None:
     """Give single methods the limits that the quick part states for them."""
     by_name = {str(each.get("name")): each for each in listed if isinstance(each, dict)}

@@ -5,42 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any
 
-import numpy as np
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ValidationError
 
 from baselines.contract import Instance, Limits
 from dcreg.problem import suggestion
 from workflows import CHECKOUT, methods, shown
-from workflows.compose import QUICK, ConfigError, read
+from workflows.compose import QUICK, ConfigError, has_quick_part, read
+from workflows.grid import DatasetSettings, Model, check_datasets, check_size
+from workflows.parts import Part, part_of
 
 CONFIGS = CHECKOUT / "workflows" / "configs"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$")]
 Seconds = Annotated[float, Field(gt=0, le=1e7)]
-Model = Literal["similarity2d", "rigid3d"]
-MAX_RUNS = 1_000_000  # of an experiment; a plan holds all of them in memory
-MAX_LEVEL = 10.0  # of our own tests: lengths in sides of the shape, or points per point
-
-
-class Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _has_no_flags(cls, values: Any) -> Any:
-        if isinstance(values, dict):
-            for key, value in values.items():
-                if isinstance(value, bool):  # which would pass for 0 or 1
-                    raise ValueError(f"{key} is {str(value).lower()}; give a number or text")
-        return values
 
 
 class LimitSettings(Part):
@@ -70,46 +48,19 @@ class LimitSettings(Part):
         return Limits(self.time_s, nodes, self.memory_mb, self.threads)
 
 
-class DatasetSettings(Part):
-    """One dataset and the grid of tests × levels × trials drawn from it."""
-
-    dataset: str
-    shapes: Annotated[list[str], Field(min_length=1)] | None = None  # all of the dataset's
-    tests: Annotated[dict[str, list[float]], Field(min_length=1)]
-    trials: Annotated[int, Field(gt=0)] = 1
-    n_points: Annotated[int, Field(ge=3, le=100_000)] | None = None
-
-    @field_validator("tests")
-    @classmethod
-    def _levels_differ(cls, tests: dict[str, list[float]]) -> dict[str, list[float]]:
-        for test, levels in tests.items():
-            if not levels or len(set(levels)) < len(levels):
-                raise ValueError(f"{test}: give one or more different levels, not {levels}")
-            if wrong := [level for level in levels if not math.isfinite(level)]:
-                raise ValueError(f"{test}: level {wrong[0]} is no number; give a finite one")
-        return tests
-
-    @field_validator("shapes")
-    @classmethod
-    def _shapes_differ(cls, shapes: list[str] | None) -> list[str] | None:
-        if shapes and len(set(shapes)) < len(shapes):
-            raise ValueError("a shape is given twice; name each once")
-        return shapes
-
-
 class MethodSettings(Part):
     """One line of the figures: a method of ``baselines/`` with options and prior."""
 
     name: Name  # names the line and its folder of results
     baseline: str
     label: str = ""  # shown in figures; by default the card's name
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default={})
     # The solver is told round(ratio * true count) pairs, as in the paper, which derives the prior
     # from the truth: 1 and 0.5 there.
     n_inliers_ratio: Annotated[float, Field(gt=0, le=2)] = 1.0
     n_points: Annotated[int, Field(ge=3)] | None = None  # of each cloud, far apart; all
     models: Annotated[list[Model], Field(min_length=1)] | None = None  # it is asked to treat; all
-    limits: dict[str, float | None] = {}  # overrides of the experiment's limits
+    limits: dict[str, float | None] = Field(default={})  # overrides of the experiment's limits
 
 
 _AXES_HELP = "give AXIS=VALUE,VALUE with a known axis"
@@ -118,12 +69,12 @@ _AXES_HELP = "give AXIS=VALUE,VALUE with a known axis"
 class Selection(Part):
     """A part of the grid, chosen on the command line; an empty list selects everything."""
 
-    methods: list[str] = []
-    datasets: list[str] = []
-    shapes: list[str] = []
-    tests: list[str] = []
-    levels: list[float] = []
-    trials: list[int] = []
+    methods: list[str] = Field(default=[])
+    datasets: list[str] = Field(default=[])
+    shapes: list[str] = Field(default=[])
+    tests: list[str] = Field(default=[])
+    levels: list[float] = Field(default=[])
+    trials: list[int] = Field(default=[])
 
 
 class Experiment(Part):
@@ -134,9 +85,9 @@ class Experiment(Part):
     limits: LimitSettings = LimitSettings()
     datasets: Annotated[list[DatasetSettings], Field(min_length=1)]
     methods: Annotated[list[MethodSettings], Field(min_length=1)]
-    # A method that takes such a setting, n_inliers_ratio or an option that is not null by default, runs
-    # once with each value.
-    vary: dict[str, Annotated[list[float | str], Field(min_length=1)]] = {}
+    # A method that takes such a setting, n_inliers_ratio or an option that is not null by default and
+    # does something beside its others, runs once with each value.
+    vary: dict[str, Annotated[list[int | float | str], Field(min_length=1)]] = Field(default={})
 
     def method(self, name: str) -> MethodSettings:
         return next(method for method in self.methods if method.name == name)
@@ -170,22 +121,43 @@ def origin(experiment: str) -> str:
 def load(experiment: str) -> Experiment:
     """Read an experiment by name or path and check all of it against cards and datasets.
 
+    With the whole of one its quick part is checked as well.
+
     Raises
     ------
     ConfigError
         Lists everything that is wrong, not only the first thing.
     """
     path, quick = find(experiment)
+    settings = _load(path, quick)
+    if not quick and has_quick_part(path):
+        try:
+            _load(path, quick=True)
+        except ConfigError as error:
+            remedy = "this is of the quick part; correct it, or leave the key quick out"
+            raise ConfigError(f"{error}\n{shown(path)}: {remedy}") from error
+    return settings
+
+
+def _load(path: Path, quick: bool) -> Experiment:
+    """The experiment of a file, or its quick part, checked."""
     content = read(path, quick)
     try:
         settings = Experiment.model_validate(content)
     except ValidationError as error:
         raise _config_error(path, [_explain(problem) for problem in error.errors()]) from error
-    problems = [*_check_name(settings, path), *_check_methods(settings), *_check_datasets(settings)]
+    problems = [
+        *_check_name(settings, path),
+        *_check_methods(settings),
+        *check_datasets(settings.datasets),
+    ]
     problems = problems or [*_check_variations(settings)]
     if not problems:
         settings = settings.model_copy(update={"methods": list(_varied(settings)), "vary": {}})
-        problems = [*_check_labels(settings), *_check_size(settings)]
+        problems = [
+            *_check_labels(settings),
+            *check_size(settings.datasets, [method.models for method in settings.methods]),
+        ]
     if problems:
         raise _config_error(path, problems)
     return settings
@@ -263,7 +235,9 @@ def _takes(method: MethodSettings, key: str) -> bool:
     card = methods.card(method.baseline)
     if key == "n_inliers_ratio":
         return card.uses_n_inliers and key not in method.model_fields_set
-    return card.parameters.get(key) is not None and key not in method.options
+    if card.parameters.get(key) is None or key in method.options:
+        return False
+    return key not in methods.idle_options(method.baseline, method.options)
 
 
 def _with_setting(method: MethodSettings, key: str, value: float | str) -> MethodSettings:
@@ -308,79 +282,6 @@ def _check_options(key: str, method: MethodSettings) -> Iterable[str]:
         pass  # not installed here: its runs say so
 
 
-def _check_datasets(settings: Experiment) -> Iterable[str]:
-    from data import registry
-    from data.contract import Axis, RecordedDataset
-    from workflows.disturb import DISTURBANCES
-
-    known = registry.datasets()
-    for index, entry in enumerate(settings.datasets):
-        key = f"datasets[{index}]"
-        if entry.dataset not in known:
-            yield f"{key}.dataset: no dataset {entry.dataset!r}{suggestion(entry.dataset, known)}"
-            continue
-        dataset = known[entry.dataset]
-        for shape in entry.shapes or ():
-            if shape not in dataset.shapes():
-                yield f"{key}.shapes: no shape {shape!r}{suggestion(shape, dataset.shapes())}"
-        recorded: dict[str, Axis] = {}
-        if isinstance(dataset, RecordedDataset):
-            recorded = dataset.tests()
-            if dataset.fixed_size and entry.n_points is not None:
-                yield f"{key}.n_points: {entry.dataset} has a fixed number of points; leave it out"
-        tests = recorded or DISTURBANCES
-        for test, levels in entry.tests.items():
-            if test not in tests:
-                yield f"{key}.tests.{test}: no such test{suggestion(test, tests)}"
-            elif recorded:
-                axis = recorded[test]
-                for level in sorted(set(levels) - set(axis.levels)):
-                    yield f"{key}.tests.{test}: no level {level:g}; it has {list(axis.levels)}"
-                if entry.trials > axis.n_trials:
-                    yield (
-                        f"{key}.trials: {test} has {axis.n_trials} trials, not {entry.trials}; "
-                        "lower it"
-                    )
-            else:
-                for level in levels:
-                    yield from _check_level(f"{key}.tests.{test}", test, level, entry.n_points)
-
-
-def _check_level(key: str, test: str, level: float, n_points: int | None) -> Iterable[str]:
-    """Levels that the disturbance cannot have, or refuses for so many points."""
-    from workflows.disturb import DISTURBANCES
-
-    if not 0 <= level <= MAX_LEVEL:
-        yield f"{key}: level {level:g}; give one from 0 to {MAX_LEVEL:g}"
-        return
-    rng = np.random.default_rng(0)
-    try:
-        DISTURBANCES[test](rng.random((min(n_points or 100, 100), 2)), level, rng)
-    except ValueError as error:
-        yield f"{key}: {error}"
-
-
-def _check_size(settings: Experiment) -> Iterable[str]:
-    """Experiments that no one could plan, and methods that nothing is asked of."""
-    from data import registry
-
-    known = registry.datasets()
-    counts: dict[str, int] = {}
-    for entry in settings.datasets:
-        for shape in entry.shapes or known[entry.dataset].shapes():
-            model = known[entry.dataset].model(shape)
-            n_levels = sum(map(len, entry.tests.values()))
-            counts[model] = counts.get(model, 0) + n_levels * entry.trials
-    if (runs := sum(counts.values()) * len(settings.methods)) > MAX_RUNS:
-        yield f"datasets: {runs:,} runs, at most {MAX_RUNS:,}; lower trials, or split the experiment"
-    for index, method in enumerate(settings.methods):
-        if method.models and not set(method.models) & set(counts):
-            yield (
-                f"methods[{index}].models: no dataset has {' or '.join(method.models)}, only "
-                f"{' and '.join(counts)}; correct models, or leave the method out"
-            )
-
-
 def _config_error(path: Path, problems: Sequence[str]) -> ConfigError:
     return ConfigError("\n".join(f"{shown(path)}: {problem}" for problem in problems))
 
@@ -406,12 +307,5 @@ def _keys_at(location: Sequence[str | int]) -> Iterable[str]:
     model: Any = Experiment
     for part in location:
         if isinstance(part, str) and part in getattr(model, "model_fields", {}):
-            model = _part_of(model.model_fields[part].annotation)
+            model = part_of(model.model_fields[part].annotation)
     return getattr(model, "model_fields", {})
-
-
-def _part_of(annotation: Any) -> Any:
-    """The `Part` inside an annotation such as ``Annotated[list[Part], ...]``."""
-    if isinstance(annotation, type) and issubclass(annotation, Part):
-        return annotation
-    return next((part for inner in get_args(annotation) if (part := _part_of(inner))), None)

@@ -33,6 +33,14 @@ def load(name: str, options: dict[str, Any]) -> Baseline:
     return registry.load(name, root=root_of(name), **options)
 
 
+def idle_options(name: str, options: dict[str, Any]) -> dict[str, str]:
+    """Options that nothing comes of beside these; none where the method cannot be loaded."""
+    try:
+        return load(name, options).idle_options()
+    except (ImportError, registry.BaselineError):
+        return {}
+
+
 def oracle_outliers(name: str, options: dict[str, Any]) -> float | None:
     """Share of random pairs that a method with the front end ``oracle`` asks for; None for others."""
     settings = {**card(name).parameters, **options}

@@ -43,6 +43,12 @@ from dcreg.status import Status
 
 SHARED = ("shared-mutual", "shared-nearest", "shared-several")
 FRONT_ENDS = ("fpfh-mutual", "norm-signature", "all-pairs", "oracle", *SHARED)
+# Options that one front end alone looks at.
+OPTIONS_OF = {
+    "fpfh-mutual": ("normal_radius", "feature_radius"),
+    "norm-signature": ("signature_neighbours",),
+    "oracle": ("oracle_outliers",),
+}
 SEVERAL = 5  # matches of a source point in shared-several
 OPEN3D = "pip install open3d; on a bare Debian also apt-get install libusb-1.0-0 libgl1 libegl1"
 Viewpoint = tuple[float, float, float] | None
@@ -267,13 +273,21 @@ class CorrespondenceMethod(Baseline):
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
-        front_end, outliers = self.options["front_end"], self.options["oracle_outliers"]
+        front_end = self.options["front_end"]
         if front_end not in FRONT_ENDS:
             raise ValueError(
                 f"option front_end = {front_end!r}; choose one of {', '.join(FRONT_ENDS)}"
             )
-        if not 0 <= outliers < 1:
-            raise ValueError(f"option oracle_outliers = {outliers}; give a share in [0, 1)")
+
+    def idle_options(self) -> dict[str, str]:
+        front_end = self.options["front_end"]
+        idle = {
+            option: f"with front_end: {front_end}"
+            for owner, options in OPTIONS_OF.items()
+            if owner != front_end
+            for option in options
+        }
+        return {**super().idle_options(), **idle}
 
     def available(self) -> str | None:
         return super().available() or unavailable(self.options["front_end"])

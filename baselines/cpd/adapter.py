@@ -20,9 +20,6 @@ class Adapter(Baseline):
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
         self.starts = check_choice(self, "starts", STARTS)
-        weight = self.options["w"]
-        if weight is not None and not 0 <= weight < 1:
-            raise ValueError(f"option w = {weight!r}; the outlier weight is in [0, 1), or null")
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         # The mixture's uniform part assumes coordinates of order one: work in target RMS radii

@@ -12,6 +12,9 @@ from dcreg.names import JUDGES
 from dcreg.status import Status
 from dcreg.warm_up import warm_up_matches
 
+OVER_MATCHES = ("max_pairs", "certify", "judge")  # options of `dcreg.register_matches`
+OVER_POINTS = ("bound", "mode", "gap_tol_factor", "polish")  # of `dcreg.register`
+
 
 class Adapter(BranchAndBound):
     """Branch and bound with the holistic DC bound; over matches, where option `front_end` names some."""
@@ -26,11 +29,20 @@ class Adapter(BranchAndBound):
         judge, certify = self.options["judge"], self.options["certify"]
         if judge not in JUDGES:
             raise ValueError(f"option judge = {judge!r}; choose one of {', '.join(JUDGES)}")
-        if judge != JUDGES[0] and (certify or self.options["front_end"] is None):
+        if certify is not None and not isinstance(certify, bool):
+            raise ValueError(f"option certify = {certify!r}; give true, false or null")
+        if judge != JUDGES[0] and certify:
             raise ValueError(
-                f"option judge = {judge!r} tells poses over matches apart, without bounds: give a "
-                "front_end, and leave certify out"
+                f"option judge = {judge!r} tells poses over matches apart, without bounds: leave "
+                "certify out"
             )
+
+    def idle_options(self) -> dict[str, str]:
+        if self.options["front_end"] is None:
+            idle = dict.fromkeys(OVER_MATCHES, "without a front_end")
+        else:
+            idle = dict.fromkeys(OVER_POINTS, "with a front_end")
+        return {**super().idle_options(), **idle}
 
     def supports(self, instance: Instance) -> str | None:
         return missing_matches(instance, self.options["front_end"]) or super().supports(instance)

@@ -14,6 +14,12 @@ from dcreg.search import Budget
 class Adapter(CorrespondenceMethod):
     """Graduated non-convexity with line processes over the pairs that pass the tuple test."""
 
+    def idle_options(self) -> dict[str, str]:
+        idle = super().idle_options()
+        if not self.options["tuple_test"]:
+            idle["max_tuples"] = "without the tuple_test"
+        return idle
+
     def solve_pairs(
         self, instance: Instance, pairs: np.ndarray, budget: Budget
     ) -> np.ndarray | None:

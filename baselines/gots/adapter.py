@@ -13,6 +13,7 @@ from baselines._shared.rotation_search import most_matches
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.gots.search import TranslationCubes, matching_translations, points_of
 from dcreg.search import Budget, Trace
+from dcreg.status import Status
 
 SCOPE = (
     "translation only, objective: most source pairs whose rotation-invariant features match within eps, "
@@ -51,9 +52,9 @@ class Adapter(Baseline):
         found = with_bounds(
             found, lambda value: float(eps**2 * (instance.n_inliers - points_of(-value)))
         )
-        pose, extra = self._pose(problem, incumbent.pose, starts, budget)
+        pose, extra, turned = self._pose(problem, incumbent.pose, starts, budget)
         return Solution(
-            found.status,
+            found.status if turned else Status.TIME_LIMIT,
             problem.restore(problem.polish(pose) if self.options["polish"] else pose),
             lower_bound=found.lower_bound,
             upper_bound=found.upper_bound,
@@ -66,10 +67,13 @@ class Adapter(Baseline):
 
     def _pose(
         self, problem: Consensus, translation: np.ndarray, starts: list[Any], budget: Budget
-    ) -> tuple[np.ndarray, dict[str, float]]:
-        """The pose of largest consensus: at the found translation, or a start's if that is better."""
+    ) -> tuple[np.ndarray, dict[str, float], bool]:
+        """The pose of largest consensus, and whether the search of its rotation ended.
+
+        It is the one at the found translation, or a start's if that is better.
+        """
         pose, count = max(starts, key=lambda start: start[1])
-        at_translation = 0
+        at_translation, ended = 0, True
         try:
             found = most_matches(
                 problem.source + translation, problem.target, problem.radius, 0, 0, budget
@@ -79,5 +83,6 @@ class Adapter(Baseline):
             if at_translation >= count:
                 pose, count = turned, at_translation
         except OutOfTimeError:
-            pass  # the best start is the answer
-        return pose, {"matched": float(count), "matched_at_translation": float(at_translation)}
+            ended = False  # the best start is the answer
+        extra = {"matched": float(count), "matched_at_translation": float(at_translation)}
+        return pose, extra, ended

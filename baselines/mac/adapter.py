@@ -21,6 +21,12 @@ ROWS = 64  # of the graph between two looks at the clock
 class Adapter(CorrespondenceMethod):
     """A pose from every correspondence's heaviest maximal clique; the one of least error."""
 
+    def idle_options(self) -> dict[str, str]:
+        idle = super().idle_options()
+        if self.options["compatibility_width"] is None:
+            idle["compatibility_threshold"] = "without a compatibility_width"
+        return idle
+
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         for_graph, for_cliques = budget.part(SHARE_FOR_GRAPH), budget.part(SHARE_FOR_CLIQUES)
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]

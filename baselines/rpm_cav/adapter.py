@@ -19,8 +19,6 @@ class Adapter(Baseline):
             raise ValueError(
                 f"option branching = {self.options['branching']!r}; choose one of gap, longest"
             )
-        if self.options["ascents"] < 0:
-            raise ValueError(f"option ascents = {self.options['ascents']}; give 0 or more")
         self._box_bound: BoxBound | None = None
 
     def warm_up(self, instance: Instance) -> None:

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from baselines._shared.concave import Reduced
-from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
+from baselines.contract import Baseline, Instance, Limits, Solution, tiny
 from baselines.rpm_pa.search import Search
 
 
 class Adapter(Baseline):
     """The published tolerance by default; ``epsilon0: 0`` for the exact variant."""
-
-    def __init__(self, card: Card, **options: object) -> None:
-        super().__init__(card, **options)
-        if self.options["epsilon0"] < 0:
-            raise ValueError(f"option epsilon0 = {self.options['epsilon0']}; give 0 or more")
 
     def warm_up(self, instance: Instance) -> None:
         """Compiles every kernel, however long a loaded machine takes."""

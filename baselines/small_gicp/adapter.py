@@ -20,6 +20,12 @@ class Adapter(Baseline):
         self.starts = check_choice(self, "starts", STARTS)
         self.variant = check_choice(self, "variant", ("GICP", "ICP"))
 
+    def idle_options(self) -> dict[str, str]:
+        idle = super().idle_options()
+        if self.options["variant"] == "ICP":
+            idle["neighbours"] = "with variant: ICP"
+        return idle
+
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         import small_gicp
 

@@ -119,8 +119,27 @@ class TestFolder:
         assert Counter(other.display_name for other in cards)[card.display_name] == 1
 
     def test_its_parameters_are_accepted(self, name: str) -> None:
+        card, idle = registry.read_card(name), registry.load(name).idle_options()
+        given = {key: value for key, value in card.parameters.items() if key not in idle}
+        assert registry.load(name, **given).options == card.parameters
+
+    def test_every_number_has_a_range_that_its_default_lies_in(self, name: str) -> None:
         card = registry.read_card(name)
-        assert registry.load(name, **card.parameters).options == card.parameters
+        for option, default in card.parameters.items():
+            entries = default if isinstance(default, list) else [default]
+            if any(type(entry) in (int, float) for entry in entries):  # no flags
+                assert card.ranges[option].admits(default), option
+        for option, admitted in card.ranges.items():
+            assert (admitted.above is None) != (admitted.least is None), option
+            assert not admitted.admits(-1), option
+
+    def test_options_that_do_nothing_are_its_own_and_refused(self, name: str) -> None:
+        card, idle = registry.read_card(name), registry.load(name).idle_options()
+        for option, reason in idle.items():
+            if option in card.parameters:
+                value = card.parameters[option]
+                with pytest.raises(registry.BaselineError, match=f"{option} = .*{reason}; leave"):
+                    registry.load(name, **{option: value})
 
     def test_unknown_option_is_refused(self, name: str) -> None:
         with pytest.raises(registry.BaselineError, match="no_such_option"):

@@ -166,7 +166,7 @@ def test_fpfh_is_for_3d_only() -> None:
 @pytest.mark.parametrize("share", [-0.1, 1.0])
 def test_a_share_of_outliers_must_be_one(share: float) -> None:
     with pytest.raises(registry.BaselineError, match="oracle_outliers"):
-        registry.load("teaser", oracle_outliers=share)
+        registry.load("teaser", front_end="oracle", oracle_outliers=share)
 
 
 def test_without_a_pose_at_the_limit_all_pairs_give_one(monkeypatch: pytest.MonkeyPatch) -> None:

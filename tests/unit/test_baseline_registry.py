@@ -58,6 +58,61 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("dcreg", {"mode": "full", "bound": "paper"}, r"mode 'full' has bounds of its own"),
         ("rpm_htb", {"bound": "paper"}, r"known: termwise, termwise-r1"),
         ("rpm_htb", {"bound": None}, r"null is the library's own bound"),
+        (
+            "teaser",
+            {"threshold": "paper", "noise_factor": 2.0},
+            r"noise_factor = 2\.0 does nothing with threshold: paper; leave it out",
+        ),
+        ("dcreg", {"front_end": "shared-mutual", "bound": "tight"}, "nothing with a front_end"),
+        ("dcreg", {"front_end": "shared-mutual", "mode": "full"}, "nothing with a front_end"),
+        ("dcreg", {"front_end": "shared-mutual", "polish": False}, "nothing with a front_end"),
+        (
+            "dcreg",
+            {"front_end": "shared-mutual", "gap_tol_factor": 0.1},
+            "gap_tol_factor = 0.1 does",
+        ),
+        ("dcreg", {"certify": True}, "certify = True does nothing without a front_end; leave it"),
+        ("dcreg", {"max_pairs": 500}, "max_pairs = 500 does nothing without a front_end"),
+        ("dcreg", {"judge": "surfaces"}, "judge = 'surfaces' does nothing without a front_end"),
+        (
+            "dcreg",
+            {"front_end": "shared-mutual", "judge": "surfaces", "certify": True},
+            "judge = 'surfaces' tells poses over matches apart, without bounds: leave certify out",
+        ),
+        ("teaser", {"normal_radius": 2.0}, "nothing with front_end: norm-signature"),
+        ("teaser", {"front_end": "oracle", "signature_neighbours": 2}, "with front_end: oracle"),
+        ("mac", {"compatibility_threshold": 0.9}, "nothing without a compatibility_width"),
+        ("fpfh_fgr", {"tuple_test": False, "max_tuples": 5}, "nothing without the tuple_test"),
+        ("small_gicp", {"variant": "ICP", "neighbours": 5}, "nothing with variant: ICP"),
+        (
+            "teaser",
+            {"noise_factor": -1},
+            r"option noise_factor = -1; give a finite number, above 0$",
+        ),
+        ("teaser", {"noise_factor": 0}, "noise_factor = 0; give"),
+        ("teaser", {"noise_factor": float("nan")}, "noise_factor = nan; give a finite number"),
+        ("teaser", {"max_pairs": -5}, "max_pairs = -5; give a finite number, at least 1$"),
+        ("dcreg", {"front_end": "shared-mutual", "max_pairs": -5}, "max_pairs = -5; give"),
+        ("dcreg", {"gap_tol_factor": -1}, "gap_tol_factor = -1; give a finite number, at least 0$"),
+        ("dcreg", {"front_end": "shared-mutual", "certify": 1}, "certify = 1; give true, false or"),
+        ("ransac", {"confidence": 2}, "confidence = 2; give a finite number, above 0 and below 1$"),
+        ("ransac", {"max_samples": 0}, "max_samples = 0; give"),
+        ("icp", {"max_iterations": 0}, "max_iterations = 0; give a finite number, at least 1$"),
+        ("icp", {"max_iterations": None}, "max_iterations = None is a NoneType; give a int"),
+        ("goicp", {"mse_threshold": -1}, "mse_threshold = -1; give"),
+        ("goicp", {"translation_half_width": 0}, "give a finite number, above 0, or null$"),
+        ("py_goicp", {"translation_half_width": None}, "is a NoneType; give a float"),
+        ("frs", {"rotation_slack": 5}, "rotation_slack = 5; give"),
+        ("mac", {"compatibility_width": 10, "compatibility_threshold": 7}, "threshold = 7; give"),
+        (
+            "mac",
+            {"compatibility_width": True},
+            "compatibility_width = True is a bool; give a float",
+        ),
+        ("icp_open3d", {"coarse_distances": [1.0, True]}, "is a list; give a list such as"),
+        ("icp_open3d", {"coarse_distances": [1.0, -1]}, "give a finite number, above 0$"),
+        ("rpm_pa", {"epsilon0": -0.1}, "epsilon0 = -0.1; give"),
+        ("rpm_cav", {"ascents": -1}, "ascents = -1; give"),
         ("teaser", {"threshold": "mine"}, "threshold = 'mine'; choose one of told, paper"),
         ("gore", {"threshold": "paper"}, "gore: unknown option 'threshold'"),
         ("kiss_matcher", {"front_end": "sift"}, "fpfh-mutual, norm-signature, all-pairs, oracle"),
@@ -106,6 +161,15 @@ def test_dcreg_leaves_mode_and_bound_to_the_library() -> None:
     assert registry.load("dcreg", mode="full").options["bound"] is None
 
 
+def test_null_is_for_options_that_admit_it() -> None:
+    assert (
+        registry.load("goicp", translation_half_width=None).options["translation_half_width"]
+        is None
+    )
+    assert registry.load("cpd", w=None).options["w"] is None
+    assert registry.load("cpd", w=0).options["w"] == 0
+
+
 def test_an_int_serves_as_a_float() -> None:
     assert registry.load("dcreg", gap_tol_factor=1).options["gap_tol_factor"] == 1
 
@@ -117,6 +181,12 @@ def test_an_int_serves_as_a_float() -> None:
         ({"models": ["rigid2d"]}, r"field models\.0"),
         ({"licence": None}, "field licence"),
         ({"colour": "#123456"}, "field colour.*did you mean 'color'"),
+        ({"ranges": {"moves": {"least": 0}}}, r"ranges\.moves is of no parameter"),
+        ({"ranges": {"move": {"from": 0}}}, r"field ranges\.move\.from"),
+        (
+            {"parameters": {"step": 0}, "ranges": {"step": {"above": 0}}},
+            r"parameters\.step: 0 is not a finite number, above 0",
+        ),
     ],
 )
 def test_bad_card_names_file_and_field(root: Path, facts: dict, words: str) -> None:
@@ -190,7 +260,7 @@ class TestFingerprint:
 
     def test_follows_the_defaults_but_not_the_looks(self, root: Path) -> None:
         before = registry.fingerprint("mine", root)
-        edit_card(root, color="#abcdef", summary="told otherwise", marker="x")
+        edit_card(root, color="#abcdef", summary="told otherwise", marker="x", ranges={})
         assert registry.fingerprint("mine", root) == before
         edit_card(root, parameters={"move": False})
         assert registry.fingerprint("mine", root) != before

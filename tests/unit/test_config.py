@@ -138,6 +138,28 @@ def test_wrong_limits_of_single_methods_are_refused(write, monkeypatch, limits_o
         config.load("small-quick")
 
 
+@pytest.mark.parametrize(
+    ("quick", "message"),
+    [
+        (None, r"small\.yaml: has no quick part"),
+        (5, r"small\.yaml: has no quick part"),
+        ({"limit": {}}, r"(?s)small\.yaml: limit: unknown key.* quick part; correct it, or leave"),
+        ({"limits": {"time_s": -1}}, r"(?s)limits\.time_s: .*of the quick part"),
+        (
+            {"limits_of": {"ipc": {"nodes": 5}}},
+            r"(?s)limits_of: no method 'ipc'.*of the quick part",
+        ),
+        (
+            {"vary": {"n_inliers_ratio": [True]}},
+            r"(?s)n_inliers_ratio\[0\] is true.*of the quick part",
+        ),
+    ],
+)
+def test_the_quick_part_is_checked_with_the_whole(write, quick, message):
+    with pytest.raises(ConfigError, match=message):
+        config.load(write({**GOOD, "quick": quick}))
+
+
 def test_limits_that_are_none_are_refused_in_the_quick_part_too(write, monkeypatch):
     wrong = [{"name": "icp", "baseline": "icp", "limits": 5}]
     path = write({**GOOD, "methods": wrong, "quick": {"limits_of": {"icp": {"nodes": 5}}}})
@@ -173,6 +195,26 @@ def test_shared_lists_of_methods_are_read_from_beside_the_config(write):
     (folder / "local.yaml").write_text("name: icp\n")
     with pytest.raises(ConfigError, match=r"local\.yaml: must be a list of methods"):
         config.load(path)
+
+
+def test_an_option_that_does_nothing_is_neither_taken_nor_varied(write):
+    listed = [
+        {"name": "tuned", "baseline": "gnc_tls", "options": {"threshold": "paper"}},
+        {"name": "told", "baseline": "gnc_tls"},
+        {"name": "raw", "baseline": "dcreg"},
+    ]
+    vary = {"noise_factor": [0.5, 2], "max_pairs": [50]}
+    varied = config.load(write({**GOOD, "methods": listed[:2], "vary": vary})).methods
+    assert [m.name for m in varied if m.name.startswith("tuned")] == ["tuned-max_pairs50"]
+    only = {**GOOD, "methods": [listed[0], listed[2]], "vary": {"noise_factor": [2]}}
+    with pytest.raises(ConfigError, match=r"vary\.noise_factor: no method takes it"):
+        config.load(write(only))
+    listed[0]["options"]["noise_factor"] = 2.0
+    with pytest.raises(
+        ConfigError,
+        match=r"small\.yaml: methods\[0\]\.options: gnc_tls: .* nothing with threshold: paper; leave",
+    ):
+        config.load(write({**GOOD, "methods": listed}))
 
 
 def test_settings_are_varied_one_at_a_time_for_the_methods_that_take_them(write):
@@ -244,6 +286,21 @@ def test_a_small_config_gets_the_documented_defaults(write):
         (("methods", 1), "name", "dcreg", "name 'dcreg' is used 2 times"),
         ((), "name", "demo", "name: 'demo' is that of workflows/configs/demo.yaml; give another"),
         ((), "chunk_size", True, "chunk_size is true; give a number"),
+        ((), "limits", {"time_s": True}, "time_s is true; give a number or text"),
+        (
+            ("datasets", 0),
+            "tests",
+            {"noise": [0.0, True]},
+            "datasets[0]: tests.noise[1] is true; gi",
+        ),
+        ((), "vary", {"noise_factor": [True]}, "vary.noise_factor[0] is true; give a number"),
+        (("methods", 0), "limits", {"time_s": True}, "methods[0]: limits.time_s is true; give"),
+        (
+            ("methods", 0),
+            "options",
+            {"gap_tol_factor": -1},
+            "gap_tol_factor = -1; give a finite nu",
+        ),
         ((), 5, "x", "Keys should be strings"),
         (
             (),

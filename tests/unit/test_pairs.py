@@ -135,13 +135,21 @@ def test_poses_that_no_model_has_are_refused(mine, folder, dim, linear, expected
 @pytest.mark.parametrize(
     ("parameters", "expected"),
     [
-        ({}, "parameters.folder: missing or unknown"),
-        ({"folder": ".", "tolerance": 0.1, "size": 1}, "parameters.size: missing or unknown"),
-        ({"folder": ".", "tolerance": 0}, "parameters.tolerance: 0; give a number above 0"),
-        ({"folder": ".", "tolerance": "small"}, "parameters.tolerance: 'small'; give a number"),
+        ({}, "parameters.folder: missing; add it, as the loader pairs takes folder, tolerance,"),
+        ({"folder": ".", "tolerance": 0.1, "size": 1}, "parameters.size: unknown; known: folder"),
+        (
+            {"folder": ".", "tolerance": 0},
+            "parameters.tolerance: 0; input should be greater than 0",
+        ),
+        ({"folder": ".", "tolerance": "small"}, "parameters.tolerance: 'small'; input should be a"),
+        ({"folder": ".", "tolerance": True}, "parameters.tolerance: True; input should be a valid"),
         (
             {"folder": ".", "tolerance": 1, "n_points": 1},
-            "parameters.n_points: 1; give a number fro",
+            "parameters.n_points: 1; input should be greater than or equal to 3",
+        ),
+        (
+            {"folder": ".", "tolerance": 1, "scale_range": [2, 1]},
+            "parameters.scale_range: [2.0, 1.0]; give two numbers, 0 < low <= high",
         ),
     ],
 )

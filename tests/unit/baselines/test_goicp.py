@@ -10,8 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
+from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.poses import apply, homogeneous
 from baselines.contract import Instance, Limits
+from baselines.gots import adapter as gots
 from dcreg.status import Status
 
 METHODS = ["goicp", "frs", "gots"]
@@ -110,6 +112,23 @@ def test_gots_refuses_clouds_with_too_many_pairs() -> None:
     assert registry.load("gots").supports(instance) is None
     reason = registry.load("gots", max_source_points=10).supports(instance)
     assert "30 source points, more than max_source_points = 10" in reason
+
+
+def test_gots_is_not_optimal_where_its_rotation_ran_out_of_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    instance, _ = planted(n=6, outliers=0)
+    method, limits = registry.load("gots"), Limits(time_s=60.0)
+    assert method.solve(instance, limits).status is Status.OPTIMAL
+
+    def too_late(*_: object) -> None:
+        raise OutOfTimeError
+
+    monkeypatch.setattr(gots, "most_matches", too_late)
+    solution = method.solve(instance, limits)
+    assert solution.status is Status.TIME_LIMIT
+    assert solution.T_target_source is not None
+    assert solution.extra["matched_at_translation"] == 0
 
 
 @pytest.mark.parametrize("name", METHODS)

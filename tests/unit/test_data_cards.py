@@ -1,0 +1,103 @@
+"""Cards whose parameters their loader cannot have are refused, and stop no other data set."""
+
+from __future__ import annotations
+
+import pytest
+
+from data.contract import Card, DataError
+from data.loaders import STOCK
+from data.registry import Found, datasets
+from workflows import grid
+from workflows.grid import DatasetSettings
+
+FILE = {"path": "a/b.ply", "sha256": "0" * 64}
+GOOD = {
+    "points": {"shapes": {"a": {"file": "a/b.ply"}}},
+    "scan_pair": {
+        "shape": "street", "source": "a/b.ply", "target": "a/b.ply", "transform": "a/b.ply",
+        "voxel": 0.5, "tolerance": 1.5, "n_points": 200,
+    },
+    "photographs": {
+        "folder": "V", "layout": "voc", "shapes": ["car"], "n_trials": 2, "n_points": 50, "sigma": 3,
+    },
+    "pairs": {"folder": ".", "tolerance": 0.1},
+}  # fmt: skip
+REQUIRED = [
+    (loader, key)
+    for loader, given in GOOD.items()
+    for key in given
+]  # fmt: skip
+
+
+def built(loader: str, parameters: dict) -> None:
+    card = Card(
+        name="mine", dim=3, licence="l", citation="c", loader=loader, files=[FILE],
+        parameters=parameters,
+    )  # fmt: skip
+    STOCK[loader](card)
+
+
+def test_every_stock_loader_is_tested_here():
+    assert set(GOOD) == set(STOCK)
+
+
+@pytest.mark.parametrize("loader", GOOD)
+def test_a_card_with_all_parameters_is_taken_and_one_with_more_is_not(loader):
+    built(loader, GOOD[loader])
+    with pytest.raises(DataError, match=r"^data/mine/card\.yaml: parameters\.size: unknown"):
+        built(loader, {**GOOD[loader], "size": 1})
+
+
+@pytest.mark.parametrize(("loader", "key"), REQUIRED)
+def test_a_missing_parameter_is_named(loader, key):
+    fewer = {name: value for name, value in GOOD[loader].items() if name != key}
+    with pytest.raises(
+        DataError, match=rf"^data/mine/card\.yaml: parameters\.{key}: missing; add it"
+    ):
+        built(loader, fewer)
+
+
+@pytest.mark.parametrize(
+    ("loader", "key", "value", "expected"),
+    [
+        ("points", "shapes", {}, r"shapes: \{\}; "),
+        ("points", "shapes", ["a"], r"shapes: \['a'\]; "),
+        ("points", "shapes", {"a": {}}, r"shapes\.a\.file: missing; add it"),
+        ("points", "shapes", {"a": {"file": "a/c.ply"}},
+         r"shapes\.a\.file: 'a/c\.ply' is none of the card's files; did you mean 'a/b\.ply'"),
+        ("points", "shapes", {"a": {"file": "a/b.ply", "skip_rows": -1}}, r"shapes\.a\.skip_rows: -1; "),
+        ("scan_pair", "target", "t.ply", r"target: 't\.ply' is none of the card's files"),
+        ("scan_pair", "voxel", 0, "voxel: 0; input should be greater than 0"),
+        ("scan_pair", "tolerance", True, "tolerance: True; input should be a valid number"),
+        ("scan_pair", "n_points", 2, "n_points: 2; input should be greater than or equal to 3"),
+        ("photographs", "layout", "coco", "layout: 'coco'; input should be 'voc' or 'caltech'"),
+        ("photographs", "sigma", float("nan"), "sigma: nan; "),
+        ("photographs", "n_trials", 0, "n_trials: 0; "),
+    ],
+)  # fmt: skip
+def test_a_value_that_cannot_be_is_named(loader, key, value, expected):
+    with pytest.raises(DataError, match=rf"^data/mine/card\.yaml: parameters\.{expected}"):
+        built(loader, {**GOOD[loader], key: value})
+
+
+def test_a_wrong_card_stops_only_those_who_ask_for_it(tmp_path, monkeypatch):
+    for name, folder in (("good", "."), ("bad", 5)):
+        (tmp_path / name).mkdir()
+        text = (
+            f"name: {name}\ndim: 3\nloader: pairs\nparameters: {{folder: {folder}, tolerance: 1}}\n"
+        )
+        (tmp_path / name / "card.yaml").write_text(text)
+    found = Found(tmp_path)
+    assert sorted(found) == ["bad", "good"]
+    assert len(found) == 2
+    assert found["good"] is found["good"]
+    assert "bad" in found
+    assert "other" not in found
+    monkeypatch.setattr("data.registry.datasets", lambda: found)
+    asked = DatasetSettings(dataset="bad", tests={"pair": [0]})
+    (problem,) = grid.check_datasets([asked])
+    assert problem.startswith("datasets[0].dataset: data/bad/card.yaml: parameters.folder: 5; ")
+
+
+def test_all_cards_of_the_checkout_are_valid():
+    assert {dataset.name for dataset in datasets().values()} == set(datasets())
