@@ -14,7 +14,7 @@ from data import registry
 from data.contract import RecordedDataset
 from workflows import records
 from workflows.disturb import DISTURBANCES
-from workflows.records import OUTCOMES
+from workflows.outcomes import OUTCOMES
 
 PENALTY = 2.0  # of time limits, for runs that did not finish: PAR2
 

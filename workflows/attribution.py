@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from workflows.metrics import POSE_SCOPES
-from workflows.records import STARTED
+from workflows.outcomes import STARTED
 
 # verdict -> (heading, explanation)
 VERDICTS = {

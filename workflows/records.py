@@ -124,15 +124,6 @@ def runs_columns() -> dict[str, Column]:
     return {**identity, **PLAN, **RAW, **metrics, **attribution}
 
 
-STARTED = ("finished", "limited", "failed")
-OUTCOMES = (*STARTED, "unsupported", "unavailable")
-
-
-def attempted(runs: pd.DataFrame) -> pd.DataFrame:
-    """Runs that were really started: neither unsupported nor unavailable."""
-    return runs[runs["outcome"].isin(STARTED)]
-
-
 def outcome(status: str) -> str:
     """The share of the accounting that a status belongs to."""
     match Status(status):

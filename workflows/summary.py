@@ -19,6 +19,7 @@ from workflows import methods, records
 from workflows.compose import QUICK, ConfigError
 from workflows.config import Experiment, MethodSettings, load
 from workflows.metrics import METRICS
+from workflows.outcomes import attempted
 from workflows.stages.plan import Plan, PlannedRun, expand
 from workflows.stages.solve import journalled
 
@@ -29,7 +30,7 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     A run without a pose counts with the worst RMSE and as no success: dropping it would make a
     method look better the more it fails.
     """
-    tried = records.attempted(runs)
+    tried = attempted(runs)
     tried = tried.assign(
         rmse=tried["rmse"].fillna(METRICS["rmse"].worst),
         bounding=tried["gap"].notna(),

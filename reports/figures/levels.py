@@ -12,7 +12,7 @@ from reports.figures.printing import LIMITED, NO_POSE
 from reports.page import Figure
 from reports.tables import Tables, level_titles, row_names
 from reports.theme import Style, number, seconds, words
-from workflows.records import attempted
+from workflows.outcomes import attempted
 
 # column -> (menu text, axis title)
 ERRORS = {

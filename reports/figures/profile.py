@@ -11,7 +11,7 @@ from reports.figures.grid import Grid, Panel
 from reports.page import Figure
 from reports.tables import Tables
 from reports.theme import Style
-from workflows.records import attempted
+from workflows.outcomes import attempted
 
 _COLUMNS = {"rmse": "RMSE", "time_solve_s": "time (s)"}
 _MOST_STEPS = 250

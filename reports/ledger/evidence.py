@@ -14,7 +14,7 @@ import pandas as pd
 
 from reports.tables import Tables, counted_time
 from workflows.metrics import POSE_SCOPES
-from workflows.records import attempted
+from workflows.outcomes import attempted
 
 STUDY = "bounds"  # of which no runs are planned: its tables lie beside the experiments'
 QUICK = "-quick"

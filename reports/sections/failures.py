@@ -7,7 +7,7 @@ from typing import Any
 from reports.page import Page
 from reports.tables import limits_of
 from reports.theme import words
-from workflows.records import OUTCOMES
+from workflows.outcomes import OUTCOMES
 
 ID = "failures"
 TITLE = "Runs that did not finish"

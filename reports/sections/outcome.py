@@ -12,7 +12,7 @@ from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
 from reports.tables import PENALTY, Tables, counted_time
 from workflows.metrics import SUCCESS_LENGTH, SUCCESS_SHARE
-from workflows.records import attempted
+from workflows.outcomes import attempted
 
 ID = "outcome"
 TITLE = "Outcome"

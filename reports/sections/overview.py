@@ -9,7 +9,7 @@ import pandas as pd
 from reports.figures import profile
 from reports.page import Page
 from reports.tables import Tables, count_outcomes
-from workflows.records import OUTCOMES, attempted
+from workflows.outcomes import OUTCOMES, attempted
 from workflows.summary import summarise
 
 ID = "overview"

@@ -18,6 +18,7 @@ from workflows.instances import (
     write_problems,
     write_truths,
 )
+from workflows.outcomes import OUTCOMES
 from workflows.stages.aggregate import accounting
 from workflows.stages.solve import forget
 
@@ -66,7 +67,7 @@ def test_every_status_of_a_run_has_its_place_in_the_accounting():
             with pytest.raises(records.SchemaError):
                 records.outcome(status)
         else:
-            assert records.outcome(status) in records.OUTCOMES
+            assert records.outcome(status) in OUTCOMES
 
 
 def test_accounting_adds_up_and_keeps_methods_that_never_ran():

@@ -38,7 +38,8 @@ from reports.sections import outcome
 from reports.tables import ReportError, Tables, row_names, thin_trace
 from workflows.attribution import VERDICTS
 from workflows.config import CONFIGS, load
-from workflows.records import SchemaError, attempted
+from workflows.outcomes import attempted
+from workflows.records import SchemaError
 
 
 @pytest.fixture(scope="module")

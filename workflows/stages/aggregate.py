@@ -14,6 +14,7 @@ from dcreg.files import whole_file
 from workflows import attribution, methods, provenance, records
 from workflows.config import MethodSettings
 from workflows.instances import read_problems
+from workflows.outcomes import OUTCOMES
 from workflows.stages.plan import Plan, plan_table
 
 MAX_OVERLAY_POINTS = 400  # per set
@@ -88,9 +89,9 @@ def accounting(runs: pd.DataFrame) -> pd.DataFrame:
     """Planned runs and how they ended, per method; asserted to add up."""
     counts = pd.crosstab(runs["method"], runs["outcome"])
     counts = counts.reindex(runs["method"].unique())
-    counts = counts.reindex(columns=list(records.OUTCOMES), fill_value=0)
+    counts = counts.reindex(columns=list(OUTCOMES), fill_value=0)
     counts.insert(0, "planned", runs.groupby("method").size().reindex(counts.index))
-    if not (counts["planned"] == counts[list(records.OUTCOMES)].sum(axis=1)).all():
+    if not (counts["planned"] == counts[list(OUTCOMES)].sum(axis=1)).all():
         raise AssertionError("planned = finished + limited + failed + unsupported + unavailable")
     return counts.rename_axis("method").reset_index()
 

@@ -17,7 +17,7 @@ from data.registry import dataset
 from data.threedmatch.loader import Loader
 from workflows import CHECKOUT
 from workflows.config import load, parse_selection
-from workflows.records import attempted
+from workflows.outcomes import attempted
 from workflows.stages.plan import expand
 
 ANGLE_DEG, LENGTH = 15.0, 0.3  # a pose within both is right
