@@ -36,7 +36,10 @@ def context(page: Page) -> dict[str, Any]:
 
 
 def parameters(card: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Name, value and, where it differs, the default; limits and told share of pairs first."""
+    """Name, value and, where it differs, the default; limits and told share of pairs first.
+
+    Parameters that do nothing beside the others are left out.
+    """
     defaults, options = card.get("parameters", {}), card.get("options", {})
     rows = [
         ("limits", ", ".join(limits_of(card).values()) or "not stated", ""),
@@ -47,6 +50,8 @@ def parameters(card: dict[str, Any]) -> list[tuple[str, str, str]]:
         ),
     ]
     for name, default in {**options, **defaults}.items():
+        if name in card.get("idle_options", ()):
+            continue
         value = options.get(name, default)
         rows.append((name, _plain(value), "" if value == default else _plain(default)))
     return rows

@@ -35,6 +35,7 @@ from reports.figures import (
 from reports.ledger.judging import ledger
 from reports.page import pack_json
 from reports.sections import outcome
+from reports.sections.parameters import parameters
 from reports.tables import ReportError, Tables, row_names, thin_trace
 from workflows.attribution import VERDICTS
 from workflows.config import CONFIGS, load
@@ -362,6 +363,16 @@ def test_the_page_tells_the_limit_that_a_run_met(tmp_path):
     first = page.split('class="run"')[1].split("</dl>")[0]
     assert f"10 s a run; 2 of {len(known['methods'])} methods also a number of boxes" in first
     assert "10 s, 700 boxes at 100 points" in page.split('id="parameters"')[1]
+
+
+def test_parameters_that_do_nothing_are_not_printed():
+    card = {
+        "parameters": {"noise_factor": 1.0, "threshold": "told"},
+        "options": {"threshold": "paper"},
+    }
+    assert "noise_factor" in {name for name, *_ in parameters(card)}
+    shown = {name for name, *_ in parameters(card | {"idle_options": ["noise_factor"]})}
+    assert shown == {"limits", "n_inliers", "threshold"}
     unfinished = page.split('id="unfinished"')[1].split("</table>")[0]
     for limit in ("700 boxes at 100 points", "8 boxes or starts"):
         assert f"met its limit of {limit} (made-up bound)" in unfinished

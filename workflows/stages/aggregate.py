@@ -184,6 +184,7 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
                 "baseline": method.baseline,
                 "display_name": display_name(method),
                 "options": method.options,
+                "idle_options": sorted(methods.idle_options(method.baseline, method.options)),
                 "n_inliers_ratio": method.n_inliers_ratio,
                 "limits": plan.experiment.limits_of(method).model_dump(),
                 "unavailable": reasons.get(method.name, ""),
