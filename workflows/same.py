@@ -1,7 +1,7 @@
 """Are the tables of two runs of an experiment the same, times apart? Row by row, to the last digit.
 
-A run that differs is of one of four kinds (`KINDS`): the clock ended it, so that it stood elsewhere
-this time; or its method does not repeat itself, and says so on its card; or it differs in what it is
+A run that differs is of one of five kinds (`KINDS`): the code of its method is another one; or the
+clock ended it, so that it stood elsewhere this time; or its method does not repeat itself, and says so on its card; or it differs in what it is
 measured by only, the best that any run found or certified on its instance, and one of those differs; or
 none of these, which is a fault of the method or of the harness.
 """
@@ -32,6 +32,7 @@ TIMES = (
 # Columns that set a run against all others on its instance.
 AGAINST_OTHERS = ("objective_best", "objective_regret", *COLUMNS)
 KINDS = {
+    "code": "made by other code",
     "clock": "ended by the clock",
     "random": "not deterministic, as its card says",
     "others": "measured by others that differ",
@@ -63,7 +64,8 @@ class Differences:
     @property
     def unexplained(self) -> bool:
         """Whether more differs than the clock and the cards account for."""
-        return bool(self.alone) or not self.same_order or "unexplained" in set(self.cells["kind"])
+        kinds = {"unexplained", "code"} & set(self.cells["kind"])
+        return bool(self.alone) or not self.same_order or bool(kinds)
 
 
 def read(folder: Path) -> pd.DataFrame:
@@ -119,10 +121,13 @@ def _differ(a: pd.Series, b: pd.Series) -> np.ndarray:
 def _kinds(differs: pd.DataFrame, a: pd.DataFrame, b: pd.DataFrame) -> pd.Series:
     """One of `KINDS` for every run that differs."""
     clocked, random = a["clocked"] | b["clocked"], a["random"] | b["random"]
+    other_code = differs["fingerprint"]
     by_itself = differs.drop(columns=list(AGAINST_OTHERS)).any(axis=1)
     neighbour = by_itself.groupby(a["instance_id"]).transform("any")
     kinds = np.select(
-        [clocked, random, ~by_itself & neighbour], ["clock", "random", "others"], "unexplained"
+        [other_code, clocked, random, ~by_itself & neighbour],
+        ["code", "clock", "random", "others"],
+        "unexplained",
     )
     return pd.Series(kinds, index=differs.index)
 

@@ -72,6 +72,12 @@ def test_what_the_clock_ended_is_told_apart_and_so_is_what_is_measured_by_it(run
     }
 
 
+def test_other_code_is_told_first_and_is_no_excuse(runs):
+    other = changed(runs, 3, fingerprint="another", clocked=True, objective=0.5)
+    assert kinds(runs, other) == {"code": {runs.index[3]}}
+    assert differences(runs, other).unexplained
+
+
 def test_runs_of_one_alone_and_another_order_are_found(runs):
     fewer = runs[runs["method"] != runs["method"].iloc[0]]
     found = differences(runs, fewer)
