@@ -1,9 +1,10 @@
 """Are the tables of two runs of an experiment the same, times apart? Row by row, to the last digit.
 
 A run that differs is of one of five kinds (`KINDS`): the code of its method is another one; or the
-clock ended it, so that it stood elsewhere this time; or its method does not repeat itself, and says so on its card; or it differs in what it is
-measured by only, the best that any run found or certified on its instance, and one of those differs; or
-none of these, which is a fault of the method or of the harness.
+clock ended it, so that it stood elsewhere this time; or its method does not repeat itself, and says so
+on its card; or it differs in what it is measured by only, the best that any run found or certified on
+its instance, and one of those differs; or none of these, which is a fault of the method or of the
+harness.
 """
 
 from __future__ import annotations
