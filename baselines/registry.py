@@ -101,29 +101,37 @@ def read_card(name: str, root: Path = ROOT) -> Card:
 
 
 def availability(root: Path = ROOT) -> list[dict[str, Any]]:
-    """One row per method, for tables: what it is, whether it can run here, and if not, why."""
-    rows = []
-    for name in names(root):
+    """One row per method, for tables: what it is, whether it can run here, and if not, why.
+
+    Of a method that cannot be loaded only the reason is known; it hides no others.
+    """
+    return [_facts(name, root) for name in names(root)]
+
+
+def _facts(name: str, root: Path) -> dict[str, Any]:
+    try:
         method = load(name, root=root)
         card, reason = method.card, method.available()
-        rows.append(
-            {
-                "name": name,
-                "method": card.display_name,
-                "models": ", ".join(card.models),
-                "available": reason is None,
-                "reason": reason or "",
-                "version": version(card),
-                "provenance": card.provenance,
-                "bounds": card.certifies if card.provides_bounds else "none",
-                "input": card.input,
-                "deterministic": card.deterministic,
-                "parameters": card.parameters,
-                "licence": card.licence,
-                "citation": card.citation,
-            }
-        )
-    return rows
+    except (BaselineError, ImportError, SyntaxError, NameError) as error:
+        unknown = dict.fromkeys(("models", "version", "provenance", "bounds", "input"), "")
+        broken = {"available": False, "reason": f"{type(error).__name__}: {error}"}
+        texts = {"licence": "", "citation": "", "parameters": {}, "deterministic": True}
+        return {"name": name, "method": name, **unknown, **broken, **texts}
+    return {
+        "name": name,
+        "method": card.display_name,
+        "models": ", ".join(card.models),
+        "available": reason is None,
+        "reason": reason or "",
+        "version": version(card),
+        "provenance": card.provenance,
+        "bounds": card.certifies if card.provides_bounds else "none",
+        "input": card.input,
+        "deterministic": card.deterministic,
+        "parameters": card.parameters,
+        "licence": card.licence,
+        "citation": card.citation,
+    }
 
 
 def version(card: Card) -> str:

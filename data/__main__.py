@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from data.contract import DataError, Dataset
@@ -20,9 +21,15 @@ console = Console()
 def list_all() -> None:
     """Every dataset with its shapes, tests and licence."""
     table = Table("name", "shapes", "tests (levels x trials)", "licence", title="Datasets")
-    for name, found in datasets().items():
+    known = datasets()
+    for name in known:
+        try:
+            found = known[name]
+            shapes = ", ".join(found.shapes())
+        except DataError as error:  # one wrong card hides no others
+            table.add_row(name, f"[red]error:[/] {escape(str(error))}")
+            continue
         tests = [f"{t} ({len(a.levels)} x {a.n_trials})" for t, a in found.tests().items()]
-        shapes = ", ".join(found.shapes())
         table.add_row(name, shapes, "\n".join(tests) or "ours", found.card.licence)
     console.print(table)
 

@@ -59,6 +59,12 @@ class CloudPairs(RecordedDataset):
                 f"{self.where}: parameters.folder: {self.folder} is no folder; correct it"
             )
         names = sorted(path.parent.name for path in self.folder.glob("*/pose.txt"))
+        for path in sorted(self.folder.glob("*/source.*")):
+            if path.parent.name not in names:
+                raise DataError(
+                    f"{path.parent}: no pose.txt; add it, the homogeneous matrix from source to target, "
+                    f"or move the folder out of {self.folder}"
+                )
         if not names:
             raise DataError(
                 f"{self.folder}: no pair; each is a folder with source.*, target.* and pose.txt"

@@ -15,14 +15,20 @@ from data.loaders import STOCK
 from dcreg.problem import suggestion
 
 HERE = Path(__file__).parent
+_EXAMPLE = "correct it, see data/embedded/card.yaml"
 
 
 def read_card(path: Path) -> Card:
     """Read and validate one card."""
     try:
         card = Card.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-    except (ValidationError, yaml.YAMLError, AttributeError) as error:
-        raise DataError(f"{path}: not a valid card. {error}") from error
+    except ValidationError as error:
+        wrong = error.errors()[0]
+        key = ".".join(map(str, wrong["loc"])) or "card"
+        told = wrong["msg"][0].lower() + wrong["msg"][1:]
+        raise DataError(f"{path}: {key}: {told}; {_EXAMPLE}") from error
+    except yaml.YAMLError as error:
+        raise DataError(f"{path}: not valid YAML: {error}; {_EXAMPLE}") from error
     if card.name != path.parent.name:
         raise DataError(f"{path}: name {card.name!r} differs from its folder; make them equal")
     return card
@@ -30,7 +36,13 @@ def read_card(path: Path) -> Card:
 
 def _build(card: Card) -> Dataset:
     if card.loader == "own":
-        loader: type[Dataset] = import_module(f"data.{card.name}.loader").Loader
+        module = f"data.{card.name}.loader"
+        try:
+            loader: type[Dataset] = import_module(module).Loader
+        except (ImportError, SyntaxError, AttributeError) as error:
+            raise DataError(
+                f"data/{card.name}/loader.py: {error}; loader: own takes the class Loader from there"
+            ) from error
     elif card.loader in STOCK:
         loader = STOCK[card.loader]
     else:

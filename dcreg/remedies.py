@@ -60,9 +60,10 @@ def nothing_proven(case: Case) -> str | None:
         return None
     known = "the lower bound is 0, which holds for every sum of squares"
     if result.gap_tol >= result.upper_bound:
+        what, other = ("norms fit", "translation") if case.in_norm_space else ("pose fits", "pose")
         return (
-            f"{known}: the pose fits to within the tolerance ({result.upper_bound:.3g} of "
-            f"{result.gap_tol:.3g}), so that no pose is better by more, and nothing is proven beyond "
+            f"{known}: the {what} to within the tolerance ({result.upper_bound:.3g} of "
+            f"{result.gap_tol:.3g}), so that no {other} is better by more, and nothing is proven beyond "
             "that. Give a smaller gap_tol"
         )
     known += ": nothing is proven"

@@ -64,6 +64,9 @@ def main(
 ) -> None:
     """Judge the claims of the paper by the tables at hand."""
     try:
+        for folder in results or []:
+            if not folder.is_dir():
+                raise ReportError(f"{folder}: no such folder; name one of results")
         book, evidence = ledger(), Evidence.of_folders(results or [Path("results")])
     except (ReportError, SchemaError) as error:
         typer.echo(f"error: {error}", err=True)

@@ -48,7 +48,7 @@ class Tables:
                 "dim", kind="stable", ignore_index=True
             ),
             traces=records.read(directory / "traces.parquet", records.TRACES),
-            accounting=pd.read_csv(path),
+            accounting=pd.read_csv(path, keep_default_na=False),
             provenance=_read_json(directory / "provenance.json", {}),
             overlays=_read_json(directory / "overlays.json", []),
         )

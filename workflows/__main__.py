@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from data.contract import DataError
+from dcreg.problem import suggestion
+from dcreg.status import Status
 from workflows import CHECKOUT, UserError
 
 if TYPE_CHECKING:
@@ -210,7 +212,11 @@ def forget(
 
     from workflows.stages.solve import forget as drop
 
-    dropped = drop(folder / "runs", set(status.split(",")))
+    known = [str(each.value) for each in Status]
+    for name in (statuses := set(status.split(","))):
+        if name not in known:
+            raise UserError(f"--status: {name!r} is none{suggestion(name, known)}")
+    dropped = drop(folder / "runs", statuses)
     if dropped:  # Snakemake repeats no job while everything made from its output is there
         for made_from_runs in ("metrics", "tables", "report", "parts"):
             shutil.rmtree(folder / made_from_runs, ignore_errors=True)

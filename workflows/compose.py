@@ -13,6 +13,7 @@ from workflows import UserError, shown
 
 QUICK = "-quick"  # ends the name of the quick part of an experiment
 METHOD_LISTS = "methods"  # folder, beside the configs, of the lists they share
+OWN_LISTS = Path(__file__).parent / "configs" / METHOD_LISTS
 
 
 class ConfigError(UserError):
@@ -24,7 +25,7 @@ def read(path: Path, quick: bool = False) -> dict[str, Any]:
 
     The key ``quick`` holds what the quick part has instead: ``limits`` key by key, all else as a whole.
     Its ``limits_of`` are limits of single methods. A text among ``methods`` is the name of a list
-    in ``methods/`` beside the config.
+    in ``methods/`` beside the config, or else beside this project's own.
 
     Raises
     ------
@@ -79,15 +80,16 @@ def _methods(entry: Any, path: Path) -> list[Any]:
     """One entry of ``methods``: itself, or the shared list of that name."""
     if not isinstance(entry, str):
         return [entry]
-    folder = path.parent / METHOD_LISTS
-    known = sorted(file.stem for file in folder.glob("*.yaml"))
-    if entry not in known:
+    folders = dict.fromkeys((OWN_LISTS, path.parent / METHOD_LISTS))  # the last one wins
+    lists = {file.stem: file for folder in folders for file in sorted(folder.glob("*.yaml"))}
+    if entry not in lists:
         raise ConfigError(
-            f"{shown(path)}: methods: no list {entry!r} in {shown(folder)}{suggestion(entry, known)}"
+            f"{shown(path)}: methods: no list {entry!r} in {' or '.join(map(shown, folders))}"
+            f"{suggestion(entry, lists)}"
         )
-    listed = _yaml(folder / f"{entry}.yaml")
+    listed = _yaml(lists[entry])
     if not isinstance(listed, list):
-        raise ConfigError(f"{shown(folder / entry)}.yaml: must be a list of methods")
+        raise ConfigError(f"{shown(lists[entry])}: must be a list of methods")
     return listed
 
 

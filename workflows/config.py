@@ -198,10 +198,16 @@ def _check_methods(settings: Experiment) -> Iterable[str]:
             yield f"{key}.baseline: no method {method.baseline!r}{suggestion(method.baseline, known)}"
             continue
         try:
-            parameters = methods.card(method.baseline).parameters
+            card = methods.card(method.baseline)
         except BaselineError as error:
             yield f"{key}.baseline: {error}"
             continue
+        parameters = card.parameters
+        if method.n_inliers_ratio != 1.0 and not card.uses_n_inliers:
+            yield (
+                f"{key}.n_inliers_ratio: {method.n_inliers_ratio:g} does nothing, as "
+                f"{method.baseline} does not use the number of pairs; leave it out"
+            )
         unknown = sorted(set(method.options) - set(parameters))
         for option in unknown:
             yield f"{key}.options.{option}: unknown option{suggestion(option, parameters)}"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from dcreg.status import Status
@@ -210,7 +211,7 @@ def print_baselines(console: Console | None = None) -> None:
         for row in registry.availability(root):
             available = "yes" if row["available"] else f"no: {row['reason']}"
             facts = ("name", "method", "models", "version", "provenance", "bounds")
-            table.add_row(*(str(row[key]) for key in facts), available)
+            table.add_row(*(str(row[key]) for key in facts), escape(available))
             citations.append(f"{row['method']}: {row['citation']}")
     console = console or Console(width=None if os.isatty(1) else 180)
     console.print(table)

@@ -224,6 +224,14 @@ def test_missing_package_is_unavailable_with_remedy(root: Path) -> None:
     assert row["version"] == "not installed"
 
 
+@pytest.mark.parametrize("text", ["import no_such_thing\n", "def f(:\n", "Adapter = x\n"])
+def test_a_method_that_cannot_be_loaded_hides_no_others(root: Path, text: str) -> None:
+    (root / "mine" / "adapter.py").write_text(text)
+    (row,) = registry.availability(root)
+    assert (row["name"], row["available"]) == ("mine", False)
+    assert "Error: " in row["reason"]
+
+
 def test_availability_has_a_row_per_method() -> None:
     rows = registry.availability()
     assert [row["name"] for row in rows] == registry.names()

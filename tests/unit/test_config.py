@@ -197,6 +197,18 @@ def test_shared_lists_of_methods_are_read_from_beside_the_config(write):
         config.load(path)
 
 
+def test_lists_of_this_project_are_there_for_a_config_anywhere(write):
+    assert len(config.load(write({**GOOD, "methods": ["points_2d"]})).methods) > 3
+
+
+def test_a_share_of_pairs_for_a_method_that_counts_none_is_refused(write):
+    listed = [{"name": "half", "baseline": "ransac", "n_inliers_ratio": 0.5}]
+    with pytest.raises(
+        ConfigError, match=r"methods\[0\]\.n_inliers_ratio: 0\.5 does nothing, as ransac"
+    ):
+        config.load(write({**GOOD, "methods": listed}))
+
+
 def test_an_option_that_does_nothing_is_neither_taken_nor_varied(write):
     listed = [
         {"name": "tuned", "baseline": "gnc_tls", "options": {"threshold": "paper"}},

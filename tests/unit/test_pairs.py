@@ -54,6 +54,12 @@ def mine(folder, dim):
     return STOCK["pairs"](read_card(path))
 
 
+def test_a_pair_without_its_pose_is_named_and_not_left_out(mine, folder):
+    (folder / "first" / "pose.txt").unlink()
+    with pytest.raises(DataError, match=r"first: no pose\.txt; add it"):
+        mine.shapes()
+
+
 def test_a_folder_of_pairs_becomes_instances_with_their_truth(mine, dim):
     assert mine.shapes() == ["first", "second"]
     for shape in mine.shapes():

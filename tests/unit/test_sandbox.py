@@ -49,6 +49,7 @@ def three_runs(fault: str, log: Path) -> list[dict]:
         ("is_killed", "failed", "worker died of SIGKILL"),
         ("crashes", "failed", "worker died of SIGSEGV"),
         ("gives_no_pose", "failed", "said optimal but gave no pose"),
+        ("crosses_bounds", "failed", "a lower bound of 5 above an upper one of 1"),
         ("gives_up", "failed", "said time_limit but gave no pose"),
         ("gives_nan", "failed", "not finite"),
     ],

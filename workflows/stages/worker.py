@@ -28,6 +28,7 @@ MAX_TRACE = 500  # events kept of one run
 COUNTERS = ("n_nodes", "n_assignments")
 MB = 2**20
 COMPILING = "compiling"
+CROSSED = 1e-6  # relative rounding of two bounds that meet
 # A method that has finished this much later than its limit had more time than those that obey.
 LATE = 1.1
 
@@ -113,6 +114,9 @@ def _checked(solution: Solution, dim: int) -> dict[str, Any]:
             message, status = f"gave a pose of shape {np.shape(pose)}, not {shape}", Status.FAILED
         elif not np.isfinite(pose).all():
             message, status = "gave a pose that is not finite", Status.FAILED
+        elif _is_crossed(solution):
+            bounds = f"{solution.lower_bound:.6g} above an upper one of {solution.upper_bound:.6g}"
+            message, status = f"gave a lower bound of {bounds}", Status.FAILED
     if status is Status.FAILED:
         pose = None
     return {
@@ -127,6 +131,14 @@ def _checked(solution: Solution, dim: int) -> dict[str, Any]:
         "extra": dict(solution.extra),
         "trace": _thinned(solution.trace),
     }
+
+
+def _is_crossed(solution: Solution) -> bool:
+    """Whether the bounds cannot both hold, by more than rounding."""
+    lower, upper = solution.lower_bound, solution.upper_bound
+    if lower is None or upper is None:
+        return False
+    return bool(lower > upper + CROSSED * (1.0 + abs(upper)))
 
 
 def _in_time(answer: dict[str, Any], time_s: float, limit_s: float) -> dict[str, Any]:

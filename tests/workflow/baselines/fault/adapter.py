@@ -87,6 +87,11 @@ class Adapter(Baseline):
     def _gives_no_pose(self, solution: Solution) -> Solution:
         return Solution(Status.OPTIMAL, None)
 
+    def _crosses_bounds(self, solution: Solution) -> Solution:
+        return Solution(
+            Status.OPTIMAL, solution.T_target_source, lower_bound=5.0, upper_bound=1.0, gap_tol=0.1
+        )
+
     def _gives_up(self, solution: Solution) -> Solution:
         return Solution(Status.TIME_LIMIT, None)
 
