@@ -21,7 +21,10 @@ _EXAMPLE = "correct it, see data/embedded/card.yaml"
 def read_card(path: Path) -> Card:
     """Read and validate one card."""
     try:
-        card = Card.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        if not isinstance(content, dict):
+            raise DataError(f"{path}: must be a mapping of keys to values; {_EXAMPLE}")
+        card = Card.model_validate(content)
     except ValidationError as error:
         wrong = error.errors()[0]
         key = ".".join(map(str, wrong["loc"])) or "card"

@@ -670,3 +670,9 @@ def claims_app():
     app = typer.Typer()
     app.command()(claims.main)
     return app
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    answer = CliRunner().invoke(claims_app(), [str(tmp_path / "nosuch"), "--out", str(tmp_path)])
+    assert answer.exit_code == 2
+    assert "nosuch: no such folder" in answer.output

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import pytest
+from typer.testing import CliRunner
 
+from data import __main__ as commands
 from data.contract import Card, DataError
 from data.loaders import STOCK
-from data.registry import Found, datasets
+from data.registry import HERE, Found, datasets, read_card
 from workflows import grid
 from workflows.grid import DatasetSettings
 
@@ -101,3 +103,35 @@ def test_a_wrong_card_stops_only_those_who_ask_for_it(tmp_path, monkeypatch):
 
 def test_all_cards_of_the_checkout_are_valid():
     assert {dataset.name for dataset in datasets().values()} == set(datasets())
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"must be a mapping"),
+        ("name: mine\n", r"dim: field required"),
+        ("name: mine\ndim: 4\nloader: points\nlicence: l\ncitation: c\n", r"dim"),
+        ("name: [\n", r"not valid YAML"),
+    ],
+)
+def test_a_wrong_card_is_told_in_one_line_with_an_example(tmp_path, text, message):
+    path = tmp_path / "mine" / "card.yaml"
+    path.parent.mkdir()
+    path.write_text(text)
+    with pytest.raises(
+        DataError, match=rf"mine.card\.yaml: {message}[\s\S]*embedded/card\.yaml$"
+    ) as told:
+        read_card(path)
+    assert "http" not in str(told.value)
+
+
+def test_the_list_of_data_sets_survives_a_wrong_card(tmp_path, monkeypatch):
+    for name in ("embedded", "mine"):
+        (tmp_path / name).mkdir()
+        text = (HERE / "embedded" / "card.yaml").read_text() if name == "embedded" else "dim: 2\n"
+        (tmp_path / name / "card.yaml").write_text(text)
+    monkeypatch.setattr(commands, "datasets", lambda: Found(tmp_path))
+    answer = CliRunner().invoke(commands.app, ["list"])
+    assert answer.exit_code == 0
+    assert "error:" in answer.stdout
+    assert "embedded" in answer.stdout

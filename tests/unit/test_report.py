@@ -370,6 +370,14 @@ def test_the_page_tells_the_limit_that_a_run_met(tmp_path):
     assert unfinished.count("met its limit of 10 s") == 1  # the third method that bounds
 
 
+def test_a_method_may_be_called_nan(folder, tmp_path):
+    first = str(Tables.load(folder).runs["method"].iloc[0])
+    there = broken(folder, tmp_path, lambda table: table.replace({"method": {first: "nan"}}))
+    runs = pd.read_parquet(there / "runs.parquet").replace({"method": {first: "nan"}})
+    runs.to_parquet(there / "runs.parquet")
+    assert "nan" in list(Tables.load(there).accounting["method"])
+
+
 def test_parameters_that_do_nothing_are_not_printed():
     card = {
         "parameters": {"noise_factor": 1.0, "threshold": "told"},
