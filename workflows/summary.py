@@ -55,10 +55,17 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     return table.reset_index()
 
 
+def _told_apart(runs: pd.DataFrame) -> pd.DataFrame:
+    """The runs with the names of methods that are displayed alike behind what is displayed."""
+    shared = runs.groupby("display_name")["method"].transform("nunique") > 1
+    both = runs["display_name"] + " [" + runs["method"] + "]"
+    return runs.assign(display_name=runs["display_name"].mask(shared, both))
+
+
 def print_summary(folder: Path, console: Console | None = None) -> None:
     """The table method × test, what could not run and why, and where the report is."""
     console = console or Console(width=None if os.isatty(1) else 120)
-    runs = records.read(folder / "tables" / "runs.parquet", records.runs_columns())
+    runs = _told_apart(records.read(folder / "tables" / "runs.parquet", records.runs_columns()))
     for model, part in summarise(runs).groupby("model", sort=False):
         console.print(_table(str(model), part))
     console.print(
@@ -229,7 +236,7 @@ def _table(model: str, part: pd.DataFrame) -> Table:
         for index, row in enumerate(rows.to_dict("records")):
             table.add_row(
                 str(test) if index == 0 else "",
-                row["display_name"],
+                escape(row["display_name"]),
                 str(row["runs"]),
                 _number(row["median_rmse"]),
                 f"{row['success']:.0%}",

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pandas as pd
+import report_fixture
 from rich.console import Console
 
 from workflows import methods
 from workflows.config import Experiment, parse_selection
 from workflows.stages.plan import expand
-from workflows.summary import outlook_of, print_baselines
+from workflows.summary import outlook_of, print_baselines, print_summary
 
 FAULTS = Path(__file__).parents[1] / "workflow" / "baselines"
 
@@ -22,6 +24,20 @@ def test_the_list_of_methods_shows_the_key_that_a_config_needs(monkeypatch):
     lines = console.export_text().splitlines()
     (row,) = [line for line in lines if "│ Fault" in line]
     assert row.split("│")[1].strip() == "fault"
+
+
+def test_methods_displayed_alike_are_told_apart(tmp_path):
+    report_fixture.write_tables(tmp_path / "tables")
+    path = tmp_path / "tables" / "runs.parquet"
+    runs = pd.read_parquet(path)
+    alike = list(dict.fromkeys(runs["method"]))[:2]
+    runs.loc[runs["method"].isin(alike), "display_name"] = "Twin"
+    runs.to_parquet(path)
+    console = Console(record=True, width=200)
+    print_summary(tmp_path, console)
+    shown = console.export_text()
+    assert all(f"Twin [{name}]" in shown for name in alike)
+    assert shown.count("[") == shown.count("Twin [")
 
 
 def test_the_outlook_counts_finished_runs_and_takes_their_times(tmp_path):

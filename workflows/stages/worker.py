@@ -185,7 +185,10 @@ def _described(error: Exception) -> str:
     """Type and text of an error, with the innermost line that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {error}{where}"
+    text = "".join(
+        c if c.isprintable() or c == "\n" else "?" for c in str(error)
+    )  # no escape codes
+    return f"{type(error).__name__}: {text}{where}"
 
 
 def _cap_threads(threads: int) -> None:
