@@ -252,6 +252,9 @@ def test_both_recalls_are_the_published_ones(tmp_path):
     absent = {"method": "n", "display_name": "N", "outcome": "unavailable", "message": "no package"}
     planned = pd.concat([runs, runs.head(3).assign(rmse=np.nan, **absent)], ignore_index=True)
     assert not_attempted(planned) == {"N": "no package"}
+    none = with_pairs(planned[planned["method"] == "n"], dataset("threedmatch"))
+    assert recalls(none).empty
+    assert against_overlap(none).empty
     runs = with_pairs(planned, dataset("threedmatch"))
     (row,) = recalls(runs).to_dict("records")
     assert row["recall_pairs_pct"] == pytest.approx(100 * 37 / 40)

@@ -182,12 +182,10 @@ def _thinned(events: list[Any]) -> list[Any]:
 
 
 def _described(error: Exception) -> str:
-    """Type and text of an error, with the innermost line that raised it."""
+    """Type and text of an error, with the innermost line that raised it, free of escape codes."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    text = "".join(
-        c if c.isprintable() or c == "\n" else "?" for c in str(error)
-    )  # no escape codes
+    text = "".join(c if c.isprintable() or c == "\n" else "?" for c in str(error))
     return f"{type(error).__name__}: {text}{where}"
 
 

@@ -69,6 +69,8 @@ def recalls(runs: pd.DataFrame) -> pd.DataFrame:
                 "time_max_s": group["time_solve_s"].max(),
             }
         )
+    if not rows:
+        return pd.DataFrame(columns=["test", "method"])
     table = pd.DataFrame(rows)
     return table.sort_values(["test", "recall_pairs_pct"], ascending=[True, False])
 
@@ -133,11 +135,12 @@ def main() -> None:
     recall, overlap = recalls(runs), against_overlap(runs)
     recall.to_csv(tables / "recall.csv", index=False)
     overlap.to_csv(tables / "overlap.csv", index=False)
-    draw(overlap, tables / "overlap")
-    print(recall.drop(columns="method").round(2).to_string(index=False))
+    if len(recall):
+        draw(overlap, tables / "overlap")
+        print(recall.drop(columns="method").round(2).to_string(index=False))
     for name, reason in not_attempted(planned).items():
         print(f"not run: {name}: {reason}")
-    print(tables / "overlap.svg")
+    print(tables / ("overlap.svg" if len(recall) else "recall.csv"))
 
 
 if __name__ == "__main__":
