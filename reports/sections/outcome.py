@@ -59,9 +59,13 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
 def _prior(runs: pd.DataFrame) -> str:
     ratios = sorted(runs["n_inliers_ratio"].unique(), reverse=True)
     told = runs.loc[runs["n_inliers_ratio"] == 1.0]
-    tests = told.loc[told["n_inliers"] != told["n_inliers_true"], "test"].unique()
+    # methods that are given some of the points are told as many pairs less
+    is_whole = told["n_source"] == told.groupby("instance_id")["n_source"].transform("max")
+    differs = is_whole & (told["n_inliers"] != told["n_inliers_true"])
+    tests = told.loc[differs, "test"].unique()
     other = f" ({', '.join(tests)}: × the number of its data set's rule)" if len(tests) else ""
-    return " and ".join(f"{ratio:g}" for ratio in ratios) + " × the true pairs" + other
+    fewer = "" if is_whole.all() else "; of fewer points in proportion"
+    return " and ".join(f"{ratio:g}" for ratio in ratios) + " × the true pairs" + other + fewer
 
 
 def _named(names: np.ndarray, dataset: str) -> str:

@@ -370,6 +370,26 @@ def test_the_page_tells_the_limit_that_a_run_met(tmp_path):
     assert unfinished.count("met its limit of 10 s") == 1  # the third method that bounds
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "1 × the true pairs"),
+        (
+            {"n_inliers": [90, 90]},
+            "1 × the true pairs (canny: × the number of its data set's rule)",
+        ),
+        (
+            {"n_source": [400, 100], "n_inliers": [20, 5]},
+            "1 × the true pairs; of fewer points in proportion",
+        ),
+    ],
+)
+def test_the_number_of_pairs_told_is_named_as_what_it_is(changes, words):
+    made = {"n_inliers_ratio": 1.0, "instance_id": "i", "test": "canny", "n_inliers_true": 20}
+    runs = pd.DataFrame({"n_source": [100, 100], "n_inliers": [20, 20], **changes}).assign(**made)
+    assert outcome._prior(runs) == words
+
+
 def test_a_method_may_be_called_nan(folder, tmp_path):
     first = str(Tables.load(folder).runs["method"].iloc[0])
     there = broken(folder, tmp_path, lambda table: table.replace({"method": {first: "nan"}}))
