@@ -30,8 +30,9 @@ def instance(n_points: int) -> Instance:
 def three_runs(fault: str, log: Path) -> list[dict]:
     """A good instance, the unlucky one, a good one."""
     method = MethodSettings(name="fault", baseline="fault", options={"fault": fault})
-    # Memory must run out before the time does, also on a busy machine.
-    limits = LIMITS.model_copy(update={"time_s": 20.0}) if fault == "grows" else LIMITS
+    # Memory must run out before the time does, and code be compiled within it, also on a busy machine.
+    is_long = fault in ("grows", "always_compiles")
+    limits = LIMITS.model_copy(update={"time_s": 20.0}) if is_long else LIMITS
     with Sandbox(method, limits, log) as sandbox:
         return [sandbox.solve(instance(n)) for n in (10, 13, 11)]
 
@@ -73,7 +74,7 @@ def test_a_run_that_compiled_is_repeated_and_not_timed(tmp_path):
 
 def test_a_method_that_always_compiles_is_timed_in_the_end(tmp_path):
     _, unlucky, _ = three_runs("always_compiles", tmp_path / "log")
-    assert unlucky["status"] in ("converged", "time_limit")
+    assert unlucky["status"] == "converged"
     assert (tmp_path / "log").read_text().count("repeated") == MAX_REPEATS
 
 
