@@ -170,7 +170,7 @@ class Limits:
 
     def budget(self) -> Budget:
         """The clock, boxes and memory of a run that begins now."""
-        from dcreg.search import Budget  # compiled code comes with it
+        from dcreg.search import Budget
 
         return Budget(self.time_s, self.nodes, self.memory_mb)
 

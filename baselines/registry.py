@@ -26,7 +26,7 @@ from pydantic import ValidationError
 from baselines.contract import Baseline, Card
 from baselines.dependencies import files_behind
 from dcreg._version import __version__ as repository_version
-from dcreg.problem.errors import suggestion
+from dcreg.problem.problem import suggestion
 
 ROOT = Path(__file__).resolve().parent
 TEMPLATE = ROOT / "_template"

@@ -52,7 +52,7 @@ def reference_pose(
 
     Not the pose that was injected: warp and noise have a part that is a motion, and count as one.
     """
-    from dcreg.local import fit_pose  # compiled code comes with it
+    from dcreg.problem.geometry import fit_pose
 
     return fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
 

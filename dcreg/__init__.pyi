@@ -1,21 +1,22 @@
 """The public names and where they live; ``__init__.py`` loads each of them on its first use."""
 
-from . import certificate, modes, search
+from . import certificate, search
+from .assignment.polish import objective
 from .certificate import Certificate, Report, verify
+from .diagnostics import advice
+from .driver.matching import register_matches
+from .driver.solve import register
+from .driver.sweep import sweep
+from .driver.warm_up import warm_up
 from .io import read_candidates, read_matches, read_points
-from .local import objective
-from .matching import register_matches
 from .names import bound_names, mode_names
 from .plot import plot_registration, plot_sweep
-from .problem import Candidates, InputError, Problem, advice, default_gap_tol, gap_tol_of
-from .registration import register
+from .problem import Candidates, InputError, Problem, default_gap_tol, gap_tol_of
 from .result import Result, Stage
-from .rival import Rival
+from .runner_up import Rival
 from .search import Event, Listener, Trace
 from .status import Status
 from .sweep_result import SweepResult
-from .sweeping import sweep
-from .warm_up import warm_up
 
 __version__: str
 
@@ -39,7 +40,6 @@ __all__ = [
     "default_gap_tol",
     "gap_tol_of",
     "mode_names",
-    "modes",
     "objective",
     "plot_registration",
     "plot_sweep",

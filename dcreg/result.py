@@ -15,7 +15,7 @@ from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, write_text
 from dcreg.problem import InputError, rotation_angle_deg, scale_of
-from dcreg.rival import Rival
+from dcreg.runner_up import Rival
 from dcreg.search import Outcome, Trace
 from dcreg.status import Status
 

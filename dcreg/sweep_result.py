@@ -12,8 +12,8 @@ import numpy as np
 
 from dcreg import text
 from dcreg._version import __version__
+from dcreg.diagnostics import TOO_MANY_PAIRS
 from dcreg.files import as_json, plain, whole_file, write_text
-from dcreg.remedies import TOO_MANY_PAIRS
 from dcreg.result import Result
 from dcreg.status import Status
 

@@ -135,8 +135,8 @@ PARTS = (
     Part(
         "dcreg: register, sweep, …", 1, 1.5,
         (
-            "dcreg", "dcreg.registration", "dcreg.matching", "dcreg.sampling", "dcreg.sweeping",
-            "dcreg.sweep_level", "dcreg.warm_up",
+            "dcreg", "dcreg.driver.solve", "dcreg.driver.matching", "dcreg.driver.downsample", "dcreg.driver.sweep",
+            "dcreg.driver.sweep_level", "dcreg.driver.warm_up",
         ),
         "use",
         "The public names, and how a problem passes through the parts below.",
@@ -145,9 +145,9 @@ PARTS = (
     Part("dcreg.matches", 2, 1, ("dcreg.matches",), "solve"),
     Part("dcreg.plot", 2, 2, ("dcreg.plot",), "data"),
     Part("dcreg.io", 2, 3, ("dcreg.io",), "data"),
-    Part("dcreg.bounds", 3, 0.5, ("dcreg.bounds",), "solve"),
+    Part("dcreg.families.dc.registry", 3, 0.5, ("dcreg.families.dc.registry",), "solve"),
     Part(
-        "results", 3, 2, ("dcreg.result", "dcreg.rival", "dcreg.sweep_result", "dcreg.remedies"), "data",
+        "results", 3, 2, ("dcreg.result", "dcreg.runner_up", "dcreg.sweep_result", "dcreg.diagnostics"), "data",
         "What register and sweep return: it prints and writes itself.",
     ),
     Part("dcreg.spaces", 4, 0.5, ("dcreg.spaces",), "solve"),

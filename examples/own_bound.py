@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from dcreg.bounds import SpaceBound, make_bound
-from dcreg.local import k_assignment
+from dcreg.assignment.k_assignment import k_assignment
+from dcreg.families.dc.registry import make_bound
+from dcreg.families.protocol import SpaceBound
+from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Budget, Evaluation, minimise
-from dcreg.spaces import Similarity2D
 
 
 class BallBound(SpaceBound[Similarity2D]):

@@ -20,7 +20,7 @@ import seaborn as sns
 import typer
 from matplotlib.figure import Figure as MplFigure
 
-from dcreg.bounds.names import BOUND_NAMES
+from dcreg.names import BOUND_NAMES
 from reports import templating, theme
 
 HERE = Path(__file__).parent

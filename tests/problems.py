@@ -3,8 +3,9 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.search import Box
-from dcreg.spaces import Similarity2D, Translation3D
 
 KINDS = ["general", "duplicates", "collinear", "noisy copy", "grid"]
 

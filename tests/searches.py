@@ -4,11 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from dcreg.bounds import RotationBound
-from dcreg.local import pairs_of
-from dcreg.modes import Task, full, multi
+from dcreg.assignment.k_assignment import pairs_of
+from dcreg.driver import full, multi
+from dcreg.driver.task import Task
+from dcreg.families.rotation3d.bound import RotationBound
+from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Budget, minimise
-from dcreg.spaces import Rotation3D
 
 
 def search_rotation(source, target, k, *, gap_tol, candidates=None, threads=1, **limits):

@@ -30,7 +30,7 @@ install() {
 echo "Setting up $venv (once; one to three minutes, most of it downloads and compilation) …"
 [ -x "$venv/bin/python" ] || step "virtual environment" "$python" -m venv "$venv"
 step "this library and what it needs" install --constraint requirements.lock --editable .
-step "compiled kernels" "$venv/bin/python" -m dcreg.warm_up &
+step "compiled kernels" "$venv/bin/python" -m dcreg.driver.warm_up &
 kernels=$!
 workflows/system_packages.sh "open3d (its methods stay 'unavailable' without)" "$@" &
 system=$!

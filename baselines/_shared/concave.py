@@ -27,11 +27,12 @@ import numpy as np
 from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.kernels.statistics import N_STATISTICS, concave, least_linear, statistics
 from baselines.contract import Instance, Solution
-from dcreg.local import fit_pose, polish
-from dcreg.local.assignment import pairs_of
+from dcreg.assignment.k_assignment import pairs_of
+from dcreg.assignment.polish import polish
+from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.problem import Frame, Problem, default_gap_tol
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget, Event, Trace
-from dcreg.spaces import Similarity2D
 from dcreg.status import Status
 
 SCOPE = "similarity pose"

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from baselines._shared.closest_point import ClosestPoint, spread_poses
 from baselines._shared.poses import apply
 from baselines.contract import Instance
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 _SHRINK = 0.7  # of the radius between two fits of the ascent

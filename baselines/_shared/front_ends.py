@@ -37,7 +37,7 @@ from scipy.spatial.distance import cdist
 from baselines._shared import open3d_clouds
 from baselines._shared.poses import median_spacing
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
 

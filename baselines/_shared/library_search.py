@@ -10,12 +10,14 @@ import numpy as np
 import dcreg
 from baselines._shared.single_boxes import bound_of_box
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
-from dcreg.bounds import DEFAULT_BOUND, bound_names, bound_parts, make_bound
-from dcreg.modes import AUTO, CHOSEN, MODES, Answer, Mode, Task, find_mode, mode_names
+from dcreg.driver.modes import CHOSEN, MODES, Mode, find_mode
+from dcreg.driver.solve import result_of, task_of
+from dcreg.driver.task import Answer, Task
+from dcreg.driver.warm_up import warm_up_mode
+from dcreg.families.dc.registry import bound_parts, make_bound
+from dcreg.names import AUTO, DEFAULT_BOUND, bound_names, mode_names
 from dcreg.problem import InputError, Problem, default_gap_tol, suggestion
-from dcreg.registration import result_of, task_of
 from dcreg.result import Result
-from dcreg.warm_up import warm_up_mode
 
 
 class LibraryMethod(Baseline):

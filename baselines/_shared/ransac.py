@@ -6,7 +6,7 @@ import numpy as np
 
 from baselines._shared.kernels.samples import count_inliers, count_within
 from baselines._shared.robust import refit
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 BATCH = 500  # samples between two looks at the clock: a millisecond

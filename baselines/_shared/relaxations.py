@@ -26,11 +26,12 @@ from baselines._shared.kernels.products import linearise
 from baselines._shared.library_search import ModeOfItsOwn
 from baselines._shared.single_boxes import bound_of_box
 from baselines.contract import Instance
-from dcreg.bounds.base import SpaceBound
-from dcreg.kernels.termwise import plane
-from dcreg.modes import Answer, Task, paper
+from dcreg.driver import paper
+from dcreg.driver.task import Answer, Task
+from dcreg.families.dc.kernels import termwise_plane as plane
+from dcreg.families.dc.space import FeatureSpace
+from dcreg.families.protocol import SpaceBound
 from dcreg.search import Box, Evaluation
-from dcreg.spaces import FeatureSpace
 
 # (beta, gamma, lower, upper) -> least beta.theta + gamma.phi + k (t3^2 + t4^2) over the box, relaxed, and
 # the theta where it is attained

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from baselines._shared.poses import apply
-from dcreg.local import fit_pose
 from dcreg.problem import nearest_rotation
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 # Truncated least squares by graduated non-convexity (Yang, Antonante, Tzoumas and Carlone, 2020).

@@ -7,8 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from baselines.contract import Instance
+from dcreg.families.dc.space import FeatureSpace
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.search import Bound, Box
-from dcreg.spaces import FeatureSpace, Similarity2D, Translation3D
 
 # (space, roots) -> bound
 MakeBound = Callable[[FeatureSpace, list[Box]], Bound]

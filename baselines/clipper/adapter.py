@@ -8,7 +8,7 @@ from baselines._shared.consistency import length_differences, sharing, vote_scal
 from baselines._shared.front_ends import CorrespondenceMethod, Estimate
 from baselines.clipper.dense import dense_clique
 from baselines.contract import Instance
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 

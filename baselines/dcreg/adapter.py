@@ -8,9 +8,9 @@ import dcreg
 from baselines._shared.front_ends import SHARED, FrontEndError, missing_matches, putative_pairs
 from baselines._shared.library_search import BranchAndBound, solution_of
 from baselines.contract import Card, Instance, Limits, Solution
+from dcreg.driver.warm_up import warm_up_matches
 from dcreg.names import JUDGES
 from dcreg.status import Status
-from dcreg.warm_up import warm_up_matches
 
 OVER_MATCHES = ("max_pairs", "certify", "judge")  # options of `dcreg.register_matches`
 OVER_POINTS = ("bound", "mode", "gap_tol_factor", "polish")  # of `dcreg.register`

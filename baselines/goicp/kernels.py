@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels.compiling import jit
+from dcreg.jit import jit
 
 BLOCK = 4  # cells per axis that share one preliminary list
 FINISHED, PAUSED, FULL = 0, 1, 2

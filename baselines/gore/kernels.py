@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels.compiling import jit
+from dcreg.jit import jit
 
 # For rounding, of cosines and of angles at which intervals end.
 COSINE_MARGIN = 1e-14

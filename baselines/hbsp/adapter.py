@@ -11,10 +11,11 @@ from baselines._shared.relaxations import SimilaritySearch
 from baselines.contract import Instance
 from baselines.hbsp.rotation import SemidefiniteRotationBound
 from baselines.hbsp.similarity import SemidefiniteBound
-from dcreg.bounds import make_bound
-from dcreg.modes import Answer, Task, paper
+from dcreg.driver import paper
+from dcreg.driver.task import Answer, Task
+from dcreg.families.dc.registry import make_bound
+from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Budget, Outcome, minimise
-from dcreg.spaces import Rotation3D
 
 SCOPE_3D = "rotation about the translation found in norm space"
 

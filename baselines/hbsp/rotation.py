@@ -5,7 +5,7 @@ of the nine products is replaced by the mean of its two active McCormick facets,
 over all matchings and of R_ba over the box. R is linear in Q = q q^T / |q|^2, of which remain: Q positive
 semidefinite, trace 1, and the products of the box's inequalities (`LiftedBox`).
 
-Boxes are those of `dcreg.spaces.rotation3d`: of quaternions of any length, one component fixed at 1.
+Boxes are those of `dcreg.families.rotation3d.space`: of quaternions of any length, one component fixed at 1.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from baselines.hbsp.lifted import LiftedBox
-from dcreg.bounds.base import SpaceBound
-from dcreg.kernels.assignment.dense import cheapest_pairs
-from dcreg.kernels.space.geometry import chord_matrix
-from dcreg.kernels.space.rotation import box_corners
+from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.families.protocol import SpaceBound
+from dcreg.families.rotation3d.kernels.geometry import chord_matrix
+from dcreg.families.rotation3d.kernels.rotation import box_corners
+from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Box, Evaluation
-from dcreg.spaces import Rotation3D
 
 
 class SemidefiniteRotationBound(SpaceBound[Rotation3D]):

@@ -11,7 +11,7 @@ from baselines._shared.poses import median_spacing
 from baselines._shared.robust import squared_residuals
 from baselines.contract import Instance
 from baselines.mac.enumerate import HeaviestCliques
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 SHARE_FOR_GRAPH, SHARE_FOR_CLIQUES = 0.5, 0.8  # of all time, each from the start

@@ -11,7 +11,7 @@ from baselines._shared.kernels.graphs import (
     lowest_bit,
     set_bit,
 )
-from dcreg.kernels.compiling import jit
+from dcreg.jit import jit
 
 NODES_PER_CLIQUE = 20  # of the search, beyond which a start is given up
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from baselines._shared.kernels.statistics import concave, least_linear, statistics
-from dcreg.kernels.compiling import jit
+from dcreg.jit import jit
 
 
 @jit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from baselines._shared.library_search import BranchAndBound
 from baselines.contract import Instance
-from dcreg.bounds import bound_names
+from dcreg.names import bound_names
 
 
 class Adapter(BranchAndBound):

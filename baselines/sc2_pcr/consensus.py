@@ -8,7 +8,7 @@ from baselines._shared.consistency import length_differences
 from baselines._shared.kernels.samples import count_within
 from baselines._shared.robust import squared_residuals
 from baselines.sc2_pcr.kernels import common_neighbours, submatrix
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 POWER_ITERATIONS = 10

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from baselines._shared.kernels.graphs import count_bits, has_bit
-from dcreg.kernels.compiling import jit
+from dcreg.jit import jit
 
 
 @jit

@@ -9,7 +9,7 @@ from baselines._shared.front_ends import CorrespondenceMethod, Estimate
 from baselines._shared.kernels.samples import count_inliers
 from baselines.contract import Instance
 from baselines.sc2_pcr.consensus import refine
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 BATCH = 50  # pivots between two looks at the clock

@@ -1,21 +1,23 @@
 """What is to be solved: clouds, pairs and tolerance, checked before anything long starts."""
 
-from dcreg.problem.advice import advice
-from dcreg.problem.errors import InputError, suggestion
-from dcreg.problem.frame import Frame
-from dcreg.problem.pairs import Candidates
-from dcreg.problem.pose import nearest_rotation, rotation_angle_deg, scale_of
-from dcreg.problem.problem import MODEL_DIM, ModelName, Problem
-from dcreg.problem.sample import farthest_points, median_spacing, representative_points
-from dcreg.problem.tolerance import (
+from dcreg.names import MODEL_DIM
+from dcreg.problem.geometry import (
     EXACT,
     TOLERATED_NORM_RESIDUAL,
     TOLERATED_RESIDUAL,
+    Frame,
     default_gap_tol,
+    farthest_points,
     gap_tol_of,
+    median_spacing,
+    nearest_rotation,
+    representative_points,
     rms_radius,
+    rotation_angle_deg,
+    scale_of,
     unit_length,
 )
+from dcreg.problem.problem import Candidates, InputError, ModelName, Problem, suggestion
 
 __all__ = [
     "EXACT",
@@ -27,7 +29,6 @@ __all__ = [
     "InputError",
     "ModelName",
     "Problem",
-    "advice",
     "default_gap_tol",
     "farthest_points",
     "gap_tol_of",

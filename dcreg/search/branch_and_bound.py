@@ -9,18 +9,42 @@ independent, so the result does not depend on how many threads evaluate them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
 
-from dcreg.search.bound import Bound, Evaluation
-from dcreg.search.budget import Budget, Interrupted
-from dcreg.search.leaves import Leaves
-from dcreg.search.nodes import OpenNodes
-from dcreg.search.outcome import Outcome
-from dcreg.search.trace import Event
+from dcreg.search.boxes import Bound, Evaluation, Leaves, LongestEdge, OpenNodes
+from dcreg.search.budget import Budget, Event, Interrupted
 from dcreg.status import Status
+
+
+@dataclass
+class Outcome:
+    """The best parameter found, with bounds that hold whatever the status.
+
+    Attributes
+    ----------
+    status : Status
+    theta : (d,) array
+    lower_bound, upper_bound : float
+        ``lower_bound <= minimum <= upper_bound``; the latter is the objective at `theta`.
+    n_nodes, n_assignments : int
+        Boxes bounded, exact assignments solved (descents included).
+    time_s : float
+    events : list of Event
+        One per change of a bound, and a closing one.
+    """
+
+    status: Status
+    theta: np.ndarray
+    lower_bound: float
+    upper_bound: float
+    n_nodes: int
+    n_assignments: int
+    time_s: float
+    events: list[Event] = field(default_factory=list)
+
 
 # A descent starts where the round's best value is no worse than the last start's times this factor per
 # round since: often while the search finds better and better places, seldom when it only closes the gap.
@@ -249,3 +273,75 @@ def _settled(values: np.ndarray, gap_tol: float) -> np.ndarray:
 
 def _same_bounds(a: Event, b: Event) -> bool:
     return a.lower_bound == b.lower_bound and a.upper_bound == b.upper_bound
+
+
+class Searchable(Protocol):
+    """What a search asks of a parameter space."""
+
+    axis_weights: np.ndarray
+
+    def heed(self, stop: np.ndarray) -> None:
+        """Look at ``stop[0]`` within all that takes long, and raise `Interrupted` once it is set."""
+        ...
+
+    def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
+        """A first incumbent: theta, objective, assignments spent. None below `enough` is sought."""
+        ...
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """Descent from `theta`: a better theta, its objective, assignments spent."""
+        ...
+
+
+def minimise(
+    space: Searchable,
+    bound: Bound,
+    budget: Budget,
+    *,
+    gap_tol: float,
+    start: tuple[np.ndarray, float] | None = None,
+    refine: Refine | None = None,
+    stage: str = "search",
+    leaves: Leaves | None = None,
+) -> Outcome:
+    """Least objective over the roots of `bound`, to within `gap_tol`.
+
+    Parameters
+    ----------
+    space : Searchable
+        Gives the first incumbent, the descents, and the weights by which boxes are divided.
+    bound : Bound
+    budget : Budget
+    gap_tol : float
+        Absolute, in the units of the objective.
+    start : (theta, value), optional
+        A known parameter and its objective; default: what ``space.start`` finds.
+    refine : callable, optional
+        Descent in place of ``space.refine``.
+    stage : str
+        Name of this search in its events.
+    leaves : Leaves, optional
+        Collects the leaf boxes for a certificate.
+
+    Returns
+    -------
+    Outcome
+    """
+    began, spent = budget.elapsed(), 0
+    space.heed(budget.stop)
+    if start is None:
+        theta, value, spent = space.start(budget, gap_tol)
+        start = theta, value
+    found = branch_and_bound(
+        bound,
+        budget,
+        branching=LongestEdge(space.axis_weights),
+        gap_tol=gap_tol,
+        refine=refine or space.refine,
+        start=start,
+        stage=stage,
+        leaves=leaves,
+    )
+    found.n_assignments += spent
+    found.time_s = budget.elapsed() - began
+    return found

@@ -1,17 +1,123 @@
-"""What a solve may spend, and who is told of its progress."""
+"""Independent slices of work, run by a few threads; kernels hold no lock, so they run side by side."""
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Self
 
 import numpy as np
 
-from dcreg.search.trace import Event
+from dcreg.files import as_json, write_text
 from dcreg.status import Status
+
+
+@dataclass(frozen=True)
+class Event:
+    """State of a search at one moment.
+
+    Attributes
+    ----------
+    kind : {"bound", "tick", "end"}
+        A bound moved; a regular report; the search is over.
+    stage : str
+        The search that speaks (``search``, ``rotation``, ``k=40`` …).
+    time_s : float
+        Seconds since the solve began; one clock for all stages.
+    n_nodes, n_assignments, n_open : int
+        Of this stage: boxes bounded, exact assignments, boxes still to be divided.
+    lower_bound, upper_bound : float
+    status : str
+        How the search ended; empty before.
+    """
+
+    kind: str
+    stage: str
+    time_s: float
+    n_nodes: int
+    n_assignments: int
+    n_open: int
+    lower_bound: float
+    upper_bound: float
+    status: str = ""
+
+    @property
+    def gap(self) -> float:
+        """Absolute gap ``upper_bound - lower_bound``, never negative."""
+        return max(0.0, self.upper_bound - self.lower_bound)
+
+    def scaled(self, factor: float) -> Event:
+        """The same moment with its bounds in other units."""
+        return replace(
+            self, lower_bound=factor * self.lower_bound, upper_bound=factor * self.upper_bound
+        )
+
+
+@dataclass
+class Trace:
+    """Bound history of one run; iterating gives its events in order.
+
+    Attributes
+    ----------
+    events : list of Event
+    """
+
+    events: list[Event] = field(default_factory=list)
+
+    def __iter__(self) -> Iterator[Event]:
+        return iter(self.events)
+
+    def __len__(self) -> int:
+        return len(self.events)
+
+    def rows(self) -> list[dict[str, object]]:
+        """One dictionary of plain values per event, for tables and figures."""
+        return [asdict(event) for event in self.events]
+
+    def write_jsonl(self, path: str | Path) -> None:
+        """One JSON object per line; the last one has kind ``end`` and the status.
+
+        An infinite bound becomes null.
+        """
+        write_text(path, "".join(as_json(row, indented=False) + "\n" for row in self.rows()))
+
+
+class Workers:
+    """`threads` threads, the caller's among them.
+
+    Parameters
+    ----------
+    threads : int
+    """
+
+    def __init__(self, threads: int = 1) -> None:
+        self._helpers = threads - 1
+        self._pool = ThreadPoolExecutor(self._helpers) if threads > 1 else None
+
+    def run(self, work: Callable[[slice], int], count: int) -> int:
+        """Sum of what `work` returns over slices that cover `count` items.
+
+        Slices are several times as many as threads and taken as threads become free.
+        """
+        if self._pool is None or count < 2:
+            return work(slice(0, count)) if count else 0
+        parts = min(count, 8 * (self._helpers + 1))
+        edges = np.linspace(0, count, parts + 1).astype(int)
+        # taking the next slice is one step of the interpreter: no two threads get the same
+        slices = iter([slice(a, b) for a, b in itertools.pairwise(edges.tolist())])
+
+        def take() -> int:
+            return sum(map(work, slices))
+
+        helpers = [self._pool.submit(take) for _ in range(min(self._helpers, parts - 1))]
+        done = take()
+        return done + sum(helper.result() for helper in helpers)
+
 
 # Called with every event; returning True asks the solve to stop (status "stopped").
 Listener = Callable[[Event], bool | None]

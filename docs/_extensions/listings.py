@@ -47,7 +47,7 @@ def options(command: str) -> str:
 
 
 def modes() -> str:
-    from dcreg.modes import MODES
+    from dcreg.driver.modes import MODES
 
     def row(mode):
         bound = f"any (`{mode.own_bound}`)" if mode.takes_bound else "its own"

@@ -35,7 +35,7 @@ def main(areas: list[str]) -> int:
     names = Counter((case.area, case.name) for case in cases)
     twice = [name for name, count in names.items() if count > 1]
     assert not twice, f"the same name twice: {twice}"
-    for name in ("scipy.io", "rich.console", "dcreg.registration", "dcreg.sweeping"):
+    for name in ("scipy.io", "rich.console", "dcreg.driver.solve", "dcreg.driver.sweep"):
         importlib.import_module(name)  # here, not in every process
     found: Counter[str] = Counter()
     for case in cases:

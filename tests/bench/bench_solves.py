@@ -15,7 +15,7 @@ from tests.bench.measure import measure
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    dcreg.warm_up()
+    dcreg.driver.warm_up()
 
 
 @pytest.mark.parametrize("name", CASES)

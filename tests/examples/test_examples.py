@@ -15,7 +15,7 @@ SECONDS = 5.0  # of a script; kernels are compiled before
 def compiled():
     import dcreg
 
-    dcreg.warm_up()
+    dcreg.driver.warm_up()
 
 
 def test_there_are_examples():

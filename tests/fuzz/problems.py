@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.bounds import BOUNDS
+from dcreg.families.dc.registry import BOUNDS
 from dcreg.result import Result
 
 KINDS = ("general", "copy", "duplicates", "collinear", "grid", "symmetric", "clutter")

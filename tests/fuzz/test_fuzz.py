@@ -6,7 +6,7 @@ from itertools import combinations, permutations
 import numpy as np
 import pytest
 
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from tests.fuzz import reference
 from tests.fuzz.check import check, optimum
 from tests.fuzz.problems import FAMILIES, KINDS, problem

@@ -7,8 +7,9 @@ import itertools
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from dcreg.families.dc.space import FeatureSpace
+from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Box
-from dcreg.spaces import FeatureSpace, Similarity2D
 
 
 def k_assignment(cost: np.ndarray, k: int) -> float:

@@ -6,16 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dcreg.kernels.assignment import dense as kernels
-from dcreg.kernels.assignment.selection import (
+from dcreg.assignment.k_assignment import k_assignment, pairs_of
+from dcreg.assignment.kernels import dense as kernels
+from dcreg.assignment.kernels.selection import (
     kth_smallest,
     least,
     place_of_least,
     smallest_sum,
     sum_of_smallest,
 )
-from dcreg.kernels.points import NEVER
-from dcreg.local.assignment import k_assignment, pairs_of
+from dcreg.jit import NEVER
 from tests.oracles import kernels as reference
 
 

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcreg.bounds import BOUNDS, bound_parts, make_bound
+from dcreg.families.dc.registry import BOUNDS, bound_parts, make_bound
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.search import Box, LongestEdge
-from dcreg.spaces import Similarity2D, Translation3D
 from tests.oracles import kernels as reference
 from tests.problems import models, models_with_boxes
 
@@ -239,8 +240,8 @@ def test_refinement_returns_an_admissible_point_with_its_objective(model, seed):
 
 
 def test_joint_termwise_bound_in_3d_is_refused():
+    from dcreg.families.translation3d.space import Translation3D
     from dcreg.problem import InputError
-    from dcreg.spaces import Translation3D
 
     model = Translation3D(np.eye(3), np.eye(3), 2)
     with pytest.raises(InputError, match="2D similarity only"):

@@ -11,12 +11,18 @@ from hypothesis import strategies as st
 
 import dcreg
 from dcreg import certificate
-from dcreg.bounds import BOUNDS, RigidBound, RotationBound, make_bound
+from dcreg.assignment.polish import objective
 from dcreg.certificate.verification import verify
-from dcreg.local import fit_pose, objective
+from dcreg.families.dc.registry import BOUNDS, make_bound
+from dcreg.families.rigid3d.bound import RigidBound
+from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.families.rotation3d.bound import RotationBound
+from dcreg.families.rotation3d.space import Rotation3D
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import InputError, Problem
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Box
-from dcreg.spaces import Rigid3D, Rotation3D, Similarity2D, Translation3D
 from tests.fuzz.reference import enclose_norm3d, optimum_rigid3d
 from tests.oracles import kernels as reference
 from tests.properties.test_rigid_bounds import Parts, box_about

@@ -22,7 +22,7 @@ from baselines.rpm_pa.kernels import value_at
 from baselines.rpm_pa.polytope import Polytope
 from baselines.rpm_pa.search import Search
 from dcreg import objective
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
 from tests.problems import KINDS, cloud

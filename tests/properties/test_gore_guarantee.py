@@ -17,7 +17,7 @@ from baselines._shared.rotation_search import Found, most_correspondences
 from baselines.gore import removal as gore
 from baselines.gore.kernels import arc
 from baselines.gore.removal import _Removing, _rotation_reach, remove_outliers
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from scipy.optimize import linprog
 
-from dcreg.bounds import make_bound
-from dcreg.bounds.termwise_lp import TermwiseR3
-from dcreg.kernels.termwise import plane
+from dcreg.families.dc.kernels import termwise_plane as plane
+from dcreg.families.dc.registry import make_bound
+from dcreg.families.dc.termwise_lp import TermwiseR3
 from dcreg.search import Box, LongestEdge
 from tests.problems import models_with_boxes
 
@@ -116,8 +116,8 @@ def test_children_are_no_weaker_than_their_parent(model_and_box):
 
 
 def test_treats_2d_only():
+    from dcreg.families.translation3d.space import Translation3D
     from dcreg.problem import InputError
-    from dcreg.spaces import Translation3D
 
     with pytest.raises(InputError, match="2D similarity only"):
         make_bound("termwise-r3", Translation3D(np.eye(3), np.eye(3), 2))

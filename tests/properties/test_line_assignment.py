@@ -5,9 +5,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dcreg.kernels.assignment.dense import k_assignment
-from dcreg.kernels.assignment.line import line_assignment, line_matching, line_value
-from dcreg.kernels.points import NEVER
+from dcreg.assignment.kernels.dense import k_assignment
+from dcreg.assignment.kernels.line import line_assignment, line_matching, line_value
+from dcreg.jit import NEVER
 
 KINDS = ["uniform", "few values", "clusters", "duplicates", "apart", "nested"]
 

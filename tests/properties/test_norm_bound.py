@@ -5,11 +5,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from dcreg.bounds import make_bound
-from dcreg.kernels.features.linearisation import best_linearisation
-from dcreg.kernels.norm.curvature import norm_curvature
+from dcreg.families.dc.kernels.linearisation import best_linearisation
+from dcreg.families.dc.registry import make_bound
+from dcreg.families.translation3d.kernels.curvature import norm_curvature
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.search import Box, LongestEdge
-from dcreg.spaces import Translation3D
 from tests.oracles import kernels as reference
 
 seeds = st.integers(0, 2**32 - 1)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcreg.search.nodes import OpenNodes
-from dcreg.search.threads import Workers
+from dcreg.search.boxes import OpenNodes
+from dcreg.search.budget import Workers
 
 # few distinct bounds and sizes: ties are what the order is about
 batches = st.lists(

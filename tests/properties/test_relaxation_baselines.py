@@ -20,11 +20,13 @@ from baselines.hbsp.lifted import LiftedBox
 from baselines.hbsp.rotation import SemidefiniteRotationBound, quaternion_form, rotation_range
 from baselines.hbsp.similarity import SemidefiniteBound
 from baselines.rpm_bp.bound import BilinearBound, best_multipliers, separable
-from dcreg.bounds import make_bound
-from dcreg.local import objective
+from dcreg.assignment.polish import objective
+from dcreg.families.dc.registry import make_bound
+from dcreg.families.rotation3d.space import Rotation3D
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import rms_radius
 from dcreg.search import Box, Budget, LongestEdge, minimise
-from dcreg.spaces import Rotation3D, Similarity2D, Translation3D
 from dcreg.status import Status
 from tests.oracles import kernels as reference
 from tests.problems import models_with_boxes

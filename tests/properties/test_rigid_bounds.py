@@ -8,17 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dcreg.bounds import RigidBound, corner_values
-from dcreg.bounds.base import Strongest
-from dcreg.bounds.corner_values import CornerValues
-from dcreg.kernels.points import NEVER
-from dcreg.kernels.space.caps import cap_costs
-from dcreg.kernels.space.cayley import vertex_bound
-from dcreg.kernels.space.corners import corner_pose
-from dcreg.kernels.space.poses import View, nearest_sums, relative_corners
-from dcreg.kernels.space.priced import priced_bound, priced_value, room_for_prices
-from dcreg.kernels.space.rough import Bids, bid, rough_costs, rough_minima, settle
-from dcreg.kernels.space.stationary import (
+from dcreg.assignment.k_assignment import k_assignment
+from dcreg.assignment.polish import objective
+from dcreg.families.protocol import Strongest
+from dcreg.families.rigid3d import corner_values
+from dcreg.families.rigid3d.bound import RigidBound
+from dcreg.families.rigid3d.corner_values import CornerValues
+from dcreg.families.rigid3d.kernels.cayley import vertex_bound
+from dcreg.families.rigid3d.kernels.corners import corner_pose
+from dcreg.families.rigid3d.kernels.poses import View, nearest_sums, relative_corners
+from dcreg.families.rigid3d.kernels.priced import priced_bound, priced_value, room_for_prices
+from dcreg.families.rigid3d.kernels.rough import Bids, bid, rough_costs, rough_minima, settle
+from dcreg.families.rigid3d.kernels.stationary import (
     Limits,
     Surroundings,
     joint_loss_of,
@@ -28,10 +29,10 @@ from dcreg.kernels.space.stationary import (
     proven,
     room_for_ways,
 )
-from dcreg.local import k_assignment, objective
+from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
+from dcreg.families.rotation3d.kernels.caps import cap_costs
+from dcreg.jit import NEVER
 from dcreg.search import Box, Budget, minimise
-from dcreg.spaces import Rigid3D
-from dcreg.spaces.rigid3d import largest_subset_mean_3d
 from tests.problems import KINDS, cloud
 
 

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from dcreg.bounds import RotationBound
-from dcreg.kernels.assignment.dense import cheapest_pairs
-from dcreg.kernels.space import rotation as kernels
-from dcreg.kernels.space.caps import cap_costs
+from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.families.rotation3d.bound import RotationBound
+from dcreg.families.rotation3d.kernels import rotation as kernels
+from dcreg.families.rotation3d.kernels.caps import cap_costs
+from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Box, LongestEdge
-from dcreg.spaces import Rotation3D
 from tests.problems import KINDS, cloud
 
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcreg.bounds import make_bound
-from dcreg.bounds.vertex_cache import VertexCache
-from dcreg.kernels.plane.profiles import Vertices, blend_prices, boxes_of
+from dcreg.families.dc.registry import make_bound
+from dcreg.families.dc.vertex_cache import VertexCache
+from dcreg.families.similarity2d.kernels.profiles import Vertices, blend_prices, boxes_of
 from dcreg.search import Box, Budget, LongestEdge, branch_and_bound
 from tests.problems import models
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dcreg.kernels.assignment.dense import k_assignment
-from dcreg.kernels.assignment.sorting import COLUMNS, sort_columns
-from dcreg.kernels.norm.line import objectives_on_line
-from dcreg.kernels.points import NEVER
+from dcreg.assignment.kernels.dense import k_assignment
+from dcreg.assignment.kernels.sorting import COLUMNS, sort_columns
+from dcreg.families.translation3d.kernels.line import objectives_on_line
+from dcreg.jit import NEVER
 
 KINDS = {
     "uniform": lambda generator, shape: generator.random(shape),

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dcreg
-from dcreg.spaces import Similarity2D, Translation3D
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from tests.problems import cloud, models
 
 

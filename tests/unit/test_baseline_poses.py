@@ -23,8 +23,8 @@ from baselines._shared.poses import (
 )
 from baselines._shared.starts import STARTS, best_of_starts, start_poses
 from baselines.contract import Instance, Limits
-from dcreg.local import fit_pose
 from dcreg.problem import nearest_rotation
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
 

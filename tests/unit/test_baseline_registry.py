@@ -305,13 +305,17 @@ class TestWhatAMethodDependsOn:
         ("file", "some", "others"),
         [
             # through the library's packages, two and more imports away
-            ("dcreg/bounds/dc.py", {"dcreg", "rpm_htb", "hbsp"}, {"rpm_cav", "icp", "gore"}),
             (
-                "dcreg/kernels/assignment/dense.py",
+                "dcreg/families/dc/bounds.py",
+                {"dcreg", "rpm_htb", "hbsp"},
+                {"rpm_cav", "icp", "gore"},
+            ),
+            (
+                "dcreg/assignment/kernels/dense.py",
                 {"dcreg", "rpm_bp", "rpm_cav"},
                 {"icp", "cpd", "dcp"},
             ),
-            ("dcreg/local/fit.py", {"dcreg", "rpm_cav", "teaser", "icp"}, {"kiss_icp"}),
+            ("dcreg/problem/geometry.py", {"dcreg", "rpm_cav", "teaser", "icp"}, {"kiss_icp"}),
             ("baselines/_shared/poses.py", {"icp", "gore", "teaserpp"}, {"rpm_htb"}),
             # imported within a function
             ("baselines/_shared/open3d_clouds.py", {"fpfh_ransac", "gore"}, {"icp", "goicp"}),
@@ -330,7 +334,12 @@ class TestWhatAMethodDependsOn:
 
     @pytest.mark.parametrize(
         "file",
-        ["dcreg/cli/app.py", "dcreg/plot/sweep.py", "dcreg/sweeping.py", "baselines/registry.py"],
+        [
+            "dcreg/cli/app.py",
+            "dcreg/plot/sweep.py",
+            "dcreg/driver/sweep.py",
+            "baselines/registry.py",
+        ],
     )
     def test_nothing_follows_what_no_solve_runs(self, checkout: Path, file: str) -> None:
         assert (checkout / file).is_file()
@@ -340,16 +349,20 @@ class TestWhatAMethodDependsOn:
         assert self.rerun_by(checkout, "baselines/icp/table.csv", "1,2\n") == {"icp"}
 
     def test_a_package_that_defines_the_name_counts_with_its_imports(self, checkout: Path) -> None:
-        """`dcreg.bounds` makes bounds by name: which of its modules runs, no import says."""
-        assert "rpm_htb" in self.rerun_by(checkout, "dcreg/bounds/edges.py")
+        """`dcreg.families.dc.registry` makes bounds by name: which of its modules runs, no import says."""
+        assert "rpm_htb" in self.rerun_by(checkout, "dcreg/families/dc/bounds.py")
 
     def test_names_loaded_late_are_followed(self, checkout: Path) -> None:
         """They stand in the stub of the library, not in its ``__init__``."""
         (checkout / "uses.py").write_text("import dcreg\n\ndcreg.register()\n")
         behind = files_behind([checkout / "uses.py"], checkout)
         found = {path.relative_to(checkout).as_posix() for path in behind}
-        assert {"dcreg/__init__.pyi", "dcreg/registration.py", "dcreg/bounds/dc.py"} <= found
-        assert not {"dcreg/plot/sweep.py", "dcreg/sweeping.py", "dcreg/io/points.py"} & found
+        assert {
+            "dcreg/__init__.pyi",
+            "dcreg/driver/solve.py",
+            "dcreg/families/dc/bounds.py",
+        } <= found
+        assert not {"dcreg/plot/sweep.py", "dcreg/driver/sweep.py", "dcreg/io/points.py"} & found
 
     def test_imports_for_type_checkers_do_not_count(self, checkout: Path) -> None:
         only_types = "\nif TYPE_CHECKING:\n    from dcreg.plot import page\n"

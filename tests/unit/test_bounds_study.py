@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from baselines import registry
-from dcreg.bounds import BOUNDS
+from dcreg.families.dc.registry import BOUNDS
 from dcreg.search import Box
 from reports import bounds_study as page
 from workflows.studies import bounds as study

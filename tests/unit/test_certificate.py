@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dcreg
-from dcreg.bounds import make_bound
 from dcreg.certificate import (
     Certificate,
     CertificateError,
@@ -29,9 +28,12 @@ from dcreg.certificate.prices import cheapest_pairs, prices_of
 from dcreg.certificate.proof import Proof
 from dcreg.certificate.record import record
 from dcreg.certificate.verification import check_samples, verify
+from dcreg.families.dc.registry import make_bound
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import Frame, Problem
-from dcreg.search import Budget, Leaves, LongestEdge, leaves, minimise
-from dcreg.spaces import Similarity2D, Translation3D
+from dcreg.search import Budget, Leaves, LongestEdge, minimise
+from dcreg.search import boxes as leaves
 from tests.problems import models_with_boxes
 
 DIM = {"similarity2d": 2, "translation3d": 3}

@@ -405,7 +405,7 @@ def test_full_disk_is_reported_after_the_pose(call, tmp_path, fake, monkeypatch)
 
 def test_advice_speaks_of_what_is_searched(tmp_path, monkeypatch):
     """Of large clouds, but not where some of their points are searched; of units; never when quiet."""
-    monkeypatch.setattr(sys.modules["dcreg.problem.advice"], "_MANY_POINTS", 40)
+    monkeypatch.setattr(sys.modules["dcreg.diagnostics"], "_MANY_POINTS", 40)
     cloud = np.random.default_rng(0).random((45, 3))
     np.save(tmp_path / "a.npy", cloud)
     np.save(tmp_path / "b.npy", 1000 * cloud[:30])
@@ -478,7 +478,7 @@ def test_terminal_shows_one_live_line():
 
 def test_messages_of_the_library_are_shown_while_it_works():
     stream = io.StringIO()
-    log = logging.getLogger("dcreg.warm_up")
+    log = logging.getLogger("dcreg.driver.warm_up")
     level = logging.getLogger("dcreg").level
     with Progress(Console(file=stream)):
         log.info("compiling %s (once; about %d s)", "[kernels]", 9)

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 import dcreg
-from dcreg.bounds import bound_parts
+from dcreg.driver.warm_up import _works
+from dcreg.families.dc.registry import bound_parts
 from dcreg.names import BOUND_NAMES, DEFAULT_BOUND, MODEL_DIM
-from dcreg.warm_up import _works
 
 LIBRARY = Path(dcreg.__file__).parent
-SUM = "from dcreg.kernels.assignment.selection import total\nimport numpy as np\n"
+SUM = "from dcreg.assignment.kernels.selection import total\nimport numpy as np\n"
 SUM += "print(total(np.ones(4)))"
 
 
@@ -46,7 +46,7 @@ def test_import_writes_and_removes_nothing(copy):
     old.mkdir(parents=True)
     (old / "some.nbc").touch()
     before = set(copy.rglob("*"))
-    code = "import dcreg.kernels.space.rigid, dcreg.kernels.plane.bounds"
+    code = "import dcreg.families.rigid3d.kernels.rigid, dcreg.families.similarity2d.kernels.bounds"
     run(code, copy, PYTHONDONTWRITEBYTECODE="1")
     assert set(copy.rglob("*")) == before
 
@@ -55,14 +55,14 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(copy):
     """Both kernels stay in the cache, each under the digest of its sources."""
     caller = copy / "dcreg/kernels/caller.py"
     caller.write_text(
-        "from dcreg.kernels.assignment.selection import total\n"
-        "from dcreg.kernels.compiling import jit\n\n\n"
+        "from dcreg.assignment.kernels.selection import total\n"
+        "from dcreg.jit import jit\n\n\n"
         "@jit\ndef twice(values):\n    return 2.0 * total(values)\n"
     )
     code = "import numpy as np\nfrom dcreg.kernels.caller import twice\nprint(twice(np.ones(4)))"
     assert run(code, copy) == "8.0"
     first = compiled(copy)
-    callee = copy / "dcreg/kernels/assignment/selection.py"
+    callee = copy / "dcreg/assignment/kernels/selection.py"
     text = callee.read_text()
     callee.write_text(text.replace("found += values[i]", "found += 10.0 * values[i]"))
     assert run(code, copy) == "80.0"
@@ -77,7 +77,7 @@ def test_old_kernels_go_when_asked(copy):
     old = copy / "dcreg/kernels/plane/__pycache__/kernels-0123456789abcdef"
     old.mkdir(parents=True)
     run(SUM, copy)
-    run("from dcreg.kernels.compiling import forget_old_kernels\nforget_old_kernels()", copy)
+    run("from dcreg.jit import forget_old_kernels\nforget_old_kernels()", copy)
     assert not old.exists()
     assert len(compiled(copy)) == 1
 
@@ -118,7 +118,7 @@ import numpy as np
 import dcreg
 from numba.core import event
 from dcreg.modes import find_mode
-from dcreg.warm_up import warm_up_mode
+from dcreg.driver.warm_up import warm_up_mode
 warm_up_mode(find_mode("{model}", "{mode}"), {bound!r}, {restricted})
 seen = event.RecordingListener()
 points = np.random.default_rng(1).standard_normal((15, {dim}))

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
+from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.families.rigid3d.starts import SCALES, best_descents, congruent_poses, rounds_for
 from dcreg.search import Budget
-from dcreg.spaces import Rigid3D
-from dcreg.spaces.congruent import SCALES, best_descents, congruent_poses, rounds_for
 
 
 def partial_overlap(seed, n_common=30, n_clutter=30, noise=0.005):
@@ -125,7 +125,7 @@ def test_starts_are_the_same_every_time():
 
 def test_a_far_outlier_costs_no_memory(rng, monkeypatch):
     """The field of nearness spans the target, whose extent one point may stretch without bound."""
-    from dcreg.kernels.space import congruent as kernels
+    from dcreg.families.rigid3d.kernels import congruent as kernels
 
     sizes = []
     fill = kernels.nearness_field

@@ -30,7 +30,7 @@ from data.sampling import (
 )
 from data.threedmatch import loader as threedmatch
 from data.threedmatch.select_pairs import official, select
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from docs.architecture import read_imports
 from workflows.stages import generate
 

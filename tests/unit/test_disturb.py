@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 from data.registry import dataset
 from data.sampling import transform
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from workflows.disturb import (
     DISTURBANCES,
     deformation,

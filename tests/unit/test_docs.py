@@ -114,7 +114,7 @@ def test_every_json_key_is_in_the_manual():
 
 
 def test_every_bound_and_status_is_in_the_manual():
-    from dcreg.bounds import bound_names
+    from dcreg.names import bound_names
 
     bounds, results = text_of(DOCS / "bounds.md"), text_of(DOCS / "results.md")
     assert not [name for name in bound_names() if f"`{name}`" not in bounds]

@@ -10,15 +10,15 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.local import sparse
-from dcreg.local.assignment import k_assignment
-from dcreg.modes import find_mode
-from dcreg.modes.sampled_rotation import search_sampled_rotation
+from dcreg.assignment import sparse
+from dcreg.assignment.k_assignment import k_assignment
+from dcreg.driver.modes import find_mode
+from dcreg.driver.warm_up import warm_up_mode
+from dcreg.families.rotation3d.sampled import search_sampled_rotation
+from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.problem import InputError
 from dcreg.search import Budget
-from dcreg.spaces import Rotation3D
 from dcreg.status import Status
-from dcreg.warm_up import warm_up_mode
 
 NOISE = 0.005
 ROTATION = Rotation.from_rotvec([0.4, -1.9, 1.1]).as_matrix()

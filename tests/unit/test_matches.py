@@ -9,10 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.kernels.matches.bounds import rotation_bounds
-from dcreg.kernels.matches.compatible import caps
-from dcreg.matches import MatchBound, MatchProblem
-from dcreg.matches.start import descend
+from dcreg.families.matches.bound import MatchBound
+from dcreg.families.matches.kernels.bounds import rotation_bounds
+from dcreg.families.matches.kernels.compatible import caps
+from dcreg.families.matches.problem import MatchProblem
+from dcreg.families.matches.start import descend
 
 REACH = 0.1
 

@@ -10,8 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from data.sampling import reference_pose
-from dcreg.modes import multi
-from dcreg.spaces import Rigid3D, Similarity2D, Translation3D
+from dcreg.driver import multi
+from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from workflows.instances import Problem, Truth
 from workflows.metrics import (
     BELOW_OBJECTIVE,

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dcreg.problem.tolerance import TOLERATED_RESIDUAL
+from dcreg.families.protocol import Space
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.problem.geometry import TOLERATED_RESIDUAL
 from dcreg.search import Budget
-from dcreg.spaces import Similarity2D
-from dcreg.spaces.base import Space
 
 SHAPES = range(12)
 

@@ -12,10 +12,10 @@ import pytest
 
 import dcreg
 from dcreg import names
-from dcreg.bounds import BOUNDS
 from dcreg.cli.options import ModelChoice
+from dcreg.driver.modes import MODES
+from dcreg.families.dc.registry import BOUNDS
 from dcreg.io import READERS
-from dcreg.modes import MODES
 
 PACKAGE = Path(dcreg.__file__).parent
 HEAVY = {"numpy", "scipy", "numba", "plotly", "matplotlib"}

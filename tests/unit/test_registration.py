@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.modes import choose_mode
-from dcreg.modes.table import LARGE_PAIRS, LARGE_SAMPLE
+from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE, choose_mode
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import Frame, Problem, default_gap_tol
-from dcreg.spaces import Similarity2D, Translation3D
 from dcreg.status import Status
 from tests.problems import KINDS, cloud
 

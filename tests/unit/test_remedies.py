@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.distance import cdist
 
 import dcreg
-from dcreg import remedies
-from dcreg.rival import find_rival
+from dcreg import diagnostics as remedies
+from dcreg.runner_up import find_rival
 from dcreg.status import Status
 
 

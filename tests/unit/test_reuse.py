@@ -7,10 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.local import Matched, objective, quick_objective
+from dcreg.assignment.polish import objective
+from dcreg.assignment.reuse import Matched, quick_objective
+from dcreg.driver.downsample import refined
 from dcreg.problem import Problem
-from dcreg.rival import Rival
-from dcreg.sampling import refined
+from dcreg.runner_up import Rival
 from dcreg.search import Budget
 from dcreg.status import Status
 

@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from data import registry
-from dcreg.local import fit_pose, objective
-from dcreg.modes.multi import Settings
-from dcreg.spaces import Rigid3D
+from dcreg.assignment.polish import objective
+from dcreg.driver.multi import Settings
+from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.problem.geometry import fit_pose
 from dcreg.status import Status
 from tests.problems import KINDS, cloud
 from tests.searches import search_multi, search_rigid

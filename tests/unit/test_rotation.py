@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dcreg.kernels.space.geometry import best_rotation
-from dcreg.spaces import Rotation3D
+from dcreg.families.rotation3d.kernels.geometry import best_rotation
+from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.status import Status
 from tests.problems import KINDS, cloud
 from tests.searches import search_rotation

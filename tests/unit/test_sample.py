@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dcreg.problem import farthest_points, representative_points
-from dcreg.problem.sample import isolated
+from dcreg.problem.geometry import isolated
 
 
 def surface(rng, size):

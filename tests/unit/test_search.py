@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dcreg.search import Box, Budget, Evaluation, Leaves, LongestEdge, branch_and_bound
-from dcreg.search.leaves import OPEN
+from dcreg.search.boxes import OPEN
 from dcreg.status import Status
 
 ROOT = [Box(-np.ones(2), np.ones(2))]

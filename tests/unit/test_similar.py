@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.similarity2d.starts import MAX_CELLS, similar_poses
 from dcreg.search import Budget
-from dcreg.spaces import Similarity2D
-from dcreg.spaces.similar import MAX_CELLS, similar_poses
 
 RANGE = (0.5, 1.5)
 
@@ -91,7 +91,7 @@ def test_odd_clouds_still_give_a_start(kind, rng):
 
 
 def test_a_far_outlier_costs_no_memory(rng, monkeypatch):
-    from dcreg.kernels.plane import similar as kernels
+    from dcreg.families.similarity2d.kernels import similar as kernels
 
     sizes = []
     fill = kernels.nearness_field

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from baselines.registry import load
-from dcreg.matches.surfaces import Surfaces, normals_of
+from dcreg.families.matches.surfaces import Surfaces, normals_of
 
 REACH = 0.1
 
@@ -170,7 +170,7 @@ def test_a_stray_point_does_not_blur_the_grid():
 def test_normals_are_those_of_all_points_where_some_are_drawn(monkeypatch):
     cloud = room(3000, 1)
     whole = Surfaces(cloud, cloud, REACH).scores(np.eye(3, 4)[None])[0] / 3000
-    monkeypatch.setattr("dcreg.matches.surfaces.MAX_SOURCE", 300)
+    monkeypatch.setattr("dcreg.families.matches.surfaces.MAX_SOURCE", 300)
     some = Surfaces(cloud, cloud, REACH).scores(np.eye(3, 4)[None])[0] / 300
     assert some == pytest.approx(whole, abs=0.03)
 

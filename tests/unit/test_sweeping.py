@@ -10,12 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.kernels.points import NEVER
-from dcreg.modes.table import LARGE_PAIRS, LARGE_SAMPLE
+from dcreg.diagnostics import TOO_MANY_PAIRS
+from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.jit import NEVER
 from dcreg.problem import InputError
-from dcreg.remedies import TOO_MANY_PAIRS
 from dcreg.search import Budget
-from dcreg.spaces import Similarity2D
 from dcreg.status import Status
 
 COUNTS = [16, 17, 18, 19, 20, 22, 24]
@@ -354,7 +354,7 @@ def test_plain_values_for_json(found):
 
 def test_large_clouds_get_the_same_rotation_stage_as_a_single_call(monkeypatch):
     """Beyond a dense matrix the rotation is sampled, in a sweep as in `register`."""
-    from dcreg.local import sparse
+    from dcreg.assignment import sparse
 
     monkeypatch.setattr(sparse, "DENSE_PAIRS", 100)
     source, target = solid(n_common=24, noise=0.01)

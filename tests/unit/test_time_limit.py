@@ -12,11 +12,12 @@ import psutil
 import pytest
 
 import dcreg
-from dcreg.kernels.assignment.sorting import COLUMNS
-from dcreg.local import polish
+from dcreg.assignment.kernels.sorting import COLUMNS
+from dcreg.assignment.polish import polish
+from dcreg.families.rotation3d.space import Rotation3D
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import MODEL_DIM
 from dcreg.search import Box, Budget, Evaluation, Interrupted, LongestEdge, branch_and_bound
-from dcreg.spaces import Rotation3D, Translation3D
 from dcreg.status import Status
 
 

@@ -1,6 +1,6 @@
 """``python -m workflows.studies.bounds OUT``: lower bounds side by side, on the same boxes and problems.
 
-Compared are the library's bounds, found by name in `dcreg.bounds.BOUNDS`, and the bound of every other
+Compared are the library's bounds, found by name in `dcreg.families.dc.registry.BOUNDS`, and the bound of every other
 method that can bound a box of poses (`baselines.contract.BoxBounding`). A new one of either kind takes
 part without a change here. Writes to OUT
 
@@ -32,10 +32,10 @@ from baselines import registry
 from baselines._shared.single_boxes import box_space
 from baselines.contract import BoxBounding, Instance
 from data.registry import dataset
-from dcreg.bounds import BOUNDS, make_bound
+from dcreg.families.dc.registry import BOUNDS, make_bound
+from dcreg.families.dc.space import FeatureSpace
 from dcreg.problem import Frame, InputError, Problem, default_gap_tol
 from dcreg.search import Box, Budget, Outcome, minimise
-from dcreg.spaces import FeatureSpace
 from workflows.disturb import make_instance
 
 WIDTHS = np.geomspace(2.0, 0.0002, 13)  # of the whole box, in RMS radii of the target

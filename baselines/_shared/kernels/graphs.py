@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels.compiling import jit
+from dcreg.jit import jit
 
 
 @jit

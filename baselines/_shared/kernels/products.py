@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels.assignment.dense import k_assignment
-from dcreg.kernels.compiling import jit
-from dcreg.kernels.termwise import envelopes, plane
+from dcreg.assignment.kernels.dense import k_assignment
+from dcreg.families.dc.kernels import termwise_envelopes as envelopes
+from dcreg.families.dc.kernels import termwise_plane as plane
+from dcreg.jit import jit
 
 
 @jit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.kernels.compiling import jit
+from dcreg.jit import jit
 
 _LEAST_HALF_WIDTH = 1e-6  # radians; a smaller cube is not divided and keeps its upper bound
 FINISHED, PAUSED = 0, 1

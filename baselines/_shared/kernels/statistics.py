@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from dcreg.kernels.assignment.dense import k_assignment
-from dcreg.kernels.compiling import jit
+from dcreg.assignment.kernels.dense import k_assignment
+from dcreg.jit import jit
 
 N_STATISTICS = 7
 

@@ -25,7 +25,7 @@ from baselines.mac.adapter import compatibility
 from baselines.mac.enumerate import HeaviestCliques
 from baselines.sc2_pcr_pp.adapter import candidate_closeness
 from baselines.turboreg.adapter import ordered_scores
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
 

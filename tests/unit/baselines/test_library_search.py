@@ -12,11 +12,11 @@ import pytest
 from baselines import registry
 from baselines.contract import Instance, Limits
 from baselines.hbsp.rotation import SemidefiniteRotationBound
-from dcreg.local import objective
-from dcreg.modes import table
+from dcreg.assignment.polish import objective
+from dcreg.driver import modes as table
+from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.problem import InputError
 from dcreg.search import LongestEdge
-from dcreg.spaces import Rotation3D
 from workflows import config
 
 # How many compiled forms of functions a process holds, read from the cache or made, before and after.

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from baselines import registry
 from baselines._shared.poses import apply, homogeneous
 from baselines.contract import Instance
-from dcreg.local import fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 NAMES = ["pygcransac", "pysuperansac"]

@@ -1,0 +1,335 @@
+"""Exact k-cardinality assignment: the cheapest k pairs, at most one per row and one per column.
+
+The problem is a balanced transportation problem: a *spare* column takes the n - k unmatched rows and a
+*dummy* row the m - k unmatched columns, both at no cost. Any column prices ``b >= 0`` give feasible duals
+for it, so the search for the optimum may start from the prices of a similar problem: rows take their
+cheapest column where no other row has it, and only the rest is matched by shortest augmenting paths. Good
+prices leave a handful of paths instead of k. Costs may be negative.
+
+Nodes of the transportation problem: rows 0..n-1 and the dummy row n; columns 0..m-1 and the spare
+column m. ``row_of[j]`` and ``col_of[i]`` are -1 while free. Duals: ``a`` of rows, ``-b`` of columns, with
+``a_i - b_j <= c_ij``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.assignment.kernels.selection import kth_smallest, least
+from dcreg.jit import NEVER, jit, jit_part, jit_reduction
+
+
+def cheapest_pairs(cost, k, stop=NEVER):
+    """Value, column of every row (-1: unmatched) and optimal prices of the cheapest k pairs.
+
+    For calls from Python; kernels call `k_assignment_duals`. Both run the same compiled functions.
+    """
+    prices = first_prices(cost, k)
+    value, col_of = improve_assignment(cost, k, prices, stop)
+    return value, col_of, prices
+
+
+@jit_part
+def k_assignment(cost, k, stop):
+    """Value and column of every row (-1: unmatched) of the cheapest k pairs."""
+    return improve_assignment(cost, k, first_prices(cost, k), stop)
+
+
+@jit_part
+def k_assignment_duals(cost, k, stop):
+    """Value, column of every row (-1: unmatched) and optimal prices of the cheapest k pairs."""
+    prices = first_prices(cost, k)
+    value, col_of = improve_assignment(cost, k, prices, stop)
+    return value, col_of, prices
+
+
+@jit
+def first_prices(cost, k):
+    """Prices to start from: none, or the columns' own minima where all columns are matched."""
+    n, m = cost.shape
+    b = np.zeros(m)
+    if k == m:
+        for j in range(m):
+            b[j] = -cost[0, j]
+            for i in range(1, n):
+                b[j] = max(b[j], -cost[i, j])
+        _take_least_off(b)
+    return b
+
+
+@jit
+def _take_least_off(b):
+    low = least(b)
+    for j in range(b.size):
+        b[j] -= low
+
+
+@jit
+def improve_assignment(cost, k, b, stop):
+    """Value and column of every row of the cheapest k pairs, from prices `b`, which become optimal.
+
+    Parameters
+    ----------
+    cost : (n, m) array
+    k : int
+        1 <= k <= min(n, m).
+    b : (m,) array
+        Any non-negative prices; on return optimal ones. For any of them the k least
+        ``min_j (c_ij + b_j)``, less the sum of b, are a lower bound; for optimal ones, the value.
+    stop : (1,) uint8 array
+        Looked at before every path; once it is set what is returned is unfinished and of no use.
+    """
+    n, m = cost.shape
+    a = np.empty(n + 1)
+    row_of, col_of, free = np.empty(m, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    for j in range(m):
+        row_of[j] = -1
+    for i in range(n):
+        col_of[i] = -1
+    spare_price = _leave_rows(cost, k, b, a, col_of)
+    n_free = _take_cheapest(cost, a, b, col_of, row_of, free)
+    _lower_prices(cost, spare_price, a, b, col_of, row_of)
+    left = _leave_columns(m - k, a, b, row_of)
+    starts = np.empty(n_free + left, np.int64)
+    for path in range(starts.size):
+        starts[path] = free[path] if path < n_free else n
+    _augment(cost, spare_price, a, b, col_of, row_of, starts, stop)
+    _take_least_off(b)
+    value = 0.0
+    for i in range(n):
+        if col_of[i] == m:
+            col_of[i] = -1
+        else:
+            value += cost[i, col_of[i]]
+    return value, col_of
+
+
+@jit
+def row_minima(cost, b, out):
+    """out_i = min_j (c_ij + b_j)."""
+    total = np.empty(b.size)
+    for i in range(cost.shape[0]):
+        for j in range(b.size):
+            total[j] = cost[i, j] + b[j]
+        out[i] = least(total)
+
+
+@jit_part
+def _leave_rows(cost, k, b, a, col_of):
+    """The n - k rows with the greatest minima start at the spare column. Returns its price."""
+    n, m = cost.shape
+    row_minima(cost, b, a)
+    if k == n:
+        return np.inf
+    price = kth_smallest(a[:n], k)
+    left = n - k
+    for i in range(n):
+        if a[i] > price:
+            col_of[i] = m
+            left -= 1
+    for i in range(n - 1, -1, -1):
+        if left > 0 and a[i] == price:
+            col_of[i] = m
+            left -= 1
+    return price
+
+
+@jit_part
+def _take_cheapest(cost, a, b, col_of, row_of, free):
+    """Rows take a cheapest column that no other row has; those without one are listed in `free`."""
+    n, m = cost.shape
+    n_free = 0
+    for i in range(n):
+        if col_of[i] == m:
+            continue
+        for j in range(m):
+            if cost[i, j] + b[j] <= a[i] and row_of[j] < 0:
+                row_of[j] = i
+                col_of[i] = j
+                break
+        else:
+            free[n_free] = i
+            n_free += 1
+    return n_free
+
+
+@jit_reduction
+def _raise_to(lowest, costs, level):
+    for j in range(costs.size):
+        lowest[j] = max(lowest[j], level - costs[j])
+
+
+@jit_part
+def _lower_prices(cost, spare_price, a, b, col_of, row_of):
+    """Prices of free columns fall as far as the rows' duals allow: most of them to zero."""
+    n, m = cost.shape
+    lowest, low = np.empty(m), least(b)
+    for j in range(m):
+        lowest[j] = low
+    for i in range(n):
+        _raise_to(lowest, cost[i], spare_price if col_of[i] == m else a[i])
+    for j in range(m):
+        if row_of[j] < 0:
+            b[j] = min(b[j], lowest[j])
+
+
+@jit_part
+def _leave_columns(left, a, b, row_of):
+    """Free columns of the lowest price go to the dummy row; returns how many it still needs."""
+    dummy = a.size - 1
+    a[dummy] = least(b)
+    for j in range(b.size):
+        if left > 0 and row_of[j] < 0 and b[j] == a[dummy]:
+            row_of[j] = dummy
+            left -= 1
+    return left
+
+
+@jit_reduction
+def _relax(costs, b, shift, row, dist, pred):
+    """Shorten distances by way of `row`. Closed columns have b infinite."""
+    for j in range(costs.size):
+        d = shift + (costs[j] + b[j])
+        closer = d < dist[j]
+        dist[j] = d if closer else dist[j]
+        pred[j] = row if closer else pred[j]
+
+
+@jit
+def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
+    """The same by way of all rows at the spare column at once."""
+    for j in range(b.size):
+        d = shift + (spare_cost[j] + b[j])
+        if d < dist[j]:
+            dist[j] = d
+            pred[j] = spare_row[j]
+
+
+@jit
+def _augment(cost, spare_price, a, b, col_of, row_of, starts, stop):
+    """Shortest augmenting paths from the free rows, and from the dummy row as often as it is short."""
+    n, m = cost.shape
+    dummy, spare = n, m
+    dist, open_b, no_cost = np.empty(m), np.empty(m), np.zeros(m)
+    pred = np.empty(m + 1, np.int64)
+    scanned, reached = np.empty(m + 1, np.int64), np.empty(m + 1)
+    spare_cost, spare_row = np.empty(m), np.empty(m, np.int64)
+    spare_known = False  # cheapest row at the spare column, per column
+    for source in starts:
+        if stop[0]:
+            return
+        for j in range(m):
+            dist[j], open_b[j] = np.inf, b[j]
+        spare_dist, spare_open = np.inf, True
+        dummy_entry, dummy_dist = -1, 0.0 if source == dummy else np.inf
+        n_scanned, reach, row = 0, 0.0, source
+        while True:
+            if row == dummy:
+                _relax(no_cost, open_b, reach - a[dummy], dummy, dist, pred)
+            elif row >= 0:
+                _relax(cost[row], open_b, reach - a[row], row, dist, pred)
+                if spare_open and reach - a[row] + spare_price < spare_dist:
+                    spare_dist = reach - a[row] + spare_price
+                    pred[spare] = row
+            elif row == -2:  # the rows at the spare column
+                _relax_spare(spare_cost, spare_row, open_b, reach - spare_price, dist, pred)
+            low = least(dist)
+            if spare_dist < low:
+                column, reach = spare, spare_dist
+            else:
+                column, reach = _first(dist, low), low
+                if row_of[column] < 0:
+                    break
+            scanned[n_scanned], reached[n_scanned] = column, reach
+            n_scanned += 1
+            if column == spare:
+                spare_dist, spare_open = np.inf, False
+                if not spare_known:
+                    spare_known = True
+                    _cheapest_spare_rows(cost, col_of, spare_cost, spare_row)
+                row = -2
+                continue
+            dist[column] = open_b[column] = np.inf
+            row = row_of[column]
+            if row == dummy:
+                if dummy_dist < np.inf:
+                    row = -1
+                else:
+                    dummy_entry, dummy_dist = column, reach
+        # duals
+        if source != dummy:
+            a[source] += reach
+        if dummy_dist < np.inf:
+            a[dummy] += reach - dummy_dist
+        for p in range(n_scanned):
+            j = scanned[p]
+            if j == spare:
+                spare_price += reach - reached[p]
+            else:
+                b[j] += reach - reached[p]
+                if row_of[j] != dummy:
+                    a[row_of[j]] += reach - reached[p]
+        joined, gone = _flip(column, source, dummy_entry, pred, col_of, row_of)
+        if gone >= 0:
+            a[gone] = spare_price
+        if spare_known and joined != gone:
+            _update_spare_rows(cost, joined, gone, col_of, spare_cost, spare_row)
+
+
+@jit
+def _first(dist, low):
+    at = dist.size
+    for j in range(dist.size):
+        at = min(at, j if dist[j] == low else dist.size)
+    return at
+
+
+@jit_part
+def _flip(column, source, dummy_entry, pred, col_of, row_of):
+    """Match along the path that ends in `column`. Returns the rows that joined and left the spare."""
+    spare, dummy = row_of.size, col_of.size
+    joined, gone = -1, -1
+    while True:
+        row = pred[column]
+        if row == dummy:
+            row_of[column] = dummy
+            column = dummy_entry
+        else:
+            previous = col_of[row]
+            col_of[row] = column
+            if column == spare:
+                joined = row
+            else:
+                row_of[column] = row
+            if previous == spare:
+                gone = row
+            column = previous
+        if row == source:
+            return joined, gone
+
+
+@jit_part
+def _cheapest_spare_rows(cost, col_of, spare_cost, spare_row):
+    for j in range(cost.shape[1]):
+        spare_cost[j], spare_row[j] = np.inf, -1
+    for i in range(cost.shape[0]):
+        if col_of[i] == cost.shape[1]:
+            for j in range(cost.shape[1]):
+                if cost[i, j] < spare_cost[j]:
+                    spare_cost[j] = cost[i, j]
+                    spare_row[j] = i
+
+
+@jit_part
+def _update_spare_rows(cost, joined, gone, col_of, spare_cost, spare_row):
+    n, m = cost.shape
+    for j in range(m):
+        if joined >= 0 and cost[joined, j] < spare_cost[j]:
+            spare_cost[j] = cost[joined, j]
+            spare_row[j] = joined
+        if gone >= 0 and spare_row[j] == gone:
+            spare_cost[j] = np.inf
+            for i in range(n):
+                if col_of[i] == m and cost[i, j] < spare_cost[j]:
+                    spare_cost[j] = cost[i, j]
+                    spare_row[j] = i

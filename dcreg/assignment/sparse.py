@@ -1,0 +1,248 @@
+"""One-to-one matching of large clouds: over nearest neighbours, with a proof where it is exact.
+
+A dense cost matrix of 10,000 x 10,000 pairs takes 800 MB and hours of assignment. At any pose worth
+looking at, though, a point is matched with one of its neighbours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dcreg.assignment.kernels.prices import assignment_prices
+from dcreg.assignment.kernels.sparse import greedy_matching, priced_matching
+from dcreg.jit import NEVER
+
+# Up to here the pairs are held in a dense matrix; beyond, this many neighbour pairs are the most.
+DENSE_PAIRS = 4_000_000
+_FIRST_NEIGHBOURS = 16
+# Where there is no time left: so few, and at most by this share farther than the nearest ones.
+_HURRIED_NEIGHBOURS, _HURRIED_SLACK = 8, 0.5
+_LEFTOVER_ROUNDS = 8  # of pairing near points that the neighbours leave over
+_MAX_PRICES = 16
+_ROUGH = 1.02  # size of a matching that may be cut to k where no proof is asked for
+
+
+@dataclass(frozen=True)
+class Matching:
+    """k one-to-one pairs.
+
+    Attributes
+    ----------
+    value : float
+        Their sum of squared distances.
+    pairs : (k, 2) int array
+    exact : bool
+        Proved to be the optimum over all pairs; otherwise `value` is an upper bound on it.
+    n_assignments : int
+        Sparse assignments solved.
+    """
+
+    value: float
+    pairs: np.ndarray
+    exact: bool
+    n_assignments: int
+
+
+def is_large(n: int, m: int) -> bool:
+    """Whether the pairs of n and m points are too many for a dense matrix."""
+    return n * m > DENSE_PAIRS
+
+
+def sparse_matching(
+    points: np.ndarray,
+    target: np.ndarray,
+    k: int,
+    *,
+    prove: bool = True,
+    stop: np.ndarray = NEVER,
+) -> Matching:
+    """Cheapest k one-to-one pairs by squared distance, without a dense matrix.
+
+    The assignment is solved over each point's nearest neighbours, 16 at first. Where prices do not
+    prove that farther pairs are useless, their number is quadrupled, up to `DENSE_PAIRS` pairs in
+    all. Should that not suffice either, the best matching found is returned as not exact; points that
+    the neighbours leave over are paired with near ones among themselves.
+
+    Without `prove`, the first 16 neighbours must do and the price of staying unmatched is found
+    roughly: a near-optimal matching in a fraction of the time, for the steps of a descent. Where `stop`
+    is set meanwhile, near pairs are taken greedily instead; where it is set already, of few neighbours.
+    """
+    if len(points) > len(target):
+        found = sparse_matching(target, points, k, prove=prove, stop=stop)
+        pairs = found.pairs[:, ::-1]
+        return Matching(
+            found.value, pairs[np.argsort(pairs[:, 0])], found.exact, found.n_assignments
+        )
+    n, m = len(points), len(target)
+    tree = cKDTree(target)
+    neighbours, spent = min(_FIRST_NEIGHBOURS, m), 0
+    best: Matching | None = None
+    while True:
+        columns, costs = _near(tree, points, neighbours, stop)
+        solved = 0
+        if not stop[0]:
+            col_of, own, solved = _matching_of_size(columns, costs, m, k, prove, stop)
+        if stop[0]:  # possibly since just now
+            col_of, own = _greedy(columns, costs, m, k), None
+        spent += solved
+        exact = prove and own is not None and _is_proved(points, tree, columns, costs, col_of, own)
+        value, pairs = _completed(points, target, col_of, k, stop)
+        if best is None or exact or value < best.value:
+            best = Matching(value, pairs, exact, spent)
+        if exact or not prove or stop[0] or neighbours == m or 4 * neighbours * n > DENSE_PAIRS:
+            return Matching(best.value, best.pairs, best.exact, spent)
+        neighbours = min(4 * neighbours, m)
+
+
+def _near(
+    tree: cKDTree, points: np.ndarray, count: int, stop: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of `count` near points of the tree for every row, nearest first, and their costs."""
+    count, slack = (min(count, _HURRIED_NEIGHBOURS), _HURRIED_SLACK) if stop[0] else (count, 0.0)
+    distances, columns = tree.query(points, k=np.arange(1, count + 1), eps=slack)
+    return columns.astype(np.int64), distances**2
+
+
+def _matching_of_size(
+    columns: np.ndarray, costs: np.ndarray, m: int, k: int, prove: bool, stop: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None, int]:
+    """Columns of the cheapest k pairs among the candidates, what rows pay, assignments solved.
+
+    What rows pay is None where the pairs are fewer than k or not surely the cheapest.
+
+    A row may stay unmatched for a price. The number of matched rows grows with the price, and where it
+    is k the matching is the cheapest of that size (Lagrange); the price is found by interpolation.
+    """
+    n = len(columns)
+    top = 4.0 * n * (costs.max() or 1.0)  # dearer than any matching: as many rows as possible
+    if k == n:
+        col_of = _priced_matching(columns, costs, m, top, stop)
+        complete = bool((col_of >= 0).all())
+        return col_of, _own_costs(columns, costs, col_of, top) if complete else None, 1
+    low, n_low, high, n_high = 0.0, 0, top, n + 1
+    price = 2.0 * float(np.partition(costs[:, 0], k - 1)[k - 1]) or 1e-9 * top
+    enough = None
+    for solved in range(1, _MAX_PRICES + 1):
+        col_of = _priced_matching(columns, costs, m, price, stop)
+        size = int((col_of >= 0).sum())
+        if size == k:
+            return col_of, _own_costs(columns, costs, col_of, price), solved
+        if size > k:
+            high, n_high, enough = price, size, col_of
+            if not prove and size <= _ROUGH * k:
+                break
+        else:
+            low, n_low = price, size
+        if enough is None:
+            # where all candidates count already, a dearer price hardly adds a pair
+            if low == top or stop[0] or (not prove and low > costs.max()):
+                break
+            price = min(4.0 * price, top)
+        else:
+            share = np.clip((k - n_low) / (n_high - n_low), 0.05, 0.95)
+            price = low + float(share) * (high - low)
+    if enough is None:
+        return col_of, None, solved
+    # ties, or too fine a price: keep the cheapest k pairs of a larger matching
+    rows = np.flatnonzero(enough >= 0)
+    kept = rows[np.argsort(_own_costs(columns, costs, enough, np.inf)[rows], kind="stable")[:k]]
+    col_of = np.full(n, -1, np.int64)
+    col_of[kept] = enough[kept]
+    return col_of, None, solved
+
+
+def _priced_matching(
+    columns: np.ndarray, costs: np.ndarray, m: int, price: float, stop: np.ndarray
+) -> np.ndarray:
+    """Column of each row (-1: none) in the cheapest matching where staying unmatched costs `price`."""
+    col_of = np.empty(len(columns), np.int64)
+    priced_matching(columns, costs, m, price, stop, col_of)
+    return col_of
+
+
+def _greedy(columns: np.ndarray, costs: np.ndarray, m: int, k: int) -> np.ndarray:
+    """Column of each row (-1: none): the nearest pairs whose points are both free, one after another."""
+    n, width = columns.shape
+    order = np.argsort(costs, axis=None, kind="stable")
+    return greedy_matching(order // width, columns.ravel()[order], n, m, k)
+
+
+def _own_costs(
+    columns: np.ndarray, costs: np.ndarray, col_of: np.ndarray, price: float
+) -> np.ndarray:
+    chosen = columns == col_of[:, None]
+    own = np.take_along_axis(costs, chosen.argmax(axis=1)[:, None], axis=1)[:, 0]
+    return np.where(col_of >= 0, own, price)
+
+
+def _is_proved(
+    points: np.ndarray,
+    tree: cKDTree,
+    columns: np.ndarray,
+    costs: np.ndarray,
+    col_of: np.ndarray,
+    own: np.ndarray,
+) -> bool:
+    """Whether no pair beyond the candidates could have helped: farther ones are priced, not solved."""
+    u, v, settled = assignment_prices(columns, costs, col_of, own, tree.n)
+    if not settled:
+        return False
+    neighbours = columns.shape[1]
+    rows = np.flatnonzero(costs[:, -1] < u)
+    while rows.size and neighbours < tree.n:
+        neighbours = min(4 * neighbours, tree.n)
+        if neighbours * rows.size > DENSE_PAIRS:
+            return False
+        distances, farther = tree.query(points[rows], k=np.arange(1, neighbours + 1))
+        if (distances**2 - u[rows, None] < v[farther] - 1e-12 * own.max()).any():
+            return False
+        rows = rows[distances[:, -1] ** 2 < u[rows]]
+    return True
+
+
+def _completed(
+    points: np.ndarray, target: np.ndarray, col_of: np.ndarray, k: int, stop: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Value and exactly k pairs: those of `col_of`, and leftover points where they are too few.
+
+    Leftover points are paired with near ones that are left over too, in a few rounds (with no
+    time left: one). What these still leave is paired in the order along the longest side.
+    """
+    col_of = col_of.copy()
+    for _ in range(1 if stop[0] else _LEFTOVER_ROUNDS):
+        missing = k - int((col_of >= 0).sum())
+        if missing <= 0:
+            break
+        rows, columns = _left_over(col_of, len(target))
+        wanted = min(_FIRST_NEIGHBOURS, len(columns))
+        at, costs = _near(cKDTree(target[columns]), points[rows], wanted, stop)
+        chosen = _greedy(at, costs, len(columns), missing)
+        col_of[rows] = np.where(chosen >= 0, columns[chosen], -1)
+    missing = k - int((col_of >= 0).sum())
+    if missing > 0:
+        axis = int(np.argmax(np.ptp(target, axis=0)))
+        rows, columns = _left_over(col_of, len(target))
+        rows = rows[np.argsort(points[rows, axis], kind="stable")]
+        columns = columns[np.argsort(target[columns, axis], kind="stable")]
+        spread = np.linspace(0, len(columns) - 1, len(rows)).round().astype(int)
+        col_of[rows[:missing]] = columns[spread][:missing]
+    pairs = np.stack([np.flatnonzero(col_of >= 0), col_of[col_of >= 0]], axis=1)
+    value = float(((points[pairs[:, 0]] - target[pairs[:, 1]]) ** 2).sum())
+    return value, pairs.astype(np.int64)
+
+
+def _left_over(col_of: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns in no pair."""
+    free = np.ones(m, dtype=bool)
+    free[col_of[col_of >= 0]] = False
+    return np.flatnonzero(col_of < 0), np.flatnonzero(free)
+
+
+def nearest_pairs(points: np.ndarray, tree: cKDTree, k: int) -> tuple[np.ndarray, float]:
+    """The k points nearest to the target and their neighbours; not one-to-one. Pairs, value."""
+    distances, columns = tree.query(points)
+    rows = np.sort(np.argsort(distances, kind="stable")[:k])
+    return np.stack([rows, columns[rows]], axis=1), float((distances[rows] ** 2).sum())

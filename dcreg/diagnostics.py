@@ -1,0 +1,272 @@
+"""What of a result should not be trusted without a second look, and what to do about it.
+
+Every rule is one small function from what is known to a line of text, or to nothing. The line names what
+looks odd and the remedy. `RULES` is the table of them; `warnings_for` asks each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from dcreg.problem import EXACT, Problem, median_spacing, rms_radius, unit_length
+from dcreg.result import Result
+from dcreg.status import Status
+
+_VERY_MANY_POINTS = 4000
+_OPERATIONS_PER_SECOND = 1e9
+
+
+def advice(problem: Problem) -> Iterator[str]:
+    """Warnings and hints, one line each; none where nothing looks odd.
+
+    Parameters
+    ----------
+    problem : Problem
+
+    Yields
+    ------
+    str
+        Beginning with ``warning:`` or ``hint:``.
+
+    Examples
+    --------
+    >>> import numpy as np, dcreg
+    >>> cube = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> for line in dcreg.advice(dcreg.Problem(cube, 1000 * cube, 4, "rigid3d")):
+    ...     print(line[:65])
+    hint: the RMS radii differ a lot (source 0.75, target 750), and r
+    """
+    n, m = len(problem.source), len(problem.target)
+    if max(n, m) > _VERY_MANY_POINTS:
+        work = float(problem.n_inliers) * n * m
+        yield (
+            f"warning: {n} x {m} points. Each exact assignment takes {_bytes(8.0 * n * m)} and up "
+            f"to K n m = {work:.0e} operations (at worst about "
+            f"{_duration(work / _OPERATIONS_PER_SECOND)}), and a "
+            "search takes hundreds of them. Search with some of the points: downsample=200, "
+            "--downsample 200."
+        )
+    radii = rms_radius(problem.source), rms_radius(problem.target)
+    ratio = radii[0] / radii[1] if radii[1] > 0 else math.inf
+    if problem.model == "rigid3d" and not 0.5 <= ratio <= 2.0:
+        yield (
+            f"hint: the RMS radii differ a lot (source {radii[0]:.4g}, target {radii[1]:.4g}), and "
+            "rigid3d has no scale. If the units differ, rescale one cloud; for two views that "
+            "overlap in part this may be all right."
+        )
+
+
+def _bytes(count: float) -> str:
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} TB"
+
+
+def _duration(seconds: float) -> str:
+    for unit, size in (("days", 86400), ("hours", 3600), ("minutes", 60)):
+        if seconds >= size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"
+
+
+_MANY_POINTS = 1000
+_MUCH_LARGER = 100.0
+_OTHER_SIZE = 10.0
+TOO_MANY_PAIRS = "pairs are probably too many"  # in the line of `loose_pairs`
+_ROUGH = 1.01  # times the upper bound: more than rounding
+# Measured on 180 problems of four shapes: all 45 wrong poses have a rival below, 18 of 135 right ones.
+_CLOSE = 1.5
+_LOOSE = (
+    2.0  # RMSE in spacings of the target; scans of one object stay below where n_inliers is right
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A solved problem.
+
+    Attributes
+    ----------
+    problem : Problem
+        As it was given, before any downsampling.
+    result : Result
+    in_norm_space : bool
+        Whether the bounds speak of norms, not of residuals.
+    """
+
+    problem: Problem
+    result: Result
+    in_norm_space: bool
+
+
+def _is_rounding(value: float, case: Case) -> bool:
+    """Whether a sum over the pairs is no more than rounding leaves of a perfect fit."""
+    source, target = case.problem.source, case.problem.target
+    unit = unit_length(source, target)
+    last_bits = 16.0 * np.finfo(float).eps * max(np.abs(source).max(), np.abs(target).max())
+    return bool(value <= case.result.n_inliers * (EXACT * unit**2 + last_bits**2))
+
+
+def nothing_proven(case: Case) -> str | None:
+    """The lower bound is that of any sum of squares."""
+    result = case.result
+    if result.lower_bound > 0.0 or _is_rounding(result.upper_bound, case):
+        return None
+    known = "the lower bound is 0, which holds for every sum of squares"
+    if result.gap_tol >= result.upper_bound:
+        what, other = ("norms fit", "translation") if case.in_norm_space else ("pose fits", "pose")
+        return (
+            f"{known}: the {what} to within the tolerance ({result.upper_bound:.3g} of "
+            f"{result.gap_tol:.3g}), so that no {other} is better by more, and nothing is proven beyond "
+            "that. Give a smaller gap_tol"
+        )
+    known += ": nothing is proven"
+    return f"{known}. Give more time, fewer points, or a mode that closes (see the manual on modes)"
+
+
+def misled(case: Case) -> str | None:
+    """The pose does not do what the bounds in norm space promise."""
+    result = case.result
+    found, promised = result.objective / result.n_inliers, result.upper_bound / result.n_bounded
+    ratio = float(found) / float(max(promised, np.finfo(float).tiny))
+    if (
+        not case.in_norm_space
+        or ratio <= _MUCH_LARGER
+        or result.is_hurried
+        or _is_rounding(result.objective, case)
+    ):
+        return None
+    times = f"{ratio:.3g}" if ratio < 1e6 else "over a million"
+    return (
+        f"a pair costs {found:.3g} at the pose on average, {times} times the upper bound "
+        f"{promised:.3g} in norm space: the norms do not determine the pose, which may be wrong. Use "
+        "mode 'full', for clouds too large for it with downsample=200, or another n_inliers"
+    )
+
+
+def rough_pairs(case: Case) -> str | None:
+    """The pairs cost more than the best ones at their pose are known to, or may."""
+    result = case.result
+    if _is_rounding(result.objective, case):
+        return None
+    of_other = case.in_norm_space or result.downsampled is not None
+    if not of_other and result.objective > _ROUGH * result.upper_bound:
+        what = (
+            f"those listed cost {result.objective:.3g}, the best ones at this pose at most "
+            f"{result.upper_bound:.3g}"
+        )
+    elif of_other and result.is_hurried:
+        what = (
+            "near ones were taken one after another, and the best at this pose can cost much less than "
+            f"the {result.objective:.3g} that they do"
+        )
+    else:
+        return None
+    return (
+        f"the search ended before all pairs were matched: {what}. Give more time, or use downsample=200 "
+        "(--downsample 200)"
+    )
+
+
+def scale_at_limit(case: Case) -> str | None:
+    """A wider range would give another scale."""
+    low, high = case.problem.scale_range
+    scale = case.result.scale
+    if low == high or not (scale <= low * (1.0 + 1e-6) or scale >= high * (1.0 - 1e-6)):
+        return None
+    return (
+        f"the scale {scale:.4g} is an end of scale_range ({low:g}, {high:g}): a better fit may lie "
+        "outside. Widen the range, or rescale one cloud"
+    )
+
+
+def undetermined(case: Case) -> str | None:
+    """More than one pose fits the pairs equally well."""
+    matched = case.problem.source[case.result.assignment[:, 0]]
+    spread = np.linalg.svd(matched - matched.mean(axis=0), compute_uv=False)
+    spread = np.append(spread, np.zeros(case.problem.dim))
+    extent = max(rms_radius(case.problem.source), rms_radius(case.problem.target))
+    if spread[case.problem.dim - 2] > 1e-9 * extent > 0.0:
+        return None
+    is_point = case.problem.dim == 2 or spread[0] <= 1e-9 * extent
+    where = "coincide" if is_point else "lie on one line"
+    return (
+        f"the {case.result.n_inliers} matched source points {where}, so that they do not determine "
+        "the pose. Match more pairs (n_inliers), of distinct points"
+    )
+
+
+def other_size(case: Case) -> str | None:
+    """One cloud is much larger than the other."""
+    source, target = rms_radius(case.problem.source), rms_radius(case.problem.target)
+    least, most = min(source, target), max(source, target)
+    if most < _OTHER_SIZE * least or most == 0.0:
+        return None
+    return (
+        f"the sizes of the clouds differ by a factor of 10 or more (RMS radii: source {source:.3g}, "
+        f"target {target:.3g}). If their units differ, rescale one of them; else crop the larger one"
+    )
+
+
+def loose_pairs(case: Case) -> str | None:
+    """Matched points lie farther apart than neighbours do: some of the pairs can hardly be true."""
+    problem, result = case.problem, case.result
+    spacing = median_spacing(problem.target)
+    if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_hurried:
+        return None
+    return (
+        f"matched points lie {result.rmse_matched:.3g} apart (RMS), neighbours in the target "
+        f"{spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. Try "
+        "a smaller n_inliers (`dcreg sweep` tries several), or remove stray points first"
+    )
+
+
+def ambiguous(case: Case) -> str | None:
+    """Another pose does nearly as well."""
+    rival = case.result.rival
+    if rival is None or rival.objective_ratio >= _CLOSE:
+        return None
+    percent = 100.0 * (rival.objective_ratio - 1.0)
+    more = f"only {percent:.2g} % more" if percent >= 0.1 else "no more"
+    return (
+        f"another pose, {rival.way} against this one, costs {more}: these pairs "
+        "hardly tell them apart. The shape may be symmetric, noise large, or "
+        f"{case.result.n_inliers} the wrong number of pairs (`dcreg sweep` tries several); look at both "
+        "(`rival` of the result)"
+    )
+
+
+def too_many_points(case: Case) -> str | None:
+    """A smaller sample would have been solved."""
+    n, m = len(case.problem.source), len(case.problem.target)
+    solved = case.result.status in (Status.OPTIMAL, Status.CONVERGED)
+    if max(n, m) < _MANY_POINTS or solved or case.result.downsampled is not None:
+        return None
+    return (
+        f"{n} x {m} points are too many to be solved in this time. Use downsample=200 "
+        "(--downsample 200), which solves for some of the points and refines the pose on all"
+    )
+
+
+RULES: tuple[Callable[[Case], str | None], ...] = (
+    nothing_proven,
+    misled,
+    rough_pairs,
+    scale_at_limit,
+    undetermined,
+    other_size,
+    loose_pairs,
+    ambiguous,
+    too_many_points,
+)
+
+
+def warnings_for(case: Case) -> list[str]:
+    """One line for each rule that applies."""
+    return [line for rule in RULES if (line := rule(case)) is not None]

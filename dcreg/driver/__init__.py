@@ -1,0 +1,1 @@
+"""From a checked problem to a result: modes, sampling, sweeps, compilation."""

@@ -1,0 +1,135 @@
+"""Compile kernels before they are needed. ``python -m dcreg.driver.warm_up`` compiles all of them."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import multiprocessing
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+
+from dcreg.assignment.polish import objective, polish
+from dcreg.assignment.sparse import is_large, sparse_matching
+from dcreg.driver.modes import MODES, Mode, find_mode
+from dcreg.driver.task import Task
+from dcreg.families.matches.bound import MatchBound
+from dcreg.families.matches.problem import MatchProblem
+from dcreg.families.matches.start import coinciding_poses, promising_poses
+from dcreg.families.rotation3d.sampled import search_sampled_rotation
+from dcreg.jit import forget_old_kernels, when_compiling
+from dcreg.problem import Problem
+from dcreg.search import Budget, LongestEdge, branch_and_bound
+
+_LOGGER = logging.getLogger("dcreg")
+_MESSAGE = "compiling the kernels that this search needs; once, they are kept for later runs"
+
+
+def warm_up(processes: int = 1) -> None:
+    """Compile every kernel into the on-disk cache, so that no later process waits for it.
+
+    Kernels of earlier versions of the library are removed from it.
+
+    Parameters
+    ----------
+    processes : int
+        Processes that share the work. More than one takes less time, and more of the processor,
+        since some kernels are then compiled more than once.
+    """
+    forget_old_kernels()
+    works = list(_works())
+    if processes == 1:
+        for work in works:
+            work()
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, context) as pool:
+        for done in [pool.submit(work) for work in works]:
+            done.result()
+
+
+def _works() -> Iterator[functools.partial[None]]:
+    """All there is to compile, in parts that have little in common."""
+    yield functools.partial(warm_up_matches)
+    for mode in sorted(MODES, key=lambda mode: mode.name):  # the dearest first
+        bounds = (None, "tight-exact", "shared", "paper", "edges", "termwise")
+        yield functools.partial(
+            _compile_mode, mode.model, mode.name, bounds if mode.takes_bound else (None,)
+        )
+
+
+def _compile_mode(model: str, name: str, bounds: tuple[str | None, ...]) -> None:
+    for bound in bounds:
+        for restricted in (False, True):
+            warm_up_mode(find_mode(model, name), bound, restricted)
+    warm_up_mode(find_mode(model, name), None, large=True)
+
+
+def special(problem: Problem) -> tuple[bool, bool]:
+    """`restricted` and `large` of `warm_up_mode` for a problem."""
+    restricted = problem.candidates is not None
+    return restricted, not restricted and is_large(len(problem.source), len(problem.target))
+
+
+@functools.cache
+def warm_up_mode(
+    mode: Mode, bound: str | None, restricted: bool = False, large: bool = False
+) -> None:
+    """Compile (or load from cache) the kernels that a mode and a bound need, once a process.
+
+    They are those that a search of a tiny problem meets. Where one of them has to be compiled, a record
+    of level INFO goes to the logger ``dcreg`` first.
+
+    Parameters
+    ----------
+    mode : Mode
+    bound : str or None
+        None: the mode's own.
+    restricted : bool
+        Whether not every pair is feasible.
+    large : bool
+        Whether the clouds are too large for a dense matrix.
+    """
+    generator = np.random.default_rng(0)
+    dim = 2 if mode.model == "similarity2d" else 3
+    scale_range = (0.5, 1.5) if dim == 2 else (1.0, 1.0)
+    points = generator.standard_normal((8, dim))
+    moved = points[:, ::-1].copy()
+    candidates = ~np.eye(8, dtype=bool) if restricted else None
+    with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
+        mode.run(
+            Task(
+                points, moved, 6, scale_range, candidates, bound or mode.own_bound, False, 0.5, 1,
+                Budget(nodes=8),
+            )
+        )  # fmt: skip
+        polish(points, moved, np.eye(dim + 1), 6, scale_range, candidates)
+        # what is met past the limit
+        objective(points, moved, np.eye(dim + 1), 6, stop=np.ones(1, np.uint8))
+        if large:
+            sparse_matching(points, moved, 6)
+            if dim == 3:
+                search_sampled_rotation(points, moved, 6, gap_tol=0.0, budget=Budget())
+
+
+@functools.cache
+def warm_up_matches() -> None:
+    """Compile (or load from cache) the kernels of `dcreg.register_matches`, once a process."""
+    points = np.random.default_rng(0).standard_normal((8, 3))
+    rows = np.arange(8)
+    problem = MatchProblem(points, points, np.column_stack([rows, rows]), 0.5)
+    with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
+        promising_poses(problem, Budget())
+        coinciding_poses(problem, Budget())
+        worst = problem.reach**2 * problem.most
+        bound = MatchBound(problem, worst, 0.0)
+        branch_and_bound(
+            bound, Budget(nodes=8), branching=LongestEdge(bound.axis_weights), gap_tol=0.0,
+            refine=bound.refine, start=(np.eye(3, 4).ravel(), worst),
+        )  # fmt: skip
+
+
+if __name__ == "__main__":
+    warm_up(processes=min(len(MODES), os.cpu_count() or 1))

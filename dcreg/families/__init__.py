@@ -1,0 +1,1 @@
+"""Pose families: parameters, objective, starts and bounds, one folder each."""

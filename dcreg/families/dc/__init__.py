@@ -1,0 +1,1 @@
+"""The difference-of-convex bounds, shared by the 2D similarity and the 3D translation."""

@@ -1,0 +1,26 @@
+"""Vertices of a box of parameters."""
+
+from __future__ import annotations
+
+from dcreg.jit import jit
+
+
+@jit
+def n_vertices(lower, upper):
+    """Distinct vertices of a box: axes of zero width do not count."""
+    count = 1
+    for a in range(lower.size):
+        if upper[a] > lower[a]:
+            count *= 2
+    return count
+
+
+@jit
+def vertex(lower, upper, index, out):
+    """The index-th distinct vertex of a box, bit a of the index choosing the a-th wide axis."""
+    for a in range(lower.size):
+        out[a] = lower[a]
+        if upper[a] > lower[a]:
+            if index & 1:
+                out[a] = upper[a]
+            index >>= 1

@@ -1,0 +1,62 @@
+"""Spaces whose residuals are distances of features: plane points, or norms in space."""
+
+from __future__ import annotations
+
+import abc
+
+import numpy as np
+
+from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.families.dc.kernels.motion import pair_costs
+from dcreg.families.kernels import Points
+from dcreg.families.protocol import Space
+
+LEAST_GAIN = 1e-9  # share of the objective by which a step of a descent has to lower it
+
+
+class FeatureSpace(Space):
+    """A space over which every bound is written once, in terms of features of the moved source.
+
+    Attributes
+    ----------
+    points : Points
+        The normalised problem as the kernels take it.
+    identity : (dim,) array
+        The parameter that moves nothing.
+    """
+
+    points: Points
+    identity: np.ndarray
+    n_descents = 6
+
+    def heed(self, stop: np.ndarray) -> None:
+        super().heed(stop)
+        self.points = self.points._replace(stop=stop)
+
+    @property
+    def source(self) -> np.ndarray:
+        """(n, d) normalised source points."""
+        return self.points.source
+
+    @property
+    def n_source(self) -> int:
+        return len(self.points.source)
+
+    @property
+    def n_target(self) -> int:
+        return int(self.points.target.shape[-1])
+
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop)
+        self.check()
+        return float(value), col_of
+
+    def _costs(self, theta: np.ndarray) -> np.ndarray:
+        """(n, m) squared residuals, and the prices of the pairs."""
+        cost = np.empty((self.n_source, self.n_target))
+        pair_costs(self.points, theta, cost)
+        return cost
+
+    @abc.abstractmethod
+    def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
+        """The objective at every row of `thetas` into `values`; the assignments that took."""

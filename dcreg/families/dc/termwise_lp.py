@@ -1,0 +1,204 @@
+"""The strongest aggregated term-wise bound (R3): all McCormick facets at once, as one linear programme.
+
+R1 keeps the mean of two facets of every product so that matching and pose separate. Here all facets
+stay and matching, features, products and pose are minimised jointly, which no choice of single facets can
+surpass. Like R1 and R2 a reconstruction of the family of RPM-HTB, for comparison only: it is slow.
+
+The programme over P is solved by column generation. The master problem, solved by HiGHS, knows some
+matchings; its duals price all others by one exact k-assignment. The bound returned is the Lagrangian one,
+
+    y b + sum_v min_{[l_v, u_v]} (reduced cost of v) v + min_P sum p_ij (yy_ij - sum_f alpha_f f_ij),
+
+valid for any multipliers y of the right sign: tolerances of the LP solver cannot make it too large.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import OptimizeResult, linprog
+
+from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.families.dc.kernels import termwise_plane as plane
+from dcreg.families.dc.space import FeatureSpace
+from dcreg.families.dc.termwise import TermwiseBound
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.search import Box, Evaluation
+
+MAX_ROUNDS = 100
+RECENT = 40  # matchings kept from box to box
+PRECISION = 1e-9  # of the bound, relative to the size of the objective's terms
+VIOLATION = 1e-6  # of a tangent; above what the LP solver tolerates
+
+# Columns of the master problem: pose, products t_a t_b, squares t_3^2 and t_4^2, products of an
+# aggregate with those and with the pose, aggregates; behind them the known matchings.
+_PAIRS = [(int(a), int(b)) for _, a, b, _ in plane.TRILINEAR]
+_POSE, _PAIR, _SQUARE, _CUBIC, _BILINEAR, _AGGREGATE = np.split(
+    np.arange(4 + len(_PAIRS) + 2 + len(_PAIRS) + len(plane.BILINEAR) + plane.N_FEATURES),
+    np.cumsum([4, len(_PAIRS), 2, len(_PAIRS), len(plane.BILINEAR)]),
+)
+_N_COLUMNS = int(_AGGREGATE[-1]) + 1
+
+
+class TermwiseR3(TermwiseBound):
+    """The joint LP relaxation; the candidate is its pose, moved to the nearest admissible scale."""
+
+    def __init__(
+        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> None:
+        super().__init__(space, roots, threads)
+        assert isinstance(space, Similarity2D)
+        self.scale_range = space.scale_range
+        self.planes = self.features.reshape(len(self.features), -1)
+        extremes = [sign * plane for plane in self.planes[:-1] for sign in (1.0, -1.0)]
+        self.extremes = np.array([self._price(cost)[1] for cost in extremes])
+        self.low, self.high = self.extremes.min(axis=0)[:-1], self.extremes.max(axis=0)[:-1]
+        self.recent: deque[np.ndarray] = deque(maxlen=RECENT)  # a good start for the next box
+
+    def _price(self, cost: np.ndarray) -> tuple[float, np.ndarray]:
+        """Least total of `cost` over all matchings, and the aggregates of a matching attaining it."""
+        shape = self.features.shape[1:]
+        value, col_of, _ = cheapest_pairs(
+            np.ascontiguousarray(cost.reshape(shape)), self.space.n_inliers, self.space.stop
+        )
+        self.n_assignments += 1
+        rows = np.flatnonzero(col_of >= 0)
+        return float(value), self.features[:, rows, col_of[rows]].sum(axis=1)
+
+    def _evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+    ) -> Evaluation:
+        found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
+        for box in range(len(lower)):
+            self.space.check()
+            found.lower_bounds[box], theta = self._solve(lower[box], upper[box], cutoff)
+            found.thetas[box] = self._project(theta)
+        self.n_assignments += self.space.objectives(found.thetas, found.values)
+        return found
+
+    def _solve(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float
+    ) -> tuple[float, np.ndarray]:
+        """Bound and pose of one box."""
+        master = _Master(lower, upper, self.low, self.high, self.space.n_inliers)
+        matchings = np.vstack([self.extremes, *self.recent])
+        bound, theta = -np.inf, 0.5 * (lower + upper)
+        for _ in range(MAX_ROUNDS):
+            solution = master.solve(matchings)
+            if not solution.success:  # what was proven so far stays valid
+                break
+            theta = np.clip(solution.x[_POSE], lower, upper)
+            relaxed, alpha = master.relaxed(solution)
+            value, matching = self._price(self.planes[-1] - alpha @ self.planes[:-1])
+            bound = max(bound, relaxed + value)
+            closed = solution.fun - bound <= PRECISION * (1.0 + abs(matching[-1]) + abs(bound))
+            if bound >= cutoff or (not master.cut(theta, solution.x) and closed):
+                break
+            matchings = np.vstack([matchings, matching])
+            self.recent.append(matching)
+        return bound, theta
+
+    def _project(self, theta: np.ndarray) -> np.ndarray:
+        low, high = self.scale_range
+        scale = np.hypot(theta[0], theta[1])
+        if scale == 0.0:
+            return np.array([low, 0.0, theta[2], theta[3]])
+        factor = np.clip(scale, low, high) / scale
+        return theta * [factor, factor, 1.0, 1.0]
+
+
+class _Master:
+    """The linear programme of one box, over the matchings known so far."""
+
+    def __init__(
+        self, lower: np.ndarray, upper: np.ndarray, low: np.ndarray, high: np.ndarray, k: int
+    ) -> None:
+        self.low, self.high, self.cost = (
+            np.empty(_N_COLUMNS),
+            np.empty(_N_COLUMNS),
+            np.zeros(_N_COLUMNS),
+        )
+        self.low[_POSE], self.high[_POSE] = lower, upper
+        self.low[_AGGREGATE], self.high[_AGGREGATE] = low, high
+        self._rows: list[np.ndarray] = []
+        self._right: list[float] = []
+        self._squares = [
+            *((w, a) for w, (a, b) in zip(_PAIR, _PAIRS, strict=True) if a == b),
+            *zip(_SQUARE, _POSE[2:], strict=True),
+        ]
+        for w, (a, b) in zip(_PAIR, _PAIRS, strict=True):
+            if a != b:
+                self._product(w, a, b)
+        for w, a in self._squares:
+            self._square(w, a)
+        for z, w, (f, _, _, c) in zip(_CUBIC, _PAIR, plane.TRILINEAR, strict=True):
+            self._product(z, _AGGREGATE[f], w)
+            self.cost[z] = c
+        for z, (f, a) in zip(_BILINEAR, plane.BILINEAR, strict=True):
+            self._product(z, _AGGREGATE[f], a)
+            self.cost[z] = -2.0
+        self.cost[_SQUARE] = k
+
+    def _product(self, w: int, u: int, v: int) -> None:
+        """The four McCormick facets of w = u v."""
+        ul, uh, vl, vh = self.low[u], self.high[u], self.low[v], self.high[v]
+        corners = (ul * vl, ul * vh, uh * vl, uh * vh)
+        self.low[w], self.high[w] = min(corners), max(corners)
+        for at_u, at_v, sign in ((ul, vl, 1.0), (uh, vh, 1.0), (uh, vl, -1.0), (ul, vh, -1.0)):
+            self._add({w: -sign, u: sign * at_v, v: sign * at_u}, sign * at_u * at_v)
+
+    def _square(self, w: int, a: int) -> None:
+        """Secant and three tangents of w = a^2."""
+        low, high = self.low[a], self.high[a]
+        self.low[w] = max(low, -high, 0.0) ** 2
+        self.high[w] = max(-low, high) ** 2
+        self._add({w: 1.0, a: -(low + high)}, -low * high)
+        for at in np.unique([low, 0.5 * (low + high), high]):
+            self._tangent(w, a, at)
+
+    def _tangent(self, w: int, a: int, at: float) -> None:
+        self._add({w: -1.0, a: 2.0 * at}, at * at)
+
+    def _add(self, entries: dict[int, float], right: float) -> None:
+        """A row ``sum entries <= right``."""
+        row = np.zeros(_N_COLUMNS)
+        row[list(entries)] = list(entries.values())
+        self._rows.append(row)
+        self._right.append(right)
+
+    def cut(self, theta: np.ndarray, x: np.ndarray) -> bool:
+        """Add the tangents of squares that `x` violates. Returns whether there were any."""
+        violated = [(w, a) for w, a in self._squares if theta[a] ** 2 - x[w] > VIOLATION]
+        for w, a in violated:
+            self._tangent(w, a, theta[a])
+        return bool(violated)
+
+    def solve(self, matchings: np.ndarray) -> OptimizeResult:
+        """Optimum over the hull of `matchings`, whose last column is the constant term yy."""
+        count = len(matchings)
+        features = np.hstack([np.zeros((plane.N_FEATURES, _N_COLUMNS)), matchings[:, :-1].T])
+        features[np.arange(plane.N_FEATURES), _AGGREGATE] = -1.0
+        convex = np.concatenate([np.zeros(_N_COLUMNS), np.ones(count)])
+        bounds = np.vstack(
+            [np.stack([self.low, self.high], axis=1), np.tile([0.0, 1.0], (count, 1))]
+        )
+        return linprog(
+            np.concatenate([self.cost, matchings[:, -1]]),
+            A_ub=np.hstack([np.array(self._rows), np.zeros((len(self._rows), count))]),
+            b_ub=np.array(self._right),
+            A_eq=np.vstack([features, convex]),
+            b_eq=np.concatenate([np.zeros(plane.N_FEATURES), [1.0]]),
+            bounds=bounds,
+            method="highs",
+        )
+
+    def relaxed(self, solution: OptimizeResult) -> tuple[float, np.ndarray]:
+        """Lagrangian bound of all but the matching, and the prices alpha of the aggregates."""
+        y = np.minimum(solution.ineqlin.marginals, 0.0)
+        alpha = solution.eqlin.marginals[:-1]
+        reduced = self.cost - y @ np.array(self._rows)
+        reduced[_AGGREGATE] += alpha
+        least = np.minimum(reduced * self.low, reduced * self.high).sum()
+        return float(y @ np.array(self._right) + least), alpha

@@ -1,0 +1,75 @@
+"""The lower bound over boxes of rotations for the problem over given matches."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.families.matches.kernels.bounds import rotation_bounds
+from dcreg.families.matches.kernels.compatible import caps
+from dcreg.families.matches.problem import MatchProblem
+from dcreg.families.matches.start import descend
+from dcreg.families.rotation3d.space import Rotation3D
+from dcreg.search import Box, Evaluation
+
+ROUND_WORK = (
+    200_000  # matches looked at in a round: boxes bounded between two readings of the clock
+)
+MARGIN = (
+    1e-5  # in gap tolerances: by so much a bound passes the cutoff, lest rounding keeps its box
+)
+MAX_CAPPED = 6000  # matches up to which all pairs of them are compared once more
+
+
+class MatchBound:
+    """Bound over quaternion boxes, the translation searched inside; poses are flattened (3, 4) arrays.
+
+    A match whose cap, a bound on the score of any pose that it agrees with, is no better than the
+    incumbent's score is left out: a better pose does not need it.
+
+    Attributes
+    ----------
+    roots : list of Box
+    n_left : int
+        Matches that are bounded.
+    """
+
+    n_assignments = 0
+
+    def __init__(self, problem: MatchProblem, incumbent: float, gap_tol: float) -> None:
+        self._problem, self._margin = problem, MARGIN * gap_tol
+        self.roots: list[Box] = Rotation3D.roots()
+        self.axis_weights = np.ones(4)
+        self._best = problem.score(incumbent)
+        chosen, before = np.arange(len(problem.pairs)), np.inf
+        while 0 < len(chosen) <= min(MAX_CAPPED, 0.95 * before):
+            before, highest = len(chosen), np.empty(len(chosen))
+            caps(problem.part(chosen), highest)
+            chosen = chosen[highest > self._best]
+        self._matches = problem.part(chosen)
+        self.n_left = len(chosen)
+
+    @property
+    def round_size(self) -> int:
+        """Boxes bounded between two readings of the clock, at most."""
+        return int(np.clip(ROUND_WORK // max(1, self.n_left), 16, 512))
+
+    def evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
+    ) -> Evaluation:
+        """Bound B boxes; the value of the most promising pose is computed, no other."""
+        count = len(lower)
+        highest, poses = np.full(count, self._best), np.zeros((count, 3, 4))
+        if self.n_left:
+            enough = max(self._best, self._problem.score(cutoff + self._margin))
+            rotation_bounds(self._matches, lower, upper, enough, highest, poses)
+        values = np.full(count, np.inf)
+        best = int(np.argmax(highest))
+        if self.n_left:
+            values[best], _ = self._problem.cost(poses[best])
+        bounds = (self._problem.most - highest) * self._problem.reach**2
+        return Evaluation(bounds, poses.reshape(count, 12), values)
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """Descent from a pose."""
+        pose, value = descend(self._problem, theta.reshape(3, 4))
+        return pose.ravel(), value, 0

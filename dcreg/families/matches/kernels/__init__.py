@@ -1,0 +1,1 @@
+"""Compiled parts of the registration over correspondences."""

@@ -1,0 +1,152 @@
+"""The problem over given matches, checked before anything long starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+
+from dcreg.families.matches.kernels.lists import MatchList, scores
+from dcreg.problem import InputError
+from dcreg.problem.problem import check_points
+
+LEAST = 3  # matches that fix a rigid pose
+
+
+@dataclass(frozen=True)
+class MatchProblem:
+    """Minimise, over rigid poses T and one-to-one choices P among the matches, what P costs.
+
+    ``sum over P of |T(x_i) - y_j|^2 + reach^2 (most - |P|)``: a match beyond the reach is dearer than
+    none. `most` is how many could be chosen at best. An optimum that chooses k matches is one of the k
+    cheapest as well, the objective of `dcreg.register` with ``n_inliers = k`` over these feasible pairs.
+
+    Attributes
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+    pairs : (N, 2) int array
+        The matches, each once: source row and target row.
+    reach : float
+    """
+
+    source: np.ndarray
+    target: np.ndarray
+    pairs: np.ndarray
+    reach: float
+
+    @classmethod
+    def checked(
+        cls, source: np.ndarray, target: np.ndarray, matches: np.ndarray, inlier_distance: float
+    ) -> MatchProblem:
+        """The problem, or an `InputError` naming field, value and remedy."""
+        source = check_points("source", source, 3, "rigid3d")
+        target = check_points("target", target, 3, "rigid3d")
+        if not np.isfinite(inlier_distance) or inlier_distance <= 0:
+            raise InputError(
+                f"inlier_distance: {inlier_distance} is no distance; give a positive length, about "
+                "three times the noise"
+            )
+        return cls(
+            source, target, check_matches(matches, len(source), len(target)), float(inlier_distance)
+        )
+
+    @cached_property
+    def list(self) -> MatchList:
+        """The matches as the kernels see them, the source about the mean of its matched points."""
+        return self.part(np.arange(len(self.pairs)))
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Mean of the matched source points."""
+        return self.source[self.pairs[:, 0]].mean(axis=0)
+
+    def part(self, chosen: np.ndarray) -> MatchList:
+        """Some of the matches, numbered anew; with the same centre."""
+        rows, columns = self.pairs[chosen].T
+        row_names, row_numbers = np.unique(rows, return_inverse=True)
+        column_names, column_numbers = np.unique(columns, return_inverse=True)
+        return MatchList(
+            self.source[rows] - self.centre, self.target[columns], row_numbers, column_numbers,
+            len(row_names), len(column_names), self.reach,
+        )  # fmt: skip
+
+    @property
+    def most(self) -> int:
+        """Matches that a one-to-one choice can have, at most."""
+        return min(self.list.n_rows, self.list.n_columns)
+
+    def pose(self, centred: np.ndarray) -> np.ndarray:
+        """The (4, 4) matrix of a (3, 4) pose of the centred source."""
+        T = np.vstack([centred, [0.0, 0.0, 0.0, 1.0]])
+        T[:3, 3] -= T[:3, :3] @ self.centre
+        return T
+
+    def scores(self, poses: np.ndarray) -> np.ndarray:
+        """Upper bounds on the scores of (P, 3, 4) centred poses; quick."""
+        out = np.empty(len(poses))
+        scores(self.list, np.ascontiguousarray(poses), out)
+        return out
+
+    def residuals(self, centred: np.ndarray) -> np.ndarray:
+        """Squared, of all matches."""
+        moved = self.list.source @ centred[:, :3].T + centred[:, 3]
+        return ((moved - self.list.target) ** 2).sum(axis=1)
+
+    def score(self, cost: float) -> float:
+        """A cost in numbers of matches: the chosen ones count 1 - (residual / reach)^2 each."""
+        return self.most - cost / self.reach**2
+
+    def cost(self, centred: np.ndarray) -> tuple[float, np.ndarray]:
+        """The least cost at a centred pose, and which matches are chosen for it."""
+        square = self.residuals(centred)
+        near = np.flatnonzero(square < self.reach**2)
+        chosen = near[_one_to_one(self.list, near, square[near])]
+        value = square[chosen].sum() + self.reach**2 * (self.most - len(chosen))
+        return float(value), chosen
+
+
+def check_matches(matches: np.ndarray, n: int, m: int) -> np.ndarray:
+    """(N, 2) distinct rows of both clouds, in the order given, or an `InputError`."""
+    try:
+        pairs = np.asarray(matches, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("matches: not an array of numbers; give (N, 2) row numbers") from None
+    if pairs.ndim != 2 or pairs.shape[1] != 2:
+        raise InputError(
+            f"matches: shape {pairs.shape}; give (N, 2): source row and target row of each"
+        )
+    bad = ~((pairs == np.round(pairs)) & (pairs >= 0) & (pairs < [n, m])).all(axis=1)
+    if bad.any():
+        at = int(np.argmax(bad))
+        raise InputError(
+            f"matches: {pairs[at].tolist()} in row {at} is no pair of rows; use integers from 0 to "
+            f"{n - 1} and from 0 to {m - 1}"
+        )
+    _, first = np.unique(pairs, axis=0, return_index=True)
+    if len(first) < LEAST:
+        raise InputError(f"matches: {len(first)} different ones; a rigid pose needs {LEAST}")
+    return pairs[np.sort(first)].astype(np.int64)
+
+
+def _one_to_one(matches: MatchList, near: np.ndarray, square: np.ndarray) -> np.ndarray:
+    """Places among `near` of the choice that saves most, each saving ``reach^2 - square``."""
+    rows, row_of = np.unique(matches.rows[near], return_inverse=True)
+    columns, column_of = np.unique(matches.columns[near], return_inverse=True)
+    if len(rows) == len(near) and len(columns) == len(near):
+        return np.arange(len(near))
+    n, m = len(rows), len(columns)
+    price = matches.reach**2
+    own = np.arange(n)  # a column of its own for every row that stays unmatched
+    shift = price  # the same for every row; the solver takes a zero for no edge
+    graph = csr_array(
+        (
+            np.concatenate([square, np.full(n, price)]) + shift,
+            (np.concatenate([row_of, own]), np.concatenate([column_of, m + own])),
+        ),
+        shape=(n, m + n),
+    )
+    _, chosen = min_weight_full_bipartite_matching(graph)
+    return np.flatnonzero(chosen[row_of] == column_of)

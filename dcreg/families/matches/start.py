@@ -1,0 +1,146 @@
+"""Where the search over matches starts: poses that many compatible matches agree on.
+
+Two matches are compatible if they keep the distance of their points. Every match forms a set with those
+compatible ones that have most others in common with it (second-order compatibility, Chen et al. 2022), a
+pose is fitted to each set, and descents from the best distinct poses end in the starts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dcreg.families.matches.kernels.compatible import closest_allies, compatible_matches
+from dcreg.families.matches.problem import MatchProblem
+from dcreg.families.matches.surfaces import Surfaces
+from dcreg.problem.geometry import fit_pose
+from dcreg.search import Budget
+
+MAX_LOOKED = 5000  # matches, the first of the list, that sets are made of: all pairs are compared
+ALLIES = 20  # in the set of a match
+SHORTEST = 2.0  # distance of two compatible matches, in reaches
+POWER_STEPS = 10
+LEAST_WEIGHT = 0.3  # of a member of a set, in shares of the greatest
+MAX_DESCENTS = 30
+TURN, SHIFT = np.deg2rad(5.0), 2.0  # poses nearer than that, in radians and reaches, are one start
+PULLING_STEPS, EXACT_STEPS = 10, 10  # of a descent
+WIDE = 4.0  # residual in reaches, at its start, up to which a match can pull in a descent
+
+
+def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, np.ndarray]]:
+    """Costs and centred (3, 4) poses of descents from distinct poses, the best first.
+
+    At least one, which chooses a match at least. The budget is told of every better one.
+    """
+    poses = _agreed_poses(problem)
+    order = np.argsort(-problem.scores(poses), kind="stable")
+    best = problem.most * problem.reach**2  # of choosing nothing
+    ends: list[tuple[float, np.ndarray]] = []
+    seen: list[np.ndarray] = []  # where descents began and ended
+    for pose in poses[order]:
+        if len(ends) == MAX_DESCENTS or (ends and budget.is_over):
+            break
+        if not any(is_near(pose, other, problem.reach) for other in seen):
+            end, value = descend(problem, pose)
+            ends.append((value, end))
+            seen += [pose, end]
+            if value < best:
+                best = value
+                budget.found(value)
+    if best == problem.most * problem.reach**2:
+        first = problem.list.target[0] - problem.list.source[0]
+        end, value = descend(problem, np.column_stack([np.eye(3), first]))
+        ends.append((value, end))
+    return sorted(ends, key=lambda end: end[0])
+
+
+def coinciding_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, np.ndarray]]:
+    """Evidence for, and centred poses of, descents from distinct poses, the best first.
+
+    The poses are those that matches agree on. The evidence is the score over the matches times that of
+    the surfaces, which coincide at few wrong poses; the descents bring these together and look at no
+    match. Where no matches agree it is one of `promising_poses`.
+    """
+    poses = _agreed_poses(problem)
+    if not len(poses):
+        return [(0.0, promising_poses(problem, budget)[0][1])]
+    surfaces = Surfaces(problem.source - problem.centre, problem.target, problem.reach)
+    seen: list[np.ndarray] = []
+    ends: list[np.ndarray] = []
+    evidence = surfaces.scores(poses, quick=True) * problem.scores(poses)
+    for pose in poses[np.argsort(-evidence, kind="stable")]:
+        if len(ends) == MAX_DESCENTS or (ends and budget.is_over):
+            break
+        if not any(is_near(pose, other, problem.reach) for other in seen):
+            ends.append(surfaces.descend(pose))
+            seen += [pose, ends[-1]]
+    found = np.array(ends)
+    evidence = surfaces.scores(found) * problem.scores(found)
+    return [(float(evidence[at]), ends[at]) for at in np.argsort(-evidence, kind="stable")]
+
+
+def descend(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, float]:
+    """A better centred pose, and its cost.
+
+    First all near matches pull, the nearer the more; then the best one-to-one choice and the
+    least-squares pose alternate.
+    """
+    x, y = problem.list.source, problem.list.target
+    around = problem.residuals(centred) < (WIDE * problem.reach) ** 2
+    around_x, around_y = x[around], y[around]
+    for _ in range(PULLING_STEPS):
+        moved = around_x @ centred[:, :3].T + centred[:, 3]
+        square = ((moved - around_y) ** 2).sum(axis=1) / problem.reach**2
+        near = square < 1.0
+        if near.sum() < 3:
+            break
+        weights = 1.0 / (1.0 + 4.0 * square[near])
+        centred = fit_pose(around_x[near], around_y[near], (1.0, 1.0), weights)[:3]
+    value, chosen = problem.cost(centred)
+    for _ in range(EXACT_STEPS):
+        if len(chosen) < 3:
+            break
+        better = fit_pose(x[chosen], y[chosen], (1.0, 1.0))[:3]
+        less, other = problem.cost(better)
+        if less >= value * (1.0 - 1e-9):
+            break
+        centred, value, chosen = better, less, other
+    return centred, value
+
+
+def _agreed_poses(problem: MatchProblem) -> np.ndarray:
+    """(P, 3, 4) centred poses, one for every match that has enough allies."""
+    looked = problem.part(np.arange(min(MAX_LOOKED, len(problem.pairs))))
+    bits = compatible_matches(looked, SHORTEST * looked.reach)
+    allies = closest_allies(bits, ALLIES)
+    allies = np.column_stack([np.arange(len(allies)), allies])
+    allies = allies[(allies >= 0).sum(axis=1) >= 3]
+    present = allies >= 0
+    x, y = looked.source[allies], looked.target[allies]
+    weights = _leading_weights(x, y, present, looked.reach)
+    enough = (weights > 0.0).sum(axis=1) >= 3
+    if not enough.any():
+        return np.empty((0, 3, 4))
+    return fit_pose(x[enough], y[enough], (1.0, 1.0), weights[enough])[:, :3]
+
+
+def _leading_weights(x: np.ndarray, y: np.ndarray, present: np.ndarray, reach: float) -> np.ndarray:
+    """How well every member of a set fits the others: the leading eigenvector of what is compatible."""
+    changes = np.abs(_distances(x) - _distances(y))
+    agree = ((changes <= reach) & present[:, None] & present[:, :, None]).astype(float)
+    weights = present.astype(float)
+    for _ in range(POWER_STEPS):
+        weights = np.einsum("sij,sj->si", agree, weights)
+        weights /= np.maximum(np.linalg.norm(weights, axis=1, keepdims=True), 1e-300)
+    return np.where(weights > LEAST_WEIGHT * weights.max(axis=1, keepdims=True), weights, 0.0)
+
+
+def _distances(points: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+
+
+def is_near(a: np.ndarray, b: np.ndarray, reach: float) -> bool:
+    """Whether two centred poses count as one."""
+    if np.linalg.norm(a[:, 3] - b[:, 3]) >= SHIFT * reach:
+        return False
+    return bool(Rotation.from_matrix(a[:, :3] @ b[:, :3].T).magnitude() < TURN)

@@ -1,0 +1,110 @@
+"""Evidence beside the matches: how well the surfaces of both clouds coincide.
+
+Wrong poses often agree with more matches than the right one does: of some thousand matches by
+descriptors many agree by chance. Hardly ever do they also bring the surfaces together, near points with
+like normals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dcreg.families.matches.kernels.surfaces import (
+    SurfaceGrid,
+    fill_nearest,
+    surface_pulls,
+    surface_scores,
+)
+from dcreg.families.matches.problem import LEAST
+from dcreg.problem.geometry import fit_pose
+
+NEIGHBOURS = 16  # of a point, the plane through which has its normal
+MAX_CELLS = 256  # of the grid along an axis
+CELLS_PER_REACH = 2.0
+MAX_SOURCE, MAX_TARGET = 5_000, 100_000  # points of larger clouds, drawn at random
+STRAY = 0.005  # of the points, on either side of an axis
+MAX_LOOKED = 400  # source points, where many poses are judged
+MAX_PULLED = 1000  # source points of a descent
+WIDE = 2.0  # reaches, from which points are pulled at first
+WIDE_STEPS, STEPS = 10, 10
+
+
+class Surfaces:
+    """Two clouds and their normals; poses are judged by what of the source lies on the target.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+    reach : float
+        Distance beyond which two points are not on one surface.
+    """
+
+    def __init__(self, source: np.ndarray, target: np.ndarray, reach: float) -> None:
+        self._reach = reach
+        self._points, self._normals = _some(source, MAX_SOURCE)
+        target, normals = _some(target, MAX_TARGET)
+        farthest = WIDE * reach
+        origin, end = _box(target)
+        origin -= farthest
+        extent = end + farthest - origin
+        cell = max(reach / CELLS_PER_REACH, float(extent.max()) / MAX_CELLS)
+        shape = tuple((extent / cell).astype(int) + 1)
+        nearest, square = np.full(shape, -1, np.int32), np.full(shape, np.inf)
+        fill_nearest(target, origin, cell, farthest, nearest, square)
+        self._grid = SurfaceGrid(target, normals, origin, cell, nearest)
+
+    def scores(self, poses: np.ndarray, *, quick: bool = False) -> np.ndarray:
+        """How many source points lie on the target, for (P, 3, 4) poses; `quick`: of some hundred.
+
+        Each counts by how near it is, and how like the normals are.
+        """
+        looked = slice(MAX_LOOKED if quick else None)
+        out = np.empty(len(poses))
+        surface_scores(
+            self._points[looked], self._normals[looked], self._grid, self._reach,
+            np.ascontiguousarray(poses), out,
+        )  # fmt: skip
+        return out
+
+    def descend(self, pose: np.ndarray) -> np.ndarray:
+        """A pose that brings the surfaces closer together: like points pull, first from afar."""
+        points, normals = self._points[:MAX_PULLED], self._normals[:MAX_PULLED]
+        columns, weights = np.empty(len(points), np.int64), np.empty(len(points))
+        for reach, steps in ((WIDE * self._reach, WIDE_STEPS), (self._reach, STEPS)):
+            for _ in range(steps):
+                pose = np.ascontiguousarray(pose)
+                surface_pulls(points, normals, self._grid, reach, pose, columns, weights)
+                if (weights > 0.0).sum() < LEAST:
+                    return pose
+                near = weights > 0.0
+                x, y = points[near], self._grid.points[columns[near]]
+                pose = fit_pose(x, y, (1.0, 1.0), weights[near])[:3]
+        return pose
+
+
+def _box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of a box around all points but stray ones, for which cells would have to be large."""
+    low, high = np.quantile(points, [STRAY, 1.0 - STRAY], axis=0)
+    margin = 0.5 * (high - low)
+    return (
+        np.maximum(points.min(axis=0), low - margin),
+        np.minimum(points.max(axis=0), high + margin),
+    )
+
+
+def _some(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """At most so many of the points in random order, and their normals."""
+    order = np.random.default_rng(0).permutation(len(points))[:count]
+    some = np.ascontiguousarray(points[order])
+    return some, normals_of(points, some)
+
+
+def normals_of(points: np.ndarray, some: np.ndarray) -> np.ndarray:
+    """Unit normals, of any sign, at some of the points: of the planes through their neighbours."""
+    count = min(NEIGHBOURS, len(points))
+    _, near = cKDTree(points).query(some, k=np.arange(1, count + 1))
+    apart = points[near] - points[near].mean(axis=1, keepdims=True)
+    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
+    normals: np.ndarray = np.ascontiguousarray(axes[:, :, 0])
+    return normals

@@ -1,0 +1,163 @@
+"""Poses from congruent triples: where a rigid search starts when many points have no partner.
+
+A rigid motion keeps distances. So for three source points all triples of the target with the same three
+distances, up to a tolerance, are tried; each pair of triples fixes a pose, and each pose is scored by how
+many source points it brings near the target. Point sets are stored by row, (n, 3) and (m, 3).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dcreg.jit import jit
+
+_FIRST_LOOK = 12  # source points after which a pose is dropped that scores less than ...
+_FIRST_SHARE = 0.3  # ... this share of what the poses kept so far score there on average
+
+
+@jit
+def nearness_field(points, origin, cell, shape, reach, field):
+    """field[cell] = max(0, 1 - (d / reach)^2), d from the cell's centre to the nearest point.
+
+    `field` comes as zeros.
+    """
+    span = int(reach / cell) + 1
+    for j in range(points.shape[0]):
+        x, y, z = points[j, 0] - origin[0], points[j, 1] - origin[1], points[j, 2] - origin[2]
+        a, b, c = int(x / cell), int(y / cell), int(z / cell)
+        for i0 in range(max(0, a - span), min(shape, a + span + 1)):
+            d0 = (i0 + 0.5) * cell - x
+            for i1 in range(max(0, b - span), min(shape, b + span + 1)):
+                d1 = (i1 + 0.5) * cell - y
+                for i2 in range(max(0, c - span), min(shape, c + span + 1)):
+                    d2 = (i2 + 0.5) * cell - z
+                    near = 1.0 - (d0 * d0 + d1 * d1 + d2 * d2) / (reach * reach)
+                    if near > field[i0, i1, i2]:
+                        field[i0, i1, i2] = near
+
+
+@jit
+def frame(p, q, r, out):
+    """Orthonormal frame of a triangle, as columns: along p q, in the plane, across it. False if flat."""
+    for a in range(3):
+        out[a, 0] = q[a] - p[a]
+        out[a, 1] = r[a] - p[a]
+    length = math.sqrt(out[0, 0] ** 2 + out[1, 0] ** 2 + out[2, 0] ** 2)
+    if length < 1e-12:
+        return False
+    for a in range(3):
+        out[a, 0] /= length
+    along = out[0, 0] * out[0, 1] + out[1, 0] * out[1, 1] + out[2, 0] * out[2, 1]
+    for a in range(3):
+        out[a, 1] -= along * out[a, 0]
+    length = math.sqrt(out[0, 1] ** 2 + out[1, 1] ** 2 + out[2, 1] ** 2)
+    if length < 1e-12:
+        return False
+    for a in range(3):
+        out[a, 1] /= length
+    out[0, 2] = out[1, 0] * out[2, 1] - out[2, 0] * out[1, 1]
+    out[1, 2] = out[2, 0] * out[0, 1] - out[0, 0] * out[2, 1]
+    out[2, 2] = out[0, 0] * out[1, 1] - out[1, 0] * out[0, 1]
+    return True
+
+
+@jit
+def overlap(R, t, points, origin, cell, field, floor):
+    """Sum of nearness of the moved points; gives up where even a perfect rest stays below `floor`."""
+    shape, n = field.shape[0], points.shape[0]
+    score = 0.0
+    for i in range(n):
+        u, v, w = points[i, 0], points[i, 1], points[i, 2]
+        a = math.floor((R[0, 0] * u + R[0, 1] * v + R[0, 2] * w + t[0] - origin[0]) / cell)
+        b = math.floor((R[1, 0] * u + R[1, 1] * v + R[1, 2] * w + t[1] - origin[1]) / cell)
+        c = math.floor((R[2, 0] * u + R[2, 1] * v + R[2, 2] * w + t[2] - origin[2]) / cell)
+        if 0 <= a < shape and 0 <= b < shape and 0 <= c < shape:
+            score += field[a, b, c]
+        if score + (n - 1 - i) <= floor:
+            return score
+        if i == _FIRST_LOOK and score < _FIRST_SHARE * floor * (i + 1) / n:
+            return 0.0
+    return score
+
+
+@jit
+def _in_shell(points, i, k, low, high):
+    """Whether the squared distance of two points lies between `low` and `high`."""
+    a, b, c = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
+    d = a * a + b * b + c * c
+    return low <= d <= high
+
+
+@jit
+def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores):
+    """The best poses of every source triple.
+
+    Parameters
+    ----------
+    triples : (T, 3) int array
+    sides : (T, 4) array
+        Distances of the first to the third point and of the second to the third; then where the target
+        pairs begin and end that are as long as the first two points are apart.
+    clouds : (source, target), (n, 3) and (m, 3) arrays
+    feasible : (n, m) or (0, 0) bool array
+        Which points may be matched; empty: all.
+    pairs : (first, second)
+        The ordered pairs of target points by length.
+    search : (tolerance, looked, origin, cell, field, stop)
+        Tolerance of a distance, the source points that score, the field of `nearness_field`, and what
+        ends the kernel early once it is set.
+    poses, scores : (T, K, 3, 4), (T, K) arrays
+        Receive the best poses of each triple; scores come as zeros.
+
+    Returns
+    -------
+    int
+        Target triples tried.
+    """
+    source, target = clouds
+    first, second = pairs
+    tolerance, looked, origin, cell, field, stop = search
+    F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    tried = 0
+    for at in range(triples.shape[0]):
+        u, v, w = triples[at, 0], triples[at, 1], triples[at, 2]
+        p, q, r = source[u], source[v], source[w]
+        if not frame(p, q, r, F):
+            continue
+        near_pr, far_pr = max(0.0, sides[at, 0] - tolerance) ** 2, (sides[at, 0] + tolerance) ** 2
+        near_qr, far_qr = max(0.0, sides[at, 1] - tolerance) ** 2, (sides[at, 1] + tolerance) ** 2
+        for pair in range(int(sides[at, 2]), int(sides[at, 3])):
+            if stop[0]:
+                return tried
+            i, j = first[pair], second[pair]
+            if feasible.size > 0 and not (feasible[u, i] and feasible[v, j]):
+                continue
+            for k in range(target.shape[0]):
+                if not _in_shell(target, i, k, near_pr, far_pr):
+                    continue
+                if not _in_shell(target, j, k, near_qr, far_qr) or k in (i, j):
+                    continue
+                if feasible.size > 0 and not feasible[w, k]:
+                    continue
+                if not frame(target[i], target[j], target[k], G):
+                    continue
+                tried += 1
+                for a in range(3):
+                    t[a] = (target[i, a] + target[j, a] + target[k, a]) / 3.0
+                    for b in range(3):
+                        R[a, b] = G[a, 0] * F[b, 0] + G[a, 1] * F[b, 1] + G[a, 2] * F[b, 2]
+                        t[a] -= R[a, b] * (p[b] + q[b] + r[b]) / 3.0
+                worst = 0
+                for other in range(1, scores.shape[1]):
+                    if scores[at, other] < scores[at, worst]:
+                        worst = other
+                score = overlap(R, t, looked, origin, cell, field, scores[at, worst])
+                if score > scores[at, worst]:
+                    scores[at, worst] = score
+                    for a in range(3):
+                        poses[at, worst, a, 3] = t[a]
+                        for b in range(3):
+                            poses[at, worst, a, b] = R[a, b]
+    return tried

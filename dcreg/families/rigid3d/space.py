@@ -1,0 +1,211 @@
+"""Rigid poses in space: what modes `full` and `multi` of the 3D pipeline search.
+
+Solved is, for points x_i, y_j and k pairs,
+
+    min over R in SO(3), t in R^3 and one-to-one P of k pairs of  sum_ij p_ij |R x_i + t - y_j|^2,
+
+the objective that the norm space of the paper only bounds from below. theta is a quaternion of any
+length followed by t; the quaternions are the four facets of `dcreg.families.rotation3d.space`.
+
+Start box
+---------
+For fixed pairs the best t is mean(y) - R mean(x), so an optimum has one within the means of any k
+targets, widened by the length of the mean of any k sources. Where all points of both sets match
+and both are centred, that is the single value 0 and only the rotation is searched.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.families.protocol import means_of_subsets, radius
+from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
+from dcreg.families.rigid3d.starts import SCALES, best_descents, congruent_poses, rounds_for
+from dcreg.families.rotation3d.kernels.geometry import best_rotation
+from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
+from dcreg.search import Box, Budget
+
+_SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored
+_ROUNDING = 1e-12
+_CONGRUENT_SHARE = 0.5  # of the time, for the poses of congruent triples, at most
+DENSE_DESCENTS = 40_000  # pairs beyond which descents begin with nearest neighbours
+
+
+def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> float:
+    """An upper bound on ``|mean of any `count` points|`` in space.
+
+    The support function of the subset means is the mean of the largest projections. Directions are
+    sampled at the cell centres of the faces of a cube: another point of a cell is at most sqrt(2) /
+    cells away and both have length >= 1, so they differ by an angle of at most 2 asin(distance / 2).
+    """
+    steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
+    face = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    half = np.concatenate([np.insert(face, axis, 1.0, axis=1) for axis in range(3)])
+    directions = half / np.linalg.norm(half, axis=1, keepdims=True)
+    projections = np.sort(points @ np.concatenate([directions, -directions]).T, axis=0)
+    farthest = max(0.0, float(projections[-count:].mean(axis=0).max()))
+    return farthest / np.cos(2.0 * np.arcsin(np.sqrt(0.5) / cells))
+
+
+class Rigid3D(CloudSpace):
+    """Rigid poses of centred clouds; theta is a quaternion and a translation, y = R x + t.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+        n <= m is best: nearest distances are taken from the source.
+    n_inliers : int
+    reduced_box : bool
+        Start from the translations that an optimum can have, or from the plain safe box.
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+    """
+
+    # A unit step of a facet coordinate turns by 1 to 2 radians, which moves points at the RMS radius
+    # by about this much; a unit step of the translation moves them by one.
+    axis_weights = np.array([1.3, 1.3, 1.3, 1.3, 1.0, 1.0, 1.0])
+    scope = "rigid pose"
+    n_descents = 24
+
+    def __init__(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        reduced_box: bool = True,
+        candidates: np.ndarray | None = None,
+    ) -> None:
+        super().__init__(source, target, n_inliers, candidates)
+        self.reduced_box = reduced_box
+        self._candidates = candidates
+        self._centres = np.zeros(3), np.zeros(3)  # of the clouds as they were given, see `centred`
+
+    @classmethod
+    def centred(
+        cls,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        reduced_box: bool = True,
+        candidates: np.ndarray | None = None,
+    ) -> Rigid3D:
+        """The space over both clouds centred, which gives the smallest start box.
+
+        `pose` and `theta` translate to and from the clouds as they were given.
+        """
+        centres = source.mean(axis=0), target.mean(axis=0)
+        space = cls(source - centres[0], target - centres[1], n_inliers, reduced_box, candidates)
+        space._centres = centres
+        return space
+
+    def translations(self) -> Box:
+        """A box that holds the translation of every optimum."""
+        k, source, target = self.n_inliers, self.clouds.source, self.clouds.target
+        if self.reduced_box:
+            if k == source.shape[1]:
+                reach = float(np.linalg.norm(source.mean(axis=1)))
+            else:
+                reach = largest_subset_mean_3d(source.T, k)
+            lower, upper = means_of_subsets(target, k)
+            # rounding must not cut off the optimum, yet a centred set keeps zero width
+            reach = 0.0 if reach < _ROUNDING else reach
+            lower, upper = (np.where(np.abs(v) < _ROUNDING, 0.0, v) for v in (lower, upper))
+            return Box(lower - reach, upper + reach)
+        reach = radius(source.T) + radius(target.T)
+        return Box(np.full(3, -reach), np.full(3, reach))
+
+    def roots(self) -> list[Box]:
+        """Together they hold every optimum."""
+        box = self.translations()
+        return [
+            Box(np.append(facet.lower, box.lower), np.append(facet.upper, box.upper))
+            for facet in Rotation3D.roots()
+        ]
+
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        """E at a pose and the column matched to every source row (-1: none)."""
+        cost = np.empty((self.n_source, self.n_target))
+        pose_costs(theta, self.clouds, cost)
+        value, col_of, _ = cheapest_pairs(cost, self.n_inliers, self.stop)
+        self.check()
+        return float(value), col_of
+
+    @staticmethod
+    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Quaternion and translation (Horn 1987, centred)."""
+        x, y = source.mean(axis=1), target.mean(axis=1)
+        turn = best_rotation(source - x[:, None], target - y[:, None])
+        return np.append(turn, y - Rotation3D.matrix(turn) @ x)
+
+    def normalised(self, theta: np.ndarray) -> np.ndarray:
+        theta = theta.copy()
+        theta[:4] /= theta[:4][np.argmax(np.abs(theta[:4]))]
+        return theta
+
+    def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
+        """Poses of congruent triples, then those of a regular grid.
+
+        The grid alone where all points match: then the centroids do too, and only turns are left to try.
+        """
+        box = self.translations()
+        if (box.lower < box.upper).any():
+            for theta in self._congruent(budget.part(_CONGRUENT_SHARE)):
+                yield theta, 0
+        yield from super().starts(budget)
+
+    def _congruent(self, budget: Budget) -> Iterator[np.ndarray]:
+        """Parameters of the poses that congruent triples suggest, scale by scale."""
+        source, target = self.clouds.source.T, self.clouds.target.T
+        for seed in range(rounds_for(self.n_source, self.n_inliers)):
+            for scale in SCALES:
+                if budget.is_over:
+                    return
+                poses = congruent_poses(
+                    source, target, self.n_inliers, scale, self._candidates, seed=seed, stop=self.stop
+                )  # fmt: skip
+                if self.n_pairs > DENSE_DESCENTS:
+                    poses = best_descents(poses, source, target, self.n_inliers)
+                yield from map(self._parameter, poses)
+
+    def seeds(self) -> np.ndarray:
+        """Regular poses, as many as may be scored in a moment; always with t at the box centre."""
+        box = self.translations()
+        per_axis = 3 if 27 * 256 * self.n_pairs <= _SCORED_PAIRS else 1
+        cells = 4 if per_axis**3 * 256 * self.n_pairs <= _SCORED_PAIRS else 2
+        turns = Rotation3D.grid(cells)
+        offsets = (np.arange(per_axis) - per_axis // 2) / max(1, per_axis)
+        shifts = np.array(list(itertools.product(offsets, repeat=3))) * (box.upper - box.lower)
+        shifts = np.unique(shifts, axis=0) + box.centre
+        return np.concatenate(
+            [np.repeat(turns, len(shifts), axis=0), np.tile(shifts, (len(turns), 1))], axis=1
+        )
+
+    def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
+        """By nearest neighbours, which takes no assignment."""
+        scores = np.empty(len(seeds))
+        nearest_scores(seeds, self.clouds, scores)
+        return scores, 0
+
+    def pose(self, theta: np.ndarray) -> np.ndarray:
+        """The (4, 4) matrix that maps the source as it was given onto the target."""
+        T: np.ndarray = np.eye(4)
+        T[:3, :3] = Rotation3D.matrix(theta[:4])
+        T[:3, 3] = theta[4:]
+        T[:3, 3] += self._centres[1] - T[:3, :3] @ self._centres[0]
+        return T
+
+    def theta(self, T: np.ndarray) -> np.ndarray:
+        """The parameter of a pose: the inverse of `pose`."""
+        T = T.copy()
+        T[:3, 3] -= self._centres[1] - T[:3, :3] @ self._centres[0]
+        return self._parameter(T)
+
+    def _parameter(self, T: np.ndarray) -> np.ndarray:
+        """Quaternion and translation of a pose, by the fit to four moved points."""
+        corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+        moved = corners @ T[:3, :3].T + T[:3, 3]
+        return self.fit(corners.T, moved.T)

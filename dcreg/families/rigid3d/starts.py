@@ -1,0 +1,195 @@
+"""Where a rigid search starts when many points have no partner: poses from congruent triples.
+
+A rigid motion keeps distances. Three source points and three target points with the same distances fix a
+pose; among enough random source triples one consists of true pairs, and of all its congruent target
+triples one is right. Poses are scored by how many source points they bring near the target, and the best
+distinct ones are returned. (The idea is that of congruent sets, Aiger, Mitra and Cohen-Or 2008; the
+details are this project's.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dcreg.assignment.polish import follow_nearest
+from dcreg.families.rigid3d.kernels import congruent as kernels
+from dcreg.jit import NEVER
+from dcreg.problem import rms_radius
+
+MAX_TARGETS = 300  # target points that triples are made of
+MAX_LOOKED = 150  # source points that score
+# Wished probability that no triple consists of true pairs; congruent clutter hides some.
+FAILURE = 1e-9
+MIN_TRIPLES, MAX_TRIPLES = 60, 200  # a round
+MAX_ROUNDS = 8
+MAX_SAMPLE = 300  # source points that follow their nearest neighbours
+SHORTEST = 0.6  # side of a source triple, in RMS radii; short ones fix a rotation badly
+KEPT_PER_TRIPLE = 6
+MAX_POSES = 30  # returned by a round
+MAX_CELLS = 256  # of the field of nearness along the longest side: about 150 MB
+APART = 0.15  # poses that move the unit corners by less than this differ too little
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How exact congruence and nearness are taken, in RMS radii of the target.
+
+    Attributes
+    ----------
+    tolerance : float
+        Difference of two distances that counts as none.
+    reach : float
+        Distance beyond which a point is not near the target.
+    """
+
+    tolerance: float
+    reach: float
+
+
+# Noise is not known beforehand: a fine scale tells apart more, a coarse one tolerates more.
+SCALES = (Scale(0.04, 0.06), Scale(0.06, 0.1), Scale(0.09, 0.2))
+
+
+def congruent_poses(
+    source: np.ndarray,
+    target: np.ndarray,
+    n_inliers: int,
+    scale: Scale,
+    candidates: np.ndarray | None = None,
+    *,
+    seed: int = 0,
+    stop: np.ndarray = NEVER,
+) -> np.ndarray:
+    """The best distinct poses that congruent triples suggest, best first.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+    n_inliers : int
+    scale : Scale
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+    seed : int
+    stop : (1,) uint8 array
+        Once it is set the poses found so far are returned.
+
+    Returns
+    -------
+    (P, 4, 4) array
+        Proper rigid poses; none where no triples agree.
+    """
+    unit = rms_radius(target)
+    if len(source) < 3 or len(target) < 3 or unit == 0.0:
+        return np.empty((0, 4, 4))
+    rng = np.random.default_rng(seed)
+    x, y = np.ascontiguousarray(source / unit), np.ascontiguousarray(target / unit)
+    triples = _long_triples(x, n_inliers, rng)
+    columns = np.sort(rng.permutation(len(y))[:MAX_TARGETS])
+    feasible = np.empty((0, 0), np.bool_)
+    if candidates is not None:
+        feasible = np.ascontiguousarray(candidates[:, columns])
+    looked = x[rng.permutation(len(x))[:MAX_LOOKED]]
+    extent = float(np.ptp(y, axis=0).max())
+    reach = max(scale.reach, 3.0 * extent / MAX_CELLS)  # a far outlier must not cost memory
+    cell = reach / 3.0
+    origin = y.min(axis=0) - reach
+    size = int(np.ceil((extent + 2.0 * reach) / cell)) + 1
+    field = np.zeros((size, size, size))
+    kernels.nearness_field(y, origin, cell, size, reach, field)
+    poses = np.zeros((len(triples), KEPT_PER_TRIPLE, 3, 4))
+    scores = np.zeros((len(triples), KEPT_PER_TRIPLE))
+    some = y[columns]
+    first, second, lengths = _pairs_by_length(some)
+    sides = _sides(x, triples)
+    # with a shorter side nearly every target triple would agree
+    telling = sides.min(axis=1) > 2.0 * scale.tolerance
+    triples, sides = triples[telling], sides[telling]
+    ends = [
+        np.searchsorted(lengths, sides[:, 0] + by) for by in (-scale.tolerance, scale.tolerance)
+    ]
+    kernels.triple_poses(
+        triples, np.column_stack([sides[:, 1:], *ends]), (x, some), feasible, (first, second),
+        (scale.tolerance, looked, origin, cell, field, stop), poses, scores,
+    )  # fmt: skip
+    found = _distinct(poses.reshape(-1, 3, 4), scores.ravel(), MAX_POSES)
+    found[:, :3, 3] *= unit
+    return found
+
+
+def rounds_for(n_source: int, n_inliers: int) -> int:
+    """How often triples have to be drawn anew so that one of true pairs is among them."""
+    return int(np.clip(np.ceil(_triples_needed(n_source, n_inliers) / MAX_TRIPLES), 1, MAX_ROUNDS))
+
+
+def _triples_needed(n_source: int, n_inliers: int) -> float:
+    share = (n_inliers / n_source) ** 3
+    return float(np.log(FAILURE) / np.log1p(-share)) if share < 1.0 else 0.0
+
+
+def best_descents(
+    poses: np.ndarray, source: np.ndarray, target: np.ndarray, n_inliers: int, count: int = 3
+) -> np.ndarray:
+    """The poses that end best when a sample of the source follows its nearest neighbours.
+
+    For clouds so large that every one-to-one matching takes long: alternates the nearest neighbours of
+    the trimmed sample and the least-squares pose.
+
+    Returns
+    -------
+    (P, 4, 4) array
+        At most `count`, best first.
+    """
+    rng = np.random.default_rng(0)
+    sample = source[np.sort(rng.permutation(len(source))[:MAX_SAMPLE])]
+    k = max(3, round(n_inliers * len(sample) / len(source)))
+    tree = cKDTree(target)
+    ends = [follow_nearest(sample, tree, T, k, (1.0, 1.0)) for T in poses]
+    ends.sort(key=lambda end: end[1])
+    return np.array([T for T, _ in ends[:count]]).reshape(-1, 4, 4)
+
+
+def _long_triples(points: np.ndarray, n_inliers: int, rng: np.random.Generator) -> np.ndarray:
+    """Random triples with long sides, as many as it takes for one of true pairs."""
+    needed = _triples_needed(len(points), n_inliers)
+    count = int(np.clip(needed, MIN_TRIPLES, MAX_TRIPLES))
+    drawn = rng.integers(len(points), size=(20 * count, 3))
+    shortest = _sides(points, drawn).min(axis=1)
+    long = np.flatnonzero(shortest >= SHORTEST)
+    if len(long) < count:  # a small or flat cloud: the longest there are
+        long = np.argsort(-shortest, kind="stable")
+    return drawn[long[:count]]
+
+
+def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
+    """(T, 3) distances of the first to the second, the first to the third, the second to the third."""
+    corners = points[triples]
+    ends = ((0, 1), (0, 2), (1, 2))
+    return np.stack(
+        [np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in ends], axis=1
+    )
+
+
+def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First and second point of every ordered pair, and their distance, ascending."""
+    first, second = np.nonzero(~np.eye(len(points), dtype=bool))
+    lengths = np.linalg.norm(points[first] - points[second], axis=1)
+    order = np.argsort(lengths, kind="stable")
+    return first[order], second[order], lengths[order]
+
+
+def _distinct(poses: np.ndarray, scores: np.ndarray, count: int) -> np.ndarray:
+    """The best poses that differ, as (P, 4, 4)."""
+    corners = np.vstack([np.zeros(3), np.eye(3)])
+    kept: list[np.ndarray] = []
+    moved = np.einsum("pab,cb->pca", poses[:, :, :3], corners) + poses[:, None, :, 3]
+    taken = np.empty((0, 4, 3))
+    for at in np.argsort(-scores, kind="stable"):
+        if scores[at] <= 0.0 or len(kept) == count:
+            break
+        if (np.abs(taken - moved[at]).max(axis=(1, 2), initial=0.0) > APART).all():
+            kept.append(np.vstack([poses[at], [0.0, 0.0, 0.0, 1.0]]))
+            taken = np.concatenate([taken, moved[at : at + 1]])
+    return np.array(kept).reshape(-1, 4, 4)

@@ -1,0 +1,1 @@
+"""3D rotation about the origin."""

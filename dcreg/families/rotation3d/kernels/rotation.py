@@ -1,0 +1,203 @@
+"""Bounds over boxes of rotations.
+
+Point sets are stored by axis, (3, n) and (3, m): every pass over the pairs is a plain sweep. Why the
+bounds hold is written in `dcreg.families.rotation3d.bound`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dcreg.assignment.kernels.dense import k_assignment_duals
+from dcreg.assignment.kernels.selection import least, place_of_least, sum_of_smallest
+from dcreg.families.kernels import add_prices
+from dcreg.families.rotation3d.kernels.caps import cap_costs
+from dcreg.families.rotation3d.kernels.geometry import chord_matrix, matched_cost, transform
+from dcreg.jit import jit, jit_part
+
+
+@jit
+def box_corners(lower, upper, corners):
+    """Distinct corners of a box of quaternions into rows of `corners`; returns how many.
+
+    Numbered so that i and j ^ i differ in bits j.
+    """
+    count = 1
+    for c in range(4):
+        corners[0, c] = lower[c]
+    for axis in range(4):
+        if upper[axis] > lower[axis]:
+            for v in range(count):
+                for c in range(4):
+                    corners[count + v, c] = corners[v, c]
+                corners[count + v, axis] = upper[axis]
+            count *= 2
+    return count
+
+
+@jit
+def box_angle(centre, corners):
+    """Largest angle (at most pi) between the rotation `centre` and any rotation of the box."""
+    own, chord = _length(centre), 0.0
+    for v in range(corners.shape[0]):
+        length, square = _length(corners[v]), 0.0
+        for c in range(4):
+            square += (corners[v, c] / length - centre[c] / own) ** 2
+        chord = max(chord, square)
+    # a chord c between unit quaternions is an angle 2 asin(c / 2), half that of the rotation
+    return min(math.pi, 4.0 * math.asin(min(1.0, 0.5 * math.sqrt(chord))))
+
+
+@jit
+def _length(q):
+    return math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+
+
+@jit
+def pair_costs(M, clouds, out):
+    """|a_i|^2 + |y_j|^2 - 2 y_j.(M a_i), and the price.
+
+    Affine in M, and the squared residual if M is a rotation.
+    """
+    source, target, prices = clouds.source, clouds.target, clouds.prices
+    moved = np.empty(source.shape)
+    transform(M, source, moved)
+    for i in range(source.shape[1]):
+        x, y, z = moved[0, i], moved[1, i], moved[2, i]
+        own = source[0, i] ** 2 + source[1, i] ** 2 + source[2, i] ** 2
+        for j in range(target.shape[1]):
+            u, v, w = target[0, j], target[1, j], target[2, j]
+            out[i, j] = own + u * u + v * v + w * w - 2.0 * (x * u + y * v + z * w)
+    add_prices(prices, out)
+
+
+@jit
+def nearest_bound(costs, k):
+    """Sum of the k smallest row or column minima, the greater: no more than a k-assignment."""
+    n, m = costs.shape
+    rows, cols = np.empty(n), np.empty(m)
+    for j in range(m):
+        cols[j] = np.inf
+    for i in range(n):
+        for j in range(m):
+            cols[j] = min(cols[j], costs[i, j])
+        rows[i] = least(costs[i])
+    return max(sum_of_smallest(rows, k), sum_of_smallest(cols, k))
+
+
+@jit
+def dual_bound_at(M, clouds, b):
+    """What prices prove of the k-assignment of `pair_costs` at M, without forming the matrix."""
+    source, target, prices = clouds.source, clouds.target, clouds.prices
+    n = source.shape[1]
+    moved, low = np.empty(source.shape), np.empty(n)
+    transform(M, source, moved)
+    for i in range(n):
+        low[i] = np.inf
+        for c in range(3):
+            moved[c, i] *= -2.0
+    xs, ys, zs = moved[0], moved[1], moved[2]
+    whole = 0.0
+    for j in range(target.shape[1]):
+        u, v, w = target[0, j], target[1, j], target[2, j]
+        own = u * u + v * v + w * w + b[j]
+        whole += b[j]
+        if prices.size > 0:
+            for i in range(n):
+                cost = own + xs[i] * u + ys[i] * v + zs[i] * w + prices[i, j]
+                low[i] = cost if cost < low[i] else low[i]
+        else:
+            for i in range(n):
+                cost = own + xs[i] * u + ys[i] * v + zs[i] * w
+                low[i] = cost if cost < low[i] else low[i]
+    for i in range(n):
+        low[i] += source[0, i] ** 2 + source[1, i] ** 2 + source[2, i] ** 2
+    return sum_of_smallest(low, clouds.k) - whole
+
+
+@jit_part
+def vertex_bound(corners, clouds, b, floor, cutoff):
+    """B2 as far as it decides: the least vertex value and the assignments solved.
+
+    Every vertex has a lower bound on its assignment, at first from the duals `b`. The binding
+    vertex is then solved, and its duals raise the others, until the least value is exact or reaches
+    `cutoff`. -inf once the first pass shows that B2 will hardly exceed `floor`, or where B2 is
+    undefined: a box that spans a right angle between quaternions.
+    """
+    size, count, spent = corners.shape[0], 0, 0
+    values, ends = np.empty(size * (size + 1) // 2), np.empty((size * (size + 1) // 2, 2), np.int64)
+    hopeless = False
+    # far pairs of corners first: their matrices lie farthest outside, so a hopeless pass ends early
+    for difference in range(size - 1, -1, -1):
+        for u in range(size):
+            v = u ^ difference
+            if v < u or hopeless or clouds.stop[0]:
+                continue
+            dot = 0.0
+            for c in range(4):
+                dot += corners[u, c] * corners[v, c]
+            if dot > 0.0:
+                values[count] = dual_bound_at(chord_matrix(corners[u], corners[v]), clouds, b)
+                ends[count, 0], ends[count, 1] = u, v
+            hopeless = dot <= 0.0 or values[count] <= floor
+            count += 1
+    cost = np.empty((clouds.source.shape[1], clouds.target.shape[1]))
+    while not (hopeless or clouds.stop[0]) and least(values) < cutoff:
+        low = place_of_least(values)
+        pair_costs(chord_matrix(corners[ends[low, 0]], corners[ends[low, 1]]), clouds, cost)
+        values[low], _, b = k_assignment_duals(cost, clouds.k, clouds.stop)
+        spent += 1
+        if values[low] < cutoff or clouds.stop[0]:
+            break
+        for v in range(values.size):
+            if values[v] < cutoff:
+                M = chord_matrix(corners[ends[v, 0]], corners[ends[v, 1]])
+                values[v] = max(values[v], dual_bound_at(M, clouds, b))
+    return -np.inf if hopeless else least(values), spent
+
+
+@jit
+def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
+    """max(B1, B2) of every box, cheapest test first; returns the assignments solved.
+
+    `values` receives an upper bound on E at the box centre, +inf where the box was closed before.
+    """
+    n, m = clouds.source.shape[1], clouds.target.shape[1]
+    moved, caps = np.empty((3, n)), np.empty((n, m))
+    corners, centre = np.empty((16, 4)), np.empty(4)
+    spent = 0
+    for box in range(lower.shape[0]):
+        if clouds.stop[0]:
+            break
+        for c in range(4):
+            centre[c] = 0.5 * (lower[box, c] + upper[box, c])
+        count = box_corners(lower[box], upper[box], corners)
+        transform(chord_matrix(centre, centre), clouds.source, moved)
+        cap_costs(moved, box_angle(centre, corners[:count]), clouds.target, clouds.prices, caps)
+        values[box] = np.inf
+        bounds[box] = nearest_bound(caps, clouds.k)
+        if bounds[box] >= cutoff:
+            continue
+        # the one assignment most boxes need: it gives B1, a matching for E and duals for B2
+        bounds[box], col_of, b = k_assignment_duals(caps, clouds.k, clouds.stop)
+        values[box] = matched_cost(moved, clouds.target, col_of)
+        spent += 1
+        if bounds[box] >= cutoff:
+            continue
+        lifted, solved = vertex_bound(corners[:count], clouds, b, bounds[box], cutoff)
+        bounds[box] = max(bounds[box], lifted)
+        spent += solved
+    return spent
+
+
+@jit
+def nearest_scores(quaternions, clouds, scores):
+    """`nearest_bound` at every rotation: a cheap, one-sided guess of E."""
+    costs = np.empty((clouds.source.shape[1], clouds.target.shape[1]))
+    for at in range(quaternions.shape[0]):
+        if clouds.stop[0]:
+            break
+        pair_costs(chord_matrix(quaternions[at], quaternions[at]), clouds, costs)
+        scores[at] = nearest_bound(costs, clouds.k)

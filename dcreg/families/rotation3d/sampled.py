@@ -1,0 +1,143 @@
+"""Rotation stage of large clouds: sampled start, refinement on all points; not a global search.
+
+Rotations of a fixed grid are scored by the nearest neighbours of a sample of the points, the best ones
+refined on a larger sample, the best of those on all points. Each step alternates nearest neighbours and
+the best rotation about the origin. Nothing here is claimed for the sample: the lower bound is that of
+all points in norm space, which holds for every rotation since ``|R a - y| >= | |a| - |y| |``, and the
+upper bound is a one-to-one matching of all points. Only where these two meet is the stage optimal;
+otherwise it ends as ``converged``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dcreg.assignment.sparse import nearest_pairs, sparse_matching
+from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
+from dcreg.families.rotation3d.space import Rotation3D
+from dcreg.families.translation3d.kernels.line import match_on_line
+from dcreg.search import Budget, Event, Outcome
+from dcreg.status import Status
+
+_CELLS_PER_AXIS = 7  # of the quaternion cube: about 25 degrees
+_SAMPLE = 100
+_SCORED_TARGETS = 2000
+_DESCENTS = 12
+_DESCENT_SAMPLE = 500
+_MAX_ROUNDS = 50
+
+
+def search_sampled_rotation(
+    source_shifted: np.ndarray,
+    target: np.ndarray,
+    n_inliers: int,
+    *,
+    gap_tol: float,
+    budget: Budget,
+) -> Outcome:
+    """Good rotation about the origin for clouds too large for a search.
+
+    Parameters
+    ----------
+    source_shifted, target : (n, 3), (m, 3) arrays
+        The translation is already applied to the source; nothing is centred.
+    n_inliers : int
+    gap_tol : float
+    budget : Budget
+        Looked at after each descent; one descent is always made.
+
+    Returns
+    -------
+    Outcome
+        Its theta is a quaternion. Status ``optimal`` only where the bounds of the full problem prove it,
+        otherwise ``converged``, or the limit that came first.
+    """
+    began = budget.elapsed()
+    few, some = spread_rows(source_shifted, _SAMPLE), spread_rows(source_shifted, _DESCENT_SAMPLE)
+    tree = cKDTree(target)
+    sparse_tree = cKDTree(target[spread_rows(target, _SCORED_TARGETS)])
+    share = n_inliers / len(source_shifted)
+    grid = Rotation3D.grid(_CELLS_PER_AXIS)
+    scores = np.full(len(grid), np.inf)
+    for at, q in enumerate(grid):
+        if budget.is_over:
+            break
+        turned = source_shifted[few] @ rotation_matrix(q).T
+        scores[at] = nearest_pairs(turned, sparse_tree, _part(share, few.size))[1]
+    sample = source_shifted[some]
+    descents: list[tuple[float, np.ndarray]] = []
+    for at in np.argsort(scores, kind="stable")[:_DESCENTS]:
+        theta = _descend(sample, target, tree, _part(share, some.size), grid[at], budget)
+        descents.append((_two_sided(source_shifted, sample, target, tree, share, theta), theta))
+        if budget.is_over:
+            break
+    descents.sort(key=lambda descent: descent[0])
+    theta = descents[0][1]
+    if not budget.is_over:
+        theta = _descend(source_shifted, target, tree, n_inliers, theta, budget)
+    turned = source_shifted @ rotation_matrix(theta).T
+    matching = sparse_matching(turned, target, n_inliers, prove=False, stop=budget.stop)
+    lower, _ = match_on_line(
+        np.linalg.norm(source_shifted, axis=1), np.linalg.norm(target, axis=1), n_inliers
+    )
+    status = Status.CONVERGED
+    if matching.value - lower <= gap_tol:
+        status = Status.OPTIMAL
+    elif budget.is_over:
+        status = budget.ended_by
+    value, spent, now = matching.value, matching.n_assignments, budget.elapsed()
+    lower = min(float(lower), value)
+    budget.tell(Event("end", "rotation", now, 0, spent, 0, lower, value, status.value))
+    return Outcome(status, theta, lower, value, 0, spent, now - began)
+
+
+def spread_rows(points: np.ndarray, count: int) -> np.ndarray:
+    """Up to `count` rows at even ranks of the distance from the origin: fixed, in any point order."""
+    order = np.argsort((points**2).sum(axis=1), kind="stable")
+    ranks = np.linspace(0, len(points) - 1, min(count, len(points))).round().astype(int)
+    return order[ranks]
+
+
+def _part(share: float, count: int) -> int:
+    return max(1, round(share * count))
+
+
+def _descend(
+    points: np.ndarray,
+    target: np.ndarray,
+    tree: cKDTree,
+    k: int,
+    theta: np.ndarray,
+    budget: Budget,
+) -> np.ndarray:
+    """Alternate the k nearest neighbours and the best rotation while their distance falls."""
+    best, least = theta, np.inf
+    for _ in range(_MAX_ROUNDS):
+        pairs, value = nearest_pairs(points @ rotation_matrix(theta).T, tree, k)
+        if value >= least * (1.0 - 1e-4) or budget.is_over:
+            break
+        best, least = theta, value
+        theta = best_rotation(points[pairs[:, 0]].T, target[pairs[:, 1]].T)
+    return best
+
+
+def _two_sided(
+    source: np.ndarray,
+    sample: np.ndarray,
+    target: np.ndarray,
+    tree: cKDTree,
+    share: float,
+    theta: np.ndarray,
+) -> float:
+    """Mean squared distance of the nearest pairs, taken from either cloud; the larger one counts.
+
+    A source that collapses onto one part of the target is near to it, but the target not to the source.
+    """
+    rotation = rotation_matrix(theta)
+    back = target[spread_rows(target, _DESCENT_SAMPLE)]
+    k_back = _part(share * len(source) / len(target), len(back))
+    k = _part(share, len(sample))
+    _, there = nearest_pairs(sample @ rotation.T, tree, k)
+    _, here = nearest_pairs(back, cKDTree(source @ rotation.T), k_back)
+    return max(there / k, here / k_back)

@@ -1,0 +1,182 @@
+"""Rotations about the origin: the second stage of the 3D pipeline.
+
+Solved is, for points a_i (translation already applied), y_j and k pairs,
+
+    min over R in SO(3) and one-to-one P of k pairs of  E_P(R) = sum_ij p_ij |R a_i - y_j|^2,
+
+a rotation about the origin, without centring.
+
+Why boxes of quaternions
+------------------------
+theta is a quaternion (w, x, y, z) of any length. The eight facets of the cube [-1, 1]^4 hold each
+quaternion once up to length; q and -q are the same rotation, so the four facets where one
+component is +1 hold every rotation, and only those on their rims more often. They are the roots.
+A box has zero width along its facet's axis, is never divided there, and needs no chart number.
+Both bounds are native to such boxes. The angle-axis cube would waste 48 % of its volume outside
+the pi-ball, cover half-turns twice and need an enclosure by such a box for B2.
+"""
+
+from __future__ import annotations
+
+import abc
+
+import numpy as np
+
+from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.families.kernels import Clouds
+from dcreg.families.protocol import Space, alternate, radius
+from dcreg.families.rotation3d.kernels import rotation as kernels
+from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
+from dcreg.jit import NEVER
+from dcreg.problem.problem import FeasiblePairs
+from dcreg.search import Box
+
+_LEAST_GAIN = 1e-12
+
+
+class CloudSpace(Space):
+    """A space whose kernels take both clouds by component.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+    n_inliers : int
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+
+    Attributes
+    ----------
+    clouds : Clouds
+        The problem as the kernels take it.
+    """
+
+    def __init__(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        candidates: np.ndarray | None = None,
+    ) -> None:
+        source, target = (np.asarray(points, dtype=np.float64) for points in (source, target))
+        reach = radius(source) + radius(target)
+        self.clouds = Clouds(
+            np.ascontiguousarray(source.T),
+            np.ascontiguousarray(target.T),
+            FeasiblePairs(candidates).prices(n_inliers, reach),
+            n_inliers,
+            NEVER,
+        )
+        self.n_inliers = n_inliers
+
+    def heed(self, stop: np.ndarray) -> None:
+        super().heed(stop)
+        self.clouds = self.clouds._replace(stop=stop)
+
+    @property
+    def n_source(self) -> int:
+        return int(self.clouds.source.shape[1])
+
+    @property
+    def n_target(self) -> int:
+        return int(self.clouds.target.shape[1])
+
+    @staticmethod
+    @abc.abstractmethod
+    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """The best parameter for paired points, (3, k) each."""
+
+    @abc.abstractmethod
+    def normalised(self, theta: np.ndarray) -> np.ndarray:
+        """The same pose with the parameter that lies in a root."""
+
+    def matched(self, col_of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The matched points of both clouds, (3, k) each."""
+        rows = np.flatnonzero(col_of >= 0)
+        return self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]]
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """Alternate matching and best pose from `theta`: theta, objective, assignments."""
+        value, col_of = self.objective(theta)
+        theta, value, spent = alternate(
+            theta,
+            value,
+            col_of,
+            lambda _, matching: self.fit(*self.matched(matching)),
+            self.objective,
+            _LEAST_GAIN,
+        )
+        return self.normalised(theta), value, spent + 1
+
+
+_START_CELLS_PER_AXIS = 4  # of the regular grid of seeds
+
+
+class Rotation3D(CloudSpace):
+    """Rotations about the origin; theta is a quaternion (w, x, y, z) of any length but zero.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+    n_inliers : int
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+    """
+
+    axis_weights = np.ones(4)
+    scope = "rotation about the origin"
+    n_descents = 8
+
+    @staticmethod
+    def roots() -> list[Box]:
+        """The four facets w, x, y, z = 1 of the cube [-1, 1]^4: together every rotation."""
+        boxes = []
+        for axis in range(4):
+            lower = -np.ones(4)
+            lower[axis] = 1.0
+            boxes.append(Box(lower, np.ones(4)))
+        return boxes
+
+    @staticmethod
+    def grid(cells: int) -> np.ndarray:
+        """(4 cells^3, 4) quaternions: the centres of a regular division of the four facets."""
+        steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
+        facet = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        return np.concatenate([np.insert(facet, axis, 1.0, axis=1) for axis in range(4)])
+
+    def seeds(self) -> np.ndarray:
+        return self.grid(_START_CELLS_PER_AXIS)
+
+    def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
+        """By nearest neighbours, which takes no assignment."""
+        scores = np.empty(len(seeds))
+        kernels.nearest_scores(seeds, self.clouds, scores)
+        return scores, 0
+
+    @staticmethod
+    def matrix(theta: np.ndarray) -> np.ndarray:
+        """The rotation of a quaternion: proper, and the same for theta, -theta and 2 theta."""
+        return rotation_matrix(np.asarray(theta, dtype=np.float64))
+
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        """E at a rotation and the column matched to every source row (-1: none)."""
+        cost = np.empty((self.n_source, self.n_target))
+        R = self.matrix(theta)
+        kernels.pair_costs(R, self.clouds, cost)
+        _, col_of, _ = cheapest_pairs(cost, self.n_inliers, self.stop)
+        self.check()
+        # summed anew: the expanded squares of `pair_costs` cancel and may leave a tiny negative sum
+        x, y = self.matched(col_of)
+        return float(((R @ x - y) ** 2).sum()), col_of
+
+    @staticmethod
+    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        return best_rotation(source, target)
+
+    def normalised(self, theta: np.ndarray) -> np.ndarray:
+        return theta / theta[np.argmax(np.abs(theta))]
+
+    def pose(self, theta: np.ndarray) -> np.ndarray:
+        """The (4, 4) matrix of the rotation."""
+        T = np.eye(4)
+        T[:3, :3] = self.matrix(theta)
+        return T

@@ -1,0 +1,167 @@
+"""The DC bound of boxes from what is kept of their vertices, at the best linearisation point."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcreg.assignment.kernels.dense import improve_assignment
+from dcreg.assignment.kernels.selection import place_of_least, smallest_sum, total
+from dcreg.families.dc.kernels.boxes import n_vertices
+from dcreg.families.dc.kernels.linearisation import best_linearisation
+from dcreg.families.dc.kernels.motion import pair_costs, plane_curvature
+from dcreg.jit import jit, jit_part
+
+
+class Boxes(NamedTuple):
+    """Boxes, the slots of their vertices, and what is found for them.
+
+    Attributes
+    ----------
+    lower, upper : (B, dim) arrays
+    slots : (B, 2^dim) int array
+        -1 beyond the last distinct vertex.
+    points : (B, dim) array
+        Linearisation points: where to start, then the best.
+    bounds : (B,) array
+    binding : (B,) int array
+        Slot of the vertex that limits the bound.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    slots: np.ndarray
+    points: np.ndarray
+    bounds: np.ndarray
+    binding: np.ndarray
+
+
+class Effort(NamedTuple):
+    """How hard to try.
+
+    Attributes
+    ----------
+    weights : (dim,) array
+        Diagonal of the quadratic that models the loss.
+    moves : int
+        Moves of the linearisation point, at most.
+    floor : float
+        Bounds that cannot reach this are of no use: the box will be divided in any case.
+    enough : float
+        Bounds above this need not be better.
+    """
+
+    weights: np.ndarray
+    moves: int
+    floor: float
+    enough: float
+
+
+@jit
+def charged_value(axes, k, low, level, profile, delta, charged):
+    """Lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from what is kept of a vertex."""
+    plane_curvature(axes, delta, charged)
+    level -= total(charged) / charged.size
+    for i in range(charged.size):
+        charged[i] = profile[i] - charged[i]
+    return smallest_sum(charged, k, level, 2.0 * abs(low) / (k * k))[0]
+
+
+@jit
+def shared_bounds(points, known, effort, boxes):
+    """``max_theta0 min_v min_P sum p_ij [E_ij(v) - R_i(v - theta0)]`` per box, from shared values.
+
+    Starts with theta0 at ``boxes.points`` and moves it to the best place of a quadratic model of the
+    loss; the bound itself is always evaluated with the true R_i.
+    """
+    dim, weights = boxes.lower.shape[1], effort.weights
+    charges = np.empty(points.source.shape[0])
+    corner, charged = np.empty((16, dim)), np.empty(16)
+    delta, point = np.empty(dim), np.empty(dim)
+    for box in range(boxes.lower.shape[0]):
+        count = n_vertices(boxes.lower[box], boxes.upper[box])
+        for a in range(dim):
+            point[a] = boxes.points[box, a]
+            for v in range(count):
+                corner[v, a] = known.thetas[boxes.slots[box, v], a]
+        best = -np.inf
+        for step in range(effort.moves + 1):
+            bound, at = np.inf, 0
+            for v in range(count):
+                for a in range(dim):
+                    delta[a] = corner[v, a] - point[a]
+                slot = boxes.slots[box, v]
+                charged[v] = charged_value(
+                    points.axes, points.k, known.lows[slot], known.levels[slot],
+                    known.profiles[slot], delta, charges,
+                )  # fmt: skip
+                if charged[v] < bound:
+                    bound, at = charged[v], v
+            previous = best
+            if bound > best:
+                best, boxes.binding[box] = bound, boxes.slots[box, at]
+                for a in range(dim):
+                    boxes.points[box, a] = point[a]
+            if step == effort.moves or best >= effort.enough:
+                break
+            if step > 1 and bound <= previous + 1e-3 * abs(previous):
+                break
+            # the loss at theta0 as if it were quadratic with these weights
+            for v in range(count):
+                for a in range(dim):
+                    charged[v] += weights[a] * (corner[v, a] - point[a]) ** 2
+            promise = best_linearisation(
+                corner[:count], charged[:count], weights, effort.floor, np.inf, point
+            )
+            if promise < effort.floor:
+                break
+        boxes.bounds[box] = best
+    return 0
+
+
+@jit
+def exact_bounds(points, known, cutoff, slots, places, bounds):
+    """Raise `bounds` by exact minima over P at the vertices that limit them, theta0 in `places`.
+
+    Vertices are taken from the lowest on, until the lowest is exact or above `cutoff`. Returns the
+    assignments spent.
+    """
+    n, m, dim = points.source.shape[0], points.target.shape[1], places.shape[1]
+    missed, cost, delta, duals = np.empty(n), np.empty((n, m)), np.empty(dim), np.empty(m)
+    charged, exact = np.empty(slots.shape[1]), np.empty(slots.shape[1], np.bool_)
+    spent = 0
+    for box in range(slots.shape[0]):
+        for v in range(slots.shape[1]):
+            charged[v], exact[v] = np.inf, False
+            slot = slots[box, v]
+            if slot >= 0:
+                _from_point(known.thetas, slot, places, box, delta)
+                charged[v] = charged_value(
+                    points.axes, points.k, known.lows[slot], known.levels[slot],
+                    known.profiles[slot], delta, missed,
+                )  # fmt: skip
+        while True:
+            v = place_of_least(charged)
+            if exact[v] or charged[v] >= cutoff or points.stop[0]:
+                break
+            slot = slots[box, v]
+            _from_point(known.thetas, slot, places, box, delta)
+            pair_costs(points, known.thetas[slot], cost)
+            plane_curvature(points.axes, delta, missed)
+            for i in range(n):
+                for j in range(m):
+                    cost[i, j] -= missed[i]
+            for j in range(m):
+                duals[j] = known.duals[slot, j]
+            charged[v], _ = improve_assignment(cost, points.k, duals, points.stop)
+            exact[v] = True
+            spent += 1
+        bounds[box] = max(bounds[box], charged[v])
+    return spent
+
+
+@jit_part
+def _from_point(thetas, slot, places, box, delta):
+    for a in range(delta.size):
+        delta[a] = thetas[slot, a] - places[box, a]

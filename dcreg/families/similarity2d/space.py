@@ -1,0 +1,197 @@
+"""2D similarity: theta = (s cos a, s sin a, t_x, t_y), the scale in a given range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
+from dcreg.families.dc.kernels.bounds import objectives
+from dcreg.families.dc.space import LEAST_GAIN, FeatureSpace
+from dcreg.families.kernels import Points
+from dcreg.families.protocol import alternate, largest_subset_mean, means_of_subsets, radius
+from dcreg.families.similarity2d.starts import similar_poses
+from dcreg.jit import NEVER
+from dcreg.problem.problem import FeasiblePairs
+from dcreg.search import Box, Budget
+
+# Descents that end with k pairs begin with so many of the pairs beyond k that there are.
+_SURPLUS = (0.75, 0.5, 0.25)
+
+
+class Similarity2D(FeatureSpace):
+    """T(x) = [[t1, -t2], [t2, t1]] x + (t3, t4), DC-Reg section "2D similarity".
+
+    Parameters
+    ----------
+    source, target : (n, 2), (m, 2) arrays
+        Normalised points; both sets centred at their centroid for the best conditioning.
+    n_inliers : int
+    scale_range : (low, high)
+        Parameters outside this annulus are not poses: without a lower limit the scale would
+        collapse (all sources onto one target neighbourhood).
+    reduced_box : bool
+        Start from the translations that an optimum can have (its residuals have zero mean, so
+        t = mean of matched y - s R mean of matched x), or from the plain safe box of the paper.
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+    """
+
+    scope = "similarity pose"
+    identity = np.array([1.0, 0.0, 0.0, 0.0])
+
+    def __init__(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        scale_range: tuple[float, float],
+        reduced_box: bool = True,
+        candidates: np.ndarray | None = None,
+    ) -> None:
+        reach = scale_range[1] * radius(source) + radius(target)
+        self.points = Points(
+            np.ascontiguousarray(source),
+            np.ascontiguousarray(source.T),
+            np.ascontiguousarray(target.T),
+            FeasiblePairs(candidates).prices(n_inliers, reach),
+            n_inliers,
+            NEVER,
+        )
+        self._candidates = candidates
+        self.n_inliers = n_inliers
+        self.scale_range = scale_range
+        self.reduced_box = reduced_box
+        spread = max(float(np.sqrt((source**2).sum(axis=1).mean())), 1e-12)
+        self.axis_weights = np.array([spread, spread, 1.0, 1.0])
+
+    def roots(self) -> list[Box]:
+        high = self.scale_range[1]
+        if self.reduced_box:
+            reach = high * largest_subset_mean(self.source, self.n_inliers)
+            low_y, high_y = means_of_subsets(self.points.target, self.n_inliers)
+            # rounding must not cut off the optimum, yet an exactly centred set keeps zero width
+            reach = 0.0 if reach < 1e-12 else reach
+            low_y, high_y = (np.where(np.abs(y) < 1e-12, 0.0, y) for y in (low_y, high_y))
+            lower, upper = low_y - reach, high_y + reach
+        else:
+            reach = high * radius(self.source) + radius(self.points.target.T)
+            lower, upper = np.full(2, -reach), np.full(2, reach)
+        return [Box(np.array([-high, -high, *lower]), np.array([high, high, *upper]))]
+
+    def admissible(self, thetas: np.ndarray) -> np.ndarray:
+        scale = np.hypot(thetas[:, 0], thetas[:, 1])
+        low, high = self.scale_range
+        # a scale fitted and clipped to the end of the range may be a rounding error outside
+        return (scale >= low * (1 - 1e-12)) & (scale <= high * (1 + 1e-12))
+
+    def touches(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        low, high = self.scale_range
+        near = np.maximum(np.maximum(lower[:, :2], -upper[:, :2]), 0.0)
+        far = np.maximum(-lower[:, :2], upper[:, :2])
+        return (np.hypot(*near.T) <= high) & (np.hypot(*far.T) >= low)
+
+    def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
+        return objectives(self.points, thetas, values)
+
+    def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
+        """The objective itself."""
+        return self._score(seeds, self.n_inliers)
+
+    def _score(self, seeds: np.ndarray, count: int) -> tuple[np.ndarray, int]:
+        values = np.empty(len(seeds))
+        for at, seed in enumerate(seeds):
+            values[at], _, _ = cheapest_pairs(self._costs(seed), count, self.stop)
+            self.check()
+        return values, len(seeds)
+
+    def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
+        """The best seeds, poses that pairs of points suggest, and where descents with more pairs lead.
+
+        A part of a cloud fits in many places, each in a narrow basin; more of it fits in few, and their
+        basins are wide.
+        """
+        yield from super().starts(budget)
+        for theta in self._similar(budget):
+            yield theta, 0
+        surplus = min(self.n_source, self.n_target) - self.n_inliers
+        counts = [self.n_inliers + round(share * surplus) for share in _SURPLUS]
+        if surplus == 0 or budget.is_over:
+            return
+        seeds = self.seeds()
+        scores, spent = self._score(seeds, counts[0])
+        for theta in seeds[np.argsort(scores, kind="stable")[: self.n_descents]]:
+            for count in counts:
+                theta, _, descending = self._descend(theta, count)
+                spent += descending
+            yield theta, spent
+            spent = 0
+
+    def _similar(self, budget: Budget) -> np.ndarray:
+        """Poses of pairs of points; none where all points match, as then the centroids do."""
+        if self.n_inliers == max(self.n_source, self.n_target) or budget.is_over:
+            return np.empty((0, 4))
+        return similar_poses(
+            self.points.source, self.points.target.T, self.n_inliers, self.scale_range,
+            self._candidates, stop=self.stop,
+        )  # fmt: skip
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """Every assignment starts from the prices of the one before."""
+        return self._descend(theta, self.n_inliers)
+
+    def _descend(self, theta: np.ndarray, count: int) -> tuple[np.ndarray, float, int]:
+        """`refine` with `count` pairs."""
+        _, col_of, prices = cheapest_pairs(self._costs(theta), count, self.stop)
+        self.check()
+
+        def evaluate(trial: np.ndarray) -> tuple[float, np.ndarray]:
+            value, matching = improve_assignment(self._costs(trial), count, prices, self.stop)
+            self.check()
+            return value, matching
+
+        found, value, spent = alternate(
+            theta.copy(),
+            np.inf,
+            col_of,
+            lambda _, matching: self._fit(matching),
+            evaluate,
+            LEAST_GAIN,
+        )
+        return found, value, spent + 1
+
+    def _fit(self, col_of: np.ndarray) -> np.ndarray:
+        """Least-squares similarity of the matched pairs, its scale clipped to the range.
+
+        The best rotation does not depend on the scale and the objective is a parabola in the scale, so
+        clipping is exact.
+        """
+        rows = np.flatnonzero(col_of >= 0)
+        both = np.concatenate([self.points.axes[:, rows], self.points.target[:, col_of[rows]]])
+        mx, my, mu, mv = middle = both.sum(axis=1) / rows.size
+        both -= middle[:, None]
+        products = both @ both.T  # of x, y of the source and u, v of the target
+        dot = products[0, 2] + products[1, 3]
+        cross = products[0, 3] - products[1, 2]
+        spread = products[0, 0] + products[1, 1]
+        low, high = self.scale_range
+        length = math.hypot(dot, cross)
+        scale = min(max(length / spread if spread > 0.0 else low, low), high)
+        a, b = (scale * dot / length, scale * cross / length) if length > 0.0 else (scale, 0.0)
+        return np.array([a, b, mu - (a * mx - b * my), mv - (b * mx + a * my)])
+
+    def seeds(self) -> np.ndarray:
+        """Every 15 degrees, at the scale that gives both clouds the same spread."""
+        spread = self.axis_weights[0]
+        scale = np.clip(
+            np.sqrt((self.points.target**2).sum(axis=0).mean()) / spread, *self.scale_range
+        )
+        angles = np.arange(24) * (np.pi / 12)
+        centre = np.zeros((24, 2))
+        return np.hstack([scale * np.stack([np.cos(angles), np.sin(angles)], axis=1), centre])
+
+    def pose(self, theta: np.ndarray) -> np.ndarray:
+        a, b, tx, ty = theta
+        return np.array([[a, -b, tx], [b, a, ty], [0.0, 0.0, 1.0]])

@@ -1,0 +1,102 @@
+"""Where a search of the plane starts when many points have no partner: poses from pairs of points.
+
+Two source points and two target points fix a similarity. Among enough random source pairs one consists
+of points that have a partner, and one of all target pairs is right for it. Poses are scored by how many
+source points they bring near the target, and the best distinct ones are returned.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.families.similarity2d.kernels import similar as kernels
+from dcreg.jit import NEVER
+from dcreg.problem import rms_radius
+
+REACH = 0.08  # RMS radii of the target within which a point is near it
+FAILURE = 1e-3  # wished probability that no source pair consists of true points
+MIN_PAIRS, MAX_PAIRS = 12, 60
+MAX_TARGETS = 200  # target points that pairs are made of
+MAX_LOOKED = 60  # source points that score
+KEPT_PER_PAIR = 12
+MAX_POSES = 48
+CELLS_PER_REACH, MAX_CELLS = 3.0, 2000  # of the field of nearness, along the longest side: 32 MB
+APART = 0.15  # poses whose parameters, in units of the clouds, differ by less are one
+
+
+def similar_poses(
+    source: np.ndarray,
+    target: np.ndarray,
+    n_inliers: int,
+    scale_range: tuple[float, float],
+    candidates: np.ndarray | None = None,
+    *,
+    stop: np.ndarray = NEVER,
+) -> np.ndarray:
+    """The best distinct similarities that pairs of points suggest, best first.
+
+    Parameters
+    ----------
+    source, target : (n, 2), (m, 2) arrays
+        About their middles, in units in which their extents are near one.
+    n_inliers : int
+    scale_range : (low, high)
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+    stop : (1,) uint8 array
+        Once it is set the poses found so far are returned.
+
+    Returns
+    -------
+    (P, 4) array
+        Parameters ``(s cos a, s sin a, t_x, t_y)``; none where the points coincide.
+    """
+    unit = rms_radius(target)
+    if len(source) < 2 or len(target) < 2 or unit == 0.0 or rms_radius(source) == 0.0:
+        return np.empty((0, 4))
+    rng = np.random.default_rng(0)
+    pairs = _long_pairs(source, n_inliers, rng)
+    columns = np.sort(rng.permutation(len(target))[:MAX_TARGETS])
+    feasible = np.empty((0, 0), np.bool_)
+    if candidates is not None:
+        feasible = np.ascontiguousarray(candidates[:, columns])
+    source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
+    looked = source[rng.permutation(len(source))[:MAX_LOOKED]]
+    extent = float(np.ptp(target, axis=0).max())
+    reach = max(REACH * unit, CELLS_PER_REACH * extent / MAX_CELLS)
+    cell = reach / CELLS_PER_REACH
+    origin = target.min(axis=0) - reach
+    size = int(np.ceil((extent + 2.0 * reach) / cell)) + 1
+    field = np.zeros((size, size))
+    kernels.nearness_field(target, origin, cell, reach, field)
+    thetas = np.zeros((len(pairs), KEPT_PER_PAIR, 4))
+    scores = np.zeros((len(pairs), KEPT_PER_PAIR))
+    kernels.pair_poses(
+        pairs, source, target[columns], feasible,
+        (looked, origin, cell, field, *map(float, scale_range), stop), thetas, scores,
+    )  # fmt: skip
+    return _distinct(thetas.reshape(-1, 4), scores.ravel(), unit)
+
+
+def _long_pairs(points: np.ndarray, n_inliers: int, rng: np.random.Generator) -> np.ndarray:
+    """Random pairs farther apart than most, as many as it takes for one of true points."""
+    share = (n_inliers / len(points)) ** 2
+    needed = np.log(FAILURE) / np.log1p(-share) if share < 1.0 else 0.0
+    count = int(np.clip(needed, MIN_PAIRS, MAX_PAIRS))
+    drawn = rng.integers(len(points), size=(4 * count, 2))
+    lengths = np.linalg.norm(points[drawn[:, 0]] - points[drawn[:, 1]], axis=1)
+    longest = np.argsort(-lengths, kind="stable")[: 2 * count]
+    longest = longest[lengths[longest] > 0.0]
+    return drawn[longest[np.sort(rng.permutation(len(longest))[:count])]]
+
+
+def _distinct(thetas: np.ndarray, scores: np.ndarray, unit: float) -> np.ndarray:
+    """The best parameters that differ by more than `APART` in units of the clouds."""
+    scaled = thetas / [1.0, 1.0, unit, unit]
+    kept: list[int] = []
+    for at in np.argsort(-scores, kind="stable"):
+        if scores[at] <= 0.0 or len(kept) == MAX_POSES:
+            break
+        if (np.abs(scaled[kept] - scaled[at]).max(axis=1) > APART).all():
+            kept.append(at)
+    return thetas[kept]

@@ -1,0 +1,119 @@
+"""3D translation in norm space: theta = t, matched are |x + t| and |y| (DC-Reg, Case II)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.assignment.kernels.sorting import COLUMNS
+from dcreg.families.dc.kernels.bounds import objectives
+from dcreg.families.dc.space import LEAST_GAIN, FeatureSpace
+from dcreg.families.kernels import Points
+from dcreg.families.protocol import alternate, mean_of_largest, means_of_subsets, radius
+from dcreg.families.translation3d.kernels.fit import fit_norm3d
+from dcreg.families.translation3d.kernels.line import match_on_line, objectives_on_line
+from dcreg.jit import NEVER
+from dcreg.problem.problem import FeasiblePairs
+from dcreg.search import Box
+
+_AT_ONCE = 20_000  # points, `COLUMNS` times: that takes hundredths of a second
+_STEPS = 20  # of the fit to one matching
+
+
+class Translation3D(FeatureSpace):
+    """Match the norms of the moved source and of the target, which no rotation changes.
+
+    The objective is ``sum p_ij (|x_i + t| - |y_j|)^2``. It is a lower bound on the full rigid objective
+    for every rotation, and a surrogate of it: its optimum need not be the optimal rigid pose.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+        Normalised points. The origin of the target is the centre of rotation.
+    n_inliers : int
+    reduced_box : bool
+        Start from the translations a stationary point can have, or from the plain safe box.
+    candidates : (n, m) bool array, optional
+        The feasible pairs. With them the assignment is no longer one-dimensional, hence dearer.
+    """
+
+    scope = "translation in norm space"
+    identity = np.zeros(3)
+
+    def __init__(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        reduced_box: bool = True,
+        candidates: np.ndarray | None = None,
+    ) -> None:
+        self.norms = np.sqrt((target**2).sum(axis=1))
+        self._ordered = np.sort(self.norms)
+        pairs = FeasiblePairs(candidates)
+        # where every pair is feasible, scalars are matched, which needs no matrix of costs
+        self._on_line = pairs.mask is None
+        self.points = Points(
+            np.ascontiguousarray(source),
+            np.ascontiguousarray(source.T),
+            self.norms,
+            pairs.prices(n_inliers, radius(source) + radius(target)),
+            n_inliers,
+            NEVER,
+        )
+        self.n_inliers = n_inliers
+        self.reduced_box = reduced_box
+        self.axis_weights = np.ones(3)
+
+    def roots(self) -> list[Box]:
+        """Every minimiser is stationary: t = mean of (|y| u - x) over the matched, u unit vectors."""
+        if not self.reduced_box:
+            reach = self.norms.max() + np.sqrt((self.source**2).sum(axis=1)).max()
+            return [Box(np.full(3, -reach), np.full(3, reach))]
+        reach = mean_of_largest(self.norms, self.n_inliers)
+        low_x, high_x = means_of_subsets(self.source.T, self.n_inliers)
+        return [Box(-(reach + high_x), reach - low_x)]
+
+    def seeds(self) -> np.ndarray:
+        """The identity and the 26 neighbours of a coarse grid around it."""
+        steps = 0.5 * np.array([0.0, -1.0, 1.0])
+        return np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        if not self._on_line:
+            return super().objective(theta)
+        self.check()
+        x, y, z = (axis + shift for axis, shift in zip(self.points.axes, theta, strict=True))
+        return match_on_line(np.sqrt(x * x + y * y + z * z), self.norms, self.n_inliers)
+
+    def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
+        if not self._on_line:
+            return objectives(self.points, thetas, values)
+        size = COLUMNS * max(1, _AT_ONCE // len(self.source))
+        for at in range(0, len(thetas), size):
+            if self.stop[0]:  # which the kernel does not look at
+                break
+            part = slice(at, at + size)
+            objectives_on_line(
+                self.source, self._ordered, self.n_inliers, thetas[part], values[part]
+            )
+        return len(thetas)
+
+    def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
+        """The objective itself."""
+        values = np.empty(len(seeds))
+        return values, self.objectives(seeds, values)
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        value, col_of = self.objective(theta)
+        found, value, spent = alternate(
+            theta.copy(), value, col_of, self._fit, self.objective, LEAST_GAIN
+        )
+        return found, value, spent + 1
+
+    def _fit(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
+        """A few steps from `theta` towards the translation that fits the norms of the pairs best."""
+        rows = np.flatnonzero(col_of >= 0)
+        trial = theta.copy()
+        axes = np.ascontiguousarray(self.points.axes[:, rows])
+        fit_norm3d(axes, self.norms[col_of[rows]], _STEPS, trial)
+        return trial

@@ -1,1 +1,0 @@
-"""Compiled kernels: flat functions, arrays in, arrays out. their NumPy twins are in `tests/oracles`."""

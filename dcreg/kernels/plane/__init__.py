@@ -1,1 +1,0 @@
-"""Kernels of the DC bound over similarities in the plane."""

@@ -1,1 +1,0 @@
-"""Kernels over rotations and rigid poses in space."""

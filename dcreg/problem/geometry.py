@@ -1,0 +1,281 @@
+"""What a homogeneous matrix says of its linear part: the scale, the rotation nearest to it, its angle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dcreg.problem.problem import InputError, Problem
+
+
+def scale_of(pose: np.ndarray) -> float:
+    """Scale of a (d+1, d+1) pose: the d-th root of its linear part's determinant, without the sign."""
+    d = len(pose) - 1
+    return float(abs(np.linalg.det(pose[:d, :d])) ** (1.0 / d))
+
+
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation (determinant +1) nearest to a (d, d) matrix, and of largest inner product with it.
+
+    Removes rounding and a scale, and solves Wahba's problem for ``sum target_i source_i^T``.
+    """
+    u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=float))
+    sign = np.ones(len(u))
+    sign[-1] = np.sign(np.linalg.det(u @ vt))
+    return (u * sign) @ vt
+
+
+def rotation_angle_deg(rotation: np.ndarray) -> float:
+    """Angle of a (d, d) rotation in degrees: signed in the plane, about the axis in space.
+
+    The arc tangent of sine and cosine keeps digits where the arc cosine has none, near 0 and 180 degrees.
+    """
+    if len(rotation) == 2:
+        return math.degrees(math.atan2(rotation[1, 0], rotation[0, 0]))
+    skew = rotation - rotation.T
+    sine = math.sqrt(skew[0, 1] ** 2 + skew[0, 2] ** 2 + skew[1, 2] ** 2) / 2
+    return math.degrees(math.atan2(sine, (np.trace(rotation) - 1) / 2))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The normalised coordinates of a solve: both sets centred, one common unit of length."""
+
+    source_centre: np.ndarray
+    target_centre: np.ndarray
+    unit: float
+
+    @classmethod
+    def of(cls, problem: Problem) -> Frame:
+        unit = unit_length(problem.source, problem.target) or 1.0
+        return cls(problem.source.mean(axis=0), problem.target.mean(axis=0), unit)
+
+    @property
+    def area(self) -> float:
+        """Squared units of the files in one squared unit of the frame: the factor of objectives."""
+        return self.unit**2
+
+    def source(self, points: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray((points - self.source_centre) / self.unit)
+
+    def target(self, points: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray((points - self.target_centre) / self.unit)
+
+    def pose(self, T: np.ndarray) -> np.ndarray:
+        """The pose `T` between normalised clouds, in the coordinates of the files."""
+        d = len(self.source_centre)
+        out = np.eye(d + 1)
+        out[:d, :d] = T[:d, :d]
+        out[:d, d] = self.unit * T[:d, d] + self.target_centre - T[:d, :d] @ self.source_centre
+        return out
+
+
+_LOOKED_AT = 5000  # points, for the median distance to the next one
+_NEIGHBOURS = 3
+_ISOLATED = 6.0  # times the median distance to the third neighbour
+
+
+def median_spacing(points: np.ndarray) -> float:
+    """Median distance of a point to the next one, of at most `_LOOKED_AT` points; 0 for a single one."""
+    if len(points) < 2:
+        return 0.0
+    some = points[:: -(-len(points) // _LOOKED_AT)]
+    return float(np.median(cKDTree(points).query(some, k=2)[0][:, 1]))
+
+
+def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
+    """Rows of `count` points, each as far as possible from those before it (farthest-point sampling).
+
+    The first is the point nearest to the centroid, so that the choice does not depend on the order of
+    the points but for ties.
+
+    Parameters
+    ----------
+    points : (n, d) array
+    count : int
+
+    Returns
+    -------
+    (min(count, n),) int array
+        Ascending; all rows where there are no more than `count`.
+    """
+    if count >= len(points):
+        return np.arange(len(points))
+    chosen = np.empty(count, np.int64)
+    chosen[0] = np.argmin(((points - points.mean(axis=0)) ** 2).sum(axis=1))
+    axes = np.ascontiguousarray(points.T)  # summed axis by axis, in a sixth of the time
+    nearest = np.full(len(points), np.inf)
+    for at in range(1, count):
+        gaps = axes - axes[:, chosen[at - 1], None]
+        np.minimum(nearest, (gaps * gaps).sum(axis=0), out=nearest)
+        chosen[at] = np.argmax(nearest)
+    return np.unique(chosen)
+
+
+def isolated(points: np.ndarray) -> np.ndarray:
+    """Which points lie far from all others, as stray ones of a scan do: less than half of them.
+
+    Farthest points would be made of them.
+
+    Parameters
+    ----------
+    points : (n, d) array
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    if len(points) <= _NEIGHBOURS:
+        return np.zeros(len(points), dtype=bool)
+    reach = cKDTree(points).query(points, k=_NEIGHBOURS + 1)[0][:, -1]
+    usual = np.median(reach)
+    alone: np.ndarray = (reach > _ISOLATED * usual) & (usual > 0.0)
+    return alone
+
+
+def representative_points(points: np.ndarray, count: int) -> np.ndarray:
+    """Rows of `count` farthest points among those that are not `isolated`.
+
+    Parameters
+    ----------
+    points : (n, d) array
+    count : int
+
+    Returns
+    -------
+    (C,) int array
+        Ascending; C is less than `count` only where there are no more, and all rows where n is no more.
+    """
+    if count >= len(points):
+        return np.arange(len(points))
+    kept = np.flatnonzero(~isolated(points))
+    return kept[farthest_points(points[kept], count)]
+
+
+TOLERATED_RESIDUAL = 0.03  # RMS residual per pair, in RMS radii of the target
+# The same of norms, which fit far better than points: as much as little noise leaves.
+TOLERATED_NORM_RESIDUAL = 0.003
+EXACT = 1e-9  # a squared residual this small, in squared RMS radii, is rounding
+
+
+def rms_radius(points: np.ndarray) -> float:
+    """Root mean square distance of the points from their centroid.
+
+    0 where they differ by no more than the rounding of their coordinates: that is no unit of length.
+    """
+    spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    return spread if spread > 1e-13 * np.abs(points).max() else 0.0
+
+
+def unit_length(source: np.ndarray, target: np.ndarray) -> float:
+    """RMS radius of the target; of the source where the target has no extent; 0 if neither has."""
+    return rms_radius(target) or rms_radius(source)
+
+
+def default_gap_tol(
+    source: np.ndarray, target: np.ndarray, n_inliers: int, factor: float = TOLERATED_RESIDUAL
+) -> float:
+    """Absolute tolerance on the gap of the objective, a sum over `n_inliers` squared residuals.
+
+    ``n_inliers * (factor * r)^2``, where r is the RMS radius of the target, or of the source where
+    the target has no extent.
+
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) arrays
+    n_inliers : int
+    factor : float
+        Tolerated RMS residual per pair, in units of r.
+
+    Returns
+    -------
+    float
+        In squared units of the target.
+    """
+    return float(n_inliers * (factor * unit_length(source, target)) ** 2)
+
+
+def gap_tol_of(tol: float | None, gap_tol: float | None, n_inliers: int) -> float | None:
+    """The absolute tolerance on the gap, where it may be given as a length per pair.
+
+    Parameters
+    ----------
+    tol : float, optional
+        Tolerated RMS residual per pair, in units of the target.
+    gap_tol : float, optional
+        The tolerance itself.
+    n_inliers : int
+
+    Returns
+    -------
+    float or None
+        ``n_inliers * tol^2`` or `gap_tol`; None where neither is given.
+
+    Raises
+    ------
+    InputError
+        If both are given, or `tol` is not a finite length.
+    """
+    if tol is None:
+        return gap_tol
+    if gap_tol is not None:
+        raise InputError(
+            f"tol: {tol}, and gap_tol: {gap_tol} as well; give one of them (gap_tol = K * tol^2)"
+        )
+    if isinstance(tol, bool) or not (tol >= 0 and math.isfinite(n_inliers * tol * tol)):
+        raise InputError(
+            f"tol: {tol} is not a usable value; give a length in units of the target, such as 0.01"
+        )
+    return float(n_inliers * tol * tol)
+
+
+def fit_pose(
+    source: np.ndarray,
+    target: np.ndarray,
+    scale_range: tuple[float, float],
+    weights: np.ndarray | None = None,
+) -> np.ndarray:
+    """Least-squares pose of paired points (Umeyama 1991), scale clipped to `scale_range`.
+
+    The rotation is proper (determinant +1) also for mirrored or degenerate data. It is the best one for
+    every scale, and the cost a convex parabola in the scale: clipping gives the constrained optimum.
+
+    Parameters
+    ----------
+    source, target : (..., k, d) arrays
+        Leading axes hold further problems, fitted side by side.
+    scale_range : (low, high)
+        Of points that all coincide any scale is as good; they get `low`.
+    weights : (..., k) array, optional
+        Of the squared residuals, not all zero; default: equal.
+
+    Returns
+    -------
+    (..., d+1, d+1) array
+    """
+    d = source.shape[-1]
+    if weights is None:
+        mean_x, mean_y = source.mean(axis=-2, keepdims=True), target.mean(axis=-2, keepdims=True)
+        x, y = source - mean_x, target - mean_y
+        weighted_x = x
+    else:
+        shares = (weights / weights.sum(axis=-1, keepdims=True))[..., None, :]
+        mean_x, mean_y = shares @ source, shares @ target
+        x, y = source - mean_x, target - mean_y
+        weighted_x = np.swapaxes(shares, -1, -2) * x
+    u, singular, vt = np.linalg.svd(np.swapaxes(y, -1, -2) @ weighted_x)
+    sign = np.ones_like(singular)
+    sign[..., -1] = np.where(np.linalg.det(u) * np.linalg.det(vt) > 0, 1.0, -1.0)
+    rotation = (u * sign[..., None, :]) @ vt
+    spread = (weighted_x * x).sum(axis=(-2, -1))
+    low, high = scale_range
+    gain = (singular * sign).sum(axis=-1)
+    scale = np.clip(gain / np.where(spread > 0, spread, np.inf), low, high)
+    T = np.zeros((*singular.shape[:-1], d + 1, d + 1))
+    T[..., :d, :d] = scale[..., None, None] * rotation
+    T[..., :d, d] = (mean_y - mean_x @ np.swapaxes(T[..., :d, :d], -1, -2))[..., 0, :]
+    T[..., d, d] = 1.0
+    return T

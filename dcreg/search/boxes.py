@@ -1,0 +1,217 @@
+"""What a search asks of a lower bounding function: the part that the paper's comparison exchanges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from dcreg.search import kernels as heap
+
+
+@dataclass(frozen=True)
+class Box:
+    """``lower <= theta <= upper``, componentwise; an axis may have zero width."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+
+    def __post_init__(self) -> None:
+        if self.lower.shape != self.upper.shape or not (self.lower <= self.upper).all():
+            raise ValueError(f"not a box: lower {self.lower}, upper {self.upper}")
+
+    @property
+    def dim(self) -> int:
+        return self.lower.size
+
+    @property
+    def centre(self) -> np.ndarray:
+        return 0.5 * (self.lower + self.upper)
+
+    @property
+    def half_widths(self) -> np.ndarray:
+        return 0.5 * (self.upper - self.lower)
+
+    def vertices(self) -> np.ndarray:
+        """(2**d, d) corners, repeated where an axis has zero width."""
+        choices = np.stack([self.lower, self.upper])
+        bits = (np.arange(2**self.dim)[:, None] >> np.arange(self.dim)) & 1
+        return choices[bits, np.arange(self.dim)]
+
+    def sample(self, generator: np.random.Generator, size: int) -> np.ndarray:
+        return generator.uniform(self.lower, self.upper, (size, self.dim))
+
+
+class LongestEdge:
+    """Bisect the edge that is longest after weighting each axis by the residual it causes.
+
+    `weights` make axes comparable: a unit step of a rotation entry moves the source by about its RMS
+    radius, a unit step of a translation by one.
+    """
+
+    def __init__(self, weights: np.ndarray) -> None:
+        self.weights = np.asarray(weights, dtype=np.float64)
+
+    def __call__(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(2 B, d) children of B boxes; the two halves of a box lie next to each other."""
+        axis = np.argmax((upper - lower) * self.weights, axis=1)
+        rows = np.arange(len(lower))
+        middle = 0.5 * (lower[rows, axis] + upper[rows, axis])
+        child_lower = np.repeat(lower, 2, axis=0)
+        child_upper = np.repeat(upper, 2, axis=0)
+        child_upper[2 * rows, axis] = middle
+        child_lower[2 * rows + 1, axis] = middle
+        return child_lower, child_upper
+
+
+@dataclass
+class Evaluation:
+    """What a bound says of B boxes.
+
+    Attributes
+    ----------
+    lower_bounds : (B,) array
+        Valid for every admissible theta of the box, or at least for every global optimum in it, which is
+        all that a search needs; +inf when the box holds no admissible theta.
+    thetas : (B, d) array
+        One parameter per box worth knowing, admissible or not.
+    values : (B,) array
+        Upper bounds on the objective at `thetas`; +inf where theta is not admissible.
+    hints : (B, h) array, optional
+        What the bound wants to be told again of the boxes that are made from these: a start for its work
+        on them, on which the validity of what it says does not depend.
+    """
+
+    lower_bounds: np.ndarray
+    thetas: np.ndarray
+    values: np.ndarray
+    hints: np.ndarray | None = None
+
+
+class Bound(Protocol):
+    """A lower bounding function over the boxes that bisection makes of `roots`."""
+
+    @property
+    def roots(self) -> list[Box]:
+        """Together they hold the region searched."""
+        ...
+
+    @property
+    def round_size(self) -> int:
+        """Boxes bounded between two readings of the clock, at most."""
+        ...
+
+    @property
+    def n_assignments(self) -> int:
+        """Exact assignments solved so far."""
+        ...
+
+    def evaluate(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
+    ) -> Evaluation:
+        """Bound B boxes (rows of `lower`, `upper`).
+
+        Above `cutoff` precision is of no use, and where the cutoff is out of reach the box is divided
+        anyway, so that a bound may stop early; with `thorough` it does its best on every box. One that
+        gives hints takes them too, as ``hints=``: (B, h), of the boxes that these were made from.
+        """
+        ...
+
+
+class OpenNodes:
+    """Open boxes, best lower bound first; among equals the larger box, then the older."""
+
+    def __init__(self, dim: int, capacity: int = 64) -> None:
+        self._lower, self._upper = np.empty((capacity, dim)), np.empty((capacity, dim))
+        self._hints = np.empty((capacity, 0), np.uint16)
+        self._bounds, self._sizes = np.empty(capacity), np.empty(capacity)
+        self._serials = np.empty(capacity, np.int64)
+        self._heap = np.empty(capacity, np.int64)
+        self._free = np.arange(capacity)  # slots; the first _length of them are taken
+        self._length = 0
+        self._serial = 0
+
+    def __len__(self) -> int:
+        return self._length
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the boxes held."""
+        hints = self._hints.itemsize * self._hints.shape[1]
+        return self._length * (16 * self._lower.shape[1] + 40 + hints)
+
+    @property
+    def lower_bound(self) -> float:
+        return float(self._bounds[self._heap[0]]) if self._length else np.inf
+
+    def push(
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        bounds: np.ndarray,
+        hints: np.ndarray | None = None,
+    ) -> None:
+        """Add boxes; with hints, all boxes of a search or none of them."""
+        count = len(bounds)
+        if hints is not None and not self._length and hints.shape[1] != self._hints.shape[1]:
+            self._hints = np.empty((len(self._heap), hints.shape[1]), hints.dtype)
+        while self._length + count > len(self._heap):
+            self._double()
+        slots = self._free[self._length : self._length + count]
+        self._lower[slots], self._upper[slots], self._bounds[slots] = lower, upper, bounds
+        if hints is not None:
+            self._hints[slots] = hints
+        self._sizes[slots] = (upper - lower).sum(axis=1)
+        self._serials[slots] = np.arange(self._serial, self._serial + count)
+        self._serial += count
+        self._length = heap.push(
+            self._heap, self._length, slots, self._bounds, self._sizes, self._serials
+        )
+
+    def pop(
+        self, count: int, cutoff: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+        """Up to `count` best boxes whose bound lies below `cutoff`: corners, bounds, hints."""
+        slots = np.empty(count, np.int64)
+        taken = heap.pop(
+            self._heap, self._length, cutoff, self._bounds, self._sizes, self._serials, slots
+        )
+        slots = slots[:taken]
+        self._length -= taken
+        self._free[self._length : self._length + taken] = slots
+        hints = self._hints[slots] if self._hints.shape[1] else None
+        return self._lower[slots], self._upper[slots], self._bounds[slots], hints
+
+    def _double(self) -> None:
+        capacity = len(self._heap)
+        boxes = ("_lower", "_upper", "_hints", "_bounds", "_sizes", "_serials")
+        for name in (*boxes, "_heap", "_free"):
+            old = getattr(self, name)
+            setattr(self, name, np.concatenate([old, np.empty_like(old)]))
+        self._free[capacity:] = np.arange(capacity, 2 * capacity)
+
+
+PRUNED, EMPTY, OPEN = 0, 1, 2  # why a leaf was not divided further
+
+
+class Leaves:
+    """The undivided boxes at the end of a search: together they cover the roots exactly.
+
+    ``reason`` is PRUNED (bound at least upper_bound - gap_tol), EMPTY (no admissible parameter) or
+    OPEN (a limit came first).
+    """
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def add(
+        self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray, is_open: bool = False
+    ) -> None:
+        reason = np.where(np.isinf(bounds), EMPTY, OPEN if is_open else PRUNED)
+        self._parts.append((lower.copy(), upper.copy(), bounds.copy(), reason.astype(np.int8)))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """``lower`` (L, d), ``upper`` (L, d), ``bounds`` (L,) and ``reason`` (L,)."""
+        names = ("lower", "upper", "bounds", "reason")
+        return dict(zip(names, map(np.concatenate, zip(*self._parts, strict=True)), strict=True))

@@ -1,0 +1,56 @@
+"""A binary heap of open boxes: least bound first, among equals the larger box, then the older.
+
+The heap holds slots; what orders them stays in arrays by slot.
+"""
+
+from __future__ import annotations
+
+from dcreg.jit import jit
+
+
+@jit
+def _before(a, b, bounds, sizes, serials):
+    if bounds[a] != bounds[b]:
+        return bounds[a] < bounds[b]
+    if sizes[a] != sizes[b]:
+        return sizes[a] > sizes[b]
+    return serials[a] < serials[b]
+
+
+@jit
+def push(heap, length, slots, bounds, sizes, serials):
+    """Add `slots`; returns the new length."""
+    for slot in slots:
+        at = length
+        length += 1
+        while at > 0:
+            parent = (at - 1) // 2
+            if not _before(slot, heap[parent], bounds, sizes, serials):
+                break
+            heap[at] = heap[parent]
+            at = parent
+        heap[at] = slot
+    return length
+
+
+@jit
+def pop(heap, length, cutoff, bounds, sizes, serials, slots):
+    """Move the best to `slots` until it is full or no bound lies below `cutoff`. Returns how many."""
+    count = 0
+    while count < slots.size and length > 0 and bounds[heap[0]] < cutoff:
+        slots[count] = heap[0]
+        count += 1
+        length -= 1
+        last, at = heap[length], 0
+        while True:
+            child = 2 * at + 1
+            if child >= length:
+                break
+            if child + 1 < length and _before(heap[child + 1], heap[child], bounds, sizes, serials):
+                child += 1
+            if not _before(heap[child], last, bounds, sizes, serials):
+                break
+            heap[at] = heap[child]
+            at = child
+        heap[at] = last
+    return count
