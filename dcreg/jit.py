@@ -58,15 +58,16 @@ def cache_folder(file: Path) -> Path | None:
 
     None where neither can be written: then every process compiles anew.
     """
-    name = _PREFIX + digest_of(_package_of(file))
+    package = _package_of(file)
+    name = _PREFIX + digest_of(package)
     beside = file.parent / "__pycache__"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen:
-        return Path(chosen) / name / file.parent.name
+        return Path(chosen) / name / file.parent.relative_to(package.parent)
     if _is_writable(beside) or (beside / name).is_dir():
         return beside / name
     users = Path(AppDirs(appname="dcreg", appauthor=False).user_cache_dir)
-    return users / name / file.parent.name if _is_writable(users) else None
+    return users / name / file.parent.relative_to(package.parent) if _is_writable(users) else None
 
 
 def _is_writable(folder: Path) -> bool:
