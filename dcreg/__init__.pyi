@@ -5,6 +5,7 @@ from .assignment.polish import objective
 from .certificate import Certificate, Report, verify
 from .diagnostics import advice
 from .driver.matching import register_matches
+from .driver.options import SolveOptions
 from .driver.solve import register
 from .driver.sweep import sweep
 from .driver.warm_up import warm_up
@@ -30,6 +31,7 @@ __all__ = [
     "Report",
     "Result",
     "Rival",
+    "SolveOptions",
     "Stage",
     "Status",
     "SweepResult",

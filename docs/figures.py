@@ -62,11 +62,16 @@ def solve(problem, time_limit: float) -> dict[str, dcreg.Result]:
     gap_tol = dcreg.default_gap_tol(problem.source, problem.target, count, factor=0.01)
     return {
         bound: dcreg.register(
-            problem.source, problem.target, n_inliers=count, model="similarity2d", bound=bound,
-            gap_tol=gap_tol, time_limit=time_limit,
+            problem.source,
+            problem.target,
+            n_inliers=count,
+            model="similarity2d",
+            gap_tol=gap_tol,
+            time_limit=time_limit,
+            options=dcreg.SolveOptions(bound=bound),
         )
         for bound in BOUNDS
-    }  # fmt: skip
+    }
 
 
 def table(results: dict[str, dcreg.Result]) -> str:

@@ -11,7 +11,9 @@ rng = np.random.default_rng(4)
 source = rng.random((12, 2))
 target = source + [2.0, 1.0] + 0.01 * rng.standard_normal(source.shape)
 
-result = dcreg.register(source, target, n_inliers=12, model="similarity2d", certificate=True)
+result = dcreg.register(
+    source, target, n_inliers=12, model="similarity2d", options=dcreg.SolveOptions(certificate=True)
+)
 
 with tempfile.TemporaryDirectory() as folder:
     path = Path(folder) / "proof.npz"

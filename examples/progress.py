@@ -16,7 +16,12 @@ def listener(event: dcreg.Event) -> bool:
 
 
 result = dcreg.register(
-    source, target, n_inliers=20, model="similarity2d", gap_tol=1e-6, listener=listener
+    source,
+    target,
+    n_inliers=20,
+    model="similarity2d",
+    gap_tol=1e-6,
+    options=dcreg.SolveOptions(listener=listener),
 )
 print(result.status, "with bounds that hold:", result.lower_bound, "<=", result.upper_bound)
 

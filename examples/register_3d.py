@@ -16,7 +16,9 @@ rigid = dcreg.register(source, target, n_inliers=1.0, model="rigid3d")
 print(rigid.mode, rigid.status, "for the", rigid.certificate_scope)
 
 # the paper's stages certify the translation of a surrogate objective, then find its rotation
-stages = dcreg.register(source, target, n_inliers=1.0, model="rigid3d", mode="paper")
+stages = dcreg.register(
+    source, target, n_inliers=1.0, model="rigid3d", options=dcreg.SolveOptions(mode="paper")
+)
 print(stages.mode, stages.status, "for the", stages.certificate_scope)
 for stage in stages.stages:
     print(f"  {stage.name}: {stage.n_nodes} boxes, {stage.n_assignments} assignments")

@@ -1,11 +1,24 @@
 """Random small problems for property tests, among them the awkward ones."""
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 from hypothesis import strategies as st
 
+import dcreg
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.search import Box
+
+OPTION_NAMES = {field.name for field in dataclasses.fields(dcreg.SolveOptions)}
+
+
+def keywords(**settings: Any) -> dict[str, Any]:
+    """Keywords of `dcreg.register` from settings in which options stand with the others."""
+    options = {name: settings.pop(name) for name in OPTION_NAMES & settings.keys()}
+    return {**settings, "options": dcreg.SolveOptions(**options)}
+
 
 KINDS = ["general", "duplicates", "collinear", "noisy copy", "grid"]
 

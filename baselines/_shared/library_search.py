@@ -102,15 +102,17 @@ class BranchAndBound(LibraryMethod):
             instance.target,
             n_inliers=instance.n_inliers,
             model=instance.model,
-            mode=self.mode,
-            bound=self.options["bound"],
             scale_range=instance.scale_range,
             gap_tol=self.gap_tol(instance),
-            polish=self.options["polish"],
             time_limit=limits.time_s,
             node_limit=limits.nodes,
             memory_limit_mb=limits.memory_mb,
-            threads=limits.threads,
+            options=dcreg.SolveOptions(
+                mode=self.mode,
+                bound=self.options["bound"],
+                polish=self.options["polish"],
+                threads=limits.threads,
+            ),
         )
         return solution_of(result)
 

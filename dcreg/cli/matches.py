@@ -93,11 +93,18 @@ def register_matches(
         with Progress(gap_tol=gap_tol, quiet=quiet) as progress:
             result = progress.run(
                 partial(
-                    solve, *clouds, pairs, inlier_distance=inlier_distance, judge=judge, certify=certify,
-                    gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
-                    listener=progress,
+                    solve,
+                    *clouds,
+                    pairs,
+                    inlier_distance=inlier_distance,
+                    judge=judge,
+                    certify=certify,
+                    gap_tol=gap_tol,
+                    time_limit=time_limit,
+                    node_limit=node_limit,
+                    options=dcreg.SolveOptions(listener=progress),
                 )
-            )  # fmt: skip
+            )
     finish(
         result,
         clouds,

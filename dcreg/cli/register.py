@@ -99,19 +99,21 @@ def register(
                     problem.target,
                     n_inliers=problem.n_inliers,
                     model=problem.model,
-                    mode=mode,
-                    bound=bound,
                     scale_range=scale_range,
                     gap_tol=gap_tol,
                     tol=tol,
                     time_limit=time_limit,
                     node_limit=node_limit,
-                    threads=threads,
                     candidates=problem.candidates,
-                    polish=polish,
-                    downsample=downsample,
-                    certificate=certificate_path is not None,
-                    listener=progress,
+                    options=dcreg.SolveOptions(
+                        mode=mode,
+                        bound=bound,
+                        threads=threads,
+                        polish=polish,
+                        downsample=downsample,
+                        certificate=certificate_path is not None,
+                        listener=progress,
+                    ),
                 )
             )
     finish(

@@ -101,18 +101,20 @@ def sweep(
                     target_points,
                     counts,
                     model=model.value,
-                    mode=mode,
-                    bound=bound,
                     scale_range=scale_range,
                     gap_tol=gap_tol,
                     tol=tol,
                     time_limit=time_limit,
                     node_limit=node_limit,
-                    threads=threads,
                     candidates=candidates,
-                    polish=polish,
-                    downsample=downsample,
-                    listener=progress,
+                    options=dcreg.SolveOptions(
+                        mode=mode,
+                        bound=bound,
+                        threads=threads,
+                        polish=polish,
+                        downsample=downsample,
+                        listener=progress,
+                    ),
                 )
             )
     typer.echo(found)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
+from dcreg.driver.options import SolveOptions
 from dcreg.driver.solve import check_settings
 from dcreg.driver.warm_up import warm_up_matches
 from dcreg.families.matches.bound import MatchBound
@@ -15,7 +17,7 @@ from dcreg.families.matches.start import coinciding_poses, is_near, promising_po
 from dcreg.names import DEFAULT_TIME_LIMIT_S, JUDGES
 from dcreg.problem import InputError, suggestion
 from dcreg.result import Result, Stage
-from dcreg.search import Budget, Listener, LongestEdge, Trace, branch_and_bound
+from dcreg.search import Budget, LongestEdge, Trace, branch_and_bound
 from dcreg.status import Status
 
 MODE, BOUND = "matches", "nested"
@@ -34,7 +36,7 @@ def register_matches(
     gap_tol: float | None = None,
     time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
-    listener: Listener | None = None,
+    options: SolveOptions | None = None,
 ) -> Result:
     """Register two clouds in space over a list of matches of which many may be wrong.
 
@@ -70,9 +72,8 @@ def register_matches(
         Seconds for the solve, 60 unless told otherwise; None or inf: no limit.
     node_limit : int, optional
         Boxes bounded. As `gap_tol`, it is of the certificate, and does nothing without.
-    listener : callable, optional
-        Called with every `dcreg.Event`, and at least every half second, then from another thread;
-        returning True stops (status ``stopped``).
+    options : SolveOptions, optional
+        Its listener; the other options do not apply and are refused.
 
     Returns
     -------
@@ -98,12 +99,15 @@ def register_matches(
     (20, [3.0, 3.0, 3.0])
     """
     began = time.perf_counter()
+    options = options or SolveOptions()
+    if replace(options, listener=None) != SolveOptions():
+        raise InputError("options: registration over matches has one mode; set the listener alone")
     problem = MatchProblem.checked(source, target, matches, inlier_distance)
     check_settings(gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit)
     certify = _certified(judge, certify)
     warm_up_matches()
     setup = time.perf_counter() - began
-    with Budget(time_limit, node_limit, listener=listener) as budget:
+    with Budget(time_limit, node_limit, listener=options.listener) as budget:
         return _solved(problem, judge, certify, gap_tol, budget, setup)
 
 

@@ -16,6 +16,7 @@ from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, warnings_for
 from dcreg.driver.downsample import SEARCH_SHARE, refined, to_search
 from dcreg.driver.modes import Mode, choose_mode, find_mode
+from dcreg.driver.options import START_BOXES, SolveOptions
 from dcreg.driver.task import Answer, Task
 from dcreg.driver.warm_up import special, warm_up_mode
 from dcreg.names import AUTO, DEFAULT_TIME_LIMIT_S
@@ -27,14 +28,12 @@ from dcreg.problem import (
     Problem,
     default_gap_tol,
     gap_tol_of,
-    suggestion,
 )
 from dcreg.result import Result, Stage
 from dcreg.runner_up import find_rival
 from dcreg.search import Budget, Leaves, Listener, Trace
 from dcreg.status import Status
 
-START_BOXES = ("reduced", "safe")
 MAX_THREADS = 1024
 _LOGGER = logging.getLogger("dcreg")
 
@@ -45,21 +44,14 @@ def register(
     *,
     n_inliers: int | float,
     model: str,
-    mode: str | None = None,
-    bound: str | None = None,
-    start_box: str = START_BOXES[0],
     scale_range: tuple[float, float] | None = None,
+    candidates: Candidates | None = None,
     gap_tol: float | None = None,
     tol: float | None = None,
     time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
     memory_limit_mb: float | None = None,
-    threads: int = 1,
-    candidates: Candidates | None = None,
-    polish: bool = True,
-    certificate: bool = False,
-    downsample: int | None = None,
-    listener: Listener | None = None,
+    options: SolveOptions | None = None,
 ) -> Result:
     """Register two clouds without correspondences, globally and with a certificate.
 
@@ -75,16 +67,6 @@ def register(
     n_inliers : int or float
         Pairs to match; a float in (0, 1] is a fraction of ``min(n, m)``.
     model : {"similarity2d", "rigid3d"}
-    mode : str, optional
-        An entry of `dcreg.modes.MODES`; default `dcreg.modes.choose_mode`'s. `Result.mode` tells which
-        ran, `Result.certificate_scope` what its bounds speak of.
-    bound : str, optional
-        Bounding function, see `dcreg.bound_names`; ``a+b`` takes the greater one. Default
-        ``tight``. Mode ``full`` has bounds of its own and takes none.
-    start_box : {"reduced", "safe"}
-        Both hold every optimum. ``safe`` follows from the radii of the clouds alone; ``reduced``
-        uses that an optimal pose is stationary, so its translation is a difference of means of
-        `n_inliers` points (a single value when all points match).
     scale_range : (low, high), optional
         Admissible scale, 2D only; default (0.5, 1.5). Equal numbers fix the scale: ``(1, 1)`` searches
         rotation and translation alone.
@@ -102,25 +84,11 @@ def register(
         Boxes bounded per stage; the round begun, of up to a thousand boxes, is ended.
     memory_limit_mb : float, optional
         Memory of the open boxes; up to three times that is in use while their number grows.
-    threads : int
-        Threads that evaluate bounds; the result does not depend on it.
     candidates : (n, m) bool array, or n sequences of target indices, optional
         The feasible pairs, e.g. from descriptors or a distance gate; all others are ruled out in the
         objective, the bounds and the answer.
-    polish : bool
-        Refine the final pose locally on the full objective. Reported apart from the certificate.
-    certificate : bool
-        Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verify`.
-        Mode ``paper`` only; in 3D it certifies the translation.
-    downsample : int, optional
-        Search with this many points of each cloud at most, farthest points but for stray ones, and refine
-        the pose on all.
-        A counted `n_inliers` speaks of all points and is scaled down with them. Default, where no
-        mode, bound, certificate or candidates are given: 300 in the plane beyond 1,000,000 pairs of
-        points, 1,000 in space beyond 4,000,000 that match in part; all points elsewhere.
-    listener : callable, optional
-        Called with every `dcreg.Event`, and at least every half second, then from another thread;
-        returning True stops (status ``stopped``).
+    options : SolveOptions, optional
+        How to solve: mode, bound, threads, polish, certificate, downsampling, listener.
 
     Returns
     -------
@@ -142,12 +110,12 @@ def register(
     """
     began = time.perf_counter()
     problem = Problem(source, target, n_inliers, model, scale_range, candidates)
-    asked = None if mode == AUTO else mode
-    (searched,) = to_search([problem], downsample, asked, bound, certificate)
+    options = options or SolveOptions()
+    bound, certificate, threads = options.bound, options.certificate, options.threads
+    asked = None if options.mode == AUTO else options.mode
+    (searched,) = to_search([problem], options.downsample, asked, bound, certificate)
     way = find_mode(model, asked or choose_mode(searched, bound, certificate))
     way.check(searched, bound, certificate)
-    if start_box not in START_BOXES:
-        raise InputError(f"start_box: {start_box!r} is unknown{suggestion(start_box, START_BOXES)}")
     gap_tol = gap_tol_of(tol, gap_tol, searched.n_inliers)
     check_settings(
         gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
@@ -160,17 +128,19 @@ def register(
     warm_up_mode(way, bound, *special(searched))
     time_setup = time.perf_counter() - began
 
-    told = in_file_units(listener, Frame.of(searched).area)
+    told = in_file_units(options.listener, Frame.of(searched).area)
     with Budget(time_limit, node_limit, memory_limit_mb, told) as budget:
         searching = budget if searched is problem else budget.stage(SEARCH_SHARE)
         task = task_of(
-            searched, way, bound, gap_tol, threads, searching, reduced_box=start_box == "reduced",
+            searched, way, bound, gap_tol, threads, searching, reduced_box=options.start_box == START_BOXES[0],
             rotation_tol=rotation_tol,
         )  # fmt: skip
         task = replace(task, leaves=Leaves() if certificate else None)
         answer = way.run(task)
         answer.events = budget.history
-        result = result_of(searched, way, task, answer, polish=polish, time_setup_s=time_setup)
+        result = result_of(
+            searched, way, task, answer, polish=options.polish, time_setup_s=time_setup
+        )
         result = completed(result, problem, searched, way, budget)
         return replace(result, time_solve_s=budget.elapsed())
 

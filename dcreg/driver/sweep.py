@@ -34,6 +34,7 @@ from dcreg.assignment.reuse import Matched, quick_objective
 from dcreg.driver.downsample import SEARCH_SHARE, to_search
 from dcreg.driver.full import ends_in, pose_in
 from dcreg.driver.modes import CHOSEN, Mode, choose_mode, find_mode
+from dcreg.driver.options import SolveOptions
 from dcreg.driver.paper import TRANSLATION_SHARE, place, pose_of
 from dcreg.driver.solve import advise, check_settings, completed, in_file_units, result_of
 from dcreg.driver.sweep_level import Level
@@ -47,7 +48,7 @@ from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import AUTO, DEFAULT_TIME_LIMIT_S, mode_names
 from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
 from dcreg.result import Result, Stage
-from dcreg.search import Budget, Interrupted, Listener, Outcome, minimise
+from dcreg.search import Budget, Interrupted, Outcome, minimise
 from dcreg.status import Status
 from dcreg.sweep_result import SweepResult
 
@@ -68,19 +69,14 @@ def sweep(
     n_inliers: Sequence[int | float],
     *,
     model: str,
-    mode: str | None = None,
-    bound: str | None = None,
     scale_range: tuple[float, float] | None = None,
+    candidates: Candidates | None = None,
     gap_tol: float | None = None,
     tol: float | None = None,
     time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
     memory_limit_mb: float | None = None,
-    threads: int = 1,
-    candidates: Candidates | None = None,
-    polish: bool = True,
-    downsample: int | None = None,
-    listener: Listener | None = None,
+    options: SolveOptions | None = None,
 ) -> SweepResult:
     """Register two clouds for several numbers of inliers, with bounds for each.
 
@@ -94,9 +90,8 @@ def sweep(
     n_inliers : sequence of int or float
         Cardinalities, in any order and with repetitions; floats in (0, 1] are fractions of
         ``min(n, m)``.
-    model, mode, bound, scale_range, threads, candidates, polish, downsample
-        As in `dcreg.register`, but that mode ``multi`` serves one cardinality only. Cardinalities that
-        are the same number of pairs of a sample have the same bounds.
+    model, scale_range, candidates
+        As in `dcreg.register`.
     gap_tol : float, optional
         Absolute tolerance for every cardinality; default `dcreg.default_gap_tol` of each.
     tol : float, optional
@@ -107,9 +102,10 @@ def sweep(
         ``time_limit``, with valid bounds and a pose.
     node_limit, memory_limit_mb : optional
         For each search.
-    listener : callable, optional
-        Called with every `dcreg.Event`, whose stage names the cardinality (``k=40``)
-        or is ``rotation``; returning True ends the sweep, with status ``stopped`` for what is not proven.
+    options : SolveOptions, optional
+        As in `dcreg.register`, but a sweep keeps no certificate. The stages of events name the
+        cardinality (``k=40``) or are ``rotation``. Cardinalities that are the same number of pairs after
+        downsampling have the same bounds.
 
     Returns
     -------
@@ -133,8 +129,12 @@ def sweep(
     """
     began = time.perf_counter()
     problems = _problems(source, target, n_inliers, model, scale_range, candidates)
-    asked = None if mode == AUTO else mode
-    searched = to_search(problems, downsample, asked, bound)
+    options = options or SolveOptions()
+    if options.certificate:
+        raise InputError("certificate: a sweep keeps none; use register for one cardinality")
+    bound, threads = options.bound, options.threads
+    asked = None if options.mode == AUTO else options.mode
+    searched = to_search(problems, options.downsample, asked, bound)
     way = _mode(searched[-1], asked, bound)
     way.check(searched[-1], bound, certificate=False)
     gap_tols = [gap_tol_of(tol, gap_tol, problem.n_inliers) for problem in searched]
@@ -146,7 +146,7 @@ def sweep(
     warm_up_mode(way, bound, *special(searched[0]))
     time_setup = time.perf_counter() - began
     area = Frame.of(searched[0]).area
-    budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(listener, area))
+    budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(options.listener, area))
     with budget:
         solve = _Sweep(
             [
@@ -158,7 +158,7 @@ def sweep(
         )
         solve.incumbents()
         solve.bounds()
-        results = solve.results(polish, time_setup)
+        results = solve.results(options.polish, time_setup)
     return SweepResult(results, [level.proven_by for level in solve.levels])
 
 

@@ -36,7 +36,14 @@ PAIRS = {
 @functools.cache
 def certificate() -> dcreg.Certificate:
     """A true certificate for the clouds of every case."""
-    found = dcreg.register(A2, B2, n_inliers=6, model="similarity2d", tol=0.1, certificate=True)
+    found = dcreg.register(
+        A2,
+        B2,
+        n_inliers=6,
+        model="similarity2d",
+        tol=0.1,
+        options=dcreg.SolveOptions(certificate=True),
+    )
     assert found.certificate is not None
     return found.certificate
 

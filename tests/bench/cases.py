@@ -20,6 +20,7 @@ from data.contract import RawInstance
 from data.registry import dataset
 from dcreg.problem import default_gap_tol, rms_radius
 from dcreg.result import Result
+from tests.problems import keywords
 from workflows.disturb import make_instance
 
 MIRROR = os.environ.get("DCREG_DATA_MIRROR", "")
@@ -143,7 +144,7 @@ class Case:
         for name in ("source", "target"):
             problem[name] = problem[name] + jitter * generator.standard_normal(problem[name].shape)
         arguments = {"mode": "paper", "bound": "tight", "polish": False, "time_limit": LIMIT_S}
-        return dcreg.register(**(arguments | problem | self.settings | settings))
+        return dcreg.register(**keywords(**(arguments | problem | self.settings | settings)))
 
 
 CHUI = [

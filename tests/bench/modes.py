@@ -99,9 +99,13 @@ def _solved(label: str, instance, part: float, mode: str, limit: float) -> dict[
     trace: list[dcreg.Event] = []
     began = time.perf_counter()
     result = dcreg.register(
-        instance.source, instance.target, n_inliers=k, model="rigid3d", mode=mode, time_limit=limit,
-        threads=1, listener=trace.append,
-    )  # fmt: skip
+        instance.source,
+        instance.target,
+        n_inliers=k,
+        model="rigid3d",
+        time_limit=limit,
+        options=dcreg.SolveOptions(mode=mode, threads=1, listener=trace.append),
+    )
     judged = Case(
         result.T_target_source, instance.T_true, instance.source, instance.target, pairs, k,
         (1.0, 1.0), label.split()[0],

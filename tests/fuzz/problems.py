@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from dcreg.families.dc.registry import BOUNDS
 from dcreg.result import Result
+from tests.problems import keywords
 
 KINDS = ("general", "copy", "duplicates", "collinear", "grid", "symmetric", "clutter")
 # Shares of the families, and weights of the bounds within one: the default bound is drawn most often.
@@ -41,9 +42,8 @@ class FuzzProblem:
             self.target,
             n_inliers=self.n_inliers,
             time_limit=TIME_LIMIT,
-            certificate=self.settings["mode"] == "paper",
             candidates=None if self.allowed.all() else self.allowed,
-            **self.settings,
+            **keywords(**self.settings, certificate=self.settings["mode"] == "paper"),
         )
 
     def __str__(self) -> str:

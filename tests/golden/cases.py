@@ -74,14 +74,16 @@ class Case:
             target,
             n_inliers=self.n_inliers,
             model=self.model,
-            mode="paper",
-            bound=self.bound,
-            start_box=self.start_box,
             scale_range=self.scale_range,
             gap_tol=self.gap_tol,
             node_limit=self.node_limit,
-            polish=self.polish,
-            threads=threads,
+            options=dcreg.SolveOptions(
+                mode="paper",
+                bound=self.bound,
+                start_box=self.start_box,
+                polish=self.polish,
+                threads=threads,
+            ),
         )
 
     def points(self) -> tuple[np.ndarray, np.ndarray]:

@@ -31,9 +31,9 @@ def solve(case: dict[str, np.ndarray]) -> dcreg.Result:
         case["target"],
         n_inliers=n_inliers,
         model="rigid3d",
-        mode="full",
         gap_tol=float(case["mse_threshold"]) * n_inliers,
         time_limit=TIME_LIMIT_S,
+        options=dcreg.SolveOptions(mode="full"),
     )
 
 

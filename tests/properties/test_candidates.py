@@ -199,9 +199,14 @@ def test_mode_full_finds_the_rigid_optimum_over_feasible_pairs(seed, start_box):
     x, y, k, mask = feasible_problem(seed, 3)
     optimum = optimum_rigid3d(x, y, mask, k)
     found = dcreg.register(
-        x, y, n_inliers=k, model="rigid3d", mode="full", candidates=mask, gap_tol=0.05,
-        start_box=start_box,
-    )  # fmt: skip
+        x,
+        y,
+        n_inliers=k,
+        model="rigid3d",
+        candidates=mask,
+        gap_tol=0.05,
+        options=dcreg.SolveOptions(mode="full", start_box=start_box),
+    )
     assert found.status is dcreg.Status.OPTIMAL
     assert found.certificate_scope == "rigid pose"
     assert found.lower_bound <= optimum + 1e-9
@@ -215,7 +220,13 @@ def test_mode_multi_bounds_and_poses_are_of_feasible_pairs(seed):
     x, y, k, mask = feasible_problem(seed, 3)
     optimum = optimum_rigid3d(x, y, mask, k)
     found = dcreg.register(
-        x, y, n_inliers=k, model="rigid3d", mode="multi", candidates=mask, gap_tol=0.05
+        x,
+        y,
+        n_inliers=k,
+        model="rigid3d",
+        candidates=mask,
+        gap_tol=0.05,
+        options=dcreg.SolveOptions(mode="multi"),
     )
     # a lower bound of 0 over norms proves nothing, whatever the gap
     trivial = found.lower_bound <= 0.0 and found.status is dcreg.Status.CONVERGED
@@ -276,7 +287,12 @@ def test_a_feasible_optimum_stays_the_optimum_and_a_forbidden_one_does_not(mode)
     generator = np.random.default_rng(4)
     x = generator.standard_normal((10, 3)) * [1.0, 0.7, 0.4]
     y = x[:, [1, 2, 0]] + [0.3, -0.2, 0.1] + 0.05 * generator.standard_normal((10, 3))
-    settings = {"n_inliers": 10, "model": "rigid3d", "mode": mode, "gap_tol": 0.05}
+    settings = {
+        "n_inliers": 10,
+        "model": "rigid3d",
+        "options": dcreg.SolveOptions(mode=mode),
+        "gap_tol": 0.05,
+    }
     free = dcreg.register(x, y, **settings)
     i, j = free.assignment.T
     wide = generator.random((10, 10)) < 0.2
@@ -313,7 +329,13 @@ def test_candidates_resolve_the_surrogate_in_3d():
     mask = generator.random((20, 20)) < 0.15
     np.fill_diagonal(mask, True)
     found = dcreg.register(
-        x, y, n_inliers=20, model="rigid3d", mode="paper", gap_tol=0.01, candidates=mask
+        x,
+        y,
+        n_inliers=20,
+        model="rigid3d",
+        gap_tol=0.01,
+        candidates=mask,
+        options=dcreg.SolveOptions(mode="paper"),
     )
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
     assert found.rotation == pytest.approx(np.eye(3)[[1, 2, 0]], abs=1e-6)
@@ -356,7 +378,14 @@ def test_too_few_feasible_pairs_are_refused_in_every_mode(mode):
     mask[:, :2] = True  # ten pairs, of which two are one to one
     message = "at most 2 pairs can be matched one to one, fewer than n_inliers = 3"
     with pytest.raises(InputError, match=message):
-        dcreg.register(points, points, n_inliers=3, model="rigid3d", mode=mode, candidates=mask)
+        dcreg.register(
+            points,
+            points,
+            n_inliers=3,
+            model="rigid3d",
+            candidates=mask,
+            options=dcreg.SolveOptions(mode=mode),
+        )
 
 
 @pytest.mark.parametrize(
@@ -388,10 +417,16 @@ def test_termwise_bounds_know_which_pairs_are_feasible(dim, bound):
 def certified(seed, dim, tmp_path):
     x, y, k, mask = feasible_problem(seed, dim, most=9)
     result = dcreg.register(
-        x, y, n_inliers=k, model="similarity2d" if dim == 2 else "rigid3d", mode="paper",
-        scale_range=(0.5, 1.5) if dim == 2 else None, candidates=mask, certificate=True,
-        gap_tol=1e-3 * k, node_limit=20_000,
-    )  # fmt: skip
+        x,
+        y,
+        n_inliers=k,
+        model="similarity2d" if dim == 2 else "rigid3d",
+        scale_range=(0.5, 1.5) if dim == 2 else None,
+        candidates=mask,
+        gap_tol=1e-3 * k,
+        node_limit=20_000,
+        options=dcreg.SolveOptions(mode="paper", certificate=True),
+    )
     path = tmp_path / "certificate.npz"
     certificate.write(path, result.certificate)
     return x, y, mask, result, path
@@ -415,9 +450,14 @@ def test_a_certificate_does_not_hold_for_more_candidates(dim, tmp_path):
         x, y, mask, result, path = certified(seed, dim, tmp_path)
         wider = np.ones_like(mask)
         free = dcreg.register(
-            x, y, n_inliers=result.n_inliers, model=result.model, mode="paper", polish=False,
-            scale_range=(0.5, 1.5) if dim == 2 else None, gap_tol=result.gap_tol,
-        )  # fmt: skip
+            x,
+            y,
+            n_inliers=result.n_inliers,
+            model=result.model,
+            scale_range=(0.5, 1.5) if dim == 2 else None,
+            gap_tol=result.gap_tol,
+            options=dcreg.SolveOptions(mode="paper", polish=False),
+        )
         forged = dataclasses.replace(result.certificate, candidates=np.argwhere(wider))
         certificate.write(path, forged)
         report = verify(path, x, y)

@@ -165,9 +165,14 @@ def test_optimum_chooses_among_the_cheapest_matchings_of_its_size():
     mask = np.zeros((12, 12), bool)
     mask[tuple(matches.T)] = True
     dense = dcreg.register(
-        source, target, n_inliers=found.n_inliers, model="rigid3d", mode="full", candidates=mask,
+        source,
+        target,
+        n_inliers=found.n_inliers,
+        model="rigid3d",
+        candidates=mask,
         time_limit=2,
-    )  # fmt: skip
+        options=dcreg.SolveOptions(mode="full"),
+    )
     assert found.status is dcreg.Status.OPTIMAL
     assert found.objective <= dense.objective + 1e-6
     priced = dense.objective + 0.3**2 * (12 - found.n_inliers)
@@ -202,20 +207,29 @@ def test_listener_hears_of_starts_and_search_and_can_stop():
     source, target, matches, _ = planted(20, 60, 1, noise=0.01)
     given = {"inlier_distance": REACH, "gap_tol": 4e-3}
     heard = []
-    found = dcreg.register_matches(source, target, matches, listener=heard.append, **given)
+    found = dcreg.register_matches(
+        source, target, matches, **given, options=dcreg.SolveOptions(listener=heard.append)
+    )
     assert {event.stage for event in heard} == {"start", "rotation"}
     assert heard[-1].status == found.status == dcreg.Status.OPTIMAL
     last = list(found.trace)[-1]
     assert last.upper_bound == heard[-1].upper_bound == found.upper_bound
     assert last.lower_bound == heard[-1].lower_bound == found.lower_bound
-    stopped = dcreg.register_matches(source, target, matches, listener=lambda event: True, **given)
+    stopped = dcreg.register_matches(
+        source, target, matches, **given, options=dcreg.SolveOptions(listener=lambda event: True)
+    )
     assert stopped.status is dcreg.Status.STOPPED
 
 
 def test_starts_that_are_cut_short_have_not_come_to_their_end():
     source, target, matches, _ = planted(40, 400, 1, noise=0.01)
     found = dcreg.register_matches(
-        source, target, matches, inlier_distance=REACH, certify=False, listener=lambda event: True
+        source,
+        target,
+        matches,
+        inlier_distance=REACH,
+        certify=False,
+        options=dcreg.SolveOptions(listener=lambda event: True),
     )
     assert found.status is dcreg.Status.STOPPED
     assert found.stages[0].n_assignments == 1

@@ -14,7 +14,7 @@ from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.status import Status
-from tests.problems import KINDS, cloud
+from tests.problems import KINDS, cloud, keywords
 
 BOUNDS_2D = ["paper", "edges", "termwise", "paper+edges"]
 
@@ -48,7 +48,9 @@ def spatial(rng):
 @pytest.mark.parametrize("bound", BOUNDS_2D)
 def test_similarity_is_recovered_with_a_certificate(planar, bound):
     source, target, T = planar
-    result = dcreg.register(source, target, n_inliers=25, model="similarity2d", bound=bound)
+    result = dcreg.register(
+        source, target, n_inliers=25, model="similarity2d", options=dcreg.SolveOptions(bound=bound)
+    )
     assert result.status is Status.OPTIMAL
     np.testing.assert_allclose(result.T_target_source, T, atol=1e-6)
     assert result.lower_bound <= result.upper_bound
@@ -60,7 +62,9 @@ def test_similarity_is_recovered_with_a_certificate(planar, bound):
 
 def test_rigid_pose_is_recovered_and_proper(spatial):
     source, target, T = spatial
-    result = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode="paper")
+    result = dcreg.register(
+        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode="paper")
+    )
     assert result.status is Status.OPTIMAL
     np.testing.assert_allclose(result.T_target_source, T, atol=1e-5)
     assert np.linalg.det(result.rotation) == pytest.approx(1.0)
@@ -101,9 +105,15 @@ def test_bounds_and_objective_speak_of_the_file_coordinates(planar, rng):
 def test_polish_is_apart_from_the_certificate(spatial, rng):
     source, target, _ = spatial
     target = target + 0.03 * rng.standard_normal(target.shape)
-    polished = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode="paper")
+    polished = dcreg.register(
+        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode="paper")
+    )
     plain = dcreg.register(
-        source, target, n_inliers=30, model="rigid3d", mode="paper", polish=False
+        source,
+        target,
+        n_inliers=30,
+        model="rigid3d",
+        options=dcreg.SolveOptions(mode="paper", polish=False),
     )
     np.testing.assert_array_equal(plain.T_target_source, plain.T_certified)
     np.testing.assert_array_equal(plain.T_certified, polished.T_certified)
@@ -121,10 +131,9 @@ def test_threads_and_repetition_change_nothing(model, planar, spatial, rng):
             target,
             n_inliers=0.8,
             model=model,
-            bound="paper",
-            threads=threads,
             node_limit=5000,
             time_limit=None,
+            options=dcreg.SolveOptions(bound="paper", threads=threads),
         )
         for threads in (1, 1, 2)
     ]
@@ -140,7 +149,13 @@ def test_node_limit_returns_the_best_pose_with_valid_bounds(model, planar, spati
     source, target, _ = planar if model == "similarity2d" else spatial
     target = target + 0.2 * rng.standard_normal(target.shape)
     result = dcreg.register(
-        source, target, n_inliers=0.6, model=model, bound="paper", node_limit=3, gap_tol=1e-9
+        source,
+        target,
+        n_inliers=0.6,
+        model=model,
+        node_limit=3,
+        gap_tol=1e-9,
+        options=dcreg.SolveOptions(bound="paper"),
     )
     assert result.status is Status.NODE_LIMIT
     assert np.isfinite(result.T_target_source).all()
@@ -169,7 +184,12 @@ def test_similarity_optimum_equals_dense_search(seed, kind, n, m, bound):
     source, target = cloud(generator, n, 2, kind), cloud(generator, m, 2, kind)
     n_inliers = int(generator.integers(1, min(n, m) + 1))
     result = dcreg.register(
-        source, target, n_inliers=n_inliers, model="similarity2d", bound=bound, node_limit=20_000
+        source,
+        target,
+        n_inliers=n_inliers,
+        model="similarity2d",
+        node_limit=20_000,
+        options=dcreg.SolveOptions(bound=bound),
     )
     frame = Frame.of(dcreg.Problem(source, target, n_inliers, "similarity2d"))
     model = Similarity2D(frame.source(source), frame.target(target), n_inliers, (0.5, 1.5))
@@ -196,9 +216,8 @@ def test_norm_translation_optimum_equals_dense_search(seed, kind, n, m, bound):
         target,
         n_inliers=n_inliers,
         model="rigid3d",
-        mode="paper",
-        bound=bound,
         node_limit=5_000,
+        options=dcreg.SolveOptions(mode="paper", bound=bound),
     )
     frame = Frame.of(dcreg.Problem(source, target, n_inliers, "rigid3d"))
     model = Translation3D(frame.source(source), frame.target(target), n_inliers)
@@ -237,7 +256,9 @@ def test_result_is_json_ready(planar):
 
 def test_trace_is_monotone_within_a_stage_and_ends(spatial, tmp_path):
     source, target, _ = spatial
-    result = dcreg.register(source, target, n_inliers=20, model="rigid3d", mode="paper")
+    result = dcreg.register(
+        source, target, n_inliers=20, model="rigid3d", options=dcreg.SolveOptions(mode="paper")
+    )
     for stage in ("search", "rotation"):
         events = [event for event in result.trace if event.stage == stage]
         assert events[-1].kind == "end"
@@ -272,10 +293,16 @@ def test_auto_takes_the_mode_for_the_problem(n, m, k, settings, mode, rng):
 @pytest.mark.parametrize("asked", [None, "auto"])
 def test_result_states_the_mode_that_ran(asked, spatial):
     source, target, _ = spatial
-    full = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode=asked)
+    full = dcreg.register(
+        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode=asked)
+    )
     assert (full.mode, full.certificate_scope) == ("full", "rigid pose")
     paper = dcreg.register(
-        source, target, n_inliers=30, model="rigid3d", mode=asked, certificate=True
+        source,
+        target,
+        n_inliers=30,
+        model="rigid3d",
+        options=dcreg.SolveOptions(mode=asked, certificate=True),
     )
     assert (paper.mode, paper.certificate_scope) == ("paper", "translation in norm space")
 
@@ -286,7 +313,9 @@ def test_result_states_the_mode_that_ran(asked, spatial):
 )
 def test_other_3d_modes_recover_the_pose_and_state_their_scope(spatial, mode, scope):
     source, target, T = spatial
-    result = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode=mode)
+    result = dcreg.register(
+        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode=mode)
+    )
     assert result.status is Status.OPTIMAL
     assert result.certificate_scope == scope
     assert result.bound == ("rigid" if mode == "full" else "tight")
@@ -296,7 +325,9 @@ def test_other_3d_modes_recover_the_pose_and_state_their_scope(spatial, mode, sc
 def test_full_mode_bounds_the_objective_it_reports(spatial, rng):
     source, target, _ = spatial
     target = target + 0.05 * rng.standard_normal(target.shape)
-    result = dcreg.register(source, target, n_inliers=30, model="rigid3d", mode="full")
+    result = dcreg.register(
+        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode="full")
+    )
     assert result.status is Status.OPTIMAL
     assert result.lower_bound <= result.objective <= result.upper_bound + 1e-9
 
@@ -309,7 +340,11 @@ def test_certificate_of_a_search_is_proven_apart_from_it(model, planar, spatial,
     source, target, _ = planar if model == "similarity2d" else spatial
     target = target + 0.05 * rng.standard_normal(target.shape)
     result = dcreg.register(
-        source, target, n_inliers=0.8, model=model, mode="paper", certificate=True
+        source,
+        target,
+        n_inliers=0.8,
+        model=model,
+        options=dcreg.SolveOptions(mode="paper", certificate=True),
     )
     write(tmp_path / "proof.npz", result.certificate)
     report = verify(tmp_path / "proof.npz", source, target)
@@ -322,7 +357,13 @@ def test_certificate_of_a_search_is_proven_apart_from_it(model, planar, spatial,
 def test_mode_without_leaves_refuses_to_promise_a_certificate(spatial):
     source, target, _ = spatial
     with pytest.raises(dcreg.InputError, match="certificate: mode 'full' keeps no leaf boxes"):
-        dcreg.register(source, target, n_inliers=30, model="rigid3d", mode="full", certificate=True)
+        dcreg.register(
+            source,
+            target,
+            n_inliers=30,
+            model="rigid3d",
+            options=dcreg.SolveOptions(mode="full", certificate=True),
+        )
 
 
 @pytest.mark.parametrize("bound", ["paper", "tight"])
@@ -330,8 +371,12 @@ def test_mode_full_refuses_a_bound_it_would_ignore(bound, spatial):
     source, target, _ = spatial
     with pytest.raises(dcreg.InputError, match=r"bound: .* mode 'full' has bounds of its own"):
         dcreg.register(
-            source, target, n_inliers=30, model="rigid3d", mode="full", bound=bound
-        )  # fmt: skip
+            source,
+            target,
+            n_inliers=30,
+            model="rigid3d",
+            options=dcreg.SolveOptions(mode="full", bound=bound),
+        )
 
 
 def test_space_refuses_a_scale_it_would_ignore(spatial):
@@ -359,7 +404,9 @@ def test_a_fixed_scale_leaves_rotation_and_translation(planar):
 
 def test_mode_multi_counts_the_descents_it_starts_with(spatial):
     source, target, _ = spatial
-    result = dcreg.register(source, target, n_inliers=25, model="rigid3d", mode="multi")
+    result = dcreg.register(
+        source, target, n_inliers=25, model="rigid3d", options=dcreg.SolveOptions(mode="multi")
+    )
     start = result.stages[0]
     assert start.name == "start"
     assert start.n_assignments >= 48  # 24 descents of two assignments at least
@@ -371,7 +418,12 @@ def test_node_limit_holds_in_every_stage_of_mode_multi(spatial, rng):
     source, target, _ = spatial
     target = target + 0.1 * rng.standard_normal(target.shape)
     result = dcreg.register(
-        source, target, n_inliers=15, model="rigid3d", mode="multi", node_limit=40
+        source,
+        target,
+        n_inliers=15,
+        model="rigid3d",
+        node_limit=40,
+        options=dcreg.SolveOptions(mode="multi"),
     )
     assert {"search", "basins"} <= {stage.name for stage in result.stages}
     # a round may end a little beyond: a stage bounds at most twice its last round more
@@ -382,7 +434,11 @@ def test_mode_multi_tells_of_every_basin(spatial):
     source, target, _ = spatial
     seen = []
     result = dcreg.register(
-        source, target, n_inliers=25, model="rigid3d", mode="multi", listener=seen.append
+        source,
+        target,
+        n_inliers=25,
+        model="rigid3d",
+        options=dcreg.SolveOptions(mode="multi", listener=seen.append),
     )
     names = [stage.name for stage in result.stages if stage.name.startswith("basin ")]
     assert names
@@ -407,7 +463,12 @@ def test_downsampled_clouds_are_searched_and_the_pose_is_refined_on_all_points(r
     source[:, 1] += source[:, 0] ** 2
     target = rng.permutation(source + 3.0)
     result = dcreg.register(
-        source, target, n_inliers=300, model="similarity2d", downsample=40, time_limit=20
+        source,
+        target,
+        n_inliers=300,
+        model="similarity2d",
+        time_limit=20,
+        options=dcreg.SolveOptions(downsample=40),
     )
     assert result.downsampled == (40, 40, 40)
     assert result.n_inliers == len(result.assignment) == 300
@@ -422,7 +483,13 @@ def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit
     source = rng.random((300, 3)) * [2.0, 1.0, 0.5]
     target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
     result = dcreg.register(
-        source, target, n_inliers=0.7, model="rigid3d", downsample=60, gap_tol=0.0, time_limit=3.0
+        source,
+        target,
+        n_inliers=0.7,
+        model="rigid3d",
+        gap_tol=0.0,
+        time_limit=3.0,
+        options=dcreg.SolveOptions(downsample=60),
     )
     assert result.status is dcreg.Status.TIME_LIMIT
     last = result.stages[-1]
@@ -433,7 +500,13 @@ def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit
 
 def test_downsampling_leaves_small_clouds_alone(rng):
     source = rng.random((20, 2))
-    result = dcreg.register(source, source, n_inliers=20, model="similarity2d", downsample=50)
+    result = dcreg.register(
+        source,
+        source,
+        n_inliers=20,
+        model="similarity2d",
+        options=dcreg.SolveOptions(downsample=50),
+    )
     assert result.downsampled is None
 
 
@@ -449,7 +522,7 @@ def test_downsampling_leaves_small_clouds_alone(rng):
 def test_downsampling_refuses_what_it_would_ignore(rng, options, words):
     source = rng.random((20, 2))
     with pytest.raises(dcreg.InputError, match=words):
-        dcreg.register(source, source, n_inliers=20, model="similarity2d", **options)
+        dcreg.register(source, source, n_inliers=20, model="similarity2d", **keywords(**options))
 
 
 def test_large_clouds_in_the_plane_are_searched_by_a_sample(rng):
@@ -461,7 +534,12 @@ def test_large_clouds_in_the_plane_are_searched_by_a_sample(rng):
     assert found.rotation_deg == pytest.approx(90.0, abs=0.5)
     assert len(found.assignment) == 1_500
     mode = dcreg.register(
-        source, target, n_inliers=1_500, model="similarity2d", mode="paper", time_limit=0.1
+        source,
+        target,
+        n_inliers=1_500,
+        model="similarity2d",
+        time_limit=0.1,
+        options=dcreg.SolveOptions(mode="paper"),
     )
     assert mode.downsampled is None
 

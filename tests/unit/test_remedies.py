@@ -10,6 +10,7 @@ import dcreg
 from dcreg import diagnostics as remedies
 from dcreg.runner_up import find_rival
 from dcreg.status import Status
+from tests.problems import keywords
 
 
 def clouds(dim=2, size=30, noise=0.01, seed=0):
@@ -21,7 +22,7 @@ def clouds(dim=2, size=30, noise=0.01, seed=0):
 def solve(source, target, k, **options):
     """A result with its warnings."""
     model = "similarity2d" if source.shape[1] == 2 else "rigid3d"
-    return dcreg.register(source, target, n_inliers=k, model=model, **options)
+    return dcreg.register(source, target, n_inliers=k, model=model, **keywords(**options))
 
 
 def case(result, source, target, in_norm_space=False, **changes):

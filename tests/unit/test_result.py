@@ -141,7 +141,13 @@ def test_a_certificate_is_written_if_one_was_kept(tmp_path):
     with pytest.raises(dcreg.InputError, match="certificate=True"):
         result().write_certificate(tmp_path / "a.npz")
     points = np.random.default_rng(0).random((8, 2))
-    found = dcreg.register(points, points, n_inliers=8, model="similarity2d", certificate=True)
+    found = dcreg.register(
+        points,
+        points,
+        n_inliers=8,
+        model="similarity2d",
+        options=dcreg.SolveOptions(certificate=True),
+    )
     found.write_certificate(tmp_path / "a.npz")
     assert dcreg.verify(tmp_path / "a.npz", points, points).accepted
 

@@ -191,7 +191,9 @@ def test_no_mode_suffers_from_the_bias_of_the_norm_objective():
         return np.linalg.norm(((T - truth) @ middle)[:3])
 
     found = {
-        mode: dcreg.register(source, target, n_inliers=60, model="rigid3d", mode=mode)
+        mode: dcreg.register(
+            source, target, n_inliers=60, model="rigid3d", options=dcreg.SolveOptions(mode=mode)
+        )
         for mode in ("paper", "multi", "full")
     }
     for mode in ("multi", "full"):

@@ -27,9 +27,14 @@ def clouds():
 def solved(request, clouds):
     heard = []
     result = dcreg.register(
-        *clouds, n_inliers=12, model="rigid3d", mode=request.param, time_limit=5.0,
-        listener=lambda event: heard.append(event) and None,
-    )  # fmt: skip
+        *clouds,
+        n_inliers=12,
+        model="rigid3d",
+        time_limit=5.0,
+        options=dcreg.SolveOptions(
+            mode=request.param, listener=lambda event: heard.append(event) and None
+        ),
+    )
     return request.param, result, heard
 
 

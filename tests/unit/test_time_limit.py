@@ -95,14 +95,23 @@ def test_every_mode_keeps_the_limit_and_tells_of_progress(model, mode, bound, si
     clouds = pair_of_clouds(size, MODEL_DIM[model])
     # what has to be compiled or loaded comes before the clock
     dcreg.register(
-        *(cloud[:40] for cloud in clouds), n_inliers=0.5, model=model, mode=mode, bound=bound,
+        *(cloud[:40] for cloud in clouds),
+        n_inliers=0.5,
+        model=model,
         time_limit=0.5,
-    )  # fmt: skip
+        options=dcreg.SolveOptions(mode=mode, bound=bound),
+    )
     heard = [time.perf_counter()]
     result = dcreg.register(
-        *clouds, n_inliers=0.5, model=model, mode=mode, bound=bound, gap_tol=1e-12,
-        time_limit=1.0, listener=lambda _: heard.append(time.perf_counter()),
-    )  # fmt: skip
+        *clouds,
+        n_inliers=0.5,
+        model=model,
+        gap_tol=1e-12,
+        time_limit=1.0,
+        options=dcreg.SolveOptions(
+            mode=mode, bound=bound, listener=lambda _: heard.append(time.perf_counter())
+        ),
+    )
     heard.append(time.perf_counter())
     assert result.time_solve_s <= 1.1 * 1.0 + 1.0
     assert max(np.diff(heard)) <= 2.0
@@ -119,7 +128,12 @@ def test_a_caller_can_stop_within_a_kernel():
     def listener(event):
         return time.perf_counter() - began > 1.0
 
-    result = dcreg.register(*clouds, n_inliers=0.5, model="rigid3d", mode="full", listener=listener)
+    result = dcreg.register(
+        *clouds,
+        n_inliers=0.5,
+        model="rigid3d",
+        options=dcreg.SolveOptions(mode="full", listener=listener),
+    )
     assert result.status is Status.STOPPED
     assert result.time_solve_s <= 3.0
 
@@ -202,7 +216,12 @@ class Clock:
 @pytest.mark.parametrize(("mode", "size"), [(None, 30_000), ("paper", 42_000)])
 def test_a_caller_can_stop_a_search_of_large_clouds(mode, size):
     clouds, clock = pair_of_clouds(size, 3), Clock(stops=True)
-    result = dcreg.register(*clouds, n_inliers=0.7, model="rigid3d", mode=mode, listener=clock)
+    result = dcreg.register(
+        *clouds,
+        n_inliers=0.7,
+        model="rigid3d",
+        options=dcreg.SolveOptions(mode=mode, listener=clock),
+    )
     assert clock.since_first() <= 2.0
     assert result.status is Status.STOPPED
     assert result.downsampled == ((1000, 1000, 700) if mode is None else None)
@@ -214,7 +233,11 @@ def test_large_clouds_in_the_plane_that_match_in_full_end_in_time(mode):
     """Scores of the first poses take a second each, of 5,000 points."""
     clouds, clock = pair_of_clouds(5_000, 2), Clock(stops=False)
     result = dcreg.register(
-        *clouds, n_inliers=1.0, model="similarity2d", mode=mode, time_limit=2.0, listener=clock
+        *clouds,
+        n_inliers=1.0,
+        model="similarity2d",
+        time_limit=2.0,
+        options=dcreg.SolveOptions(mode=mode, listener=clock),
     )
     assert clock.since_first() <= 1.1 * 2.0 + 1.0
     assert len(result.assignment) == 5_000
@@ -229,7 +252,12 @@ SHARES = [0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8]
 def test_a_sweep_of_large_clouds_ends_in_time(mode, stops):
     clouds, clock = pair_of_clouds(33_000, 3), Clock(stops)
     found = dcreg.sweep(
-        *clouds, SHARES, model="rigid3d", mode=mode, gap_tol=0.0, time_limit=2.0, listener=clock
+        *clouds,
+        SHARES,
+        model="rigid3d",
+        gap_tol=0.0,
+        time_limit=2.0,
+        options=dcreg.SolveOptions(mode=mode, listener=clock),
     )
     assert clock.since_first() <= (2.0 if stops else 1.1 * 2.0 + 1.0)
     assert found.status is (Status.STOPPED if stops else Status.TIME_LIMIT)
@@ -247,7 +275,12 @@ def test_an_error_of_a_listener_reaches_the_caller():
         raise RuntimeError("window closed")
 
     with pytest.raises(RuntimeError, match="window closed"):
-        dcreg.register(*clouds, n_inliers=0.5, model="rigid3d", mode="full", listener=listener)
+        dcreg.register(
+            *clouds,
+            n_inliers=0.5,
+            model="rigid3d",
+            options=dcreg.SolveOptions(mode="full", listener=listener),
+        )
 
 
 def children_cpu_s():

@@ -129,9 +129,9 @@ def full_row(name: str, case: Case) -> dict[str, Any]:
         target,
         n_inliers=n_inliers,
         model="rigid3d",
-        mode="full",
         gap_tol=float(case["mse_threshold"]) * n_inliers,
         time_limit=FULL_LIMIT_S,
+        options=dcreg.SolveOptions(mode="full"),
     )
     official, _ = dcreg.objective(source, target, case["goicp_T"], n_inliers)
     angle, shift = pose_difference(found.T_target_source, case["goicp_T"])
