@@ -12,6 +12,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import grimp
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -31,7 +32,6 @@ from data.sampling import (
 from data.threedmatch import loader as threedmatch
 from data.threedmatch.select_pairs import official, select
 from dcreg.problem.geometry import fit_pose
-from docs.architecture import read_imports
 from workflows.stages import generate
 
 NOWHERE = "http://127.0.0.1:9/none"  # refuses connections at once
@@ -520,17 +520,14 @@ def test_official_pose_brings_the_scans_together(level):
 
 
 def test_what_makes_an_instance_is_in_its_digest(monkeypatch):
-    """All that loaders import, but for the fetching, whose files have checksums of their own."""
+    """All modules that loaders import, except the fetching: fetched files have checksums."""
     counted = []
     monkeypatch.setattr(generate, "digest_files", lambda _, entries: counted.extend(entries))
     generate.sources_digest([])
-    imports = read_imports("data")
-    needed, waiting = set(), [name for name in imports if name.endswith(("loader", "loaders"))]
-    while waiting:
-        name = waiting.pop()
-        if name not in needed | {"data.fetch"}:
-            needed.add(name)
-            waiting += imports[name]
+    imports = grimp.build_graph("data", cache_dir=None)
+    imports.remove_module("data.fetch")
+    needed = {name for name in imports.modules if name.endswith(("loader", "loaders"))}
+    needed |= {name for loader in needed for name in imports.find_upstream_modules(loader)}
     shared = {f"{name.replace('.', '/')}.py" for name in needed if name.count(".") == 1}
     assert shared <= set(counted)
     assert len(shared) > 3
