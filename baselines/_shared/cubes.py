@@ -74,7 +74,7 @@ def search_cubes(
     Outcome
         Its theta means nothing.
     """
-    memory = budget.part(1.0)
+    memory = budget.sub_budget(1.0)
     if budget.memory_mb is not None:
         memory.memory_mb = _SHARE_OF_BOXES * budget.memory_mb
     found = branch_and_bound(

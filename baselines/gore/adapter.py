@@ -26,12 +26,14 @@ class Adapter(CorrespondenceMethod):
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
         bound = self.inlier_distance(instance)
-        start, _, _ = self._ransac(instance, source, target, bound, budget.part(SHARE_FOR_START))
+        start, _, _ = self._ransac(
+            instance, source, target, bound, budget.sub_budget(SHARE_FOR_START)
+        )
         removal = remove_outliers(
             source,
             target,
             bound,
-            budget.part(SHARE_FOR_REMOVAL),
+            budget.sub_budget(SHARE_FOR_REMOVAL),
             self.options["rotation_search"],
             start,
         )

@@ -36,7 +36,7 @@ class Adapter(Baseline):
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         budget = limits.budget()
-        translating = budget.part(_TRANSLATION_TIME)
+        translating = budget.sub_budget(_TRANSLATION_TIME)
         eps = self.inlier_distance(instance)
         problem = Consensus(instance, eps)
         incumbent = Incumbent()

@@ -28,7 +28,10 @@ class Adapter(CorrespondenceMethod):
         return idle
 
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
-        for_graph, for_cliques = budget.part(SHARE_FOR_GRAPH), budget.part(SHARE_FOR_CLIQUES)
+        for_graph, for_cliques = (
+            budget.sub_budget(SHARE_FOR_GRAPH),
+            budget.sub_budget(SHARE_FOR_CLIQUES),
+        )
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
         bound = self.inlier_distance(instance)
         scale = vote_scale(source, target, 2 * bound, instance.scale_range)

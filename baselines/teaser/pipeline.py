@@ -52,7 +52,7 @@ def register(
     tolerance = 2 * noise_bound
     scale = vote_scale(source, target, tolerance, scale_range)
     rows = consistency_graph(source, target, pairs, tolerance, scale)
-    clique = maximum_clique(rows, budget.part(SHARE_FOR_CLIQUE))
+    clique = maximum_clique(rows, budget.sub_budget(SHARE_FOR_CLIQUE))
     members = clique.vertices
     if len(members) < source.shape[1]:
         return TeaserResult(None, clique, not clique.is_cut)

@@ -112,7 +112,7 @@ def polish(
 
     def quick(T: np.ndarray) -> tuple[float, np.ndarray]:
         return objective(
-            source, target, T, n_inliers, candidates, prove=not large, stop=budget.closed
+            source, target, T, n_inliers, candidates, prove=not large, stop=budget.hard_stop
         )
 
     T = T_target_source
@@ -132,7 +132,7 @@ def polish(
             break
         T, value, pairs = trial, trial_value, trial_pairs
     if large and not budget.is_over:
-        proved_value, proved_pairs = objective(source, target, T, n_inliers, stop=budget.closed)
+        proved_value, proved_pairs = objective(source, target, T, n_inliers, stop=budget.hard_stop)
         spent += 1
         if proved_value < value:
             value, pairs = proved_value, proved_pairs

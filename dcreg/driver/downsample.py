@@ -95,12 +95,12 @@ def refined(
     began = budget.elapsed()
     clouds, k = (problem.source, problem.target), problem.n_inliers
     T, spent = result.T_target_source, 1
-    before, pairs = quick_objective(*clouds, T, k, known=known, prove=False, stop=budget.closed)
-    hurried = is_hurried(len(problem.source), len(problem.target), budget.closed)
+    before, pairs = quick_objective(*clouds, T, k, known=known, prove=False, stop=budget.hard_stop)
+    hurried = is_hurried(len(problem.source), len(problem.target), budget.hard_stop)
     ends = [(before, T, pairs)]
     if result.rival is not None and not budget.is_over:
         T, spent = result.rival.T_target_source, spent + 1
-        value, pairs = objective(*clouds, T, k, prove=False, stop=budget.closed)
+        value, pairs = objective(*clouds, T, k, prove=False, stop=budget.hard_stop)
         ends.append((value, T, pairs))
     if known is not None:
         value, pairs = known.cheapest(*clouds, known.T_target_source, k)

@@ -110,7 +110,7 @@ def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
     bound = make_bound(task.bound, norms, threads=task.threads)
     theta, value, spent = descents.first()
     found = minimise(
-        norms, bound, task.budget.part(TRANSLATION_SHARE), gap_tol=task.gap_tol, start=(theta, value),
+        norms, bound, task.budget.sub_budget(TRANSLATION_SHARE), gap_tol=task.gap_tol, start=(theta, value),
         refine=descents.refine,
     )  # fmt: skip
     found.n_assignments += spent
@@ -142,14 +142,14 @@ def _follow(
     answer: MultiAnswer,
 ) -> bool:
     """A rotation search for every low place of the norm objective; whether there was time for all."""
-    looking = task.budget.part(0.5)
+    looking = task.budget.sub_budget(0.5)
     translations = _low_places(task, settings, bound, descents, found, answer, looking)
     in_time = not looking.is_over
     for done, translation in enumerate(translations):
         if task.budget.is_over:
             answer.complete = False
             return False
-        budget = task.budget.part(1.0 / (len(translations) - done))
+        budget = task.budget.sub_budget(1.0 / (len(translations) - done))
         name = f"basin {done + 1} of {len(translations)}"
         _try_basin(task, settings, norms, rigid, translation, budget, answer, name)
     return in_time
@@ -158,7 +158,7 @@ def _follow(
 def _first_basin(norms: Translation3D, rigid: Rigid3D, budget: Budget) -> tuple[Basin, Stage]:
     """The best of descents from a grid of poses: where every search for the pose may start."""
     began = budget.elapsed()
-    theta, value, spent = rigid.start(budget.part(0.25))
+    theta, value, spent = rigid.start(budget.sub_budget(0.25))
     T = rigid.pose(theta)
     translation = T[:3, :3].T @ T[:3, 3]
     try:
@@ -265,7 +265,7 @@ def _try_basin(
     T = pose_of(Rotation3D.matrix(turned.theta), translation)
     theta, value, refining = rigid.refine(rigid.theta(T))
     if value < best:
-        task.budget.named("best pose").found(value)
+        task.budget.named("best pose").report_incumbent(value)
     answer.basins.append(Basin(translation, norm_value, rigid.pose(theta), value))
     turned.n_assignments += spent + refining
     answer.add(name, turned)

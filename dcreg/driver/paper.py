@@ -77,7 +77,7 @@ def run(task: Task, make: MakeBound | None = None, turn: Turn = turn) -> Answer:
     space.heed(task.budget.stop)
     make = make or partial(make_bound, task.bound)
     bound = make(space, threads=task.threads)
-    budget = task.budget if task.dim == 2 else task.budget.part(TRANSLATION_SHARE)
+    budget = task.budget if task.dim == 2 else task.budget.sub_budget(TRANSLATION_SHARE)
     found = minimise(space, bound, budget, gap_tol=task.gap_tol, leaves=task.leaves)
     answer = Answer(
         np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,

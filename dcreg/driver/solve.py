@@ -130,7 +130,7 @@ def register(
 
     told = in_file_units(options.listener, Frame.of(searched).area)
     with Budget(time_limit, node_limit, memory_limit_mb, told) as budget:
-        searching = budget if searched is problem else budget.stage(SEARCH_SHARE)
+        searching = budget if searched is problem else budget.isolated_sub_budget(SEARCH_SHARE)
         task = task_of(
             searched, way, bound, gap_tol, threads, searching, reduced_box=options.start_box == START_BOXES[0],
             rotation_tol=rotation_tol,
@@ -222,9 +222,9 @@ def result_of(
     T = T_certified = frame.pose(answer.T)
     value, pairs = matched or objective(
         problem.source, problem.target, T, problem.n_inliers, problem.candidates,
-        prove=not (polish or budget.is_over), stop=budget.closed,
+        prove=not (polish or budget.is_over), stop=budget.hard_stop,
     )  # fmt: skip
-    hurried = is_hurried(len(problem.source), len(problem.target), budget.closed)
+    hurried = is_hurried(len(problem.source), len(problem.target), budget.hard_stop)
     # where not one descent came to its end; norms differ by no more than the points do
     upper_bound = value if np.isinf(answer.upper_bound) else answer.upper_bound * area
     final = value

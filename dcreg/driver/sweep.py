@@ -202,7 +202,7 @@ class _Sweep:
 
     def __init__(self, levels: list[Level], mode: Mode, budget: Budget) -> None:
         self.levels, self.mode, self.budget = levels, mode, budget
-        self.searching = budget.stage(self._searching_share())
+        self.searching = budget.isolated_sub_budget(self._searching_share())
         self.rotation: np.ndarray | None = None  # that of the last translation
 
     def _searching_share(self) -> float:
@@ -220,14 +220,14 @@ class _Sweep:
 
     def incumbents(self) -> None:
         """A pose for every cardinality, from descents of its own and from its neighbours'."""
-        starting = self.searching.part(STARTING_SHARE)
+        starting = self.searching.sub_budget(STARTING_SHARE)
         for at, level in enumerate(self.levels):
             level.space.heed(self.searching.stop)
             if at and starting.is_over:
                 self._offer(self.levels[at - 1].theta, level)
                 continue
             began = self.budget.elapsed()
-            own = starting.part(1.0 / (len(self.levels) - at))
+            own = starting.sub_budget(1.0 / (len(self.levels) - at))
             named = own.named(f"start of k={level.name}")
             level.take(*level.space.start(named, level.gap_tol))
             level.descending_s += self.budget.elapsed() - began
@@ -253,7 +253,7 @@ class _Sweep:
                 taker.take(*taker.space.refine(theta))
         with suppress(Interrupted):
             if self.searching.is_over:
-                taker.space.heed(self.budget.closed)
+                taker.space.heed(self.budget.hard_stop)
                 taker.take(theta, taker.space.objective(theta)[0], 1)
         taker.descending_s += self.budget.elapsed() - began
 
@@ -269,7 +269,7 @@ class _Sweep:
                 continue
             run, gap_tol = self._run(at)
             n_open = sum(not other.closed for other in self.levels[at:])
-            self._search(level, gap_tol, self.searching.part(run / n_open))
+            self._search(level, gap_tol, self.searching.sub_budget(run / n_open))
 
     def _run(self, at: int) -> tuple[int, float]:
         """How many levels from `at` on one search can prove, and the gap it needs for that."""
@@ -314,7 +314,7 @@ class _Sweep:
         found: list[Result] = []
         known: Matched | None = None
         for n_left in range(len(self.levels), 0, -1):
-            budget = self.budget.stage(1.0 / n_left)
+            budget = self.budget.isolated_sub_budget(1.0 / n_left)
             level = self.levels[n_left - 1]
             found.insert(0, self._result(level, polish, time_setup, budget, known))
             last = found[0]
@@ -330,7 +330,7 @@ class _Sweep:
         known: Matched | None,
     ) -> Result:
         began = budget.elapsed()
-        placing = budget.part(SEARCH_SHARE) if level.is_sampled else budget
+        placing = budget.sub_budget(SEARCH_SHARE) if level.is_sampled else budget
         answer = level.answer()
         spent = sum(stage.time_s for stage in answer.stages)
         if isinstance(level.space, Rigid3D):
@@ -367,7 +367,9 @@ def _matched(
     clouds, T = (problem.source, problem.target), Frame.of(problem).pose(T)
     prove = not (polish or budget.is_over)
     if level.is_sampled:
-        return objective(*clouds, T, problem.n_inliers, prove=prove, stop=budget.closed, at_once=0)
+        return objective(
+            *clouds, T, problem.n_inliers, prove=prove, stop=budget.hard_stop, at_once=0
+        )
     return quick_objective(
         *clouds,
         T,
@@ -375,5 +377,5 @@ def _matched(
         problem.candidates,
         known=known,
         prove=prove,
-        stop=budget.closed,
+        stop=budget.hard_stop,
     )

@@ -123,7 +123,7 @@ class Space(abc.ABC):
                 ends.append((theta, found))
                 if found < value:
                     best, value = theta, found
-                    budget.found(value)
+                    budget.report_incumbent(value)
                 if tried >= self.n_descents and value <= enough:  # before the next start is made
                     break
         except Interrupted:

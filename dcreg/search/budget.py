@@ -155,7 +155,7 @@ class Budget:
     ----------
     stop : (1,) uint8 array
         For kernels: set when the solve is over, wherever it stands. Only within the context.
-    closed : (1,) uint8 array
+    hard_stop : (1,) uint8 array
         The same for what completes the result, which may take a little longer.
     history : list of Event
         What all stages told, but for ticks.
@@ -170,7 +170,7 @@ class Budget:
     ) -> None:
         self.nodes, self.memory_mb = nodes, memory_mb
         self.history: list[Event] = []
-        self.stop, self.closed = np.zeros(1, np.uint8), np.zeros(1, np.uint8)
+        self.stop, self.hard_stop = np.zeros(1, np.uint8), np.zeros(1, np.uint8)
         self._listener = listener
         self._began = self._told = time.perf_counter()
         time_s = None if time_s == np.inf else time_s
@@ -213,9 +213,9 @@ class Budget:
                 stage.stop[0] |= stage.is_over
             if over_s is None and self.is_over:
                 over_s, self.stop[0] = now, 1
-            hurry = self.stopped and over_s is not None and now - over_s >= _CLOSING_S
+            is_late = self.stopped and over_s is not None and now - over_s >= _CLOSING_S
             for part in (self, *self._stages):
-                part.closed[0] |= hurry or part._is_closing(now)
+                part.hard_stop[0] |= is_late or part._is_closing(now)
 
     def _is_closing(self, now: float) -> bool:
         return self._closing is not None and now >= self._closing
@@ -246,7 +246,7 @@ class Budget:
         """How a search ends that this budget ended."""
         return Status.STOPPED if self.stopped else Status.TIME_LIMIT
 
-    def part(self, share: float) -> Budget:
+    def sub_budget(self, share: float) -> Budget:
         """A budget for one stage: the same limits, but only this share of the time left."""
         part = object.__new__(Budget)
         part.__dict__.update(self.__dict__)
@@ -254,22 +254,22 @@ class Budget:
         part._deadline = None if left is None else time.perf_counter() + share * left
         return part
 
-    def stage(self, share: float) -> Budget:
-        """A part with a `stop` and a `closed` of its own: its kernels take no time of the next stage."""
-        part, now = self.part(share), time.perf_counter()
+    def isolated_sub_budget(self, share: float) -> Budget:
+        """A part with a `stop` and a `hard_stop` of its own: its kernels take no time of the next stage."""
+        part, now = self.sub_budget(share), time.perf_counter()
         if self._closing is not None:
             part._closing = now + share * max(0.0, self._closing - now)
-        part.stop, part.closed = self.stop.copy(), self.closed | part._is_closing(now)
+        part.stop, part.hard_stop = self.stop.copy(), self.hard_stop | part._is_closing(now)
         self._root._stages.append(part)
         return part
 
     def named(self, stage: str) -> Budget:
-        """The same budget, with a name of its own for what is `found` under it."""
-        part = self.part(1.0)
+        """The same budget, with a name of its own for the incumbents reported under it."""
+        part = self.sub_budget(1.0)
         part._stage = stage
         return part
 
-    def found(self, value: float) -> None:
+    def report_incumbent(self, value: float) -> None:
         """Tell of a better pose outside of a search; its objective bounds the optimum from above."""
         self.tell(Event("bound", self._stage, self.elapsed(), 0, 0, 0, 0.0, value))
 

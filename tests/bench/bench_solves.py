@@ -15,7 +15,7 @@ from tests.bench.measure import measure
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
-    dcreg.driver.warm_up()
+    dcreg.warm_up()
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -43,7 +43,7 @@ def profile(name: str) -> None:
 
 
 if __name__ == "__main__":
-    dcreg.driver.warm_up()
+    dcreg.warm_up()
     for chosen in sys.argv[1:] or DEFAULT:
         if all(subject.is_here for subject in CASES[chosen].subjects):
             profile(chosen)

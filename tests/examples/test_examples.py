@@ -15,7 +15,7 @@ SECONDS = 5.0  # of a script; kernels are compiled before
 def compiled():
     import dcreg
 
-    dcreg.driver.warm_up()
+    dcreg.warm_up()
 
 
 def test_there_are_examples():

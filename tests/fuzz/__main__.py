@@ -27,7 +27,7 @@ def main(
     only: Annotated[int | None, typer.Option(help="just the problem of this number")] = None,
     out: Annotated[Path, typer.Option(help="folder for the tables")] = OUT,
 ) -> None:
-    dcreg.driver.warm_up()
+    dcreg.warm_up()
     numbers = range(first, first + count) if only is None else [only]
     began = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)

@@ -148,5 +148,5 @@ def test_pairs_are_called_hurried_where_they_are(rng, size, hurried):
     found = dcreg.register(sample.source, sample.target, n_inliers=20, model="rigid3d")
     whole = Problem(source, source, size // 2, "rigid3d")
     over = Budget(0.0)
-    over.closed[0] = 1
+    over.hard_stop[0] = 1
     assert refined(found, whole, sample, over).stages[-1].hurried is hurried

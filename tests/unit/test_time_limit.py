@@ -140,9 +140,9 @@ def test_a_caller_can_stop_within_a_kernel():
 
 def test_a_caller_who_stops_does_not_wait_for_a_share_of_the_limit():
     with Budget(600.0, listener=lambda event: True) as budget:
-        budget.found(1.0)
+        budget.report_incumbent(1.0)
         began = time.perf_counter()
-        while not budget.closed[0] and time.perf_counter() - began < 10.0:
+        while not budget.hard_stop[0] and time.perf_counter() - began < 10.0:
             time.sleep(0.01)
     assert time.perf_counter() - began < 2.0
 
@@ -160,7 +160,7 @@ def test_norms_of_large_clouds_heed_a_stop():
 
 def test_kernels_of_a_stage_are_stopped_at_its_end():
     with Budget(20.0) as budget:
-        stage = budget.stage(0.01)
+        stage = budget.isolated_sub_budget(0.01)
         while not stage.stop[0] and budget.elapsed() < 10.0:
             time.sleep(0.01)
         assert 0.2 <= budget.elapsed() < 10.0
@@ -169,26 +169,26 @@ def test_kernels_of_a_stage_are_stopped_at_its_end():
 
 def test_what_completes_a_stage_ends_before_the_next():
     with Budget(20.0) as budget:
-        closed_before = budget.stage(0.01).stage(1.0).closed[0]
-        stage = budget.stage(0.01)
-        while not stage.closed[0] and budget.elapsed() < 10.0:
+        closed_before = budget.isolated_sub_budget(0.01).isolated_sub_budget(1.0).hard_stop[0]
+        stage = budget.isolated_sub_budget(0.01)
+        while not stage.hard_stop[0] and budget.elapsed() < 10.0:
             time.sleep(0.01)
         assert not closed_before
         # later than its own end, by its share of what follows the limit
         assert 0.2 < budget.elapsed() < 10.0
-        assert not budget.closed[0]
+        assert not budget.hard_stop[0]
 
 
 def test_a_stage_after_the_end_is_closed_at_once():
     budget = Budget(0.0)
     time.sleep(0.25)
-    assert budget.stage(0.5).closed[0] == 1
+    assert budget.isolated_sub_budget(0.5).hard_stop[0] == 1
 
 
 def test_a_stop_is_seen_at_once():
     with Budget(listener=lambda event: True) as budget:
-        stage = budget.stage(1.0)
-        budget.part(0.5).found(1.0)
+        stage = budget.isolated_sub_budget(1.0)
+        budget.sub_budget(0.5).report_incumbent(1.0)
         assert stage.stop[0] == budget.stop[0] == 1
 
 

@@ -46,7 +46,7 @@ def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, 
             seen += [pose, end]
             if value < best:
                 best = value
-                budget.found(value)
+                budget.report_incumbent(value)
     if best == problem.most * problem.reach**2:
         first = problem.list.target[0] - problem.list.source[0]
         end, value = descend(problem, np.column_stack([np.eye(3), first]))

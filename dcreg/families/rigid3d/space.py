@@ -153,7 +153,7 @@ class Rigid3D(CloudSpace):
         """
         box = self.translations()
         if (box.lower < box.upper).any():
-            for theta in self._congruent(budget.part(_CONGRUENT_SHARE)):
+            for theta in self._congruent(budget.sub_budget(_CONGRUENT_SHARE)):
                 yield theta, 0
         yield from super().starts(budget)
 

@@ -282,7 +282,7 @@ def test_no_further_pose_is_refined_past_the_time_limit(monkeypatch: pytest.Monk
 
     def late(pose: np.ndarray, *_: object) -> np.ndarray:
         refined.append(pose)
-        budget.found(0.0)  # whose listener stops the run
+        budget.report_incumbent(0.0)  # whose listener stops the run
         return pose
 
     monkeypatch.setattr("baselines.sc2_pcr_pp.adapter.refine", late)
