@@ -27,7 +27,9 @@ from numba.misc.appdirs import AppDirs
 HERE = Path(__file__).parent
 _PREFIX = "kernels-"
 # Importing `NEVER` compiles nothing: an edit of such a file leaves the compiled kernels valid.
-_IMPORTS_JIT = re.compile(r"from dcreg\.jit import [^)]*?\bjit|import dcreg\.jit|from dcreg import jit")
+_IMPORTS_JIT = re.compile(
+    r"from dcreg\.jit import [^)]*?\bjit|import dcreg\.jit|from dcreg import jit"
+)
 
 
 def _kernels_in(package: Path) -> Iterator[Path]:

@@ -14,9 +14,10 @@ from dcreg.search import Budget, minimise
 
 def search_rotation(source, target, k, *, gap_tol, candidates=None, threads=1, **limits):
     """The best rotation about the origin; `limits` are those of a `Budget`."""
-    space = Rotation3D(source, target, k, candidates)
+    budget = Budget(**limits)
+    space = Rotation3D(source, target, k, candidates, budget.stop)
     bound = RotationBound(space, threads=threads)
-    found = minimise(space, bound, Budget(**limits), gap_tol=gap_tol, stage="rotation")
+    found = minimise(space, bound, budget, gap_tol=gap_tol, stage="rotation")
     return SimpleNamespace(
         **vars(found),
         rotation=space.matrix(found.theta),

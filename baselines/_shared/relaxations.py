@@ -53,7 +53,7 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
         self.features = np.empty((plane.N_FEATURES + 1, space.n_source, space.n_target))
         plane.pair_features(space.points, self.features)
         self.low, self.high = np.empty(plane.N_FEATURES), np.empty(plane.N_FEATURES)
-        plane.feature_ranges(self.features, space.n_inliers, space.stop, self.low, self.high)
+        plane.feature_ranges(self.features, space.n_inliers, space.stop_flag, self.low, self.high)
         self.n_assignments += 2 * plane.N_FEATURES
 
     @abc.abstractmethod

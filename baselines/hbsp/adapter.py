@@ -48,6 +48,6 @@ def translate_and_turn(task: Task) -> Answer:
 
 def turn(task: Task, shifted: np.ndarray, budget: Budget) -> Outcome:
     """The best rotation of the shifted source, by HBSP's bound."""
-    space = Rotation3D(shifted, task.target, task.n_inliers, task.candidates)
+    space = Rotation3D(shifted, task.target, task.n_inliers, task.candidates, budget.stop)
     bound = SemidefiniteRotationBound(space, threads=task.threads)
     return minimise(space, bound, budget, gap_tol=task.gap_tol, stage="rotation")

@@ -22,7 +22,10 @@ def rigid_space(task: Task) -> tuple[Rigid3D, bool]:
         source, target = target, source
         # in C order: kernels are compiled for no other
         candidates = None if candidates is None else np.ascontiguousarray(candidates.T)
-    return Rigid3D.centred(source, target, task.n_inliers, task.reduced_box, candidates), swapped
+    space = Rigid3D.centred(
+        source, target, task.n_inliers, task.reduced_box, candidates, task.budget.stop
+    )
+    return space, swapped
 
 
 def pose_in(space: Rigid3D, theta: np.ndarray, swapped: bool) -> np.ndarray:

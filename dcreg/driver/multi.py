@@ -100,11 +100,13 @@ class MultiAnswer(Answer):
 def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
     """The best rigid pose over the basins of the norm objective."""
     norms = Translation3D(
-        task.source, task.target, task.n_inliers, task.reduced_box, task.candidates
-    )
-    rigid = Rigid3D.centred(task.source, task.target, task.n_inliers, candidates=task.candidates)
-    norms.heed(task.budget.stop)
-    rigid.heed(task.budget.stop)
+        task.source, task.target, task.n_inliers, task.reduced_box, task.candidates,
+        task.budget.stop,
+    )  # fmt: skip
+    rigid = Rigid3D.centred(
+        task.source, task.target, task.n_inliers, candidates=task.candidates,
+        stop_flag=task.budget.stop,
+    )  # fmt: skip
     first, first_stage = _first_basin(norms, rigid, task.budget)
     descents = _Descents(norms)
     bound = make_bound(task.bound, norms, threads=task.threads)
@@ -255,7 +257,9 @@ def _try_basin(
     worth = (np.sqrt(best) + 0.5 * settings.separation * np.sqrt(task.n_inliers)) ** 2
     if norm_value >= worth:
         return
-    space = Rotation3D(task.source + translation, task.target, task.n_inliers, task.candidates)
+    space = Rotation3D(
+        task.source + translation, task.target, task.n_inliers, task.candidates, budget.stop
+    )
     theta, value, spent = space.start(budget.named(f"start of {name}"))
     value = min(value, worth)
     turned = minimise(

@@ -37,10 +37,12 @@ def space_of(task: Task) -> Similarity2D | Translation3D:
             task.scale_range,
             task.reduced_box,
             task.candidates,
+            task.budget.stop,
         )
     return Translation3D(
-        task.source, task.target, task.n_inliers, task.reduced_box, task.candidates
-    )
+        task.source, task.target, task.n_inliers, task.reduced_box, task.candidates,
+        task.budget.stop,
+    )  # fmt: skip
 
 
 def pose_of(rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
@@ -56,7 +58,7 @@ def turn(task: Task, shifted: np.ndarray, budget: Budget) -> Outcome:
         return search_sampled_rotation(
             shifted, task.target, task.n_inliers, gap_tol=task.turning_tol, budget=budget
         )
-    space = Rotation3D(shifted, task.target, task.n_inliers, task.candidates)
+    space = Rotation3D(shifted, task.target, task.n_inliers, task.candidates, budget.stop)
     bound = RotationBound(space, threads=task.threads)
     budget = budget.named("start of rotation")
     return minimise(space, bound, budget, gap_tol=task.turning_tol, stage="rotation")
@@ -74,7 +76,6 @@ def run(task: Task, make: MakeBound | None = None, turn: Turn = turn) -> Answer:
         The rotation search that follows in space.
     """
     space = space_of(task)
-    space.heed(task.budget.stop)
     make = make or partial(make_bound, task.bound)
     bound = make(space, threads=task.threads)
     budget = task.budget if task.dim == 2 else task.budget.sub_budget(TRANSLATION_SHARE)

@@ -148,13 +148,15 @@ def sweep(
     area = Frame.of(searched[0]).area
     budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(options.listener, area))
     with budget:
+        searching = budget.isolated_sub_budget(_searching_share(problems, searched, way, budget))
         solve = _Sweep(
             [
-                Level.of(whole, problem, way, bound, gap_tol, threads, budget)
+                Level.of(whole, problem, way, bound, gap_tol, threads, searching)
                 for whole, problem, gap_tol in zip(problems, searched, gap_tols, strict=True)
             ],
             way,
             budget,
+            searching,
         )
         solve.incumbents()
         solve.bounds()
@@ -197,32 +199,32 @@ def _problems(
     return [made[k] for k in sorted(made)]
 
 
+def _searching_share(
+    problems: Sequence[Problem], searched: Sequence[Problem], mode: Mode, budget: Budget
+) -> float:
+    """Share of the time that is searched: the rest is for placing and matching what was found."""
+    share = TRANSLATION_SHARE if mode.in_norm_space else 1.0
+    if searched[0] is not problems[0]:
+        share *= SEARCH_SHARE
+    limit = budget.left()
+    if not limit:
+        return share
+    points = max(len(problems[0].source), len(problems[0].target))
+    ending = len(problems) * points * _ENDING_S_PER_POINT / limit
+    return min(share, 1.0 - min(ending, _LARGEST_ENDING))
+
+
 class _Sweep:
     """The state of one sweep; its methods are the stages, in the order in which they are called."""
 
-    def __init__(self, levels: list[Level], mode: Mode, budget: Budget) -> None:
-        self.levels, self.mode, self.budget = levels, mode, budget
-        self.searching = budget.isolated_sub_budget(self._searching_share())
+    def __init__(self, levels: list[Level], mode: Mode, budget: Budget, searching: Budget) -> None:
+        self.levels, self.mode, self.budget, self.searching = levels, mode, budget, searching
         self.rotation: np.ndarray | None = None  # that of the last translation
-
-    def _searching_share(self) -> float:
-        """Share of the time that is searched: the rest is for placing and matching what was found."""
-        share = TRANSLATION_SHARE if self.mode.in_norm_space else 1.0
-        if self.levels[0].is_sampled:
-            share *= SEARCH_SHARE
-        limit = self.budget.left()
-        if not limit:
-            return share
-        whole = self.levels[0].whole
-        points = max(len(whole.source), len(whole.target))
-        ending = len(self.levels) * points * _ENDING_S_PER_POINT / limit
-        return min(share, 1.0 - min(ending, _LARGEST_ENDING))
 
     def incumbents(self) -> None:
         """A pose for every cardinality, from descents of its own and from its neighbours'."""
         starting = self.searching.sub_budget(STARTING_SHARE)
         for at, level in enumerate(self.levels):
-            level.space.heed(self.searching.stop)
             if at and starting.is_over:
                 self._offer(self.levels[at - 1].theta, level)
                 continue
@@ -253,8 +255,8 @@ class _Sweep:
                 taker.take(*taker.space.refine(theta))
         with suppress(Interrupted):
             if self.searching.is_over:
-                taker.space.heed(self.budget.hard_stop)
-                taker.take(theta, taker.space.objective(theta)[0], 1)
+                value, _ = taker.space.objective(theta, self.budget.hard_stop)
+                taker.take(theta, value, 1)
         taker.descending_s += self.budget.elapsed() - began
 
     def bounds(self) -> None:

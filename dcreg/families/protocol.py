@@ -25,8 +25,8 @@ class Space(abc.ABC):
         What a certificate over this space speaks of.
     n_descents : int
         Descents made for the first incumbent: enough for a good upper bound, cheap beside any search.
-    stop : (1,) uint8 array
-        Once it is set, kernels return at once and `check` raises; see `heed`.
+    stop_flag : (1,) uint8 array
+        Kernels return at once when it is set, and `check` then raises; see `Budget.stop`.
     ends : sequence of (theta, value)
         Where the descents of the last `start` ended.
     """
@@ -35,21 +35,22 @@ class Space(abc.ABC):
     axis_weights: np.ndarray
     scope: str
     n_descents: int
-    stop: np.ndarray = NEVER
+    stop_flag: np.ndarray = NEVER
     ends: Sequence[tuple[np.ndarray, float]] = ()
 
-    def heed(self, stop: np.ndarray) -> None:
-        """From now on look at `stop`, as of `Budget.stop`, within everything that takes long."""
-        self.stop = stop
+    def check(self, stop_flag: np.ndarray | None = None) -> None:
+        """Raise after a kernel if the flag is set: the kernel's output is then incomplete.
 
-    def check(self) -> None:
-        """To be called after kernels: what they return is of no use if they were told to stop.
+        Parameters
+        ----------
+        stop_flag : (1,) uint8 array, optional
+            Default: that of the space.
 
         Raises
         ------
         Interrupted
         """
-        if self.stop[0]:
+        if (self.stop_flag if stop_flag is None else stop_flag)[0]:
             raise Interrupted
 
     @abc.abstractmethod
@@ -57,8 +58,13 @@ class Space(abc.ABC):
         """Boxes that together hold every global minimiser."""
 
     @abc.abstractmethod
-    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
-        """E(theta) and the column matched to every source row (-1: none)."""
+    def objective(
+        self, theta: np.ndarray, stop_flag: np.ndarray | None = None
+    ) -> tuple[float, np.ndarray]:
+        """Return E(theta) and the column matched to every source row (-1: none).
+
+        `stop_flag` replaces that of the space for this call.
+        """
 
     @abc.abstractmethod
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:

@@ -280,10 +280,6 @@ class Searchable(Protocol):
 
     axis_weights: np.ndarray
 
-    def heed(self, stop: np.ndarray) -> None:
-        """Look at ``stop[0]`` within all that takes long, and raise `Interrupted` once it is set."""
-        ...
-
     def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
         """A first incumbent: theta, objective, assignments spent. None below `enough` is sought."""
         ...
@@ -328,7 +324,6 @@ def minimise(
     Outcome
     """
     began, spent = budget.elapsed(), 0
-    space.heed(budget.stop)
     if start is None:
         theta, value, spent = space.start(budget, gap_tol)
         start = theta, value

@@ -9,12 +9,15 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from data import registry
 from dcreg.assignment.polish import objective
+from dcreg.driver import full
 from dcreg.driver.multi import Settings
+from dcreg.families.rigid3d import corner_values
+from dcreg.families.rigid3d.kernels.corners import price_corners
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem.geometry import fit_pose
 from dcreg.status import Status
 from tests.problems import KINDS, cloud
-from tests.searches import search_multi, search_rigid
+from tests.searches import search_multi, search_rigid, task
 from workflows.disturb import make_instance
 
 
@@ -240,3 +243,20 @@ def test_multi_tells_a_mirrored_basin_from_the_true_one(rng):
     assert (
         result.lower_bound <= result.upper_bound <= min(b.norm_value for b in result.basins) + 1e-9
     )
+
+
+def test_vertex_values_see_the_stop_flag(rng, monkeypatch):
+    """A stop that comes before the values at the vertices ends their kernel at once."""
+    source, target = rng.standard_normal((36, 3)), rng.standard_normal((40, 3))
+    given = task(source, target, 30, gap_tol=0.05, nodes=2000)
+    untouched = []
+
+    def priced_after_stop(known, asked, prices, clouds):
+        given.budget.stop[0] = 1
+        price_corners(known, asked, prices, clouds)
+        untouched.append(np.isnan(known.values[asked.slots]).all())
+
+    monkeypatch.setattr(corner_values, "price_corners", priced_after_stop)
+    full.run(given)
+    assert untouched
+    assert all(untouched)

@@ -13,7 +13,6 @@ import dcreg
 from dcreg.diagnostics import TOO_MANY_PAIRS
 from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE
 from dcreg.families.similarity2d.space import Similarity2D
-from dcreg.jit import NEVER
 from dcreg.problem import InputError
 from dcreg.search import Budget
 from dcreg.status import Status
@@ -436,9 +435,10 @@ def test_a_pose_reaches_all_cardinalities_though_the_time_is_over(monkeypatch, t
         if space.n_source != 24:  # in the warm-up
             return start(space, budget, enough)
         if space.n_inliers == COUNTS[0]:
-            space.heed(NEVER)
-            return start(space, Budget(), enough)
-        while not space.stop[0]:  # until the end of all searches
+            clouds = space.source, space.points.target.T
+            unlimited = Similarity2D(*clouds, space.n_inliers, space.scale_range)
+            return start(unlimited, Budget(), enough)
+        while not space.stop_flag[0]:  # until the end of all searches
             time.sleep(0.01)
         return space.identity, np.inf, 0
 

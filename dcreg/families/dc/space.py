@@ -29,10 +29,6 @@ class FeatureSpace(Space):
     identity: np.ndarray
     n_descents = 6
 
-    def heed(self, stop: np.ndarray) -> None:
-        super().heed(stop)
-        self.points = self.points._replace(stop=stop)
-
     @property
     def source(self) -> np.ndarray:
         """(n, d) normalised source points."""
@@ -46,9 +42,12 @@ class FeatureSpace(Space):
     def n_target(self) -> int:
         return int(self.points.target.shape[-1])
 
-    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
-        value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop)
-        self.check()
+    def objective(
+        self, theta: np.ndarray, stop_flag: np.ndarray | None = None
+    ) -> tuple[float, np.ndarray]:
+        stop_flag = self.stop_flag if stop_flag is None else stop_flag
+        value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers, stop_flag)
+        self.check(stop_flag)
         return float(value), col_of
 
     def _costs(self, theta: np.ndarray) -> np.ndarray:

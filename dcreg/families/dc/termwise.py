@@ -61,7 +61,7 @@ class SeparableBound(TermwiseBound):
             ordered = np.sort(space.source, axis=0)
             return ordered[: space.n_inliers].sum(axis=0), ordered[-space.n_inliers :].sum(axis=0)
         low, high = np.empty(plane.N_FEATURES), np.empty(plane.N_FEATURES)
-        plane.feature_ranges(self.features, space.n_inliers, space.stop, low, high)
+        plane.feature_ranges(self.features, space.n_inliers, space.stop_flag, low, high)
         self.n_assignments += 2 * plane.N_FEATURES
         return low, high
 
@@ -88,9 +88,16 @@ class SeparableBound(TermwiseBound):
             )
         if self.averaged:
             return plane.aggregated_bound(
-                self.features, (self.low, self.high), k, space.stop, lower, upper, bounds, thetas
+                self.features,
+                (self.low, self.high),
+                k,
+                space.stop_flag,
+                lower,
+                upper,
+                bounds,
+                thetas,
             )
-        return plane.entry_bound(self.features, k, space.stop, lower, upper, bounds)
+        return plane.entry_bound(self.features, k, space.stop_flag, lower, upper, bounds)
 
 
 class TermwiseR1(SeparableBound):

@@ -61,7 +61,7 @@ class TermwiseR3(TermwiseBound):
         """Least total of `cost` over all matchings, and the aggregates of a matching attaining it."""
         shape = self.features.shape[1:]
         value, col_of, _ = cheapest_pairs(
-            np.ascontiguousarray(cost.reshape(shape)), self.space.n_inliers, self.space.stop
+            np.ascontiguousarray(cost.reshape(shape)), self.space.n_inliers, self.space.stop_flag
         )
         self.n_assignments += 1
         rows = np.flatnonzero(col_of >= 0)

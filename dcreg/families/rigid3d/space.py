@@ -27,6 +27,7 @@ from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
 from dcreg.families.rigid3d.starts import SCALES, best_descents, congruent_poses, rounds_for
 from dcreg.families.rotation3d.kernels.geometry import best_rotation
 from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
+from dcreg.jit import NEVER
 from dcreg.search import Box, Budget
 
 _SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored
@@ -63,6 +64,7 @@ class Rigid3D(CloudSpace):
         Start from the translations that an optimum can have, or from the plain safe box.
     candidates : (n, m) bool array, optional
         The feasible pairs.
+    stop_flag : (1,) uint8 array
     """
 
     # A unit step of a facet coordinate turns by 1 to 2 radians, which moves points at the RMS radius
@@ -78,8 +80,9 @@ class Rigid3D(CloudSpace):
         n_inliers: int,
         reduced_box: bool = True,
         candidates: np.ndarray | None = None,
+        stop_flag: np.ndarray = NEVER,
     ) -> None:
-        super().__init__(source, target, n_inliers, candidates)
+        super().__init__(source, target, n_inliers, candidates, stop_flag)
         self.reduced_box = reduced_box
         self._candidates = candidates
         self._centres = np.zeros(3), np.zeros(3)  # of the clouds as they were given, see `centred`
@@ -92,13 +95,15 @@ class Rigid3D(CloudSpace):
         n_inliers: int,
         reduced_box: bool = True,
         candidates: np.ndarray | None = None,
+        stop_flag: np.ndarray = NEVER,
     ) -> Rigid3D:
         """The space over both clouds centred, which gives the smallest start box.
 
         `pose` and `theta` translate to and from the clouds as they were given.
         """
         centres = source.mean(axis=0), target.mean(axis=0)
-        space = cls(source - centres[0], target - centres[1], n_inliers, reduced_box, candidates)
+        clouds = source - centres[0], target - centres[1]
+        space = cls(*clouds, n_inliers, reduced_box, candidates, stop_flag)
         space._centres = centres
         return space
 
@@ -126,12 +131,14 @@ class Rigid3D(CloudSpace):
             for facet in Rotation3D.roots()
         ]
 
-    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
-        """E at a pose and the column matched to every source row (-1: none)."""
+    def objective(
+        self, theta: np.ndarray, stop_flag: np.ndarray | None = None
+    ) -> tuple[float, np.ndarray]:
+        stop_flag = self.stop_flag if stop_flag is None else stop_flag
         cost = np.empty((self.n_source, self.n_target))
         pose_costs(theta, self.clouds, cost)
-        value, col_of, _ = cheapest_pairs(cost, self.n_inliers, self.stop)
-        self.check()
+        value, col_of, _ = cheapest_pairs(cost, self.n_inliers, stop_flag)
+        self.check(stop_flag)
         return float(value), col_of
 
     @staticmethod
@@ -165,7 +172,7 @@ class Rigid3D(CloudSpace):
                 if budget.is_over:
                     return
                 poses = congruent_poses(
-                    source, target, self.n_inliers, scale, self._candidates, seed=seed, stop=self.stop
+                    source, target, self.n_inliers, scale, self._candidates, seed=seed, stop=self.stop_flag
                 )  # fmt: skip
                 if self.n_pairs > DENSE_DESCENTS:
                     poses = best_descents(poses, source, target, self.n_inliers)

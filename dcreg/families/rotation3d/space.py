@@ -43,6 +43,8 @@ class CloudSpace(Space):
     n_inliers : int
     candidates : (n, m) bool array, optional
         The feasible pairs.
+    stop_flag : (1,) uint8 array
+        Set from another thread, it ends everything that takes long.
 
     Attributes
     ----------
@@ -56,6 +58,7 @@ class CloudSpace(Space):
         target: np.ndarray,
         n_inliers: int,
         candidates: np.ndarray | None = None,
+        stop_flag: np.ndarray = NEVER,
     ) -> None:
         source, target = (np.asarray(points, dtype=np.float64) for points in (source, target))
         reach = radius(source) + radius(target)
@@ -64,13 +67,10 @@ class CloudSpace(Space):
             np.ascontiguousarray(target.T),
             FeasiblePairs(candidates).prices(n_inliers, reach),
             n_inliers,
-            NEVER,
+            stop_flag,
         )
+        self.stop_flag = stop_flag
         self.n_inliers = n_inliers
-
-    def heed(self, stop: np.ndarray) -> None:
-        super().heed(stop)
-        self.clouds = self.clouds._replace(stop=stop)
 
     @property
     def n_source(self) -> int:
@@ -120,6 +120,7 @@ class Rotation3D(CloudSpace):
     n_inliers : int
     candidates : (n, m) bool array, optional
         The feasible pairs.
+    stop_flag : (1,) uint8 array
     """
 
     axis_weights = np.ones(4)
@@ -157,13 +158,15 @@ class Rotation3D(CloudSpace):
         """The rotation of a quaternion: proper, and the same for theta, -theta and 2 theta."""
         return rotation_matrix(np.asarray(theta, dtype=np.float64))
 
-    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
-        """E at a rotation and the column matched to every source row (-1: none)."""
+    def objective(
+        self, theta: np.ndarray, stop_flag: np.ndarray | None = None
+    ) -> tuple[float, np.ndarray]:
+        stop_flag = self.stop_flag if stop_flag is None else stop_flag
         cost = np.empty((self.n_source, self.n_target))
         R = self.matrix(theta)
         kernels.pair_costs(R, self.clouds, cost)
-        _, col_of, _ = cheapest_pairs(cost, self.n_inliers, self.stop)
-        self.check()
+        _, col_of, _ = cheapest_pairs(cost, self.n_inliers, stop_flag)
+        self.check(stop_flag)
         # summed anew: the expanded squares of `pair_costs` cancel and may leave a tiny negative sum
         x, y = self.matched(col_of)
         return float(((R @ x - y) ** 2).sum()), col_of

@@ -37,6 +37,8 @@ class Similarity2D(FeatureSpace):
         t = mean of matched y - s R mean of matched x), or from the plain safe box of the paper.
     candidates : (n, m) bool array, optional
         The feasible pairs.
+    stop_flag : (1,) uint8 array
+        Set from another thread, it ends everything that takes long.
     """
 
     scope = "similarity pose"
@@ -50,6 +52,7 @@ class Similarity2D(FeatureSpace):
         scale_range: tuple[float, float],
         reduced_box: bool = True,
         candidates: np.ndarray | None = None,
+        stop_flag: np.ndarray = NEVER,
     ) -> None:
         reach = scale_range[1] * radius(source) + radius(target)
         self.points = Points(
@@ -58,8 +61,9 @@ class Similarity2D(FeatureSpace):
             np.ascontiguousarray(target.T),
             FeasiblePairs(candidates).prices(n_inliers, reach),
             n_inliers,
-            NEVER,
+            stop_flag,
         )
+        self.stop_flag = stop_flag
         self._candidates = candidates
         self.n_inliers = n_inliers
         self.scale_range = scale_range
@@ -103,7 +107,7 @@ class Similarity2D(FeatureSpace):
     def _score(self, seeds: np.ndarray, count: int) -> tuple[np.ndarray, int]:
         values = np.empty(len(seeds))
         for at, seed in enumerate(seeds):
-            values[at], _, _ = cheapest_pairs(self._costs(seed), count, self.stop)
+            values[at], _, _ = cheapest_pairs(self._costs(seed), count, self.stop_flag)
             self.check()
         return values, len(seeds)
 
@@ -135,7 +139,7 @@ class Similarity2D(FeatureSpace):
             return np.empty((0, 4))
         return similar_poses(
             self.points.source, self.points.target.T, self.n_inliers, self.scale_range,
-            self._candidates, stop=self.stop,
+            self._candidates, stop=self.stop_flag,
         )  # fmt: skip
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
@@ -144,11 +148,11 @@ class Similarity2D(FeatureSpace):
 
     def _descend(self, theta: np.ndarray, count: int) -> tuple[np.ndarray, float, int]:
         """`refine` with `count` pairs."""
-        _, col_of, prices = cheapest_pairs(self._costs(theta), count, self.stop)
+        _, col_of, prices = cheapest_pairs(self._costs(theta), count, self.stop_flag)
         self.check()
 
         def evaluate(trial: np.ndarray) -> tuple[float, np.ndarray]:
-            value, matching = improve_assignment(self._costs(trial), count, prices, self.stop)
+            value, matching = improve_assignment(self._costs(trial), count, prices, self.stop_flag)
             self.check()
             return value, matching
 

@@ -34,6 +34,8 @@ class Translation3D(FeatureSpace):
         Start from the translations a stationary point can have, or from the plain safe box.
     candidates : (n, m) bool array, optional
         The feasible pairs. With them the assignment is no longer one-dimensional, hence dearer.
+    stop_flag : (1,) uint8 array
+        Set from another thread, it ends everything that takes long.
     """
 
     scope = "translation in norm space"
@@ -46,6 +48,7 @@ class Translation3D(FeatureSpace):
         n_inliers: int,
         reduced_box: bool = True,
         candidates: np.ndarray | None = None,
+        stop_flag: np.ndarray = NEVER,
     ) -> None:
         self.norms = np.sqrt((target**2).sum(axis=1))
         self._ordered = np.sort(self.norms)
@@ -58,8 +61,9 @@ class Translation3D(FeatureSpace):
             self.norms,
             pairs.prices(n_inliers, radius(source) + radius(target)),
             n_inliers,
-            NEVER,
+            stop_flag,
         )
+        self.stop_flag = stop_flag
         self.n_inliers = n_inliers
         self.reduced_box = reduced_box
         self.axis_weights = np.ones(3)
@@ -78,10 +82,12 @@ class Translation3D(FeatureSpace):
         steps = 0.5 * np.array([0.0, -1.0, 1.0])
         return np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
 
-    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+    def objective(
+        self, theta: np.ndarray, stop_flag: np.ndarray | None = None
+    ) -> tuple[float, np.ndarray]:
         if not self._on_line:
-            return super().objective(theta)
-        self.check()
+            return super().objective(theta, stop_flag)
+        self.check(stop_flag)
         x, y, z = (axis + shift for axis, shift in zip(self.points.axes, theta, strict=True))
         return match_on_line(np.sqrt(x * x + y * y + z * z), self.norms, self.n_inliers)
 
@@ -90,7 +96,7 @@ class Translation3D(FeatureSpace):
             return objectives(self.points, thetas, values)
         size = COLUMNS * max(1, _AT_ONCE // len(self.source))
         for at in range(0, len(thetas), size):
-            if self.stop[0]:  # which the kernel does not look at
+            if self.stop_flag[0]:  # which the kernel does not look at
                 break
             part = slice(at, at + size)
             objectives_on_line(
