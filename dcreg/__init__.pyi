@@ -14,7 +14,7 @@ from .names import bound_names, mode_names
 from .plot import plot_registration, plot_sweep
 from .problem import Candidates, InputError, Problem, default_gap_tol, gap_tol_of
 from .result import Result, Stage
-from .runner_up import Rival
+from .runner_up import RunnerUp
 from .search import Event, Listener, Trace
 from .status import Status
 from .sweep_result import SweepResult
@@ -30,7 +30,7 @@ __all__ = [
     "Problem",
     "Report",
     "Result",
-    "Rival",
+    "RunnerUp",
     "SolveOptions",
     "Stage",
     "Status",

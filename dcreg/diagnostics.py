@@ -80,7 +80,7 @@ _MUCH_LARGER = 100.0
 _OTHER_SIZE = 10.0
 TOO_MANY_PAIRS = "pairs are probably too many"  # in the line of `loose_pairs`
 _ROUGH = 1.01  # times the upper bound: more than rounding
-# Measured on 180 problems of four shapes: all 45 wrong poses have a rival below, 18 of 135 right ones.
+# Of 180 problems of four shapes, all 45 wrong poses and 18 of 135 right ones have a runner-up below.
 _CLOSE = 1.5
 _LOOSE = (
     2.0  # RMSE in spacings of the target; scans of one object stay below where n_inliers is right
@@ -138,7 +138,7 @@ def misled(case: Case) -> str | None:
     if (
         not case.in_norm_space
         or ratio <= _MUCH_LARGER
-        or result.is_hurried
+        or result.is_greedy
         or _is_rounding(result.objective, case)
     ):
         return None
@@ -161,7 +161,7 @@ def rough_pairs(case: Case) -> str | None:
             f"those listed cost {result.objective:.3g}, the best ones at this pose at most "
             f"{result.upper_bound:.3g}"
         )
-    elif of_other and result.is_hurried:
+    elif of_other and result.is_greedy:
         what = (
             "near ones were taken one after another, and the best at this pose can cost much less than "
             f"the {result.objective:.3g} that they do"
@@ -218,7 +218,7 @@ def loose_pairs(case: Case) -> str | None:
     """Matched points lie farther apart than neighbours do: some of the pairs can hardly be true."""
     problem, result = case.problem, case.result
     spacing = median_spacing(problem.target)
-    if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_hurried:
+    if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_greedy:
         return None
     return (
         f"matched points lie {result.rmse_matched:.3g} apart (RMS), neighbours in the target "
@@ -229,16 +229,16 @@ def loose_pairs(case: Case) -> str | None:
 
 def ambiguous(case: Case) -> str | None:
     """Another pose does nearly as well."""
-    rival = case.result.rival
-    if rival is None or rival.objective_ratio >= _CLOSE:
+    other = case.result.runner_up
+    if other is None or other.objective_ratio >= _CLOSE:
         return None
-    percent = 100.0 * (rival.objective_ratio - 1.0)
+    percent = 100.0 * (other.objective_ratio - 1.0)
     more = f"only {percent:.2g} % more" if percent >= 0.1 else "no more"
     return (
-        f"another pose, {rival.way} against this one, costs {more}: these pairs "
+        f"another pose, {other.difference} against this one, costs {more}: these pairs "
         "hardly tell them apart. The shape may be symmetric, noise large, or "
         f"{case.result.n_inliers} the wrong number of pairs (`dcreg sweep` tries several); look at both "
-        "(`rival` of the result)"
+        "(`runner_up` of the result)"
     )
 
 

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and results as JSON."""
+"""Files that are written completely or not at all, and results as JSON."""
 
 from __future__ import annotations
 
@@ -8,20 +8,17 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
-
-import orjson
-
-_JSON = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS
 
 
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
-    """A neighbour of `path` to write to; it takes the place of `path` when the block ends well.
+    """Yield a temporary neighbour of `path` that replaces `path` when the block succeeds.
 
-    Whatever goes wrong (a full disk, an interrupt, an error of the writer), an old file stays as it was
-    and no half-written one is left.
+    If the block fails (a full disk, an interrupt, an error of the writer), an old file stays as it was
+    and no partial file remains.
 
     Examples
     --------
@@ -43,31 +40,30 @@ def whole_file(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
+    """Write a text file completely or not at all."""
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
-def as_json(content: Any, *, indented: bool = True) -> str:
-    """`content` as JSON, arrays as lists; a number that is not finite (an unknown bound) is null."""
-    layout = orjson.OPT_INDENT_2 if indented else 0
-    try:
-        return orjson.dumps(content, option=_JSON | layout).decode()
-    except orjson.JSONEncodeError:
-        # a file name that is no text, an array that is not contiguous, a number beyond 64 bits
-        return json.dumps(plain(content), indent=2 if indented else None, allow_nan=False)
+def as_json(content: Any, *, indent: int | None = 2) -> str:
+    """Return `content` as JSON, after `plain`."""
+    return json.dumps(plain(content), indent=indent, allow_nan=False)
 
 
 def plain(value: Any) -> Any:
-    """`value` made of what JSON knows; a number that is not finite becomes None."""
+    """Return `value` in JSON's types: lists, dictionaries, and None for a number that is not finite."""
     match value:
         case dict():
             return {str(key): plain(item) for key, item in value.items()}
+        case tuple() if hasattr(value, "_asdict"):
+            return plain(value._asdict())
         case list() | tuple():
             return [plain(item) for item in value]
         case float() if not math.isfinite(value):
             return None
         case _ if hasattr(value, "tolist"):  # arrays and numbers of NumPy
             return plain(value.tolist())
+        case _ if is_dataclass(value):
+            return {entry.name: plain(getattr(value, entry.name)) for entry in fields(value)}
         case _:
             return value

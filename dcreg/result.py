@@ -1,11 +1,11 @@
-"""What a registration returns: status, pose, bounds, work and the scope of the certificate."""
+"""The result of a registration: status, pose, bounds, work and the scope of the certificate."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,34 +13,67 @@ from dcreg import text
 from dcreg._version import __version__
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
-from dcreg.files import as_json, write_text
+from dcreg.files import as_json, plain, write_text
 from dcreg.problem import InputError, rotation_angle_deg, scale_of
-from dcreg.runner_up import Rival
+from dcreg.runner_up import RunnerUp
 from dcreg.search import Outcome, Trace
 from dcreg.status import Status
 
 
+class Sample(NamedTuple):
+    """Sizes of the downsampled problem that was searched.
+
+    Attributes
+    ----------
+    n_source, n_target : int
+        Points of each cloud.
+    n_inliers : int
+        Pairs to match.
+    """
+
+    n_source: int
+    n_target: int
+    n_inliers: int
+
+
+class Score(NamedTuple):
+    """Score of a pose over a list of matches.
+
+    A chosen match counts ``1 - (residual / inlier_distance)**2``.
+
+    Attributes
+    ----------
+    reached : float
+        Score of the pose found.
+    upper_bound : float
+        Proven upper bound on the score of any pose.
+    """
+
+    reached: float
+    upper_bound: float
+
+
 @dataclass(frozen=True)
 class Stage:
-    """One stage of a solve, with its own bounds, work and time.
+    """Bounds, work and time of one stage of a solve.
 
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid`` or ``polish``; of mode ``multi`` also ``start``, ``basins``
-        and ``basin 3 of 12``, of a sweep ``descents``.
+        ``search``, ``rotation``, ``rigid`` or ``polish``; also ``start``, ``basins`` and
+        ``basin 3 of 12`` in mode ``multi``, and ``descents`` in a sweep.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional
-        How it ended; None where a stage has no bounds of its own.
+        None if the stage has no bounds.
     lower_bound, upper_bound : float, optional
-        Of what this stage minimises.
+        Bounds on the objective of this stage.
     gap_tol : float, optional
-        The gap asked of this stage, where it is not the one asked of the solve.
+        The tolerance of this stage, if it differs from the one of the solve.
     objective_before, objective_after : float, optional
-        Of the polish: sum of squared residuals of the matched pairs.
-    hurried : bool, optional
-        True where the time was over before the pairs were matched: near ones were taken.
+        Sum of squared residuals of the matched pairs before and after the polish.
+    greedy_assignment : bool, optional
+        True if the time limit was hit before the pairs were matched, so that they were chosen greedily.
     """
 
     name: str
@@ -53,60 +86,52 @@ class Stage:
     gap_tol: float | None = None
     objective_before: float | None = None
     objective_after: float | None = None
-    hurried: bool | None = None
+    greedy_assignment: bool | None = None
 
     @classmethod
     def of(cls, name: str, found: Outcome, gap_tol: float | None = None) -> Stage:
-        """The account of one search."""
+        """Return the stage of one search."""
         return cls(
-            name,
-            found.time_s,
-            found.n_nodes,
-            found.n_assignments,
-            found.status,
-            found.lower_bound,
-            found.upper_bound,
-            gap_tol,
-        )
+            name, found.time_s, found.n_nodes, found.n_assignments, found.status,
+            found.lower_bound, found.upper_bound, gap_tol,
+        )  # fmt: skip
 
     def scaled(self, factor: float) -> Stage:
-        """The same stage with its bounds in other units."""
-
+        """Return the stage with its bounds multiplied by `factor`."""
         names = ("lower_bound", "upper_bound", "gap_tol")
         present = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return replace(self, **{name: factor * value for name, value in present.items()})
 
     def summary(self) -> str:
-        """One line of a stage that has bounds."""
+        """Return one line about a stage that has bounds."""
         return (
             f"{self.status}, bounds [{self.lower_bound:.5g}, {self.upper_bound:.5g}], "
             f"{text.count(self.n_nodes, 'node')}, {self.time_s:.2f} s"
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; what a stage does not have is left out."""
-        values = {"stage": self.name, **asdict(self)}
+        """Return plain values for JSON, without the values that the stage lacks."""
+        values = {"stage": self.name, **vars(self)}
         del values["name"]
-        if self.status is not None:
-            values["status"] = self.status.value
-        return {key: value for key, value in values.items() if value is not None}
+        return plain({key: value for key, value in values.items() if value is not None})
 
 
 @dataclass(frozen=True, repr=False)
 class Result:
-    """The outcome of `dcreg.register`, in the coordinates and units of the clouds.
+    """The result of `dcreg.register`, in the coordinates and units of the clouds.
 
-    ``print(result)`` shows all but the pairs.
+    ``print(result)`` shows everything except the pairs.
 
     Attributes
     ----------
     status : Status
     model, mode, bound : str
-        What was solved, the mode that ran, and its lower bounding function.
+        Kind of pose, the mode that ran, and its lower bounding function.
     T_target_source : (d+1, d+1) array
-        Homogeneous pose: ``p_target = T_target_source @ [p_source, 1]``; the final, polished pose.
+        Final pose after the polish, as a homogeneous matrix:
+        ``p_target = T_target_source @ [p_source, 1]``.
     T_certified : (d+1, d+1) array
-        The pose before the joint polish; in 2D it attains `upper_bound`.
+        Pose before the polish; in 2D it attains `upper_bound`.
     assignment : (n_inliers, 2) int array
         Matched pairs (source row, target row) at `T_target_source`.
     n_inliers : int
@@ -116,32 +141,31 @@ class Result:
     gap_tol : float
         Absolute tolerance on ``upper_bound - lower_bound``.
     certificate_scope : str
-        What the bounds speak of: ``"similarity pose"``, ``"translation in norm space"``, ...
+        What the bounds refer to: ``"similarity pose"``, ``"translation in norm space"``, ...
     objective : float
         Sum of squared residuals of the `n_inliers` matched pairs at `T_target_source`.
     objective_certified : float
-        The same sum at `T_certified`, so that the polish is reported apart.
+        The same sum at `T_certified`, before the polish.
     n_nodes, n_assignments : int
-        Boxes bounded and exact assignments solved, in all stages but the polish: independent of threads
-        and load, and the same wherever floating-point results are.
+        Boxes bounded and exact assignments solved in all stages except the polish. Both are independent
+        of threads and load, and equal on machines whose floating-point results are equal.
     time_setup_s, time_solve_s : float
-        Wall time for preparing (validation, normalisation, JIT warm-up) and for solving.
+        Wall time of the preparation (validation, normalisation, JIT warm-up) and of the solve.
     trace : Trace
         Bound history.
     stages : list of Stage
         In the order in which they ran.
     certificate : Certificate, optional
-        The leaf boxes of the search, when asked for.
-    downsampled : (int, int, int), optional
-        Source points, target points and pairs that were searched, where they are not all: bounds,
-        `gap_tol` and `T_certified` are of these; final pose, pairs and objectives of all points.
-    score : (float, float), optional
-        Of `dcreg.register_matches`: the chosen matches, each counted as 1 less its squared residual in
-        squared inlier distances, and the most that any pose can score, as far as is proven.
-    rival : Rival, optional
-        The best pose met that differs from this one, with its share of the objective.
+        The leaf boxes of the search, if requested.
+    downsampled : Sample, optional
+        Sizes of the sample that was searched, if it was not the full clouds. Then bounds, `gap_tol` and
+        `T_certified` refer to the sample; final pose, pairs and objectives refer to all points.
+    score : Score, optional
+        Score over the matches, from `dcreg.register_matches`.
+    runner_up : RunnerUp, optional
+        The best pose found that clearly differs from this one.
     warnings : list of str
-        What should not be trusted without a second look, each with its remedy.
+        Reasons to doubt the result, each with a remedy.
     """
 
     status: Status
@@ -165,9 +189,9 @@ class Result:
     trace: Trace
     stages: list[Stage] = field(default_factory=list)
     certificate: Certificate | None = None
-    downsampled: tuple[int, int, int] | None = None
-    score: tuple[float, float] | None = None
-    rival: Rival | None = None
+    downsampled: Sample | None = None
+    score: Score | None = None
+    runner_up: RunnerUp | None = None
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -177,17 +201,17 @@ class Result:
 
     @property
     def n_bounded(self) -> int:
-        """Pairs that the bounds speak of: `n_inliers`, or those of the sample that was searched."""
-        return self.n_inliers if self.downsampled is None else self.downsampled[2]
+        """Number of pairs that the bounds refer to: `n_inliers` of the clouds or of the sample."""
+        return self.n_inliers if self.downsampled is None else self.downsampled.n_inliers
 
     @property
-    def is_hurried(self) -> bool:
-        """Whether the time was over before the pairs were matched, so that near ones were taken."""
-        return any(stage.hurried for stage in self.stages)
+    def is_greedy(self) -> bool:
+        """Whether pairs were chosen greedily because the time limit was hit."""
+        return any(stage.greedy_assignment for stage in self.stages)
 
     @property
     def success(self) -> bool:
-        """Whether the bounds closed: status ``optimal``."""
+        """Whether the status is ``optimal``: the gap is closed."""
         return self.status is Status.OPTIMAL
 
     @property
@@ -218,41 +242,18 @@ class Result:
         return float(np.sqrt(self.objective / self.n_inliers))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; every key is documented in the manual."""
-        return {
-            "status": self.status.value,
-            "T_target_source": self.T_target_source.tolist(),
-            "T_certified": self.T_certified.tolist(),
-            "scale": self.scale,
-            "model": self.model,
-            "n_inliers": self.n_inliers,
-            "bound": self.bound,
-            "mode": self.mode,
-            "lower_bound": self.lower_bound,
-            "upper_bound": self.upper_bound,
-            "gap": self.gap,
-            "gap_tol": self.gap_tol,
-            "objective": self.objective,
-            "objective_certified": self.objective_certified,
-            "n_nodes": self.n_nodes,
-            "n_assignments": self.n_assignments,
-            "time_setup_s": self.time_setup_s,
-            "time_solve_s": self.time_solve_s,
-            "certificate_scope": self.certificate_scope,
-            "rmse_matched": self.rmse_matched,
-            "assignment": self.assignment.tolist(),
-            "downsampled": None if self.downsampled is None else list(self.downsampled),
-            "score": None if self.score is None else list(self.score),
-            "rival": None if self.rival is None else self.rival.to_dict(),
-            "warnings": list(self.warnings),
-            "stages": [stage.to_dict() for stage in self.stages],
-        }
+        """Return plain values for JSON; an infinite bound becomes None. The manual lists all keys."""
+        names = (
+            "status", "T_target_source", "T_certified", "scale", "model", "n_inliers", "bound", "mode",
+            "lower_bound", "upper_bound", "gap", "gap_tol", "objective", "objective_certified", "n_nodes",
+            "n_assignments", "time_setup_s", "time_solve_s", "certificate_scope", "rmse_matched",
+            "assignment", "downsampled", "score", "runner_up", "warnings",
+        )  # fmt: skip
+        values = {name: getattr(self, name) for name in names}
+        return plain({**values, "stages": [stage.to_dict() for stage in self.stages]})
 
     def to_json(self, **more: Any) -> str:
-        """`to_dict` and the version as JSON, with `more` keys (such as names of files).
-
-        An infinite bound becomes null.
-        """
+        """Return `to_dict`, the version and `more` keys (such as file names) as JSON."""
         return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
 
     def write_json(self, path: str | Path, **more: Any) -> None:
@@ -265,14 +266,16 @@ class Result:
         Raises
         ------
         InputError
-            If the boxes were not kept.
+            If the result has no certificate.
         """
         if self.certificate is None:
-            raise InputError("certificate: none was kept; call register with certificate=True")
+            raise InputError(
+                "certificate: the result has none; register with SolveOptions(certificate=True)"
+            )
         write_certificate(path, self.certificate)
 
     def summary(self) -> str:
-        """Everything but the pairs, in lines of plain text."""
+        """Return everything except the pairs as lines of plain text."""
         return text.listing(list(self.entries()))
 
     __str__ = summary
@@ -284,7 +287,7 @@ class Result:
         )
 
     def entries(self) -> Iterator[tuple[str, str]]:
-        """Names and values of the `summary`; every warning is an entry of that name."""
+        """Yield names and values of the `summary`; every warning is an entry of that name."""
         yield "status", self._verdict()
         yield (
             "T_target_source",
@@ -294,10 +297,9 @@ class Result:
         yield "rotation", f"{self.rotation_deg:.4f} deg"
         yield "RMSE of pairs", f"{self.rmse_matched:.6g} over {text.count(self.n_inliers, 'pair')}"
         if self.score is not None:
-            reached, limit = self.score
             yield (
                 "score",
-                f"{reached:.5g}; proven: no pose has more than {limit:.5g} "
+                f"{self.score.reached:.5g}; proven: no pose scores above {self.score.upper_bound:.5g} "
                 "(a match counts 1 - (residual / inlier distance)^2)",
             )
         yield "lower bound", f"{self.lower_bound:.6g}"
@@ -318,26 +320,26 @@ class Result:
         yield "time", f"{self.time_solve_s:.2f} s solving, {self.time_setup_s:.2f} s before"
         yield "method", f"{self.model}, mode {self.mode}, bound {self.bound}"
         if self.downsampled is not None:
-            n, m, pairs = self.downsampled
+            sample = self.downsampled
             yield (
                 "downsampled",
-                f"the bounds are of {text.count(pairs, 'pair')} of {n} and {m} farthest points; the pose "
-                "is refined on all points",
+                f"the bounds refer to {text.count(sample.n_inliers, 'pair')} among {sample.n_source} "
+                f"source and {sample.n_target} target points; the pose is refined on all points",
             )
         if self.score is None:
-            yield "best other pose", "not known" if self.rival is None else str(self.rival)
+            yield "runner-up pose", "not known" if self.runner_up is None else str(self.runner_up)
         for warning in self.warnings:
             yield "warning", warning
 
     def _verdict(self) -> str:
         status, scope = self.status, self.certificate_scope
         if status is Status.OPTIMAL:
-            return f"optimal: certified within the tolerance, for the {scope}"
+            return f"optimal: certified within the tolerance for the {scope}"
         if status is Status.CONVERGED:
-            return "converged: came to its own end, not certified"
+            return "converged: the method finished; not certified"
         if self.gap <= self.gap_tol:
             return (
                 f"{status.value}: best pose so far; certified for the {scope}, but a later stage "
-                "did not end"
+                "did not finish"
             )
         return f"{status.value}: best pose so far, not certified"

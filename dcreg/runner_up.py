@@ -1,4 +1,4 @@
-"""The best pose that differs from the one found: how far the data tell them apart."""
+"""The runner-up pose: the best pose found that clearly differs from the result."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dcreg.files import plain
 from dcreg.problem import (
     EXACT,
     Problem,
@@ -17,54 +18,52 @@ from dcreg.problem import (
     unit_length,
 )
 
-# Poses differ whose images of the source lie farther apart than this share of the target's RMS radius.
-APART = 0.2
+# Poses differ if they displace the source by more than this fraction of the target's RMS radius.
+DISTINCT = 0.2
 
 
 @dataclass(frozen=True)
-class Rival:
-    """The best other place where a descent of the search ended; a better one may exist.
+class RunnerUp:
+    """The best distinct pose at which a local descent of the search ended; a better one may exist.
 
     Attributes
     ----------
     T_target_source : (d+1, d+1) array
-        Its pose, where the descent left it.
     objective_ratio : float
-        Its objective in units of that of the pose found: near 1 the two can hardly be told apart.
-    turned_deg : float
+        Objective of this pose divided by the objective of the result. Near 1 the data hardly
+        distinguish the two poses.
+    rotation_difference_deg : float
         Angle between the two rotations.
-    apart : float
+    rms_displacement : float
         RMS distance between the two images of the source, in units of the target.
     """
 
     T_target_source: np.ndarray
     objective_ratio: float
-    turned_deg: float
-    apart: float
+    rotation_difference_deg: float
+    rms_displacement: float
 
     def __str__(self) -> str:
         ratio = f"{self.objective_ratio:.3g}" if self.objective_ratio < 1000 else "over 1000"
-        return f"{ratio} times the objective, {self.way} (the best that was met, not proven)"
+        return f"{ratio} times the objective, {self.difference} (best one found, not proven)"
 
     @property
-    def way(self) -> str:
-        """Where it lies, in words."""
-        return f"{self.apart:.3g} away (RMS), turned by {self.turned_deg:.0f} deg"
+    def difference(self) -> str:
+        """Its difference from the pose of the result, in words."""
+        return (
+            f"displaced by {self.rms_displacement:.3g} (RMS), "
+            f"rotated by {self.rotation_difference_deg:.0f} deg"
+        )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {
-            "T_target_source": self.T_target_source.tolist(),
-            "objective_ratio": self.objective_ratio,
-            "turned_deg": self.turned_deg,
-            "apart": self.apart,
-        }
+        """Return plain values for JSON."""
+        return plain(self)
 
 
-def find_rival(
+def find_runner_up(
     problem: Problem, T: np.ndarray, objective: float, ends: Iterable[tuple[np.ndarray, float]]
-) -> Rival | None:
-    """The cheapest of the `ends` that differs from the pose `T`, if any does.
+) -> RunnerUp | None:
+    """Return the cheapest of the `ends` that differs from the pose `T`, or None.
 
     Parameters
     ----------
@@ -73,23 +72,23 @@ def find_rival(
     objective : float
         At `T`.
     ends : iterable of (pose, objective)
-        In units of the clouds.
+        Final poses of local descents, in the coordinates of the clouds.
     """
     source, target, d = problem.source, problem.target, problem.dim
-    least = APART * rms_radius(target)
+    minimum = DISTINCT * rms_radius(target)
     centre = source.mean(axis=0)
-    spread = np.cov(source, rowvar=False, bias=True).reshape(d, d)
+    covariance = np.cov(source, rowvar=False, bias=True).reshape(d, d)
 
-    def distance(other: np.ndarray) -> float:
+    def displacement(other: np.ndarray) -> float:
         linear, shift = other[:d, :d] - T[:d, :d], other[:d, d] - T[:d, d]
-        squared = ((linear @ centre + shift) ** 2).sum() + np.trace(linear @ spread @ linear.T)
+        squared = ((linear @ centre + shift) ** 2).sum() + np.trace(linear @ covariance @ linear.T)
         return float(np.sqrt(squared))
 
-    others = [end for end in ends if np.isfinite(end[1]) and distance(end[0]) > least]
+    others = [end for end in ends if np.isfinite(end[1]) and displacement(end[0]) > minimum]
     if not others:
         return None
     other, value = min(others, key=lambda end: end[1])
     rounding = EXACT * problem.n_inliers * (unit_length(source, target) or 1.0) ** 2
     angle = rotation_angle_deg(nearest_rotation(other[:d, :d] @ T[:d, :d].T))
     ratio = (value + rounding) / (objective + rounding)
-    return Rival(other, ratio, abs(angle), distance(other))
+    return RunnerUp(other, ratio, abs(angle), displacement(other))

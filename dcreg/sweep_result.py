@@ -55,7 +55,7 @@ class SweepResult:
         those that no warning calls too many pairs. None where it is least at an end, so that the answer
         may lie beyond, and where the time was over before all pairs were matched.
         """
-        if any(result.is_hurried for result in self.results):
+        if any(result.is_greedy for result in self.results):
             return None
         k = np.array([r.n_inliers for r in self.results], dtype=float)
         rmse = np.array([r.rmse_matched for r in self.results])

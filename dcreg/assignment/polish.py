@@ -78,7 +78,7 @@ def objective(
     return float(own[kept].sum()), pairs[kept]
 
 
-def is_hurried(n: int, m: int, stop: np.ndarray) -> bool:
+def is_greedy(n: int, m: int, stop: np.ndarray) -> bool:
     """Whether `objective` chooses pairs of n and m points greedily by now."""
     return bool(stop[0]) and n * m > AT_ONCE_PAIRS
 

@@ -19,7 +19,7 @@ from dcreg.jit import NEVER
 DENSE_PAIRS = 4_000_000
 _FIRST_NEIGHBOURS = 16
 # Where there is no time left: so few, and at most by this share farther than the nearest ones.
-_HURRIED_NEIGHBOURS, _HURRIED_SLACK = 8, 0.5
+_GREEDY_NEIGHBOURS, _GREEDY_SLACK = 8, 0.5
 _LEFTOVER_ROUNDS = 8  # of pairing near points that the neighbours leave over
 _MAX_PRICES = 16
 _ROUGH = 1.02  # size of a matching that may be cut to k where no proof is asked for
@@ -101,7 +101,7 @@ def _near(
     tree: cKDTree, points: np.ndarray, count: int, stop: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Columns of `count` near points of the tree for every row, nearest first, and their costs."""
-    count, slack = (min(count, _HURRIED_NEIGHBOURS), _HURRIED_SLACK) if stop[0] else (count, 0.0)
+    count, slack = (min(count, _GREEDY_NEIGHBOURS), _GREEDY_SLACK) if stop[0] else (count, 0.0)
     distances, columns = tree.query(points, k=np.arange(1, count + 1), eps=slack)
     return columns.astype(np.int64), distances**2
 

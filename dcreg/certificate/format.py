@@ -21,7 +21,7 @@ from dcreg._version import __version__
 from dcreg.files import whole_file
 
 FORMAT = "dcreg leaf cover"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 MODELS = ("similarity2d", "translation3d")
 
 # Why a leaf was not divided further.
@@ -166,7 +166,8 @@ def read(path: str | Path) -> Certificate:
     names = {entry.name for entry in fields(Certificate)} | {"format", "format_version"}
     if str(arrays.get("format_version")) != str(FORMAT_VERSION):
         raise CertificateError(
-            f"{path}: format version is not {FORMAT_VERSION}, the one known here"
+            f"{path}: format version {arrays.get('format_version')}, but this dcreg reads version "
+            f"{FORMAT_VERSION} only; make the certificate again with `dcreg register --certificate`"
         )
     if names != set(arrays):
         raise CertificateError(f"{path}: wrong entries: {sorted(names ^ set(arrays))}")

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from dcreg.assignment.polish import is_hurried, objective, polish
+from dcreg.assignment.polish import is_greedy, objective, polish
 from dcreg.assignment.reuse import Matched, quick_objective
 from dcreg.driver.modes import default_sample
 from dcreg.problem import InputError, Problem, representative_points
-from dcreg.result import Result, Stage
-from dcreg.runner_up import find_rival
+from dcreg.result import Result, Sample, Stage
+from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget
 from dcreg.status import Status
 
@@ -89,17 +89,17 @@ def refined(
 ) -> Result:
     """The result of a sample, its pose refined on all points.
 
-    The pose of the `known` pairs and the rival are refined as well, the best of them first; the rival of
-    the result is then of all points too.
+    The pose of the `known` pairs and the runner-up are refined as well, the best of them first; the
+    runner-up of the result then refers to all points too.
     """
     began = budget.elapsed()
     clouds, k = (problem.source, problem.target), problem.n_inliers
     T, spent = result.T_target_source, 1
     before, pairs = quick_objective(*clouds, T, k, known=known, prove=False, stop=budget.hard_stop)
-    hurried = is_hurried(len(problem.source), len(problem.target), budget.hard_stop)
+    greedy = is_greedy(len(problem.source), len(problem.target), budget.hard_stop)
     ends = [(before, T, pairs)]
-    if result.rival is not None and not budget.is_over:
-        T, spent = result.rival.T_target_source, spent + 1
+    if result.runner_up is not None and not budget.is_over:
+        T, spent = result.runner_up.T_target_source, spent + 1
         value, pairs = objective(*clouds, T, k, prove=False, stop=budget.hard_stop)
         ends.append((value, T, pairs))
     if known is not None:
@@ -116,7 +116,7 @@ def refined(
     value, T, pairs = min(ends, key=_value)
     stage = Stage(
         "all points", budget.elapsed() - began, n_assignments=spent,
-        objective_before=before, objective_after=value, hurried=hurried or None,
+        objective_before=before, objective_after=value, greedy_assignment=greedy or None,
     )  # fmt: skip
     ended = result.status in (Status.OPTIMAL, Status.CONVERGED)
     return replace(
@@ -127,9 +127,9 @@ def refined(
         n_inliers=problem.n_inliers,
         objective=value,
         objective_certified=before,
-        rival=find_rival(problem, T, value, [(other, cost) for cost, other, _ in ends]),
+        runner_up=find_runner_up(problem, T, value, [(other, cost) for cost, other, _ in ends]),
         stages=[*result.stages, stage],
-        downsampled=(len(searched.source), len(searched.target), searched.n_inliers),
+        downsampled=Sample(len(searched.source), len(searched.target), searched.n_inliers),
     )
 
 

@@ -16,7 +16,7 @@ from dcreg.families.matches.problem import MatchProblem
 from dcreg.families.matches.start import coinciding_poses, is_near, promising_poses
 from dcreg.names import DEFAULT_TIME_LIMIT_S, JUDGES
 from dcreg.problem import InputError, suggestion
-from dcreg.result import Result, Stage
+from dcreg.result import Result, Score, Stage
 from dcreg.search import Budget, LongestEdge, Trace, branch_and_bound
 from dcreg.status import Status
 
@@ -154,7 +154,7 @@ def _solved(
         value, chosen = problem.cost(pose)
         best = problem.score(value)
     lower = max(0.0, lower)
-    score = problem.score(value), problem.score(lower)
+    score = Score(problem.score(value), problem.score(lower))
     others = [evidence for evidence, other in starts if not is_near(other, pose, problem.reach)]
     objective = float(problem.residuals(pose)[chosen].sum())
     is_open = certify and status is not Status.OPTIMAL

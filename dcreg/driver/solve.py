@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dcreg.assignment.polish import is_hurried, objective
+from dcreg.assignment.polish import is_greedy, objective
 from dcreg.assignment.polish import polish as polish_pose
 from dcreg.assignment.reuse import Matched
 from dcreg.certificate.format import Certificate
@@ -30,7 +30,7 @@ from dcreg.problem import (
     gap_tol_of,
 )
 from dcreg.result import Result, Stage
-from dcreg.runner_up import find_rival
+from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget, Leaves, Listener, Trace
 from dcreg.status import Status
 
@@ -224,13 +224,13 @@ def result_of(
         problem.source, problem.target, T, problem.n_inliers, problem.candidates,
         prove=not (polish or budget.is_over), stop=budget.hard_stop,
     )  # fmt: skip
-    hurried = is_hurried(len(problem.source), len(problem.target), budget.hard_stop)
+    greedy = is_greedy(len(problem.source), len(problem.target), budget.hard_stop)
     # where not one descent came to its end; norms differ by no more than the points do
     upper_bound = value if np.isinf(answer.upper_bound) else answer.upper_bound * area
     final = value
     stages = [stage.scaled(area) for stage in answer.stages]
-    if hurried and not polish:
-        stages.append(Stage("pairs", 0.0, hurried=True))
+    if greedy and not polish:
+        stages.append(Stage("pairs", 0.0, greedy_assignment=True))
     if polish:
         polishing, spent = budget.elapsed(), 0
         if not budget.is_over:
@@ -241,7 +241,7 @@ def result_of(
         stages.append(
             Stage(
                 "polish", budget.elapsed() - polishing, n_assignments=spent,
-                objective_before=value, objective_after=final, hurried=hurried or None,
+                objective_before=value, objective_after=final, greedy_assignment=greedy or None,
             )
         )  # fmt: skip
     return Result(
@@ -266,7 +266,7 @@ def result_of(
         trace=Trace([event.scaled(area) for event in answer.events]),
         stages=stages,
         certificate=_certificate(problem, mode, task, answer),
-        rival=find_rival(
+        runner_up=find_runner_up(
             problem,
             T,
             final if mode.in_norm_space else min(final, upper_bound),

@@ -320,7 +320,7 @@ class _Sweep:
             level = self.levels[n_left - 1]
             found.insert(0, self._result(level, polish, time_setup, budget, known))
             last = found[0]
-            known = Matched(last.T_target_source, last.assignment, last.is_hurried)
+            known = Matched(last.T_target_source, last.assignment, last.is_greedy)
         return found
 
     def _result(

@@ -255,7 +255,7 @@ class _Search:
             self.status.value if self.status is not None else "",
         )
         if kind == "bound" and self.events and _same_bounds(self.events[-1], event):
-            event = replace(event, kind="tick")  # told to the listener, not kept
+            event = replace(event, kind="heartbeat")  # told to the listener, not kept
         else:
             self.events.append(event)
         self.budget.tell(event)

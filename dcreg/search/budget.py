@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
@@ -23,7 +23,7 @@ class Event:
 
     Attributes
     ----------
-    kind : {"bound", "tick", "end"}
+    kind : {"bound", "heartbeat", "end"}
         A bound moved; a regular report; the search is over.
     stage : str
         The search that speaks (``search``, ``rotation``, ``k=40`` …).
@@ -77,14 +77,14 @@ class Trace:
 
     def rows(self) -> list[dict[str, object]]:
         """One dictionary of plain values per event, for tables and figures."""
-        return [asdict(event) for event in self.events]
+        return [dict(vars(event)) for event in self.events]
 
     def write_jsonl(self, path: str | Path) -> None:
         """One JSON object per line; the last one has kind ``end`` and the status.
 
         An infinite bound becomes null.
         """
-        write_text(path, "".join(as_json(row, indented=False) + "\n" for row in self.rows()))
+        write_text(path, "".join(as_json(row, indent=None) + "\n" for row in self.rows()))
 
 
 class Workers:
@@ -180,7 +180,7 @@ class Budget:
         self._root = self  # of all parts: the one that knows whether the caller asked to stop
         self._stopped = False
         self._stage = "start"
-        self._event = Event("tick", "start", 0.0, 0, 0, 0, 0.0, np.inf)
+        self._event = Event("heartbeat", "start", 0.0, 0, 0, 0, 0.0, np.inf)
         self._lock = threading.RLock()
         self._ended = threading.Event()
         self._watch: threading.Thread | None = None
@@ -206,7 +206,9 @@ class Budget:
             now = time.perf_counter()
             try:
                 if now - self._told >= _SILENCE_S and over_s is None:
-                    self.tell(replace(self._event, kind="tick", time_s=self.elapsed(), status=""))
+                    self.tell(
+                        replace(self._event, kind="heartbeat", time_s=self.elapsed(), status="")
+                    )
             except BaseException as error:  # of the listener: raised where the solve was called
                 self._error, self._stopped = error, True
             for stage in self._stages:
@@ -278,7 +280,7 @@ class Budget:
         root = self._root
         with root._lock:
             root._told, root._event = time.perf_counter(), event
-            if event.kind != "tick":
+            if event.kind != "heartbeat":
                 root.history.append(event)
             if self._listener is not None and self._listener(event):
                 root._stopped = True

@@ -127,9 +127,9 @@ def test_sparse_matching_against_the_dense_one(seed):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sparse, "_FIRST_NEIGHBOURS", int(rng.integers(1, 5)))
         patch.setattr(sparse, "DENSE_PAIRS", int(rng.integers(1, 200)))
-        for prove, hurried in ((True, 0), (False, 0), (False, 1)):
+        for prove, over in ((True, 0), (False, 0), (False, 1)):
             found = sparse.sparse_matching(
-                points, target, k, prove=prove, stop=np.array([hurried], np.uint8)
+                points, target, k, prove=prove, stop=np.array([over], np.uint8)
             )
             rows, columns = found.pairs.T
             assert len(set(rows)) == len(set(columns)) == k

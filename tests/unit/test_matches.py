@@ -67,9 +67,9 @@ def test_bounds_are_those_that_were_proven():
         (100 - found.upper_bound / REACH**2, 100 - found.lower_bound / REACH**2)
     )
     residuals = ((source @ T[:3, :3].T + T[:3, 3] - target)[:30] ** 2).sum(axis=1)
-    assert (1.0 - residuals / REACH**2).sum() <= found.score[1]
-    assert f"no pose has more than {found.score[1]:.5g}" in str(found)
-    assert found.to_dict()["score"] == list(found.score)
+    assert (1.0 - residuals / REACH**2).sum() <= found.score.upper_bound
+    assert f"no pose scores above {found.score.upper_bound:.5g}" in str(found)
+    assert found.to_dict()["score"] == found.score._asdict()
 
 
 def test_cost_is_that_of_the_best_one_to_one_choice():

@@ -8,7 +8,8 @@ from scipy.spatial.distance import cdist
 
 import dcreg
 from dcreg import diagnostics as remedies
-from dcreg.runner_up import find_rival
+from dcreg.result import Sample
+from dcreg.runner_up import find_runner_up
 from dcreg.status import Status
 from tests.problems import keywords
 
@@ -64,7 +65,7 @@ def test_a_pose_far_worse_than_its_norms():
     assert remedies.misled(case(result, source, target, False, **made)) is None
     assert remedies.misled(case(result, source, target, True)) is None
     # of a sample: 600 times the bound, but of 30 times the pairs
-    sampled = {"objective": 6.0, "upper_bound": 0.01, "downsampled": (9, 9, 1)}
+    sampled = {"objective": 6.0, "upper_bound": 0.01, "downsampled": Sample(9, 9, 1)}
     assert remedies.misled(case(result, source, target, True, **sampled)) is None
     assert remedies.misled(case(result, source, target, True, **sampled | {"objective": 60.0}))
 
@@ -76,15 +77,15 @@ def test_pairs_that_cost_more_than_the_pose_does():
     assert "cost 44.1, the best ones" in remedies.rough_pairs(case(result, source, target, **made))
     assert remedies.rough_pairs(case(result, source, target)) is None
     assert remedies.rough_pairs(case(result, source, target, True, **made)) is None
-    sampled = made | {"downsampled": (9, 9, 1)}
+    sampled = made | {"downsampled": Sample(9, 9, 1)}
     assert remedies.rough_pairs(case(result, source, target, **sampled)) is None
 
 
 def test_pairs_taken_in_a_hurry_are_not_called_too_many():
     source, target = clouds()
     result = solve(source, target, 30)
-    late = [*result.stages, dcreg.Stage("all points", 0.1, hurried=True)]
-    made = {"objective": 50.0, "downsampled": (9, 9, 9), "stages": late}
+    late = [*result.stages, dcreg.Stage("all points", 0.1, greedy_assignment=True)]
+    made = {"objective": 50.0, "downsampled": Sample(9, 9, 9), "stages": late}
     assert "near ones were taken" in remedies.rough_pairs(case(result, source, target, **made))
     assert remedies.loose_pairs(case(result, source, target, **made)) is None
     made["stages"] = result.stages
@@ -141,32 +142,36 @@ def cluttered(n_true=25, n_clutter=55, seed=1):
 def test_pairs_in_clutter_tell_by_another_pose_whether_they_are_too_many(k, right):
     result = solve(*cluttered(), k, time_limit=10.0)
     assert (abs(result.rotation_deg - np.degrees(1.2)) < 2.0) == right
-    assert (result.rival.objective_ratio > 3.0) == right
+    assert (result.runner_up.objective_ratio > 3.0) == right
     assert any("another pose" in line for line in result.warnings) == (not right)
-    assert "best other pose" in str(result)
+    assert "runner-up pose" in str(result)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_a_symmetric_shape_has_a_rival_of_the_same_cost(dim):
+def test_a_symmetric_shape_has_a_runner_up_of_the_same_cost(dim):
     grid = np.stack(np.meshgrid(*[np.arange(4) * step for step in (2.0, 1.1, 0.5)[:dim]]), axis=-1)
     grid = grid.reshape(-1, dim)
     noisy = grid + 0.02 * np.random.default_rng(0).standard_normal(grid.shape)
     result = solve(grid, noisy, len(grid) - 1)
-    assert result.rival.objective_ratio == pytest.approx(1.0, abs=0.3)
-    assert result.rival.turned_deg == pytest.approx(180.0, abs=3.0)
+    assert result.runner_up.objective_ratio == pytest.approx(1.0, abs=0.3)
+    assert result.runner_up.rotation_difference_deg == pytest.approx(180.0, abs=3.0)
     assert any("may be symmetric" in line for line in result.warnings)
-    made = result.to_dict()["rival"]
+    made = result.to_dict()["runner_up"]
     T = np.array(made["T_target_source"])
     residual = cdist(grid @ T[:dim, :dim].T + T[:dim, dim], noisy).min(axis=1)
     assert np.sqrt((residual**2).mean()) < 0.1
 
 
-def test_a_pose_close_by_is_no_rival():
+def test_a_pose_close_by_is_no_runner_up():
     source, target = clouds()
     problem = dcreg.Problem(source, target, 30, "similarity2d")
     near, far, open_end = np.eye(3), np.eye(3), np.eye(3)
     near[0, 2], far[0, 2] = 0.01, 1.0
-    assert find_rival(problem, np.eye(3), 1.0, [(near, 1.0), (open_end, np.inf)]) is None
-    found = find_rival(problem, np.eye(3), 2.0, [(near, 1.0), (far, 5.0)])
-    assert (found.objective_ratio, found.turned_deg, found.apart) == pytest.approx((2.5, 0.0, 1.0))
-    assert "1 away (RMS), turned by 0 deg" in str(found)
+    assert find_runner_up(problem, np.eye(3), 1.0, [(near, 1.0), (open_end, np.inf)]) is None
+    found = find_runner_up(problem, np.eye(3), 2.0, [(near, 1.0), (far, 5.0)])
+    assert (
+        found.objective_ratio,
+        found.rotation_difference_deg,
+        found.rms_displacement,
+    ) == pytest.approx((2.5, 0.0, 1.0))
+    assert "displaced by 1 (RMS), rotated by 0 deg" in str(found)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.files import as_json, plain, whole_file, write_text
+from dcreg.result import Sample
 from dcreg.text import listing, table
 
 
@@ -56,7 +57,7 @@ def test_a_result_prints_all_but_the_pairs():
     lines = str(result()).splitlines()
     assert (
         lines[0]
-        == "status           optimal: certified within the tolerance, for the similarity pose"
+        == "status           optimal: certified within the tolerance for the similarity pose"
     )
     pose = [line[17:].split() for line in lines[1:4]]
     assert np.array(pose, dtype=float).tolist() == result().T_target_source.tolist()
@@ -72,8 +73,8 @@ def test_a_result_prints_all_but_the_pairs():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"status": dcreg.Status.CONVERGED}, "converged: came to its own end, not certified"),
-        ({"status": dcreg.Status.NODE_LIMIT}, "a later stage did not end"),
+        ({"status": dcreg.Status.CONVERGED}, "converged: the method finished; not certified"),
+        ({"status": dcreg.Status.NODE_LIMIT}, "a later stage did not finish"),
         (
             {"status": dcreg.Status.NODE_LIMIT, "lower_bound": 0.0},
             "node_limit: best pose so far, not certified",
@@ -190,7 +191,8 @@ def test_a_sweep_gives_every_warning_once():
 def test_bounds_of_a_sample_are_told_per_pair_of_it():
     found = sweep()
     results = [
-        replace(r, downsampled=(8, 9, k)) for r, k in zip(found.results, (5, 5, 7), strict=True)
+        replace(r, downsampled=Sample(8, 9, k))
+        for r, k in zip(found.results, (5, 5, 7), strict=True)
     ]
     sampled = replace(found, results=results)
     first, second, _ = sampled.rows()

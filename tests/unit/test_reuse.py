@@ -11,7 +11,7 @@ from dcreg.assignment.polish import objective
 from dcreg.assignment.reuse import Matched, quick_objective
 from dcreg.driver.downsample import refined
 from dcreg.problem import Problem
-from dcreg.runner_up import Rival
+from dcreg.runner_up import RunnerUp
 from dcreg.search import Budget
 from dcreg.status import Status
 
@@ -104,21 +104,21 @@ def test_one_greedy_matching_of_large_clouds_serves_all_cardinalities_of_its_pos
 
 
 @pytest.mark.parametrize(("angle", "taken"), [(0.0, True), (3.0, False)])
-def test_the_rival_of_a_sample_is_compared_on_all_points(clouds, angle, taken):
-    """It may be the better pose there; the rival is then the other one."""
+def test_the_runner_up_of_a_sample_is_compared_on_all_points(clouds, angle, taken):
+    """It may be the better pose there; the runner-up is then the other one."""
     sample = Problem(clouds[0][:30], clouds[1][:30], 20, "rigid3d")
     found = dcreg.register(
         sample.source, sample.target, n_inliers=20, model="rigid3d", node_limit=1
     )
     found.T_target_source[:] = turned(1.5)
-    found = replace(found, rival=Rival(turned(angle), 1.02, 86.0, 0.5))
+    found = replace(found, runner_up=RunnerUp(turned(angle), 1.02, 86.0, 0.5))
     result = refined(found, Problem(*clouds, 40, "rigid3d"), sample, Budget())
     near = np.allclose(result.rotation, np.eye(3), atol=0.05)
     assert near == taken
-    other = result.rival.T_target_source
+    other = result.runner_up.T_target_source
     value, _ = objective(*clouds, other, 40)
-    assert result.rival.objective_ratio == pytest.approx(value / result.objective, rel=1e-6)
-    assert result.rival.objective_ratio >= 1.0
+    assert result.runner_up.objective_ratio == pytest.approx(value / result.objective, rel=1e-6)
+    assert result.runner_up.objective_ratio >= 1.0
     apart = clouds[0] @ (other[:3, :3] - result.rotation).T + other[:3, 3] - result.translation
     assert np.sqrt((apart**2).sum(axis=1).mean()) > 0.1
 
@@ -141,12 +141,12 @@ def test_pairs_matched_to_the_end_do_not_stand_in_for_fewer(rng):
     assert given[0] <= own[0] < known.cheapest(source, target, np.eye(4), 300)[0]
 
 
-@pytest.mark.parametrize(("size", "hurried"), [(60, None), (1200, True)])
-def test_pairs_are_called_hurried_where_they_are(rng, size, hurried):
+@pytest.mark.parametrize(("size", "greedy"), [(60, None), (1200, True)])
+def test_pairs_are_called_greedy_where_they_are(rng, size, greedy):
     source = rng.random((size, 3))
     sample = Problem(source[:30], source[:30], 20, "rigid3d")
     found = dcreg.register(sample.source, sample.target, n_inliers=20, model="rigid3d")
     whole = Problem(source, source, size // 2, "rigid3d")
     over = Budget(0.0)
     over.hard_stop[0] = 1
-    assert refined(found, whole, sample, over).stages[-1].hurried is hurried
+    assert refined(found, whole, sample, over).stages[-1].greedy_assignment is greedy

@@ -40,7 +40,7 @@ def solved(request, clouds):
 
 def test_trace_holds_what_the_listener_heard(solved):
     _, result, heard = solved
-    assert list(result.trace) == [event for event in heard if event.kind != "tick"]
+    assert list(result.trace) == [event for event in heard if event.kind != "heartbeat"]
 
 
 def test_every_stage_with_bounds_ends_with_them(solved):

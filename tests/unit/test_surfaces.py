@@ -78,7 +78,7 @@ def test_surfaces_tell_the_right_pose_where_more_matches_agree_on_a_wrong_one(sc
     assert shift < 0.05
     assert found.status is dcreg.Status.CONVERGED
     assert found.lower_bound == 0.0
-    assert found.score[0] < by_matches.score[0]
+    assert found.score.reached < by_matches.score.reached
 
 
 def test_the_result_states_the_matches_of_its_pose(scene):
