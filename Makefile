@@ -6,6 +6,11 @@ BIN := $(VENV)/bin
 CORES ?= 2
 CONFIG ?= demo
 PART = $(if $(METHODS),--methods $(METHODS)) $(if $(DATASETS),--datasets $(DATASETS)) $(if $(TESTS),--tests $(TESTS))
+# Parts of the tests that are quick enough without compiled kernels.
+INTERPRETED := tests/unit/test_search.py tests/unit/test_problem.py tests/unit/test_io.py tests/unit/test_result.py
+PYTEST := $(BIN)/python -m pytest -n $(CORES) --dist loadgroup --no-loadscope-reorder
+# Every stage and many tests start a process: without stored bytecode each would compile all packages again.
+export PYTHONDONTWRITEBYTECODE :=
 SYSTEM_PACKAGES := libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6
 BROWSER_PACKAGES := chromium chromium-driver
 
@@ -16,13 +21,20 @@ BROWSER_PACKAGES := chromium chromium-driver
 demo: setup
 	@$(MAKE) --no-print-directory run CONFIG=demo
 
-## test: set up, then check style and types and run all tests
+## test: set up, then check style and types, run all tests and list the 20 slowest
 .PHONY: test
 test: dev browser
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/python -m pytest -n $(CORES) --dist loadgroup
+	@# mypy runs next to the tests; both must pass
+	@$(BIN)/mypy & types=$$!; $(PYTEST) --durations=20; tests=$$?; \
+	wait $$types || { echo "mypy found errors: see above"; exit 1; }; exit $$tests
+
+## coverage: lines of the library that the tests reach, with kernels interpreted; pages in results/coverage
+.PHONY: coverage
+coverage: dev
+	@NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m "not slow" $(INTERPRETED) --cov=dcreg \
+	  --cov-report=term --cov-report=html:results/coverage
 
 ## run: run the experiment CONFIG=demo|real2d|paper3d-quick|… (METHODS=a,b DATASETS=… TESTS=… select a part)
 .PHONY: run

@@ -1,6 +1,7 @@
-"""Shared fixtures and the Hypothesis profile: fixed seeds, so that a red test stays red."""
+"""Shared fixtures, the fixed Hypothesis profile, and which tests share a worker, the longest first."""
 
 import os
+from pathlib import Path
 
 import hypothesis
 import numpy as np
@@ -10,6 +11,29 @@ hypothesis.settings.register_profile(
     "fixed", derandomize=True, deadline=None, max_examples=int(os.environ.get("EXAMPLES", "60"))
 )
 hypothesis.settings.load_profile("fixed")
+
+HERE = Path(__file__).parent
+
+# Files that start first, because they run longest: both cores then finish together.
+LONGEST = ("workflow/test_dag.py", "workflow/test_report_browser.py")
+# Files whose tests share nothing that is expensive to make: any worker may take a part of them.
+SPREAD = ("bad_input/test_bad_input.py", "unit/test_compiling.py", "fuzz/test_fuzz.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep the tests of a file on one worker, since they share fixtures and loaded kernels.
+
+    Tests of one method stay together where a file runs every method.
+    """
+    for item in items:
+        file = item.path.relative_to(HERE).as_posix()
+        parameters = item.callspec.params if hasattr(item, "callspec") else {}
+        part = parameters.get("name", "") if file.startswith("contract/") else ""
+        if file not in SPREAD:
+            item.add_marker(pytest.mark.xdist_group(f"{file}{part}"))
+    first = (*LONGEST, *SPREAD)
+    order = {file: place for place, file in enumerate(first)}
+    items.sort(key=lambda item: order.get(item.path.relative_to(HERE).as_posix(), len(first)))
 
 
 @pytest.fixture
