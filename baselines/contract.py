@@ -275,9 +275,9 @@ class Baseline(abc.ABC):
 
 @runtime_checkable
 class BoxBounding(Protocol):
-    """Optional: an adapter that can bound its objective over a box of poses says so by this method.
+    """Optional: an adapter with this method can bound its objective over a box of poses.
 
-    ``python -m workflows.studies.bounds`` finds such adapters and sets their bounds beside the DC bound
+    ``python -m workflows.studies.bounds`` finds such adapters and compares their bounds with the DC bound
     on the same boxes.
     """
 

@@ -21,11 +21,7 @@ BOUND_NAMES = (
     "shared",
     "paper",
     "edges",
-    "termwise-r1",
-    "termwise-r2",
-    "termwise-r3",
 )
-BOUND_ALIASES = {"termwise": "termwise-r1+termwise-r2"}
 DEFAULT_BOUND = "tight"
 
 # Suffix of a figure's file: the packages that draw it.
@@ -45,4 +41,4 @@ def mode_names(model: str) -> list[str]:
 
 def bound_names() -> list[str]:
     """What ``bound`` takes, beside combinations ``a+b``."""
-    return [*BOUND_NAMES, *BOUND_ALIASES]
+    return [*BOUND_NAMES]

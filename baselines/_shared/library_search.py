@@ -1,23 +1,30 @@
-"""Methods on the library's search: `dcreg.register` itself, and modes of a method's own."""
+"""Methods that run the library's branch and bound with a part of their own.
+
+All use of the library's driver by such methods is in this module.
+"""
 
 from __future__ import annotations
 
 import abc
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
-import dcreg
-from baselines._shared.single_boxes import bound_of_box
-from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
-from dcreg.driver.modes import CHOSEN, MODES, Mode, find_mode
+from baselines._shared.single_boxes import bound_of_box, box_space
+from baselines.contract import Baseline, Instance, Limits, Solution, tiny
+from dcreg.driver import paper
+from dcreg.driver.modes import Mode
 from dcreg.driver.solve import result_of, task_of
 from dcreg.driver.task import Answer, Task
-from dcreg.driver.warm_up import warm_up_mode
-from dcreg.families.dc.registry import bound_parts, make_bound
-from dcreg.names import AUTO, DEFAULT_BOUND, bound_names, mode_names
-from dcreg.problem import InputError, Problem, default_gap_tol, suggestion
+from dcreg.families.dc.space import FeatureSpace
+from dcreg.problem import (
+    TOLERATED_NORM_RESIDUAL,
+    TOLERATED_RESIDUAL,
+    Problem,
+    default_gap_tol,
+)
 from dcreg.result import Result
+from dcreg.search import Bound, Box
 
 
 class LibraryMethod(Baseline):
@@ -30,114 +37,23 @@ class LibraryMethod(Baseline):
         )
 
 
-class BranchAndBound(LibraryMethod):
-    """`dcreg.register` with the bound and the mode of the options.
-
-    Attributes
-    ----------
-    bounds : tuple of str
-        Those the method's card speaks for. Where they are not all of the library, null, the library's own
-        bound, is refused.
-    mode : str, optional
-        That of the option `mode`, if the card has one; null: the library chooses.
-    """
-
-    bounds: tuple[str, ...] = tuple(bound_names())
-    mode: str | None = None
-
-    def __init__(self, card: Card, **options: Any) -> None:
-        super().__init__(card, **options)
-        if "mode" in self.options:
-            self.mode = self.options["mode"]
-        self._check_mode()
-        self._check_bound()
-
-    def _check_mode(self) -> None:
-        known = {AUTO, *(name for model in self.card.models for name in mode_names(model))}
-        if self.mode is not None and self.mode not in known:
-            raise ValueError(f"option mode = {self.mode!r}{suggestion(str(self.mode), known)}")
-
-    def _check_bound(self) -> None:
-        bound = self.options["bound"]
-        if bound is None:
-            if DEFAULT_BOUND not in self.bounds:
-                raise ValueError(
-                    "option bound = null is the library's own bound; choose from "
-                    f"{', '.join(self.bounds)}"
-                )
-            return
-        try:
-            bound_parts(str(bound))
-        except InputError as error:
-            raise ValueError(f"option {error}") from error
-        if not set(bound.split("+")) <= set(self.bounds):
-            raise ValueError(f"option bound = {bound!r}{suggestion(bound, self.bounds)}")
-        chosen = [
-            entry for entry in MODES if entry.name == self.mode and entry.model in self.card.models
-        ]
-        if chosen and not any(entry.takes_bound for entry in chosen):
-            raise ValueError(
-                f"option bound = {bound!r}, but mode {self.mode!r} has bounds of its own; leave one of "
-                "them out"
-            )
-
-    def supports(self, instance: Instance) -> str | None:
-        if self.mode not in (None, AUTO, *mode_names(instance.model)):
-            return f"mode {self.mode!r} does not treat {instance.model}"
-        return super().supports(instance)
-
-    def warm_up(self, instance: Instance) -> None:
-        """The kernels of the mode, or of those that the library chooses among."""
-        bound = self.options["bound"]
-        names = set(CHOSEN if bound is None else ["paper"])
-        if self.mode not in (None, AUTO):
-            names = {self.mode}
-        for name in mode_names(instance.model):
-            if name in names:
-                warm_up_mode(find_mode(instance.model, name), bound)
-
-    def solve(self, instance: Instance, limits: Limits) -> Solution:
-        result = dcreg.register(
-            instance.source,
-            instance.target,
-            n_inliers=instance.n_inliers,
-            model=instance.model,
-            scale_range=instance.scale_range,
-            gap_tol=self.gap_tol(instance),
-            time_limit=limits.time_s,
-            node_limit=limits.nodes,
-            memory_limit_mb=limits.memory_mb,
-            options=dcreg.SolveOptions(
-                mode=self.mode,
-                bound=self.options["bound"],
-                polish=self.options["polish"],
-                threads=limits.threads,
-            ),
-        )
-        return solution_of(result)
-
-    def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
-        """The bound of the options over one box; see `baselines.contract.BoxBounding`."""
-        name = self.options["bound"] or DEFAULT_BOUND
-        return bound_of_box(
-            lambda space, roots: make_bound(name, space, roots), instance, lower, upper
-        )
-
-
-class ModeOfItsOwn(LibraryMethod):
-    """A method that replaces the library's modes by one of its own: problem, frame and polish stay.
+class OwnMode(LibraryMethod):
+    """A method with a search mode of its own; problem, normalisation and polish are the library's.
 
     Attributes
     ----------
     own_bound : str
-        What the bound of its search is called in results.
+        Name of the bound in results.
+    bounds_norms : bool
+        Whether the bounds of the 3D search refer to point norms, not to a rigid pose.
     """
 
     own_bound: str
+    bounds_norms = False
 
     @abc.abstractmethod
     def run(self, task: Task) -> Answer:
-        """Solve the normalised task."""
+        """Solve the normalised problem."""
 
     def warm_up(self, instance: Instance) -> None:
         self.solve(tiny(instance), Limits(time_s=30.0, nodes=100))
@@ -147,22 +63,57 @@ class ModeOfItsOwn(LibraryMethod):
             instance.source, instance.target, instance.n_inliers, instance.model,
             instance.scale_range,
         )  # fmt: skip
+        return solution_of(self.result(problem, self.gap_tol(instance), limits))
+
+    def result(self, problem: Problem, gap_tol: float, limits: Limits) -> Result:
+        """Return what `dcreg.register` would return if this were a mode of the library."""
+        in_norm_space = self.bounds_norms and problem.dim == 3
         mode = Mode(
             self.card.display_name, problem.model, self.run, self.card.summary,
             takes_bound=False, own_bound=self.own_bound,
+            tolerated=TOLERATED_NORM_RESIDUAL if in_norm_space else TOLERATED_RESIDUAL,
         )  # fmt: skip
         mode.check(problem, None, certificate=False)
-        budget = limits.budget()
-        task = task_of(problem, mode, None, self.gap_tol(instance), limits.threads, budget)
-        answer = self.run(task)
-        result = result_of(
-            problem, mode, task, answer, polish=self.options["polish"], time_setup_s=0.0
-        )
-        return solution_of(result)
+        with limits.budget() as budget:
+            task = task_of(problem, mode, None, gap_tol, limits.threads, budget)
+            answer = self.run(task)
+            answer.events = budget.history
+            return result_of(
+                problem, mode, task, answer, polish=self.options["polish"], time_setup_s=0.0
+            )
+
+
+class OwnBound(OwnMode):
+    """A method that differs from mode `paper` of the library in the bound.
+
+    Start box, first incumbent, descents, branching, tolerance and polish are those of DC-Reg.
+
+    Attributes
+    ----------
+    bounds : tuple of str
+        Names of its bounds, values of the option `bound`; comparisons show each of them. Empty for a
+        method with one bound.
+    """
+
+    bounds: tuple[str, ...] = ()
+
+    @abc.abstractmethod
+    def make_bound(
+        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> Bound:
+        """Return the method's bound over the boxes that bisection makes of `roots`."""
+
+    def run(self, task: Task) -> Answer:
+        return paper.run(task, self.make_bound)
+
+    def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
+        """Return the bound over one box; see `baselines.contract.BoxBounding`."""
+        value, _ = bound_of_box(self.make_bound, box_space(instance), Box(lower, upper))
+        return value
 
 
 def solution_of(result: Result) -> Solution:
-    """A result of the library as the contract wants it; its message tells what ran."""
+    """Convert a result of the library to the contract's; the message names mode and bound."""
     return Solution(
         status=result.status,
         T_target_source=result.T_target_source,

@@ -22,13 +22,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from baselines._shared.kernels.products import linearise
-from baselines._shared.library_search import ModeOfItsOwn
-from baselines._shared.single_boxes import bound_of_box
-from baselines.contract import Instance
-from dcreg.driver import paper
-from dcreg.driver.task import Answer, Task
-from dcreg.families.dc.kernels import termwise_plane as plane
+from baselines._shared.kernels.products import (
+    N_FEATURES,
+    feature_ranges,
+    linearise,
+    pair_features,
+)
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.protocol import SpaceBound
 from dcreg.search import Box, Evaluation
@@ -50,11 +49,11 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
         self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
     ) -> None:
         super().__init__(space, roots, threads)
-        self.features = np.empty((plane.N_FEATURES + 1, space.n_source, space.n_target))
-        plane.pair_features(space.points, self.features)
-        self.low, self.high = np.empty(plane.N_FEATURES), np.empty(plane.N_FEATURES)
-        plane.feature_ranges(self.features, space.n_inliers, space.stop_flag, self.low, self.high)
-        self.n_assignments += 2 * plane.N_FEATURES
+        self.features = np.empty((N_FEATURES + 1, space.n_source, space.n_target))
+        pair_features(space.points.source, space.points.target, self.features)
+        self.low, self.high = np.empty(N_FEATURES), np.empty(N_FEATURES)
+        feature_ranges(self.features, space.n_inliers, space.stop_flag, self.low, self.high)
+        self.n_assignments += 2 * N_FEATURES
 
     @abc.abstractmethod
     def least_over_box(self) -> LeastOverBox:
@@ -81,19 +80,3 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
 
         self._run(work, count)
         return found
-
-
-class SimilaritySearch(ModeOfItsOwn):
-    """Search of the library over 2D similarities with a bound of the method's own.
-
-    Start box, first incumbent, descents, branching, tolerance and polish are those of DC-Reg.
-    """
-
-    bound: type[SubstitutedBound]
-
-    def run(self, task: Task) -> Answer:
-        return paper.run(task, self.bound)
-
-    def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
-        """Lower bound over a box of theta; see `baselines.contract.BoxBounding`."""
-        return bound_of_box(self.bound, instance, lower, upper)

@@ -1,23 +1,19 @@
-"""Bounds of the library's kind over single boxes, for comparisons (`baselines.contract.BoxBounding`)."""
+"""Bounds over single boxes, for comparisons of bounds."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 
 from baselines.contract import Instance
 from dcreg.families.dc.space import FeatureSpace
+from dcreg.families.protocol import MakeBound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
-from dcreg.search import Bound, Box
-
-# (space, roots) -> bound
-MakeBound = Callable[[FeatureSpace, list[Box]], Bound]
+from dcreg.search import Box
 
 
 def box_space(instance: Instance) -> FeatureSpace:
-    """The library's space over the instance's own coordinates: similarities, or norm space."""
+    """Return the library's space over the instance's own coordinates: similarities, or norm space."""
     source, target = (
         np.array(points, dtype=float, order="C") for points in (instance.source, instance.target)
     )
@@ -26,10 +22,16 @@ def box_space(instance: Instance) -> FeatureSpace:
     return Translation3D(source, target, instance.n_inliers)
 
 
-def bound_of_box(
-    make: MakeBound, instance: Instance, lower: np.ndarray, upper: np.ndarray
-) -> float:
-    """What a bound says of one box at its full strength, as if a search began there."""
-    bound = make(box_space(instance), [Box(lower, upper)])
-    found = bound.evaluate(lower[None], upper[None], np.inf, thorough=True)
-    return float(found.lower_bounds[0])
+def bound_of_box(make: MakeBound, space: FeatureSpace, box: Box) -> tuple[float, int]:
+    """Return the full-strength bound of one box, as if the search began there, and its assignments.
+
+    Parameters
+    ----------
+    make : callable
+        From ``(space, roots)`` to a bound.
+    space : FeatureSpace
+    box : Box
+    """
+    bound = make(space, [box])
+    found = bound.evaluate(box.lower[None], box.upper[None], np.inf, thorough=True)
+    return float(found.lower_bounds[0]), bound.n_assignments

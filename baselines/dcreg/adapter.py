@@ -6,21 +6,25 @@ from typing import Any
 
 import dcreg
 from baselines._shared.front_ends import SHARED, FrontEndError, missing_matches, putative_pairs
-from baselines._shared.library_search import BranchAndBound, solution_of
+from baselines._shared.library_search import LibraryMethod, solution_of
 from baselines.contract import Card, Instance, Limits, Solution
-from dcreg.driver.warm_up import warm_up_matches
-from dcreg.names import JUDGES
+from dcreg.driver.modes import CHOSEN, MODES, find_mode
+from dcreg.driver.warm_up import warm_up_matches, warm_up_mode
+from dcreg.families.dc.registry import bound_parts
+from dcreg.names import AUTO, JUDGES, mode_names
+from dcreg.problem import InputError, suggestion
 from dcreg.status import Status
 
 OVER_MATCHES = ("max_pairs", "certify", "judge")  # options of `dcreg.register_matches`
 OVER_POINTS = ("bound", "mode", "gap_tol_factor", "polish")  # of `dcreg.register`
 
 
-class Adapter(BranchAndBound):
-    """Branch and bound with the holistic DC bound; over matches, where option `front_end` names some."""
+class Adapter(LibraryMethod):
+    """`dcreg.register`; with option `front_end`, `dcreg.register_matches` over its matches."""
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
+        self._check_mode_and_bound()
         if self.options["front_end"] not in (None, *SHARED):
             raise ValueError(
                 f"option front_end = {self.options['front_end']!r}; choose one of "
@@ -37,6 +41,24 @@ class Adapter(BranchAndBound):
                 "certify out"
             )
 
+    def _check_mode_and_bound(self) -> None:
+        mode, bound = self.options["mode"], self.options["bound"]
+        known = {AUTO, *(name for model in self.card.models for name in mode_names(model))}
+        if mode is not None and mode not in known:
+            raise ValueError(f"option mode = {mode!r}{suggestion(str(mode), known)}")
+        if bound is None:
+            return
+        try:
+            bound_parts(str(bound))
+        except InputError as error:
+            raise ValueError(f"option {error}") from error
+        chosen = [entry for entry in MODES if entry.name == mode]
+        if chosen and not any(entry.takes_bound for entry in chosen):
+            raise ValueError(
+                f"option bound = {bound!r}, but mode {mode!r} has bounds of its own; leave one of "
+                "them out"
+            )
+
     def idle_options(self) -> dict[str, str]:
         if self.options["front_end"] is None:
             idle = dict.fromkeys(OVER_MATCHES, "without a front_end")
@@ -45,17 +67,45 @@ class Adapter(BranchAndBound):
         return {**super().idle_options(), **idle}
 
     def supports(self, instance: Instance) -> str | None:
+        mode = self.options["mode"]
+        if mode not in (None, AUTO, *mode_names(instance.model)):
+            return f"mode {mode!r} does not treat {instance.model}"
         return missing_matches(instance, self.options["front_end"]) or super().supports(instance)
 
     def warm_up(self, instance: Instance) -> None:
-        if self.options["front_end"] is None:
-            super().warm_up(instance)
-        else:
+        """Compile the kernels of the mode, or of those that the library chooses among."""
+        if self.options["front_end"] is not None:
             warm_up_matches()
+            return
+        mode, bound = self.options["mode"], self.options["bound"]
+        names = {mode} if mode not in (None, AUTO) else set(CHOSEN if bound is None else ["paper"])
+        for name in mode_names(instance.model):
+            if name in names:
+                warm_up_mode(find_mode(instance.model, name), bound)
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        if self.options["front_end"] is None:
-            return super().solve(instance, limits)
+        if self.options["front_end"] is not None:
+            return self._solve_matches(instance, limits)
+        result = dcreg.register(
+            instance.source,
+            instance.target,
+            n_inliers=instance.n_inliers,
+            model=instance.model,
+            scale_range=instance.scale_range,
+            gap_tol=self.gap_tol(instance),
+            time_limit=limits.time_s,
+            node_limit=limits.nodes,
+            memory_limit_mb=limits.memory_mb,
+            options=dcreg.SolveOptions(
+                mode=self.options["mode"],
+                bound=self.options["bound"],
+                polish=self.options["polish"],
+                threads=limits.threads,
+            ),
+        )
+        return solution_of(result)
+
+    def _solve_matches(self, instance: Instance, limits: Limits) -> Solution:
         try:
             putative = putative_pairs(instance, self.options)
         except FrontEndError as error:
@@ -71,7 +121,7 @@ class Adapter(BranchAndBound):
             node_limit=limits.nodes,
         )
         solution = solution_of(result)
-        # of a cost that the harness does not evaluate: over the matches, those not chosen priced
+        # their cost includes a penalty for matches not chosen, which the harness does not evaluate
         solution.lower_bound = solution.upper_bound = None
         solution.message = "; ".join(filter(None, [putative.note, solution.message]))
         solution.counters["n_correspondences"] = len(putative.pairs)

@@ -17,10 +17,10 @@ KINDS = ("general", "copy", "duplicates", "collinear", "grid", "symmetric", "clu
 # Shares of the families, and weights of the bounds within one: the default bound is drawn most often.
 FAMILIES = {"similarity2d": 0.58, "norm3d": 0.3, "rigid3d": 0.11, "multi3d": 0.01}
 MODES = {"similarity2d": "paper", "norm3d": "paper", "rigid3d": "full", "multi3d": "multi"}
-EMPHASIS = {"tight": 8.0, "tight-exact": 4.0, "shared": 2.0, "paper": 2.0, "termwise-r3": 0.15}
+EMPHASIS = {"tight": 8.0, "tight-exact": 4.0, "shared": 2.0, "paper": 2.0}
 # No problem may take long; one that ends at a limit still has bounds to be checked.
 NODE_LIMIT, TIME_LIMIT = 2000, 5.0
-OWN_LIMIT = {"termwise-r3": 10, "termwise-r1": 600, "termwise-r2": 600, "rigid": 10_000}
+RIGID_LIMIT = 10_000
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def problem(number: int, family: str | None = None) -> FuzzProblem:
     n_inliers = int(rng.integers(1, min(n, m) + 1))
     settings = _settings(rng, family, target, n_inliers)
     allowed = np.ones((n, m), dtype=bool)
-    if "termwise" not in settings.get("bound", "") and rng.random() < 0.15:
+    if rng.random() < 0.15:
         allowed = rng.random((n, m)) < 0.6
         # some matching of n_inliers pairs has to be among them
         allowed[rng.permutation(n)[:n_inliers], rng.permutation(m)[:n_inliers]] = True
@@ -87,11 +87,10 @@ def _settings(
         "node_limit": NODE_LIMIT,
     }
     if family == "rigid3d":  # has bounds of its own
-        return settings | {"node_limit": OWN_LIMIT["rigid"]}
-    names = [name for name in BOUNDS if family == "similarity2d" or name != "termwise-r3"]
+        return settings | {"node_limit": RIGID_LIMIT}
+    names = list(BOUNDS)
     weights = np.array([EMPHASIS.get(name, 0.5) for name in names])
     bound = str(rng.choice(names, p=weights / weights.sum()))
-    settings["node_limit"] = OWN_LIMIT.get(bound, NODE_LIMIT)
     settings["bound"] = f"{bound}+edges" if rng.random() < 0.1 and bound != "edges" else bound
     if family == "similarity2d":
         low = float(rng.choice([0.3, 0.5, 0.9, 1.0]))

@@ -20,6 +20,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import dcreg
+from baselines import registry
+from baselines.contract import Limits
+from dcreg.problem import Problem
 from dcreg.result import Result
 
 
@@ -57,7 +60,7 @@ class Case:
     n_inliers: int
     bound: str
     gap_tol: float
-    start_box: str = "reduced"
+    start_box: str = "stationary"
     node_limit: int | None = None
     polish: bool = True
     with_trace: bool = False
@@ -69,6 +72,11 @@ class Case:
         source, target = (
             points + jitter * generator.standard_normal(points.shape) for points in self.points()
         )
+        if self.bound.startswith("termwise"):  # a bound of RPM-HTB
+            method = registry.load("rpm_htb", bound=self.bound, polish=self.polish)
+            problem = Problem(source, target, self.n_inliers, self.model, self.scale_range)
+            limits = Limits(60.0, self.node_limit, threads=threads)
+            return method.result(problem, self.gap_tol, limits)
         return dcreg.register(
             source,
             target,
@@ -127,7 +135,7 @@ ONE_SIDED_3D = Cloud(seed=4, n_common=10, n_source=10, n_target=14, noise=0.06)
 CASES: dict[str, Case] = {
     "2d-complete-paper": Case("similarity2d", COMPLETE_2D, 12, "paper", 0.003),
     "2d-complete-safe": Case(
-        "similarity2d", COMPLETE_2D, 12, "paper", 0.0005, start_box="safe", with_trace=True
+        "similarity2d", COMPLETE_2D, 12, "paper", 0.0005, start_box="radius", with_trace=True
     ),
     "2d-complete-edges": Case("similarity2d", COMPLETE_2D, 12, "edges", 0.003),
     "2d-complete-termwise": Case("similarity2d", COMPLETE_2D, 12, "termwise", 0.003),
@@ -139,7 +147,7 @@ CASES: dict[str, Case] = {
     "2d-narrow-scale": Case(
         "similarity2d", COMPLETE_2D, 12, "paper+edges", 0.003, scale_range=(0.7, 0.9)
     ),
-    "3d-complete-paper": Case("rigid3d", COMPLETE_3D, 14, "paper", 0.0025, start_box="safe"),
+    "3d-complete-paper": Case("rigid3d", COMPLETE_3D, 14, "paper", 0.0025, start_box="radius"),
     "3d-clutter-both": Case("rigid3d", CLUTTER_3D, 10, "paper+edges", 0.0004),
     "3d-one-sided-edges": Case("rigid3d", ONE_SIDED_3D, 10, "edges", 0.0004),
 }

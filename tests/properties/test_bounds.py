@@ -5,18 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcreg.families.dc.registry import BOUNDS, bound_parts, make_bound
+from dcreg.families.dc.registry import BOUNDS, make_bound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.search import Box, LongestEdge
 from tests.oracles import kernels as reference
 from tests.problems import models, models_with_boxes
 
-NAMES = [*BOUNDS, "paper+edges", "termwise"]
+NAMES = [*BOUNDS, "paper+edges"]
 
 
-def families(name):
-    return ("similarity2d",) if name == "termwise-r3" else ("similarity2d", "norm3d")
+FAMILIES = ("similarity2d", "norm3d")
 
 
 def evaluate(name, model, *boxes):
@@ -28,7 +27,7 @@ def evaluate(name, model, *boxes):
 @pytest.mark.parametrize("name", NAMES)
 @given(data=st.data())
 def test_bound_is_below_the_objective_anywhere_in_the_box(name, data):
-    model, box = data.draw(models_with_boxes(families=families(name)))
+    model, box = data.draw(models_with_boxes(families=FAMILIES))
     bound = evaluate(name, model, box).lower_bounds[0]
     thetas = np.concatenate([box.sample(np.random.default_rng(0), 40), box.vertices()])
     thetas = thetas[model.admissible(thetas)]
@@ -47,7 +46,7 @@ def thorough(name, model, box, cutoff=np.inf):
 @given(data=st.data(), tightness=st.sampled_from([0.5, 1.0, 2.0]))
 def test_thorough_bound_is_below_the_objective_and_no_weaker(name, data, tightness):
     """It does not know the cutoff, and gives what the bound gives when it matters most."""
-    model, box = data.draw(models_with_boxes(families=families(name)))
+    model, box = data.draw(models_with_boxes(families=FAMILIES))
     thetas = np.concatenate([box.sample(np.random.default_rng(0), 40), box.vertices()])
     thetas = thetas[model.admissible(thetas)]
     lowest = min((reference.objective(model, theta) for theta in thetas), default=np.inf)
@@ -83,7 +82,7 @@ def test_thorough_tight_bound_surpasses_the_shared_one_without_a_cutoff(family):
 @pytest.mark.parametrize("name", NAMES)
 @given(data=st.data())
 def test_bound_equals_the_objective_at_a_degenerate_box(name, data):
-    model, box = data.draw(models_with_boxes(families=families(name)))
+    model, box = data.draw(models_with_boxes(families=FAMILIES))
     theta = box.centre
     if not model.admissible(theta[None])[0]:
         theta = model.identity
@@ -94,7 +93,7 @@ def test_bound_equals_the_objective_at_a_degenerate_box(name, data):
 @pytest.mark.parametrize("name", NAMES)
 @given(data=st.data())
 def test_candidates_are_upper_bounds_at_their_parameter(name, data):
-    model, box = data.draw(models_with_boxes(families=families(name)))
+    model, box = data.draw(models_with_boxes(families=FAMILIES))
     found = evaluate(name, model, box)
     if np.isfinite(found.values[0]):
         assert model.admissible(found.thetas)[0]
@@ -105,7 +104,7 @@ def test_candidates_are_upper_bounds_at_their_parameter(name, data):
 @given(data=st.data())
 def test_halving_boxes_closes_the_bound_on_a_point(name, data):
     """Towards a point every bound converges to the objective there (else no search would end)."""
-    model, box = data.draw(models_with_boxes(families=families(name)))
+    model, box = data.draw(models_with_boxes(families=FAMILIES))
     theta = model.identity + 0.1
     half = 1e-7 * np.ones(box.dim)
     found = evaluate(name, model, Box(theta - half, theta + half))
@@ -147,7 +146,7 @@ def test_shared_vertices_keep_every_descendant_valid(name, data):
 @given(data=st.data())
 def test_bounds_over_several_roots_do_not_mix_them_up(name, data):
     """Roots flat along one axis and apart on it: what holds at one tells nothing of the other."""
-    model, box = data.draw(models_with_boxes(families=families(name)))
+    model, box = data.draw(models_with_boxes(families=FAMILIES))
     flat = box.lower.copy()
     flat[-1] = box.upper[-1] = box.lower[-1]
     shift = np.zeros(box.dim)
@@ -193,7 +192,7 @@ def test_combined_bound_is_the_greater_one(model_and_box):
 @pytest.mark.parametrize("name", NAMES)
 @given(data=st.data())
 def test_threads_do_not_change_a_bound(name, data):
-    model, box = data.draw(models_with_boxes(families=families(name)))
+    model, box = data.draw(models_with_boxes(families=FAMILIES))
     lower, upper = LongestEdge(model.axis_weights)(box.lower[None], box.upper[None])
     lower, upper = LongestEdge(model.axis_weights)(lower, upper)
     one = make_bound(name, model, threads=1)
@@ -239,22 +238,9 @@ def test_refinement_returns_an_admissible_point_with_its_objective(model, seed):
         assert value <= reference.objective(model, start) + 1e-9
 
 
-def test_joint_termwise_bound_in_3d_is_refused():
-    from dcreg.families.translation3d.space import Translation3D
-    from dcreg.problem import InputError
-
-    model = Translation3D(np.eye(3), np.eye(3), 2)
-    with pytest.raises(InputError, match="2D similarity only"):
-        make_bound("termwise-r3", model)
-
-
 def test_unknown_bound_is_refused_with_the_known_names():
     from dcreg.problem import InputError
 
     model = Similarity2D(np.eye(2), np.eye(2), 1, (0.5, 1.5))
     with pytest.raises(InputError, match=r"'papr' is unknown.*paper"):
         make_bound("papr", model)
-
-
-def test_names_joined_may_stand_for_several_bounds():
-    assert bound_parts("termwise+edges") == ["termwise-r1", "termwise-r2", "edges"]

@@ -54,7 +54,7 @@ def least(costs, mask, k):
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(list(BOUNDS)))
 def test_bounds_hold_for_the_feasible_pairs(seed, name):
-    for dim in (2, 3) if name != "termwise-r3" else (2,):
+    for dim in (2, 3):
         x, y, k, mask = feasible_problem(seed, dim)
         model = (
             Similarity2D(x, y, k, (0.5, 1.5), candidates=mask)
@@ -386,32 +386,6 @@ def test_too_few_feasible_pairs_are_refused_in_every_mode(mode):
             candidates=mask,
             options=dcreg.SolveOptions(mode=mode),
         )
-
-
-@pytest.mark.parametrize(
-    ("dim", "bound"),
-    [
-        (2, "termwise-r1"),
-        (2, "termwise-r2"),
-        (2, "termwise-r3"),
-        (3, "termwise-r1"),
-        (3, "termwise-r2"),
-    ],
-)
-def test_termwise_bounds_know_which_pairs_are_feasible(dim, bound):
-    """On a point-like box they are the objective, so a price left out would show."""
-    points = np.random.default_rng(2).random((5, dim))
-    mask = ~np.eye(5, dtype=bool)
-    model = (
-        Similarity2D(points, points, 5, (0.5, 1.5), candidates=mask)
-        if dim == 2
-        else Translation3D(points, points, 5, candidates=mask)
-    )
-    theta = model.identity[None]
-    value, _ = model.objective(theta[0])
-    assert value > 0.01
-    found = make_bound(bound, model).evaluate(theta - 1e-7, theta + 1e-7, np.inf)
-    assert found.lower_bounds[0] == pytest.approx(value, abs=1e-4)
 
 
 def certified(seed, dim, tmp_path):

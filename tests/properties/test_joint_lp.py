@@ -7,16 +7,17 @@ import pytest
 from hypothesis import given, settings
 from scipy.optimize import linprog
 
-from dcreg.families.dc.kernels import termwise_plane as plane
-from dcreg.families.dc.registry import make_bound
-from dcreg.families.dc.termwise_lp import TermwiseR3
+from baselines._shared.kernels.products import BILINEAR
+from baselines.rpm_htb.adapter import BOUNDS
+from baselines.rpm_htb.kernels import TRILINEAR
+from baselines.rpm_htb.lp import TermwiseR3
 from dcreg.search import Box, LongestEdge
 from tests.problems import models_with_boxes
 
 
 def value(name, model, box):
     """The bound itself, also where the box holds no admissible parameter."""
-    bound = make_bound(name, model)
+    bound = BOUNDS[name](model)
     return bound._evaluate(box.lower[None], box.upper[None], np.inf, False).lower_bounds[0]
 
 
@@ -59,14 +60,14 @@ def plain_programme(model, box):
 
     cost = np.zeros(at[-1])
     cost[p], cost[s], cost[v] = planes[-1], k, -2.0
-    for index, (f, a, b, c) in enumerate(plane.TRILINEAR):
+    for index, (f, a, b, c) in enumerate(TRILINEAR):
         if a == b:
             square(w[index], t[a])
         else:
             product(w[index], t[a], t[b])
         product(z[index], g[f], w[index])
         cost[z[index]] = c
-    for index, (f, a) in enumerate(plane.BILINEAR):
+    for index, (f, a) in enumerate(BILINEAR):
         product(v[index], g[f], t[a])
     square(s[0], t[2])
     square(s[1], t[3])
@@ -113,11 +114,3 @@ def test_children_are_no_weaker_than_their_parent(model_and_box):
     lower, upper = LongestEdge(model.axis_weights)(box.lower[None], box.upper[None])
     for child in map(Box, lower, upper):
         assert value("termwise-r3", model, child) >= parent - 1e-4 * (1 + abs(parent))
-
-
-def test_treats_2d_only():
-    from dcreg.families.translation3d.space import Translation3D
-    from dcreg.problem import InputError
-
-    with pytest.raises(InputError, match="2D similarity only"):
-        make_bound("termwise-r3", Translation3D(np.eye(3), np.eye(3), 2))

@@ -57,7 +57,12 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("dcreg", {"mode": "quick"}, r"mode = 'quick'; known: auto, full, multi, paper"),
         ("dcreg", {"mode": "full", "bound": "paper"}, r"mode 'full' has bounds of its own"),
         ("rpm_htb", {"bound": "paper"}, r"known: termwise, termwise-r1"),
-        ("rpm_htb", {"bound": None}, r"null is the library's own bound"),
+        (
+            "rpm_htb",
+            {"bound": "termwise-r1+edges"},
+            r"bound = 'edges'; known: termwise, termwise-r1",
+        ),
+        ("rpm_htb", {"bound": None}, r"bound = 'None'; known: termwise, termwise-r1"),
         (
             "teaser",
             {"threshold": "paper", "noise_factor": 2.0},
@@ -349,8 +354,8 @@ class TestWhatAMethodDependsOn:
         assert self.rerun_by(checkout, "baselines/icp/table.csv", "1,2\n") == {"icp"}
 
     def test_a_package_that_defines_the_name_counts_with_its_imports(self, checkout: Path) -> None:
-        """`dcreg.families.dc.registry` makes bounds by name: which of its modules runs, no import says."""
-        assert "rpm_htb" in self.rerun_by(checkout, "dcreg/families/dc/bounds.py")
+        """`dcreg.families.dc.registry` makes bounds by name; no import says which module runs."""
+        assert "dcreg" in self.rerun_by(checkout, "dcreg/families/dc/bounds.py")
 
     def test_names_loaded_late_are_followed(self, checkout: Path) -> None:
         """They stand in the stub of the library, not in its ``__init__``."""

@@ -143,12 +143,6 @@ def test_real_certificates_are_accepted(tmp_path, model, bound, options, extra):
     assert len(report.checks) == 8
 
 
-def test_termwise_bounds_are_confirmed_by_other_bounds(tmp_path):
-    source, target = clouds("similarity2d", n=8, extra=0)
-    certificate = certify(source, target, 8, "similarity2d", bound="termwise", nodes=2000)
-    assert check(tmp_path, certificate, source, target).accepted
-
-
 def test_limit_is_stated_with_its_valid_bounds(tmp_path):
     source, target = clouds("similarity2d")
     certificate = certify(source, target, 10, "similarity2d", bound="paper", nodes=200)

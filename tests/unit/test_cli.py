@@ -186,7 +186,7 @@ def test_help_lists_what_is_accepted():
         ({"--model": "affine"}, ["--model", "affine", "similarity2d", "rigid3d"]),
         ({"--scale-range": ("2", "1")}, ["--scale-range: (2.0, 1.0)", "low <= high"]),
         ({"--scale-range": ("nan", "1")}, ["--scale-range"]),
-        ({"--bound": "magic"}, ["--bound: 'magic'", "termwise-r1"]),
+        ({"--bound": "magic"}, ["--bound: 'magic'", "tight"]),
         ({"--mode": "magic"}, ["--mode: 'magic'", "paper"]),
         ({"--gap-tol": "-1"}, ["--gap-tol: -1"]),
         ({"--gap-tol": "nan"}, ["--gap-tol: nan"]),

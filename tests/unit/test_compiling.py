@@ -141,7 +141,7 @@ print([e.data["dispatcher"].py_func.__name__ for _, e in seen.buffer if e.is_sta
     [
         ("similarity2d", "paper", None),
         ("similarity2d", "paper", "tight-exact"),
-        ("similarity2d", "paper", "termwise"),
+        ("similarity2d", "paper", "paper+edges"),
         ("rigid3d", "paper", None),
         ("rigid3d", "paper", "edges"),
         ("rigid3d", "full", None),
@@ -168,7 +168,6 @@ def test_a_cold_cache_is_told_of_and_a_warm_one_is_not(copy):
 
 
 def test_the_whole_warm_up_meets_every_bound():
-    """The joint programme aside: its kernels are those of the other term-wise bounds."""
     for model in MODEL_DIM:
         met = {
             part
@@ -177,4 +176,4 @@ def test_the_whole_warm_up_meets_every_bound():
             for bound in work.args[2]
             for part in bound_parts(bound or DEFAULT_BOUND)
         }
-        assert met == set(BOUND_NAMES) - {"termwise-r3"}
+        assert met == set(BOUND_NAMES)

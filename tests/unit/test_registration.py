@@ -16,7 +16,7 @@ from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.status import Status
 from tests.problems import KINDS, cloud, keywords
 
-BOUNDS_2D = ["paper", "edges", "termwise", "paper+edges"]
+BOUNDS_2D = ["paper", "edges", "paper+edges"]
 
 
 def similarity(angle, scale, translation):

@@ -86,7 +86,6 @@ def test_a_kernel_ends_when_told_to():
     [
         ("similarity2d", "paper", "paper", 300),
         ("similarity2d", "paper", "tight", 1000),
-        ("similarity2d", "paper", "termwise", 300),
         ("rigid3d", "full", None, 1000),
         ("rigid3d", "multi", None, 1000),
         ("rigid3d", "paper", None, 1000),

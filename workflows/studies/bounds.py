@@ -1,6 +1,6 @@
 """``python -m workflows.studies.bounds OUT``: lower bounds side by side, on the same boxes and problems.
 
-Compared are the library's bounds, found by name in `dcreg.families.dc.registry.BOUNDS`, and the bound of every other
+Compared are the library's bounds (`dcreg.families.dc.registry.BOUNDS`) and the bounds of every other
 method that can bound a box of poses (`baselines.contract.BoxBounding`). A new one of either kind takes
 part without a change here. Writes to OUT
 
@@ -9,7 +9,8 @@ part without a change here. Writes to OUT
 - ``losses.csv``: the mean of ``least - bound`` over the boxes of one width and place, also as a multiple
   of the loss of the published DC bound.
 - ``orders.csv``: the empirical order of convergence, the slope of log loss against log width.
-- ``searches.csv``: gap against nodes and assignments, one search per bound of the library.
+- ``searches.csv``: gap against nodes and assignments, one search per bound of the library, and per bound
+  of methods that have several.
 
 Coordinates are normalised: centred, RMS radius of the target 1. In 3D the parameter is the translation
 and the objective that of point norms.
@@ -29,12 +30,14 @@ import pandas as pd
 import typer
 
 from baselines import registry
-from baselines._shared.single_boxes import box_space
+from baselines._shared.library_search import OwnBound
+from baselines._shared.single_boxes import bound_of_box, box_space
 from baselines.contract import BoxBounding, Instance
 from data.registry import dataset
 from dcreg.families.dc.registry import BOUNDS, make_bound
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.problem import Frame, InputError, Problem, default_gap_tol
+from dcreg.families.protocol import MakeBound
+from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.search import Box, Budget, Outcome, minimise
 from workflows.disturb import make_instance
 
@@ -79,7 +82,7 @@ class Case:
         instance = Instance(name, source, target, model, k, raw.scale_range, 0.1, SEED)
         space = box_space(instance)
         gap_tol = default_gap_tol(source, target, k)
-        found = search("tight", space, 1e-3 * gap_tol, Budget(time_s=60.0))
+        found = search(partial(make_bound, "tight"), space, 1e-3 * gap_tol, Budget(time_s=60.0))
         return cls(instance, space, gap_tol, found.theta, found.upper_bound)
 
 
@@ -132,10 +135,8 @@ class Line(NamedTuple):
 
 
 def library_bound(name: str, case: Case, box: Box) -> tuple[float, float]:
-    """The bound called `name` at its full strength, as if the search began with this box."""
-    bound = make_bound(name, case.space, [box])
-    found = bound.evaluate(box.lower[None], box.upper[None], np.inf, thorough=True)
-    return float(found.lower_bounds[0]), float(bound.n_assignments)
+    """Return the bound called `name`, and its assignments."""
+    return bound_of_box(partial(make_bound, name), case.space, box)
 
 
 def method_bound(method: BoxBounding, case: Case, box: Box) -> tuple[float, float]:
@@ -143,32 +144,26 @@ def method_bound(method: BoxBounding, case: Case, box: Box) -> tuple[float, floa
     return float(method.box_bound(case.instance, box.lower, box.upper)), np.nan
 
 
-def library_names(space: FeatureSpace) -> list[str]:
-    """The library's bounds over this space; not every one is written for both."""
-
-    def treats(name: str) -> bool:
-        try:
-            make_bound(name, space)
-        except InputError:
-            return False
-        return True
-
-    return list(filter(treats, BOUNDS))
+def methods(instance: Instance) -> Iterator[tuple[str, BoxBounding]]:
+    """Yield the methods that bound boxes, each with its name; one with several bounds once per bound."""
+    for name in registry.names():
+        bounds = getattr(registry.load(name), "bounds", ())
+        for label, options in [(bound, {"bound": bound}) for bound in bounds] or [(name, {})]:
+            method = registry.load(name, **options)
+            if (
+                isinstance(method, BoxBounding)
+                and method.available() is None
+                and method.supports(instance) is None
+            ):
+                yield label, method
 
 
 def lines(case: Case) -> Iterator[Line]:
-    """All bounds. Methods with an option ``bound`` are left out: they run the library's."""
-    for name in library_names(case.space):
+    """Yield all bounds."""
+    for name in BOUNDS:
         yield Line(name, partial(library_bound, name))
-    for name in registry.names():
-        method = registry.load(name)
-        if (
-            isinstance(method, BoxBounding)
-            and "bound" not in method.options
-            and method.available() is None
-            and method.supports(case.instance) is None
-        ):
-            yield Line(name, partial(method_bound, method))
+    for name, method in methods(case.instance):
+        yield Line(name, partial(method_bound, method))
 
 
 def boxes_table(name: str, case: Case) -> pd.DataFrame:
@@ -232,16 +227,27 @@ def orders_table(losses: pd.DataFrame) -> pd.DataFrame:
 # --- searches -----------------------------------------------------------------------------------
 
 
-def search(name: str, space: FeatureSpace, gap_tol: float, budget: Budget) -> Outcome:
-    """Branch and bound with the bound called `name`, as `dcreg.register` runs it."""
-    return minimise(space, make_bound(name, space), budget, gap_tol=gap_tol)
+def search(make: MakeBound, space: FeatureSpace, gap_tol: float, budget: Budget) -> Outcome:
+    """Run branch and bound with the bound, as `dcreg.register` does."""
+    return minimise(space, make(space), budget, gap_tol=gap_tol)
+
+
+def searched(case: Case) -> dict[str, MakeBound]:
+    """Bounds that take part in the searches: the library's, and those of methods with several."""
+    makers: dict[str, MakeBound] = {
+        name: partial(make_bound, name) for name in (*BOUNDS, *COMBINED)
+    }
+    for name, method in methods(case.instance):
+        if isinstance(method, OwnBound) and method.bounds:
+            makers[name] = method.make_bound
+    return makers
 
 
 def searches_table(name: str, case: Case, time_s: float) -> pd.DataFrame:
-    """Bound history per bound of the library; a row per change, gaps in default tolerances."""
+    """Bound history of each search; a row per change, gaps in default tolerances."""
     rows = []
-    for bound in [*library_names(case.space), *COMBINED]:
-        found = search(bound, case.space, 0.1 * case.gap_tol, Budget(time_s=time_s))
+    for bound, make in searched(case).items():
+        found = search(make, case.space, 0.1 * case.gap_tol, Budget(time_s=time_s))
         rows += [
             {
                 "instance": name, "bound": bound, "n_nodes": event.n_nodes,

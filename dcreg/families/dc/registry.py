@@ -7,25 +7,23 @@ from typing import Any
 
 from dcreg.families.dc.bounds import EdgeBound, PaperBound, SharedBound, TightBound, TightExactBound
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.dc.termwise import TermwiseR1, TermwiseR2
-from dcreg.families.dc.termwise_lp import TermwiseR3
 from dcreg.families.protocol import SpaceBound, Strongest
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rotation3d.bound import RotationBound
-from dcreg.names import BOUND_ALIASES, BOUND_NAMES, DEFAULT_BOUND, bound_names
+from dcreg.names import BOUND_NAMES, DEFAULT_BOUND, bound_names
 from dcreg.problem.problem import InputError, suggestion
 from dcreg.search import Box
 
 
 def bound_parts(name: str) -> list[str]:
-    """The single bounds that `name` stands for.
+    """Return the single bounds that are joined in `name`.
 
     Raises
     ------
     InputError
         For an unknown name, listing the known ones.
     """
-    parts = [part for word in name.split("+") for part in BOUND_ALIASES.get(word, word).split("+")]
+    parts = name.split("+")
     unknown = [part for part in parts if part not in BOUND_NAMES]
     if unknown:
         raise InputError(
@@ -42,9 +40,6 @@ BOUNDS: dict[str, type[SpaceBound[Any]]] = {
     "shared": SharedBound,
     "paper": PaperBound,
     "edges": EdgeBound,
-    "termwise-r1": TermwiseR1,
-    "termwise-r2": TermwiseR2,
-    "termwise-r3": TermwiseR3,
 }
 
 __all__ = [

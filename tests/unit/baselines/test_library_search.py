@@ -76,8 +76,8 @@ def test_a_timed_solve_meets_no_kernel_that_its_warm_up_did_not(dim, k, options,
     [
         ("dcreg", 2, "mode paper, bound tight"),
         ("dcreg", 3, "mode full, bound rigid"),
-        ("rpm_htb", 2, "mode paper, bound termwise"),
-        ("rpm_htb", 3, "mode paper, bound termwise"),
+        ("rpm_htb", 2, "mode RPM-HTB (reconstructed), bound termwise"),
+        ("rpm_htb", 3, "mode RPM-HTB (reconstructed), bound termwise"),
         ("rpm_bp", 2, "mode RPM-BP (reconstructed), bound rpm-bp"),
         ("hbsp", 2, "mode HBSP (reconstructed), bound hbsp"),
         ("hbsp", 3, "mode HBSP (reconstructed), bound hbsp"),
@@ -88,7 +88,7 @@ def test_a_solution_tells_the_mode_and_bound_that_ran(name, dim, bound):
     assert solution.message == bound
 
 
-@pytest.mark.parametrize("name", ["dcreg", "rpm_bp", "hbsp"])
+@pytest.mark.parametrize("name", ["dcreg", "rpm_htb", "rpm_bp", "hbsp"])
 def test_clouds_too_large_for_a_cost_matrix_are_refused(name, monkeypatch):
     monkeypatch.setattr(table, "MAX_PAIRS", 60)
     with pytest.raises(InputError, match="8 x 8 pairs exceed 60"):

@@ -1,11 +1,12 @@
-"""The strongest aggregated term-wise bound (R3): all McCormick facets at once, as one linear programme.
+"""The strongest aggregated term-wise bound (R3): all McCormick facets in one linear programme.
 
-R1 keeps the mean of two facets of every product so that matching and pose separate. Here all facets
-stay and matching, features, products and pose are minimised jointly, which no choice of single facets can
-surpass. Like R1 and R2 a reconstruction of the family of RPM-HTB, for comparison only: it is slow.
+R1 keeps the mean of two facets of every product, so that matching and pose separate. R3 keeps all facets
+and minimises jointly over matching, features, products and pose; no choice of single facets can be
+stronger. Like R1 and R2 it is a reconstruction of the family of RPM-HTB. It is slow and serves comparison
+only.
 
-The programme over P is solved by column generation. The master problem, solved by HiGHS, knows some
-matchings; its duals price all others by one exact k-assignment. The bound returned is the Lagrangian one,
+The programme over P is solved by column generation. HiGHS solves the master problem over some matchings;
+one exact k-assignment finds the next matching from its duals. The bound returned is the Lagrangian one,
 
     y b + sum_v min_{[l_v, u_v]} (reduced cost of v) v + min_P sum p_ij (yy_ij - sum_f alpha_f f_ij),
 
@@ -20,10 +21,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import OptimizeResult, linprog
 
+from baselines._shared.kernels.products import BILINEAR, N_FEATURES
+from baselines.rpm_htb.bounds import TermwiseBound
+from baselines.rpm_htb.kernels import TRILINEAR
 from dcreg.assignment.kernels.dense import cheapest_pairs
-from dcreg.families.dc.kernels import termwise_plane as plane
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.dc.termwise import TermwiseBound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Box, Evaluation
 
@@ -34,22 +36,22 @@ VIOLATION = 1e-6  # of a tangent; above what the LP solver tolerates
 
 # Columns of the master problem: pose, products t_a t_b, squares t_3^2 and t_4^2, products of an
 # aggregate with those and with the pose, aggregates; behind them the known matchings.
-_PAIRS = [(int(a), int(b)) for _, a, b, _ in plane.TRILINEAR]
+_PAIRS = [(int(a), int(b)) for _, a, b, _ in TRILINEAR]
 _POSE, _PAIR, _SQUARE, _CUBIC, _BILINEAR, _AGGREGATE = np.split(
-    np.arange(4 + len(_PAIRS) + 2 + len(_PAIRS) + len(plane.BILINEAR) + plane.N_FEATURES),
-    np.cumsum([4, len(_PAIRS), 2, len(_PAIRS), len(plane.BILINEAR)]),
+    np.arange(4 + len(_PAIRS) + 2 + len(_PAIRS) + len(BILINEAR) + N_FEATURES),
+    np.cumsum([4, len(_PAIRS), 2, len(_PAIRS), len(BILINEAR)]),
 )
 _N_COLUMNS = int(_AGGREGATE[-1]) + 1
 
 
 class TermwiseR3(TermwiseBound):
-    """The joint LP relaxation; the candidate is its pose, moved to the nearest admissible scale."""
+    """The joint LP relaxation; the candidate is its pose with the nearest admissible scale."""
 
     def __init__(
         self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
     ) -> None:
         super().__init__(space, roots, threads)
-        assert isinstance(space, Similarity2D)
+        assert isinstance(space, Similarity2D), "R3 is written for 2D only"
         self.scale_range = space.scale_range
         self.planes = self.features.reshape(len(self.features), -1)
         extremes = [sign * plane for plane in self.planes[:-1] for sign in (1.0, -1.0)]
@@ -133,10 +135,10 @@ class _Master:
                 self._product(w, a, b)
         for w, a in self._squares:
             self._square(w, a)
-        for z, w, (f, _, _, c) in zip(_CUBIC, _PAIR, plane.TRILINEAR, strict=True):
+        for z, w, (f, _, _, c) in zip(_CUBIC, _PAIR, TRILINEAR, strict=True):
             self._product(z, _AGGREGATE[f], w)
             self.cost[z] = c
-        for z, (f, a) in zip(_BILINEAR, plane.BILINEAR, strict=True):
+        for z, (f, a) in zip(_BILINEAR, BILINEAR, strict=True):
             self._product(z, _AGGREGATE[f], a)
             self.cost[z] = -2.0
         self.cost[_SQUARE] = k
@@ -178,8 +180,8 @@ class _Master:
     def solve(self, matchings: np.ndarray) -> OptimizeResult:
         """Optimum over the hull of `matchings`, whose last column is the constant term yy."""
         count = len(matchings)
-        features = np.hstack([np.zeros((plane.N_FEATURES, _N_COLUMNS)), matchings[:, :-1].T])
-        features[np.arange(plane.N_FEATURES), _AGGREGATE] = -1.0
+        features = np.hstack([np.zeros((N_FEATURES, _N_COLUMNS)), matchings[:, :-1].T])
+        features[np.arange(N_FEATURES), _AGGREGATE] = -1.0
         convex = np.concatenate([np.zeros(_N_COLUMNS), np.ones(count)])
         bounds = np.vstack(
             [np.stack([self.low, self.high], axis=1), np.tile([0.0, 1.0], (count, 1))]
@@ -189,7 +191,7 @@ class _Master:
             A_ub=np.hstack([np.array(self._rows), np.zeros((len(self._rows), count))]),
             b_ub=np.array(self._right),
             A_eq=np.vstack([features, convex]),
-            b_eq=np.concatenate([np.zeros(plane.N_FEATURES), [1.0]]),
+            b_eq=np.concatenate([np.zeros(N_FEATURES), [1.0]]),
             bounds=bounds,
             method="highs",
         )

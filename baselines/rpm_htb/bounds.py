@@ -1,8 +1,8 @@
-"""Term-wise bilinear bounds: reconstructions of RPM-HTB, the paper's rival.
+"""Term-wise bounds R1 and R2: reconstructions of RPM-HTB.
 
-The body of RPM-HTB (arXiv 2101.07458) was not available; R1 and R2 are valid members of the family it
-describes and not the authors' exact choice of facets. Call them "reconstructed" wherever shown. In 3D
-they bound the norm objective of DC-Reg, so that the two methods differ in nothing but the bound.
+The body of RPM-HTB (arXiv 2101.07458) was not available. R1 and R2 are valid members of the family it
+describes, not the authors' exact choice of facets. Call them "reconstructed" wherever they are shown. In
+3D they bound the norm objective of DC-Reg, so that the two methods differ only in the bound.
 """
 
 from __future__ import annotations
@@ -11,39 +11,30 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dcreg.families.dc.kernels import termwise_norm as norm
-from dcreg.families.dc.kernels import termwise_plane as plane
+from baselines._shared.kernels import products
+from baselines.rpm_htb import kernels
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.protocol import SpaceBound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
-from dcreg.problem import InputError
 from dcreg.search import Box, Evaluation
 
 
 class TermwiseBound(SpaceBound[FeatureSpace]):
-    """Common part: the pair features of a 2D problem; the candidate is evaluated exactly."""
-
-    spaces: tuple[type[FeatureSpace], ...] = (Similarity2D,)
+    """Common part: the pair features of a 2D problem."""
 
     def __init__(
         self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
     ) -> None:
         super().__init__(space, roots, threads)
-        if not isinstance(space, self.spaces):
-            raise InputError(
-                "bound: termwise-r3 treats 2D similarity only; in 3D use termwise, termwise-r1 or "
-                "termwise-r2"
-            )
         if isinstance(space, Similarity2D):
-            self.features = np.empty((8, space.n_source, space.n_target))
-            plane.pair_features(space.points, self.features)
+            self.features = np.empty((products.N_FEATURES + 1, space.n_source, space.n_target))
+            products.pair_features(space.points.source, space.points.target, self.features)
 
 
 class SeparableBound(TermwiseBound):
-    """R1 and R2: matching and pose separate, which costs one assignment a box in either space."""
+    """R1 and R2: matching and pose separate, so a box costs one assignment."""
 
-    spaces = (Similarity2D, Translation3D)
     averaged: bool  # R1
 
     def __init__(
@@ -55,14 +46,14 @@ class SeparableBound(TermwiseBound):
             self.low, self.high = self._aggregates()
 
     def _aggregates(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ranges of the aggregated features over all matchings, feasible or not."""
+        """Return the ranges of the aggregated features over all matchings, feasible or not."""
         space = self.space
         if isinstance(space, Translation3D):
             ordered = np.sort(space.source, axis=0)
             return ordered[: space.n_inliers].sum(axis=0), ordered[-space.n_inliers :].sum(axis=0)
-        low, high = np.empty(plane.N_FEATURES), np.empty(plane.N_FEATURES)
-        plane.feature_ranges(self.features, space.n_inliers, space.stop_flag, low, high)
-        self.n_assignments += 2 * plane.N_FEATURES
+        low, high = np.empty(products.N_FEATURES), np.empty(products.N_FEATURES)
+        products.feature_ranges(self.features, space.n_inliers, space.stop_flag, low, high)
+        self.n_assignments += 2 * products.N_FEATURES
         return low, high
 
     def _evaluate(
@@ -83,11 +74,11 @@ class SeparableBound(TermwiseBound):
     ) -> int:
         space, k = self.space, self.space.n_inliers
         if isinstance(space, Translation3D):
-            return norm.norm_bounds(
+            return kernels.norm_bounds(
                 space.points, self.low, self.high, self.averaged, lower, upper, bounds, thetas
             )
         if self.averaged:
-            return plane.aggregated_bound(
+            return kernels.aggregated_bound(
                 self.features,
                 (self.low, self.high),
                 k,
@@ -97,7 +88,7 @@ class SeparableBound(TermwiseBound):
                 bounds,
                 thetas,
             )
-        return plane.entry_bound(self.features, k, space.stop_flag, lower, upper, bounds)
+        return kernels.entry_bound(self.features, k, space.stop_flag, lower, upper, bounds)
 
 
 class TermwiseR1(SeparableBound):
@@ -107,6 +98,6 @@ class TermwiseR1(SeparableBound):
 
 
 class TermwiseR2(SeparableBound):
-    """Each monomial of each pair at its own least value; the candidate is the box centre."""
+    """Each monomial of each pair at its own minimum; the candidate is the box centre."""
 
     averaged = False
