@@ -1,4 +1,4 @@
-"""The manual: `make docs`, or ``python -m sphinx -W -b html docs results/docs`` from the checkout."""
+"""Settings of the documentation: `make docs`, or ``python -m sphinx -W -b html docs results/docs``."""
 
 import sys
 from pathlib import Path
@@ -18,8 +18,8 @@ exclude_patterns = ["_extensions", "images"]
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 
-# Every link must lead somewhere. Names in docstrings that are not ours (parameters, other libraries)
-# are shown as code and need no page.
+# Every link must have a target. Names in docstrings that are not from dcreg (parameters,
+# other libraries) are shown as code and need no page.
 nitpicky = True
 nitpick_ignore_regex = [(r"py:.*", r"(?!dcreg\.).*")]
 default_role = "py:obj"
@@ -43,7 +43,7 @@ html_copy_source = False
 
 
 def without_results(app, what, name, obj, options, signature, annotation):
-    """What states attributes instead of parameters comes back from a call and is not built by hand."""
+    """Hide the signature of classes that state attributes: calls return them, users do not build them."""
     return ("", None) if what == "class" and "\n    Attributes\n" in (obj.__doc__ or "") else None
 
 

@@ -1,4 +1,4 @@
-"""A certificate on disk, checked apart from the search that made it."""
+"""Write a certificate to disk and verify it independently of the search."""
 
 import tempfile
 from pathlib import Path
@@ -22,8 +22,8 @@ with tempfile.TemporaryDirectory() as folder:
     other = dcreg.verify(path, source, target + 1e-3)
 
 print(report.statement)
-print(f"{report.n_leaves} leaves, {report.n_boxes} boxes bounded anew")
-print("against other clouds:", other.reason)
+print(f"{report.n_leaves} leaves, {report.n_boxes} boxes bounded again")
+print("with other clouds:", other.reason)
 
 assert report.accepted
 assert not other.accepted

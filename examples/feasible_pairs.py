@@ -1,4 +1,4 @@
-"""Feasible pairs: rule out matches beforehand, here by a descriptor that both clouds carry."""
+"""Feasible pairs: exclude pairs in advance, here by a descriptor (a colour) of each point."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ target = source @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + 0.01 * rng.standard_norm
 target = np.vstack([target, 2.0 * rng.random((20, 2)) - 1.0])  # clutter
 target_colour = np.concatenate([colour, rng.integers(0, 4, size=20)])
 
-mask = colour[:, None] == target_colour[None, :]  # (n, m): may i be matched with j?
+mask = colour[:, None] == target_colour[None, :]  # (n, m): may i match j?
 
 settings = {"n_inliers": 36, "model": "similarity2d", "gap_tol": 1e-3}
 free = dcreg.register(source, target, **settings)

@@ -1,4 +1,4 @@
-"""A bounding function of your own, in the search of the library, beside the built-in one."""
+"""A custom bounding function in the search of the library, compared with the built-in one."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from dcreg.search import Budget, Evaluation, minimise
 
 
 class BallBound(SpaceBound[Similarity2D]):
-    """Every source point stays within a ball while the pose moves within its box.
+    """Each source point stays within a ball while the pose varies within its box.
 
     With T the pose at the box centre and h the half-widths, ``|T'(x) - T(x)|`` is at most
     ``r = |(h1, h2)| |x| + |(h3, h4)|`` for all poses T' of the box, so that
@@ -35,7 +35,7 @@ class BallBound(SpaceBound[Similarity2D]):
 
 rng = np.random.default_rng(6)
 source = rng.standard_normal((10, 2))
-source -= source.mean(axis=0)  # the spaces work in centred coordinates of unit size
+source -= source.mean(axis=0)  # pose families expect centred coordinates of unit size
 target = source @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + 0.1 * rng.standard_normal(source.shape)
 target -= target.mean(axis=0)
 space = Similarity2D(source, target, n_inliers=10, scale_range=(0.5, 1.5))

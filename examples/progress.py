@@ -1,4 +1,4 @@
-"""Watch a search and stop it: a listener is called with every event, and stops by returning True."""
+"""Watch a search and stop it: a listener receives every event and stops the search by returning True."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ import dcreg
 
 rng = np.random.default_rng(5)
 source = rng.random((30, 2))
-target = rng.random((30, 2))  # unrelated: the bounds need long to meet
+target = rng.random((30, 2))  # unrelated, so the bounds take long to meet
 
 
 def listener(event: dcreg.Event) -> bool:
@@ -23,8 +23,8 @@ result = dcreg.register(
     gap_tol=1e-6,
     options=dcreg.SolveOptions(listener=listener),
 )
-print(result.status, "with bounds that hold:", result.lower_bound, "<=", result.upper_bound)
+print(result.status, "with valid bounds:", result.lower_bound, "<=", result.upper_bound)
 
 assert result.status == "stopped"
 assert result.lower_bound <= result.upper_bound
-assert len(result.trace) > 0  # the same events, kept
+assert len(result.trace) > 0  # the same events

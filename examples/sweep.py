@@ -1,4 +1,4 @@
-"""Unknown number of inliers: the optimum for several numbers of pairs, with bounds for each."""
+"""Unknown number of inliers: solve for several numbers of pairs, with bounds for each."""
 
 import numpy as np
 
@@ -11,10 +11,10 @@ target[18:] = rng.random((6, 2)) + 3.0  # six outliers
 
 found = dcreg.sweep(source, target, [12, 15, 18, 20, 22, 24], model="similarity2d")
 
-print("pairs  RMS residual at the optimum, between    proven by the search for")
+print("pairs  bounds on the RMS residual    proven by the search for")
 for row in found.rows():
     print(f"{row['n_inliers']:5d}  {row['rms_low']:.4f} {row['rms']:.4f}  {row['proven_by']}")
-print("suggested by the bend of the curve (not proven):", found.suggested_n_inliers)
+print("suggested number of pairs (not certified):", found.suggested_n_inliers)
 
 assert found.status == "optimal"
 assert found.suggested_n_inliers == 18

@@ -1,4 +1,4 @@
-"""The directive ``listing``: tables of the manual that are read from the code they speak of."""
+"""The directive ``listing``: tables of the documentation, generated from the code."""
 
 import re
 from collections.abc import Iterable
@@ -20,18 +20,18 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def targets() -> str:
-    """What the Makefile offers, from the lines that `make help` prints."""
+    """Targets of the Makefile, from the lines that `make help` prints."""
     found = re.findall(r"^## ([a-z0-9-]+): (.*)$", (ROOT / "Makefile").read_text("utf-8"), re.M)
-    return table(("target", "does"), ((f"`make {name}`", text) for name, text in found))
+    return table(("target", "purpose"), ((f"`make {name}`", text) for name, text in found))
 
 
 def spelled(text: str) -> str:
-    """Help text as Markdown: no emphasis by chance, options as code."""
+    """Help text as Markdown, without accidental emphasis, with options as code."""
     return re.sub(r"(?<![\w`-])(--[a-z-]+)", r"`\1`", text.replace("*", "\\*"))
 
 
 def options(command: str) -> str:
-    """Options of a command of `dcreg`."""
+    """Options of one command of `dcreg`."""
     from typer.main import get_command
 
     from dcreg.cli.app import app
@@ -53,7 +53,7 @@ def modes() -> str:
         bound = f"any (`{mode.own_bound}`)" if mode.takes_bound else "its own"
         return f"`{mode.model}`", f"`{mode.name}`", mode.summary, bound, mode.certifies and "yes"
 
-    head = ("model", "mode", "what it does", "`bound`", "certificate file")
+    head = ("model", "mode", "search and certificate", "`bound`", "certificate file")
     return table(head, map(row, MODES))
 
 
@@ -75,8 +75,8 @@ def methods() -> str:
         return *name, given, *marks, what
 
     head = (
-        *("folder", "method", "models", "provenance", "input", "needs a start"),
-        *("uses `n_inliers`", "one-to-one", "its bounds speak of"),
+        *("folder", "method", "models", "provenance", "input", "needs an initial pose"),
+        *("uses `n_inliers`", "one-to-one", "its bounds certify"),
     )
     return table(head, map(row, cards("baselines")))
 
@@ -103,6 +103,7 @@ LISTINGS = {
     "targets": targets,
     "register-options": lambda: options("register"),
     "sweep-options": lambda: options("sweep"),
+    "matches-options": lambda: options("register-matches"),
     "verify-options": lambda: options("verify"),
     "modes": modes,
     "methods": methods,

@@ -1,9 +1,9 @@
-"""Formulas as MathML, which browsers show by themselves: no script, no font, no network."""
+"""Formulas as MathML, which browsers display without scripts, fonts or a network."""
 
 from docutils import nodes
 from docutils.utils.math import latex2mathml
 
-# Bars are fences here, never binary operators: without the space of those. Braces keep their size.
+# Bars are fences here, not binary operators, so they get no space. Braces keep their size.
 _BARS = ('<mo class="mathopen">|</mo>', '<mo stretchy="false">|</mo>', "<mo>|</mo>")
 _REPLACED = dict.fromkeys(_BARS, '<mo lspace="0" rspace="0" stretchy="false">|</mo>') | {
     f"<mo>{brace}</mo>": f'<mo stretchy="false">{brace}</mo>' for brace in "{}"
