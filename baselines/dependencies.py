@@ -6,7 +6,8 @@ only. A name that a package hands on (``from dcreg.local import fit_pose``) lead
 ``__init__`` hands on everything, and every method would depend on all of it. Where a package defines the
 name itself, or is used as a whole, all its imports count. Names that a package loads late stand in the
 stub beside its ``__init__``, which is read with it. Texts that name a module of the checkout, or a
-file beside the code that reads it (a child process, a data file), count like imports.
+file beside the code that reads it (a child process, a data file), count like imports. So do patterns
+that match Python files (``*/bound*.py``), by which modules are discovered.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from pathlib import Path
 
 PACKAGES = ("baselines", "dcreg")  # those that a method may import
 _WHOLE = "*"
-_NAME = re.compile(r"[A-Za-z_][\w.-]*")  # of a file or a module, as opposed to prose
+# The name of a file or a module, or a pattern that matches Python files; as opposed to prose.
+_NAME = re.compile(r"[A-Za-z_][\w.-]*|[\w./*-]*\*[\w./*-]*\.py")
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,10 @@ class _Walk:
             for wanted in source.imports:
                 self._import(wanted)
             for text in source.texts:
-                if (path.parent / text).is_file():
+                if "*" in text:
+                    for file in path.parent.glob(text):
+                        self.take(file, _WHOLE)
+                elif (path.parent / text).is_file():
                     self.take(path.parent / text, _WHOLE)
                 elif "." in text:
                     self._module(text, {_WHOLE})

@@ -17,10 +17,9 @@ _MODES = {"similarity2d": ("paper",), "rigid3d": ("full", "multi", "paper")}
 
 BOUND_NAMES = (
     "tight",
-    "tight-exact",
     "shared",
-    "paper",
-    "edges",
+    "dc",
+    "interval",
 )
 DEFAULT_BOUND = "tight"
 

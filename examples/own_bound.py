@@ -3,8 +3,8 @@
 import numpy as np
 
 from dcreg.assignment.k_assignment import k_assignment
-from dcreg.families.dc.registry import make_bound
 from dcreg.families.protocol import SpaceBound
+from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Budget, Evaluation, minimise
 
@@ -17,7 +17,7 @@ class BallBound(SpaceBound[Similarity2D]):
     ``|T'(x) - y| >= max(0, |T(x) - y| - r)``. One assignment of the squares bounds the box.
     """
 
-    def _evaluate(self, lower, upper, cutoff, thorough):
+    def _evaluate(self, lower, upper, cutoff, warm_start):
         space, k = self.space, self.space.n_inliers
         centres, halves = 0.5 * (lower + upper), 0.5 * (upper - lower)
         found = Evaluation(np.empty(len(lower)), centres, np.empty(len(lower)))

@@ -242,7 +242,7 @@ def build(folder: Path) -> Path:
         figures.append({"id": name, "title": title, "caption": caption} | drawn)
     shown = [
         {"id": "losses", "title": "Loss beside the published DC bound's",
-         "caption": "Mean of least objective met − bound, as a multiple of that of the bound `paper`, "
+         "caption": "Mean of least objective met − bound, as a multiple of that of the bound `dc`, "
          "over boxes of one width (in RMS radii) that hold the optimum or lie away from it. A dash: "
          "the method has no bound there."} | losses_rows(tables["losses"]),
         {"id": "orders", "title": "Empirical order of convergence",

@@ -39,7 +39,7 @@ def task(
 
 def search_rigid(source, target, k, **settings):
     """Mode `full`, with the work of its one search."""
-    answer = full.run(task(source, target, k, **settings))
+    answer = full.run(task(source, target, k, bound="rigid", **settings))
     return _with_work(answer)
 
 

@@ -137,12 +137,15 @@ class _Cubes:
         self._bytes_left = np.inf if memory_mb is None else memory_mb * 2**20
 
     def evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None = None,
     ) -> Evaluation:
         """Bound the parts of one cube; those that time does not suffice for keep its bound.
 
-        `thorough` changes nothing: what ends a bound early is the incumbent that it improves, not the
-        cutoff, and its answer is as good as that incumbent lets it be.
+        The incumbent ends a bound early, not the cutoff.
         """
         bounds = np.zeros(len(lower))
         centres, halves = 0.5 * (lower + upper), 0.5 * (upper - lower).max(axis=1)
@@ -153,7 +156,7 @@ class _Cubes:
             except OutOfTimeError:
                 break
             bounds[cube] = value - self.floor
-            if bounds[cube] < cutoff:
+            if cutoff is None or bounds[cube] < cutoff:
                 self._keep(lower[cube], upper[cube], own)
         values = np.full(len(lower), self.incumbent.value - self.floor)
         return Evaluation(bounds, centres, values)

@@ -60,7 +60,11 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
         """A solver of the programme in theta and phi, for the use of one thread."""
 
     def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None,
     ) -> Evaluation:
         space, count = self.space, len(lower)
         found = Evaluation(np.empty(count), np.empty_like(lower), np.empty(count))
@@ -78,5 +82,5 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
                 found.thetas[part][box] = np.clip(theta, lo[box], up[box])
             return spent + space.objectives(found.thetas[part], found.values[part])
 
-        self._run(work, count)
+        self.map_slices(count, work)
         return found

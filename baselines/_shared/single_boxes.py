@@ -33,5 +33,5 @@ def bound_of_box(make: MakeBound, space: FeatureSpace, box: Box) -> tuple[float,
     box : Box
     """
     bound = make(space, [box])
-    found = bound.evaluate(box.lower[None], box.upper[None], np.inf, thorough=True)
+    found = bound.evaluate(box.lower[None], box.upper[None], None)
     return float(found.lower_bounds[0]), bound.n_assignments

@@ -10,7 +10,7 @@ from baselines._shared.library_search import LibraryMethod, solution_of
 from baselines.contract import Card, Instance, Limits, Solution
 from dcreg.driver.modes import CHOSEN, MODES, find_mode
 from dcreg.driver.warm_up import warm_up_matches, warm_up_mode
-from dcreg.families.dc.registry import bound_parts
+from dcreg.families.registry import bound_parts
 from dcreg.names import AUTO, JUDGES, mode_names
 from dcreg.problem import InputError, suggestion
 from dcreg.status import Status

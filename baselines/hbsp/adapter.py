@@ -14,8 +14,8 @@ from baselines.hbsp.rotation import SemidefiniteRotationBound
 from baselines.hbsp.similarity import SemidefiniteBound
 from dcreg.driver import paper
 from dcreg.driver.task import Answer, Task
-from dcreg.families.dc.registry import make_bound
 from dcreg.families.dc.space import FeatureSpace
+from dcreg.families.registry import make_bound
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Bound, Box, Budget, Outcome, minimise
 

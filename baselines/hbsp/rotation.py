@@ -46,7 +46,11 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
         return float(cheapest_pairs(np.ascontiguousarray(cost), self.space.n_inliers)[0])
 
     def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None,
     ) -> Evaluation:
         found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
 
@@ -59,7 +63,7 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
                 found.values[box] = self.space.objective(theta)[0]
             return 2 * len(boxes)
 
-        self._run(work, len(lower))
+        self.map_slices(len(lower), work)
         return found
 
     def _bound(self, box: Box, lifted: LiftedBox) -> tuple[float, np.ndarray]:

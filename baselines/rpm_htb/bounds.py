@@ -57,7 +57,11 @@ class SeparableBound(TermwiseBound):
         return low, high
 
     def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None,
     ) -> Evaluation:
         found = Evaluation(np.empty(len(lower)), 0.5 * (lower + upper), np.empty(len(lower)))
 
@@ -66,7 +70,7 @@ class SeparableBound(TermwiseBound):
             spent = self._bound(lower[part], upper[part], bounds, thetas)
             return spent + self.space.objectives(thetas, found.values[part])
 
-        self._run(work, len(lower))
+        self.map_slices(len(lower), work)
         return found
 
     def _bound(

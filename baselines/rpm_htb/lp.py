@@ -70,12 +70,17 @@ class TermwiseR3(TermwiseBound):
         return float(value), self.features[:, rows, col_of[rows]].sum(axis=1)
 
     def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None,
     ) -> Evaluation:
+        enough = np.inf if cutoff is None else cutoff
         found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
         for box in range(len(lower)):
             self.space.check()
-            found.lower_bounds[box], theta = self._solve(lower[box], upper[box], cutoff)
+            found.lower_bounds[box], theta = self._solve(lower[box], upper[box], enough)
             found.thetas[box] = self._project(theta)
         self.n_assignments += self.space.objectives(found.thetas, found.values)
         return found

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
@@ -17,8 +20,51 @@ from dcreg.search import Budget
 AT_ONCE_PAIRS = 1_200_000
 _MAX_ROUNDS = 100
 _MAX_LARGE_ROUNDS = 10
-# Share of the objective by which a step has to lower it.
-_LEAST_GAIN, _LEAST_GAIN_LARGE = 1e-12, 1e-4
+# Relative decrease of the objective below which a descent ends.
+_MIN_GAIN, _MIN_GAIN_LARGE, _MIN_GAIN_NEAREST = 1e-12, 1e-4, 1e-3
+
+M = TypeVar("M")  # a matching, in whatever form
+
+
+def alternate(
+    theta: np.ndarray,
+    value: float,
+    matching: M,
+    fit: Callable[[np.ndarray, M], np.ndarray | None],
+    evaluate: Callable[[np.ndarray], tuple[float, M]],
+    min_gain: float,
+    max_rounds: int = _MAX_ROUNDS,
+) -> tuple[np.ndarray, float, M, int]:
+    """Alternate the best pose for a matching and the best matching at a pose while the objective falls.
+
+    Parameters
+    ----------
+    theta : array
+        A pose, or its parameter.
+    value : float
+        The objective at `theta`; infinite if `theta` need not be admissible.
+    matching
+        The matching at `theta`.
+    fit : callable
+        From a pose and a matching to the best pose for the matching, or None to end the descent.
+    evaluate : callable
+        From a pose to the objective and the matching.
+    min_gain : float
+        Relative decrease of the objective below which the descent ends; less is rounding.
+    max_rounds : int
+
+    Returns
+    -------
+    theta, value, matching, n_evaluations
+    """
+    spent = 0
+    while spent < max_rounds and (trial := fit(theta, matching)) is not None:
+        trial_value, trial_matching = evaluate(trial)
+        spent += 1
+        if trial_value >= value * (1.0 - min_gain):
+            break
+        theta, value, matching = trial, trial_value, trial_matching
+    return theta, value, matching, spent
 
 
 def objective(
@@ -110,27 +156,26 @@ def polish(
     budget = budget or Budget()
     large = candidates is None and is_large(len(source), len(target))
 
-    def quick(T: np.ndarray) -> tuple[float, np.ndarray]:
+    def evaluate(T: np.ndarray) -> tuple[float, np.ndarray]:
         return objective(
             source, target, T, n_inliers, candidates, prove=not large, stop=budget.hard_stop
         )
 
-    T = T_target_source
-    value, pairs = quick(T)
-    spent = 1
-    trial = None
-    for _ in range(_MAX_LARGE_ROUNDS if large else _MAX_ROUNDS):
+    def fit(T: np.ndarray, pairs: np.ndarray) -> np.ndarray | None:
         if budget.is_over:
-            return T, value, pairs, spent
-        if trial is None and large:  # first by nearest neighbours, which takes no matching
-            trial, _ = follow_nearest(source, cKDTree(target), T, n_inliers, scale_range, budget)
-        else:
-            trial = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
-        trial_value, trial_pairs = quick(trial)
-        spent += 1
-        if trial_value >= value * (1.0 - (_LEAST_GAIN_LARGE if large else _LEAST_GAIN)):
-            break
-        T, value, pairs = trial, trial_value, trial_pairs
+            return None
+        if large and T is T_target_source:  # nearest neighbours first, which take no matching
+            return follow_nearest(source, cKDTree(target), T, n_inliers, scale_range, budget)[0]
+        return fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
+
+    value, pairs = evaluate(T_target_source)
+    min_gain, max_rounds = (
+        (_MIN_GAIN_LARGE, _MAX_LARGE_ROUNDS) if large else (_MIN_GAIN, _MAX_ROUNDS)
+    )
+    T, value, pairs, spent = alternate(
+        T_target_source, value, pairs, fit, evaluate, min_gain, max_rounds
+    )
+    spent += 1
     if large and not budget.is_over:
         proved_value, proved_pairs = objective(source, target, T, n_inliers, stop=budget.hard_stop)
         spent += 1
@@ -153,11 +198,16 @@ def follow_nearest(
     holds the target.
     """
     d = source.shape[1]
-    best, least = T, np.inf
-    for _ in range(_MAX_ROUNDS):
+
+    def evaluate(T: np.ndarray) -> tuple[float, np.ndarray]:
         pairs, value = nearest_pairs(source @ T[:d, :d].T + T[:d, d], tree, k)
-        if value >= least * (1.0 - 1e-3) or (budget is not None and budget.is_over):
-            break
-        best, least = T, value
-        T = fit_pose(source[pairs[:, 0]], tree.data[pairs[:, 1]], scale_range)
-    return best, least
+        return value, pairs
+
+    def fit(T: np.ndarray, pairs: np.ndarray) -> np.ndarray | None:
+        if budget is not None and budget.is_over:
+            return None
+        return fit_pose(source[pairs[:, 0]], tree.data[pairs[:, 1]], scale_range)
+
+    value, pairs = evaluate(T)
+    T, value, _, _ = alternate(T, value, pairs, fit, evaluate, _MIN_GAIN_NEAREST, _MAX_ROUNDS - 1)
+    return T, value

@@ -9,7 +9,7 @@ from dcreg.driver.full import run as run_full
 from dcreg.driver.multi import run as run_multi
 from dcreg.driver.paper import run as run_paper
 from dcreg.driver.task import Answer, Task
-from dcreg.families.dc.registry import bound_parts
+from dcreg.families.registry import bound_parts
 from dcreg.names import AUTO, DEFAULT_BOUND, mode_names
 from dcreg.problem import (
     TOLERATED_NORM_RESIDUAL,
@@ -22,7 +22,7 @@ from dcreg.problem import (
 # A dense cost matrix beyond this many pairs does not fit the memory of a common machine.
 MAX_PAIRS = 100_000_000
 # In norm space these match sorted numbers and need no cost matrix.
-MATRIX_FREE_BOUNDS = {"tight", "tight-exact", "shared"}
+MATRIX_FREE_BOUNDS = {"tight", "shared"}
 # By dimension: pairs beyond which a sample is searched instead, and the points of each cloud in it. In
 # the plane searches of some hundred come to their end, and of thousands not one descent does; in space a
 # single assignment of mode `full` takes seconds.

@@ -14,10 +14,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dcreg.driver.full import ends_in
 from dcreg.driver.paper import pose_of
 from dcreg.driver.task import Answer, Task
-from dcreg.families.dc.registry import make_bound
+from dcreg.families.registry import make_bound
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rotation3d.bound import RotationBound
 from dcreg.families.rotation3d.space import Rotation3D
@@ -103,7 +102,7 @@ def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
         task.source, task.target, task.n_inliers, task.reduced_box, task.candidates,
         task.budget.stop,
     )  # fmt: skip
-    rigid = Rigid3D.centred(
+    rigid = Rigid3D.between(
         task.source, task.target, task.n_inliers, candidates=task.candidates,
         stop_flag=task.budget.stop,
     )  # fmt: skip
@@ -121,7 +120,7 @@ def run(task: Task, settings: Settings = Settings()) -> MultiAnswer:
         stages=[first_stage], basins=[first],
     )  # fmt: skip
     answer.add("search", found)
-    answer.ends = ends_in(rigid, swapped=False)
+    answer.ends = rigid.poses_of_ends()
     try:
         in_time = _follow(task, settings, norms, rigid, bound, descents, found, answer)
     except Interrupted:

@@ -9,9 +9,8 @@ import numpy as np
 
 from dcreg.assignment.sparse import is_large
 from dcreg.driver.task import Answer, Task
-from dcreg.families.dc.registry import make_bound
-from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.protocol import MakeBound
+from dcreg.families.protocol import MakeBound, Space
+from dcreg.families.registry import make_bound
 from dcreg.families.rotation3d.bound import RotationBound
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.families.rotation3d.space import Rotation3D
@@ -91,16 +90,16 @@ def run(task: Task, make: MakeBound | None = None, turn: Turn = turn) -> Answer:
 
 def place(
     task: Task,
-    space: FeatureSpace,
+    space: Space,
     theta: np.ndarray,
     budget: Budget,
     answer: Answer,
     turn: Turn = turn,
 ) -> None:
-    """Complete the answer of a search that ended at `theta`: its pose, in space by a rotation search."""
-    if isinstance(space, Similarity2D):
+    """Add the pose to the answer of a search that ended at `theta`, by a rotation search if needed."""
+    if space.fixes_rotation:
         answer.T = space.pose(theta)
-        answer.ends = [(space.pose(end), value) for end, value in space.ends]
+        answer.ends = space.poses_of_ends()
         return
     found = turn(task, task.source + theta, budget)
     answer.add("rotation", found)

@@ -32,7 +32,6 @@ import numpy as np
 from dcreg.assignment.polish import objective
 from dcreg.assignment.reuse import Matched, quick_objective
 from dcreg.driver.downsample import SEARCH_SHARE, to_search
-from dcreg.driver.full import ends_in, pose_in
 from dcreg.driver.modes import CHOSEN, Mode, choose_mode, find_mode
 from dcreg.driver.options import SolveOptions
 from dcreg.driver.paper import TRANSLATION_SHARE, place, pose_of
@@ -40,11 +39,8 @@ from dcreg.driver.solve import advise, check_settings, completed, in_file_units,
 from dcreg.driver.sweep_level import Level
 from dcreg.driver.task import Answer, Task
 from dcreg.driver.warm_up import special, warm_up_mode
-from dcreg.families.dc.registry import make_bound
-from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.rigid3d.bound import RigidBound
-from dcreg.families.rigid3d.space import Rigid3D
-from dcreg.families.translation3d.space import Translation3D
+from dcreg.families.protocol import Space
+from dcreg.families.registry import make_bound
 from dcreg.names import AUTO, DEFAULT_TIME_LIMIT_S, mode_names
 from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
 from dcreg.result import Result, Stage
@@ -290,9 +286,7 @@ class _Sweep:
         space, threads = level.space, level.task.threads
         found: Outcome = minimise(
             space,
-            RigidBound(space, threads=threads)
-            if isinstance(space, Rigid3D)
-            else make_bound(level.task.bound, space, threads=threads),
+            make_bound(level.task.bound, space, threads=threads),
             budget,
             gap_tol=gap_tol,
             start=(level.theta, level.upper_bound),
@@ -335,11 +329,7 @@ class _Sweep:
         placing = budget.sub_budget(SEARCH_SHARE) if level.is_sampled else budget
         answer = level.answer()
         spent = sum(stage.time_s for stage in answer.stages)
-        if isinstance(level.space, Rigid3D):
-            answer.T = pose_in(level.space, level.theta, level.swapped)
-            answer.ends = ends_in(level.space, level.swapped)
-        else:
-            self._place(level.task, level.space, level.theta, placing, answer)
+        self._place(level.task, level.space, level.theta, placing, answer)
         result = result_of(
             level.problem, self.mode, level.task, answer, polish=polish, time_setup_s=time_setup,
             budget=placing, matched=_matched(level, answer.T, polish, placing, known),
@@ -348,16 +338,16 @@ class _Sweep:
         return replace(result, time_solve_s=spent + budget.elapsed() - began)
 
     def _place(
-        self, task: Task, space: FeatureSpace, theta: np.ndarray, budget: Budget, answer: Answer
+        self, task: Task, space: Space, theta: np.ndarray, budget: Budget, answer: Answer
     ) -> None:
         """`place`; past the limit the rotation of another cardinality stands in for a search."""
-        if self.rotation is None or not budget.is_over:
+        if space.fixes_rotation or self.rotation is None or not budget.is_over:
             place(task, space, theta, budget, answer)
         else:
             answer.T = pose_of(self.rotation, theta)
             if answer.status is Status.OPTIMAL:
                 answer.status = budget.ended_by
-        if isinstance(space, Translation3D):
+        if not space.fixes_rotation:
             self.rotation = answer.T[:3, :3]
 
 

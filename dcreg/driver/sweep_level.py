@@ -27,7 +27,6 @@ class Level:
     problem: Problem
     task: Task
     space: FeatureSpace | Rigid3D
-    swapped: bool = False  # source and target, in `space`
     theta: np.ndarray = field(default_factory=lambda: np.empty(0))
     lower_bound: float = 0.0
     upper_bound: float = np.inf
@@ -56,7 +55,7 @@ class Level:
             rotation_tol = gap_tol
         task = task_of(problem, mode, bound, gap_tol, threads, budget, rotation_tol=rotation_tol)
         if mode.name == "full":
-            return cls(whole, problem, task, *rigid_space(task))
+            return cls(whole, problem, task, rigid_space(task))
         return cls(whole, problem, task, space_of(task))
 
     @property

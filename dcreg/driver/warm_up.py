@@ -54,7 +54,7 @@ def _works() -> Iterator[functools.partial[None]]:
     """All there is to compile, in parts that have little in common."""
     yield functools.partial(warm_up_matches)
     for mode in sorted(MODES, key=lambda mode: mode.name):  # the dearest first
-        bounds = (None, "tight-exact", "shared", "paper", "edges")
+        bounds = (None, "shared", "dc", "interval")
         yield functools.partial(
             _compile_mode, mode.model, mode.name, bounds if mode.takes_bound else (None,)
         )

@@ -1,16 +1,17 @@
-"""Shared parts of all bounding functions: the admissible set, threads, work counting."""
+"""What a family of poses consists of: a space with descents and seeds, and bounds over its boxes."""
 
 from __future__ import annotations
 
 import abc
+import itertools
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Generic, TypeVar
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
 from dcreg.jit import NEVER
 from dcreg.search import Bound, Box, Budget, Evaluation, Interrupted
-from dcreg.search.budget import Workers
 
 
 class Space(abc.ABC):
@@ -22,9 +23,11 @@ class Space(abc.ABC):
     axis_weights : (dim,) array
         RMS motion of the source per unit step along each axis.
     scope : str
-        What a certificate over this space speaks of.
+        What a certificate over this space refers to.
+    fixes_rotation : bool
+        Whether a parameter determines the pose; if not, a rotation search has to follow.
     n_descents : int
-        Descents made for the first incumbent: enough for a good upper bound, cheap beside any search.
+        Descents made for the first incumbent: enough for a good upper bound, cheap next to a search.
     stop_flag : (1,) uint8 array
         Kernels return at once when it is set, and `check` then raises; see `Budget.stop`.
     ends : sequence of (theta, value)
@@ -34,6 +37,7 @@ class Space(abc.ABC):
     n_inliers: int
     axis_weights: np.ndarray
     scope: str
+    fixes_rotation: bool = True
     n_descents: int
     stop_flag: np.ndarray = NEVER
     ends: Sequence[tuple[np.ndarray, float]] = ()
@@ -55,7 +59,7 @@ class Space(abc.ABC):
 
     @abc.abstractmethod
     def roots(self) -> list[Box]:
-        """Boxes that together hold every global minimiser."""
+        """Return boxes that together contain every global minimiser."""
 
     @abc.abstractmethod
     def objective(
@@ -68,19 +72,33 @@ class Space(abc.ABC):
 
     @abc.abstractmethod
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Alternate matching and closed-form fit from `theta`: admissible theta, objective, work."""
+        """Alternate matching and closed-form fit from `theta`.
+
+        Returns
+        -------
+        theta, value, n_assignments
+            Of an admissible parameter.
+        """
+
+    @abc.abstractmethod
+    def pose(self, theta: np.ndarray) -> np.ndarray:
+        """Return the pose of the source as a (d+1, d+1) matrix."""
+
+    def poses_of_ends(self) -> list[tuple[np.ndarray, float]]:
+        """Return the poses at which the descents of the last `start` ended, and their values."""
+        return [(self.pose(theta), value) for theta, value in self.ends]
 
     @abc.abstractmethod
     def seeds(self) -> np.ndarray:
-        """(S, dim) parameters spread over the family, to start descents from."""
+        """Return (S, dim) parameters spread over the family, to start descents from."""
 
     @abc.abstractmethod
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
-        """How promising each seed is, the least first, and the assignments that took."""
+        """Return a score per seed, the lower the more promising, and the assignments solved for it."""
 
     @property
     def n_pairs(self) -> int:
-        """Pairs that one look at the objective has to price."""
+        """Number of pairs whose costs one evaluation of the objective needs."""
         return self.n_source * self.n_target
 
     @property
@@ -92,15 +110,15 @@ class Space(abc.ABC):
     def n_target(self) -> int: ...
 
     def admissible(self, thetas: np.ndarray) -> np.ndarray:
-        """Which of (B, dim) parameters are poses of the family."""
+        """Tell which of (B, dim) parameters are poses of the family."""
         return np.ones(len(thetas), dtype=bool)
 
     def touches(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """Which of B boxes may hold an admissible parameter (False only when surely none)."""
+        """Tell which of B boxes may contain an admissible parameter; False is certain."""
         return np.ones(len(lower), dtype=bool)
 
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
-        """Parameters to descend from, the most promising first, each with the assignments it took."""
+        """Yield parameters to descend from, best first, each with the assignments solved for it."""
         self.check()
         seeds = self.seeds()
         scores, spent = self.score(seeds)
@@ -110,10 +128,15 @@ class Space(abc.ABC):
             spent = 0
 
     def start(self, budget: Budget, enough: float = 0.0) -> tuple[np.ndarray, float, int]:
-        """The best of the descents from `starts`: theta, objective, work.
+        """Return the best end of the descents from `starts`.
 
-        At least one descent is begun, however short the time. The value is infinite where not even that
-        one came to an end. With a value of at most `enough`, `n_descents` starts will do.
+        At least one descent is begun, however short the time. After `n_descents` descents a value of at
+        most `enough` ends the list of starts.
+
+        Returns
+        -------
+        theta, value, n_assignments
+            The value is infinite if not even one descent was completed.
         """
         best: np.ndarray | None = None
         value, spent = np.inf, 0
@@ -138,75 +161,59 @@ class Space(abc.ABC):
 
 
 def means_of_subsets(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Per axis of (d, n) points, the least and the greatest mean of any `count` of them."""
+    """Return, per axis of (d, n) points, the minimum and maximum mean of any `count` of them."""
     low = np.array([-mean_of_largest(-values, count) for values in points])
     high = np.array([mean_of_largest(values, count) for values in points])
-    # where all are taken they are equal but for rounding, which may put them the wrong way round
+    # if all points are taken the two are equal up to rounding, which may reverse their order
     return np.minimum(low, high), np.maximum(low, high)
 
 
 def mean_of_largest(values: np.ndarray, count: int) -> float:
-    """Mean of the `count` largest numbers: the most a mean over `count` of them can be."""
+    """Return the mean of the `count` largest numbers: the maximum mean of any `count` of them."""
     return float(np.sort(values)[-count:].mean())
 
 
-def largest_subset_mean(points: np.ndarray, count: int, n_directions: int = 64) -> float:
-    """An upper bound on ``|mean of any `count` points|`` in the plane.
-
-    The support function of all subset means is the mean of the largest projections; sampled
-    directions miss the worst one by at most half their spacing.
-    """
-    angles = np.arange(n_directions) * (2 * np.pi / n_directions)
-    directions = np.stack([np.cos(angles), np.sin(angles)])
-    projections = np.sort(points @ directions, axis=0)[-count:].mean(axis=0)
-    return float(max(projections.max(), 0.0) / np.cos(np.pi / n_directions))
-
-
-def radius(points: np.ndarray) -> float:
-    """Greatest distance of any point from the origin."""
-    return float(np.sqrt((points**2).sum(axis=1)).max())
-
-
-_MAX_ROUNDS = 100
-
-
-def alternate(
-    theta: np.ndarray,
-    value: float,
-    col_of: np.ndarray,
-    fit: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    evaluate: Callable[[np.ndarray], tuple[float, np.ndarray]],
-    least_gain: float,
-) -> tuple[np.ndarray, float, int]:
-    """Fit the matched pairs and match anew, until the objective no longer falls.
+def infeasibility_penalty(
+    candidates: np.ndarray | None, n_inliers: int, extent: float
+) -> np.ndarray:
+    """Return what each pair costs in addition to its residual: 0, or more than any feasible matching.
 
     Parameters
     ----------
-    theta : (dim,) array
-    value : float
-        The objective at `theta`; infinite where `theta` need not be admissible.
-    col_of : (n,) int array
-        The matching there.
-    fit : callable
-        From a parameter and a matching to the best parameter for the matching.
-    evaluate : callable
-        The objective at a parameter, and its matching.
-    least_gain : float
-        Share of the objective by which a step has to lower it; less is rounding.
-
-    Returns
-    -------
-    theta, value, n_assignments
+    candidates : (n, m) bool array or None
+        The feasible pairs; None: all, and the result is empty.
+    n_inliers : int
+    extent : float
+        Sum of the maximum distances of the source, at its maximum scale, and of the target from the
+        origin. No residual of an admissible pose exceeds ``2 sqrt(2) extent``, so one infeasible pair
+        costs more than any matching without one.
     """
-    spent = 0
-    for _ in range(_MAX_ROUNDS):
-        trial = fit(theta, col_of)
-        trial_value, trial_col = evaluate(trial)
-        spent += 1
-        if trial_value >= value * (1.0 - least_gain):
+    if candidates is None:
+        return np.empty((0, 0))
+    return np.where(candidates, 0.0, 16.0 * n_inliers * extent**2)
+
+
+def distinct(
+    coordinates: np.ndarray, scores: np.ndarray, separation: float, count: int
+) -> list[int]:
+    """Return the rows with the highest scores that differ, best first, at most `count`.
+
+    Rows differ if one of their coordinates differs by more than `separation`. Scores are positive.
+    """
+    kept: list[int] = []
+    for at in np.argsort(-scores, kind="stable"):
+        if scores[at] <= 0.0 or len(kept) == count:
             break
-        theta, value, col_of = trial, trial_value, trial_col
-    return theta, value, spent
+        if (
+            np.abs(coordinates[kept] - coordinates[at]).max(axis=1, initial=0.0) > separation
+        ).all():
+            kept.append(int(at))
+    return kept
+
+
+def radius(points: np.ndarray) -> float:
+    """Return the maximum distance of a point from the origin."""
+    return float(np.sqrt((points**2).sum(axis=1)).max())
 
 
 S = TypeVar("S", bound=Space)
@@ -215,9 +222,10 @@ S = TypeVar("S", bound=Space)
 class SpaceBound(abc.ABC, Generic[S]):
     """A bounding function over the boxes that bisection makes of some roots.
 
-    Subclasses bound one slice of boxes in `_evaluate`; here boxes without an admissible parameter
-    get +inf, inadmissible candidates lose their value, and slices run in parallel threads. Slices are
-    independent, so the outcome is the same for any number of threads.
+    A bound is found by its `name` if its module is called ``bound*`` and lies in the folder of a family;
+    see `dcreg.families.registry`. Subclasses bound boxes in `_evaluate`. Here boxes without an admissible
+    parameter get +inf, inadmissible candidates lose their value, and slices of boxes run in parallel
+    threads. Slices are independent, so the result is the same for any number of threads.
 
     Parameters
     ----------
@@ -228,20 +236,27 @@ class SpaceBound(abc.ABC, Generic[S]):
 
     Attributes
     ----------
+    name : str
+        What users call the bound; empty for a base class.
+    space_type : type of Space
+        Spaces that it bounds.
     n_assignments : int
         Exact assignments solved so far.
     round_pairs, max_round : int
-        Pairs that a round of boxes may cost, and boxes at most: enough to keep threads busy, few
-        enough for a search to stay interruptible.
+        Pairs that one round of boxes may price, and its maximum number of boxes: enough to keep threads
+        busy, few enough for a search to stay interruptible.
     """
 
+    name: ClassVar[str] = ""
+    space_type: ClassVar[type[Space]]
     round_pairs, max_round = 8_000_000, 256
 
     def __init__(self, space: S, roots: Sequence[Box] | None = None, threads: int = 1) -> None:
         self.space = space
         self.roots = list(roots) if roots is not None else space.roots()
         self.n_assignments = 0
-        self._workers = Workers(threads)
+        self._n_helpers = threads - 1
+        self._helpers = ThreadPoolExecutor(self._n_helpers) if threads > 1 else None
 
     @property
     def round_size(self) -> int:
@@ -249,33 +264,62 @@ class SpaceBound(abc.ABC, Generic[S]):
 
     @abc.abstractmethod
     def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None,
     ) -> Evaluation: ...
 
     def evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None = None,
     ) -> Evaluation:
         """Bound B boxes; see `dcreg.search.Bound`."""
-        if thorough:  # bounds stop early for the cutoff's sake alone
-            cutoff = np.inf
         touched = np.flatnonzero(self.space.touches(lower, upper))
-        found = self._evaluate(lower[touched], upper[touched], cutoff, thorough)
+        if warm_start is not None:
+            warm_start = warm_start[touched]
+        found = self._evaluate(lower[touched], upper[touched], cutoff, warm_start)
         bounds = np.full(len(lower), np.inf)
         thetas = 0.5 * (lower + upper)
         values = np.full(len(lower), np.inf)
         bounds[touched], thetas[touched] = found.lower_bounds, found.thetas
         values[touched] = np.where(self.space.admissible(found.thetas), found.values, np.inf)
-        return Evaluation(bounds, thetas, values)
+        warm_start = found.warm_start
+        if warm_start is not None and len(touched) < len(lower):
+            warm_start = np.zeros((len(lower), *warm_start.shape[1:]), warm_start.dtype)
+            warm_start[touched] = found.warm_start
+        return Evaluation(bounds, thetas, values, warm_start)
 
-    def _run(self, work: Callable[[slice], int], count: int) -> None:
-        """Apply `work` to slices that cover `count` items; it returns assignments spent."""
-        self.space.check()  # already, or meanwhile
-        self.n_assignments += self._workers.run(work, count)
+    def map_slices(self, count: int, work: Callable[[slice], int]) -> None:
+        """Apply `work` to slices that cover `count` items, in all threads.
+
+        There are several times as many slices as threads, and each thread takes the next one when it is
+        free. What `work` returns is added to `n_assignments`.
+        """
+        self.space.check()
+        if self._helpers is None or count < 2:
+            self.n_assignments += work(slice(0, count)) if count else 0
+        else:
+            parts = min(count, 8 * (self._n_helpers + 1))
+            edges = np.linspace(0, count, parts + 1).astype(int)
+            # taking the next slice is one step of the interpreter: no two threads get the same
+            slices = iter([slice(a, b) for a, b in itertools.pairwise(edges.tolist())])
+
+            def take() -> int:
+                return sum(map(work, slices))
+
+            helpers = [self._helpers.submit(take) for _ in range(min(self._n_helpers, parts - 1))]
+            done = take()
+            self.n_assignments += done + sum(helper.result() for helper in helpers)
         self.space.check()
 
 
 class Strongest:
-    """The greatest of several bounds over the same roots, box by box; all their candidates compete."""
+    """The maximum of several bounds over the same roots, box by box; all their candidates compete."""
 
     def __init__(self, parts: Sequence[SpaceBound[Any]]) -> None:
         self.parts = parts
@@ -293,16 +337,20 @@ class Strongest:
         return sum(part.n_assignments for part in self.parts)
 
     def evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None = None,
     ) -> Evaluation:
-        """Bound B boxes; see `dcreg.search.Bound`."""
-        best = self.parts[0].evaluate(lower, upper, cutoff, thorough=thorough)
+        """Bound B boxes; see `dcreg.search.Bound`. There is no warm start: parts would need one each."""
+        best = self.parts[0].evaluate(lower, upper, cutoff)
         for part in self.parts[1:]:
-            other = part.evaluate(lower, upper, cutoff, thorough=thorough)
+            other = part.evaluate(lower, upper, cutoff)
             best.lower_bounds = np.maximum(best.lower_bounds, other.lower_bounds)
             better = other.values < best.values
             best.thetas[better], best.values[better] = other.thetas[better], other.values[better]
-        best.hints = None  # they would be those of one part
+        best.warm_start = None
         return best
 
 

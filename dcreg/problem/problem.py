@@ -31,30 +31,6 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 Candidates = np.ndarray | Sequence[Sequence[int]]
 
 
-@dataclass(frozen=True)
-class FeasiblePairs:
-    """The pairs that may be matched, as a search sees them.
-
-    Attributes
-    ----------
-    mask : (n, m) bool array or None
-        None: every pair.
-    """
-
-    mask: np.ndarray | None = None
-
-    def prices(self, n_inliers: int, reach: float) -> np.ndarray:
-        """What each pair costs beyond its residual: 0, or more than any feasible matching.
-
-        Empty where every pair is feasible. `reach` is the sum of the greatest distances of the source,
-        at its largest scale, and of the target from the origin: no residual of an admissible pose exceeds
-        ``2 sqrt(2) reach``, so one such pair costs more than any matching without.
-        """
-        if self.mask is None:
-            return np.empty((0, 0))
-        return np.where(self.mask, 0.0, 16.0 * n_inliers * reach**2)
-
-
 def check_candidates(candidates: Candidates, n: int, m: int, n_inliers: int) -> np.ndarray | None:
     """The feasible pairs as an (n, m) mask; None where every pair is feasible.
 

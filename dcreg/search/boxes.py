@@ -78,15 +78,15 @@ class Evaluation:
         One parameter per box worth knowing, admissible or not.
     values : (B,) array
         Upper bounds on the objective at `thetas`; +inf where theta is not admissible.
-    hints : (B, h) array, optional
-        What the bound wants to be told again of the boxes that are made from these: a start for its work
-        on them, on which the validity of what it says does not depend.
+    warm_start : (B, h) array, optional
+        What the bound is given again with the boxes made from these: a start for its work on them. The
+        validity of a bound does not depend on it.
     """
 
     lower_bounds: np.ndarray
     thetas: np.ndarray
     values: np.ndarray
-    hints: np.ndarray | None = None
+    warm_start: np.ndarray | None = None
 
 
 class Bound(Protocol):
@@ -108,13 +108,22 @@ class Bound(Protocol):
         ...
 
     def evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None = None,
     ) -> Evaluation:
-        """Bound B boxes (rows of `lower`, `upper`).
+        """Bound B boxes.
 
-        Above `cutoff` precision is of no use, and where the cutoff is out of reach the box is divided
-        anyway, so that a bound may stop early; with `thorough` it does its best on every box. One that
-        gives hints takes them too, as ``hints=``: (B, h), of the boxes that these were made from.
+        Parameters
+        ----------
+        lower, upper : (B, d) arrays
+        cutoff : float or None
+            A bound may stop early once it exceeds the cutoff, or once the cutoff is out of reach, because
+            the box is then divided in any case. None: no early stop; every bound is at full strength.
+        warm_start : (B, h) array, optional
+            `Evaluation.warm_start` of the boxes that these were made from.
         """
         ...
 
@@ -124,7 +133,7 @@ class OpenNodes:
 
     def __init__(self, dim: int, capacity: int = 64) -> None:
         self._lower, self._upper = np.empty((capacity, dim)), np.empty((capacity, dim))
-        self._hints = np.empty((capacity, 0), np.uint16)
+        self._warm_starts = np.empty((capacity, 0), np.uint16)
         self._bounds, self._sizes = np.empty(capacity), np.empty(capacity)
         self._serials = np.empty(capacity, np.int64)
         self._heap = np.empty(capacity, np.int64)
@@ -138,8 +147,8 @@ class OpenNodes:
     @property
     def nbytes(self) -> int:
         """Memory of the boxes held."""
-        hints = self._hints.itemsize * self._hints.shape[1]
-        return self._length * (16 * self._lower.shape[1] + 40 + hints)
+        extra = self._warm_starts.itemsize * self._warm_starts.shape[1]
+        return self._length * (16 * self._lower.shape[1] + 40 + extra)
 
     @property
     def lower_bound(self) -> float:
@@ -150,18 +159,22 @@ class OpenNodes:
         lower: np.ndarray,
         upper: np.ndarray,
         bounds: np.ndarray,
-        hints: np.ndarray | None = None,
+        warm_start: np.ndarray | None = None,
     ) -> None:
-        """Add boxes; with hints, all boxes of a search or none of them."""
+        """Add boxes; with warm starts, all boxes of a search or none of them."""
         count = len(bounds)
-        if hints is not None and not self._length and hints.shape[1] != self._hints.shape[1]:
-            self._hints = np.empty((len(self._heap), hints.shape[1]), hints.dtype)
+        if (
+            warm_start is not None
+            and not self._length
+            and warm_start.shape[1] != self._warm_starts.shape[1]
+        ):
+            self._warm_starts = np.empty((len(self._heap), warm_start.shape[1]), warm_start.dtype)
         while self._length + count > len(self._heap):
             self._double()
         slots = self._free[self._length : self._length + count]
         self._lower[slots], self._upper[slots], self._bounds[slots] = lower, upper, bounds
-        if hints is not None:
-            self._hints[slots] = hints
+        if warm_start is not None:
+            self._warm_starts[slots] = warm_start
         self._sizes[slots] = (upper - lower).sum(axis=1)
         self._serials[slots] = np.arange(self._serial, self._serial + count)
         self._serial += count
@@ -172,7 +185,7 @@ class OpenNodes:
     def pop(
         self, count: int, cutoff: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Up to `count` best boxes whose bound lies below `cutoff`: corners, bounds, hints."""
+        """Up to `count` best boxes whose bound lies below `cutoff`: vertices, bounds, warm starts."""
         slots = np.empty(count, np.int64)
         taken = heap.pop(
             self._heap, self._length, cutoff, self._bounds, self._sizes, self._serials, slots
@@ -180,12 +193,12 @@ class OpenNodes:
         slots = slots[:taken]
         self._length -= taken
         self._free[self._length : self._length + taken] = slots
-        hints = self._hints[slots] if self._hints.shape[1] else None
-        return self._lower[slots], self._upper[slots], self._bounds[slots], hints
+        warm_start = self._warm_starts[slots] if self._warm_starts.shape[1] else None
+        return self._lower[slots], self._upper[slots], self._bounds[slots], warm_start
 
     def _double(self) -> None:
         capacity = len(self._heap)
-        boxes = ("_lower", "_upper", "_hints", "_bounds", "_sizes", "_serials")
+        boxes = ("_lower", "_upper", "_warm_starts", "_bounds", "_sizes", "_serials")
         for name in (*boxes, "_heap", "_free"):
             old = getattr(self, name)
             setattr(self, name, np.concatenate([old, np.empty_like(old)]))

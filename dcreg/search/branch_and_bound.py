@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -101,23 +101,23 @@ def branch_and_bound(
     lower = np.array([box.lower for box in bound.roots])
     upper = np.array([box.upper for box in bound.roots])
     inherited = np.zeros(len(lower))  # the objective is a sum of squares
-    hints: dict[str, Any] = {}  # for bounds that give some
+    warm_start: np.ndarray | None = None
     while search.status is None:
         try:
-            found = bound.evaluate(lower, upper, search.cutoff, **hints)
+            found = bound.evaluate(lower, upper, search.cutoff, warm_start)
         except Interrupted:
-            search.put_back(lower, upper, inherited, **hints)
+            search.put_back(lower, upper, inherited, warm_start)
             break
         bounds = np.maximum(_settled(found.lower_bounds, gap_tol), inherited)
         search.update(found, refine)
-        search.prune(lower, upper, bounds, found.hints)
+        search.prune(lower, upper, bounds, found.warm_start)
         search.terminate()
         if search.status is None:
             lower, upper, inherited, kept = search.select()
             lower, upper = branching(lower, upper)
             parts = len(lower) // len(inherited)
             inherited = np.repeat(inherited, parts)
-            hints = {} if kept is None else {"hints": np.repeat(kept, parts, axis=0)}
+            warm_start = None if kept is None else np.repeat(kept, parts, axis=0)
     return search.outcome(budget.elapsed() - began)
 
 
@@ -179,7 +179,7 @@ class _Search:
         lower: np.ndarray,
         upper: np.ndarray,
         bounds: np.ndarray,
-        hints: np.ndarray | None,
+        warm_start: np.ndarray | None,
     ) -> None:
         """Keep the boxes that may still hold something better."""
         self.n_nodes += len(bounds)
@@ -189,7 +189,7 @@ class _Search:
             if self.leaves is not None:
                 self.leaves.add(lower[~keep], upper[~keep], bounds[~keep])
         self.nodes.push(
-            lower[keep], upper[keep], bounds[keep], None if hints is None else hints[keep]
+            lower[keep], upper[keep], bounds[keep], None if warm_start is None else warm_start[keep]
         )
 
     def put_back(
@@ -197,10 +197,10 @@ class _Search:
         lower: np.ndarray,
         upper: np.ndarray,
         bounds: np.ndarray,
-        hints: np.ndarray | None = None,
+        warm_start: np.ndarray | None = None,
     ) -> None:
         """End with boxes open that there was no time to bound."""
-        self.nodes.push(lower, upper, bounds, hints)
+        self.nodes.push(lower, upper, bounds, warm_start)
         self.is_over = True
         self.terminate()
 
@@ -221,7 +221,7 @@ class _Search:
             self._report("end")
 
     def select(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """The best open boxes, to be divided next, with their bounds and hints."""
+        """The best open boxes, to be divided next, with their bounds and warm_start."""
         count = min(self.bound.round_size, max(MIN_ROUND, len(self.nodes) // 4))
         return self.nodes.pop(count, self.cutoff)
 

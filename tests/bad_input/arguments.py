@@ -46,11 +46,11 @@ NUMBERS = {  # options that both commands have: value, what the message shows, r
         "99999999999999999999": ("--threads: 99999999999999999999 are too many", "give at most"),
     },
     "bound": {
-        "magic": ("--bound: 'magic'", "known: edges"),
-        "tigth": ("--bound: 'tigth'", "known: edges"),
-        "": ("--bound: ''", "known: edges"),
-        "tight+": ("--bound: ''", "known: edges"),
-        "tight+magic": ("--bound: 'magic'", "known: edges"),
+        "magic": ("--bound: 'magic'", "known: dc"),
+        "tigth": ("--bound: 'tigth'", "known: dc"),
+        "": ("--bound: ''", "known: dc"),
+        "tight+": ("--bound: ''", "known: dc"),
+        "tight+magic": ("--bound: 'magic'", "known: dc"),
     },
     "model": {
         "affine": ("'affine' is not one of", "'similarity2d', 'rigid3d'"),
@@ -93,7 +93,7 @@ RANGES = {
     "4,9": ("--n-inliers: 9 pairs", "between 1 and 8"),
 }
 IN_SPACE = {
-    "bound of full": (("--mode", "full", "--bound", "paper"), "--bound: 'paper'", "mode"),
+    "bound of full": (("--mode", "full", "--bound", "dc"), "--bound: 'dc'", "mode"),
     "certificate of full": (("--mode", "full", "--certificate", "c.npz"), "--certificate", "mode"),
     "certificate of multi": (("--mode", "multi", "--certificate", "c.npz"), "--certificate", "mode"),
     "scale": (("--scale-range", "0.9", "1.1"), "--scale-range: (0.9, 1.1)", "leave it out"),

@@ -58,7 +58,7 @@ CHANGES = {
     "unknown model": ("baseline: icp", "baseline: icp, models: [affine]", "models", "'affine'"),
     "pairs beyond": ("baseline: icp", "baseline: icp, n_inliers_ratio: 0", "n_inliers_ratio", "greater"),
     "unknown bound": ("name: icp, baseline: icp", "name: d, baseline: dcreg, options: {bound: foo}",
-                      "bound: 'foo' is unknown", "known: edges"),
+                      "bound: 'foo' is unknown", "known: dc"),
     "method twice": ("  - {name: icp, baseline: icp}",
                      "  - {name: icp, baseline: icp}\n  - {name: icp, baseline: icp}",
                      "name 'icp' is used 2 times", "give different names"),

@@ -227,18 +227,18 @@ SAFE = {"start_box": "safe"}
 
 
 def _cases() -> list[Case]:
-    paper = {"bound": "paper", "time_limit": PAPER_LIMIT_S}
+    paper = {"bound": "dc", "time_limit": PAPER_LIMIT_S}
     few = {"time_limit": 10.0}
     return [
         Case("complete-reduced/tight", tuple(CHUI), {}, 3, counted=True),
-        Case("complete-reduced/paper", tuple(CHUI), paper, 3),
+        Case("complete-reduced/dc", tuple(CHUI), paper, 3),
         Case("complete-safe/tight", tuple(CHUI), SAFE, 3),
-        Case("complete-safe/paper", tuple(CHUI), SAFE | paper),
+        Case("complete-safe/dc", tuple(CHUI), SAFE | paper),
         Case("embedded-reduced/tight", tuple(EMBEDDED_2D), {}, 3, quick=True, counted=True),
-        Case("embedded-reduced/paper", tuple(EMBEDDED_2D), paper, quick=True, counted=True),
+        Case("embedded-reduced/dc", tuple(EMBEDDED_2D), paper, quick=True, counted=True),
         Case("median/tight", tuple(MEDIAN)),
         Case("mixed/tight", tuple(MIXED)),
-        Case("mixed/paper", tuple(MIXED), paper),
+        Case("mixed/dc", tuple(MIXED), paper),
         Case("mixed/tight-2-threads", tuple(MIXED), {"threads": 2}),
         Case("embedded-mixed/tight", tuple(EMBEDDED_MIXED), {}, quick=True),
         Case("separate/tight", tuple(SEPARATE)),
@@ -246,9 +246,9 @@ def _cases() -> list[Case]:
         Case("half/tight", tuple(HALF)),
         Case("half/tight-2-threads", tuple(HALF), {"threads": 2}),
         Case("norm3d/tight", tuple(SOLIDS), {}, 3),
-        Case("norm3d/paper", tuple(SOLIDS), paper),
+        Case("norm3d/dc", tuple(SOLIDS), paper),
         Case("embedded-norm3d/tight", tuple(EMBEDDED_SOLIDS), {}, 3, quick=True, counted=True),
-        Case("embedded-norm3d/paper", tuple(EMBEDDED_SOLIDS), paper | {"time_limit": 30.0}, quick=True),
+        Case("embedded-norm3d/dc", tuple(EMBEDDED_SOLIDS), paper | {"time_limit": 30.0}, quick=True),
         Case("mixed3d/tight", tuple(MIXED_3D)),
         Case("large3d/tight", tuple(LARGE)),
         Case("growth2d/tight", tuple(GROWTH_2D), {}),

@@ -147,7 +147,7 @@ def _complete(cases: Cases) -> list[Row]:
 
 def _mixed(cases: Cases) -> list[Row]:
     measure = "2D, 30 % mixed outliers: time, paper / tight"
-    return [_ratio(cases, "mixed/paper", "mixed/tight", "time_s", measure, 40)]
+    return [_ratio(cases, "mixed/dc", "mixed/tight", "time_s", measure, 40)]
 
 
 def _median(cases: Cases) -> list[Row]:
@@ -165,7 +165,7 @@ def _hard(cases: Cases) -> list[Row]:
 
 def _norm3d(cases: Cases) -> list[Row]:
     return [
-        _ratio(cases, f"{p}norm3d/paper", f"{p}norm3d/tight", "search_time_s",
+        _ratio(cases, f"{p}norm3d/dc", f"{p}norm3d/tight", "search_time_s",
                f"3D norm translation, 100 points all matched ({what}; tolerance at tau 0.01): time, "
                "paper with general assignment / tight", 300, "search_")
         for p, what in (("", "horse, dino"), ("embedded-", "embedded pony"))

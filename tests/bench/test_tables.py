@@ -29,7 +29,7 @@ MIXED = "mixed outliers: time, paper"
 
 def test_a_ratio_is_the_geometric_mean_over_equal_subjects():
     rows = [
-        solve("mixed/paper", "a", 10.0), solve("mixed/paper", "b", 1000.0),
+        solve("mixed/dc", "a", 10.0), solve("mixed/dc", "b", 1000.0),
         solve("mixed/tight", "b", 1.0), solve("mixed/tight", "a", 1.0),
     ]  # fmt: skip
     row = row_of(rows, MIXED)
@@ -38,14 +38,14 @@ def test_a_ratio_is_the_geometric_mean_over_equal_subjects():
 
 
 def test_a_paper_run_at_its_limit_gives_at_least():
-    rows = [solve("mixed/paper", time_s=50.0, status="time_limit"), solve("mixed/tight")]
+    rows = [solve("mixed/dc", time_s=50.0, status="time_limit"), solve("mixed/tight")]
     row = row_of(rows, MIXED)
     assert "at least 50" in row.shown
     assert row.met is True
 
 
 def test_a_tight_run_at_its_limit_gives_no_ratio():
-    rows = [solve("mixed/paper", time_s=50.0), solve("mixed/tight", status="time_limit")]
+    rows = [solve("mixed/dc", time_s=50.0), solve("mixed/tight", status="time_limit")]
     row = row_of(rows, MIXED)
     assert row.shown == NOT_MEASURED
     assert row.met is False

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.families.dc.registry import BOUNDS
+from dcreg.names import BOUND_NAMES
 from dcreg.result import Result
 from tests.problems import keywords
 
@@ -17,7 +17,7 @@ KINDS = ("general", "copy", "duplicates", "collinear", "grid", "symmetric", "clu
 # Shares of the families, and weights of the bounds within one: the default bound is drawn most often.
 FAMILIES = {"similarity2d": 0.58, "norm3d": 0.3, "rigid3d": 0.11, "multi3d": 0.01}
 MODES = {"similarity2d": "paper", "norm3d": "paper", "rigid3d": "full", "multi3d": "multi"}
-EMPHASIS = {"tight": 8.0, "tight-exact": 4.0, "shared": 2.0, "paper": 2.0}
+EMPHASIS = {"tight": 8.0, "shared": 4.0, "dc": 2.0}
 # No problem may take long; one that ends at a limit still has bounds to be checked.
 NODE_LIMIT, TIME_LIMIT = 2000, 5.0
 RIGID_LIMIT = 10_000
@@ -88,10 +88,10 @@ def _settings(
     }
     if family == "rigid3d":  # has bounds of its own
         return settings | {"node_limit": RIGID_LIMIT}
-    names = list(BOUNDS)
+    names = list(BOUND_NAMES)
     weights = np.array([EMPHASIS.get(name, 0.5) for name in names])
     bound = str(rng.choice(names, p=weights / weights.sum()))
-    settings["bound"] = f"{bound}+edges" if rng.random() < 0.1 and bound != "edges" else bound
+    settings["bound"] = f"{bound}+interval" if rng.random() < 0.1 and bound != "interval" else bound
     if family == "similarity2d":
         low = float(rng.choice([0.3, 0.5, 0.9, 1.0]))
         settings["scale_range"] = (low, low * float(rng.choice([1.0, 1.2, 3.0])))

@@ -133,21 +133,21 @@ CLUTTER_3D = Cloud(seed=12, n_common=10, n_source=12, n_target=13, noise=0.1)
 ONE_SIDED_3D = Cloud(seed=4, n_common=10, n_source=10, n_target=14, noise=0.06)
 
 CASES: dict[str, Case] = {
-    "2d-complete-paper": Case("similarity2d", COMPLETE_2D, 12, "paper", 0.003),
+    "2d-complete-dc": Case("similarity2d", COMPLETE_2D, 12, "dc", 0.003),
     "2d-complete-safe": Case(
-        "similarity2d", COMPLETE_2D, 12, "paper", 0.0005, start_box="radius", with_trace=True
+        "similarity2d", COMPLETE_2D, 12, "dc", 0.0005, start_box="radius", with_trace=True
     ),
-    "2d-complete-edges": Case("similarity2d", COMPLETE_2D, 12, "edges", 0.003),
+    "2d-complete-interval": Case("similarity2d", COMPLETE_2D, 12, "interval", 0.003),
     "2d-complete-termwise": Case("similarity2d", COMPLETE_2D, 12, "termwise", 0.003),
-    "2d-clutter-paper": Case("similarity2d", CLUTTER_2D, 8, "paper", 0.003, node_limit=400),
-    "2d-clutter-both": Case("similarity2d", CLUTTER_2D, 8, "paper+edges", 0.006),
+    "2d-clutter-dc": Case("similarity2d", CLUTTER_2D, 8, "dc", 0.003, node_limit=400),
+    "2d-clutter-both": Case("similarity2d", CLUTTER_2D, 8, "dc+interval", 0.006),
     "2d-complete-r1": Case(
         "similarity2d", COMPLETE_2D, 12, "termwise-r1", 0.003, node_limit=500, polish=False
     ),
     "2d-narrow-scale": Case(
-        "similarity2d", COMPLETE_2D, 12, "paper+edges", 0.003, scale_range=(0.7, 0.9)
+        "similarity2d", COMPLETE_2D, 12, "dc+interval", 0.003, scale_range=(0.7, 0.9)
     ),
-    "3d-complete-paper": Case("rigid3d", COMPLETE_3D, 14, "paper", 0.0025, start_box="radius"),
-    "3d-clutter-both": Case("rigid3d", CLUTTER_3D, 10, "paper+edges", 0.0004),
-    "3d-one-sided-edges": Case("rigid3d", ONE_SIDED_3D, 10, "edges", 0.0004),
+    "3d-complete-dc": Case("rigid3d", COMPLETE_3D, 14, "dc", 0.0025, start_box="radius"),
+    "3d-clutter-both": Case("rigid3d", CLUTTER_3D, 10, "dc+interval", 0.0004),
+    "3d-one-sided-interval": Case("rigid3d", ONE_SIDED_3D, 10, "interval", 0.0004),
 }

@@ -90,8 +90,8 @@ def test_stored_bounds_of_one_problem_agree(cloud, golden):
 
 def test_a_changed_search_is_found(golden):
     """The comparison can fail: the same problem with another bound has other counters."""
-    name = "2d-complete-paper"
+    name = "2d-complete-dc"
     case = CASES[name]
-    other = Case(case.model, case.cloud, case.n_inliers, "edges", case.gap_tol).outcome()
+    other = Case(case.model, case.cloud, case.n_inliers, "interval", case.gap_tol).outcome()
     assert other["points"] == golden[name]["points"]
     assert other["n_nodes"] != golden[name]["n_nodes"]

@@ -18,7 +18,7 @@ from tests.problems import models_with_boxes
 def value(name, model, box):
     """The bound itself, also where the box holds no admissible parameter."""
     bound = BOUNDS[name](model)
-    return bound._evaluate(box.lower[None], box.upper[None], np.inf, False).lower_bounds[0]
+    return bound._evaluate(box.lower[None], box.upper[None], np.inf, None).lower_bounds[0]
 
 
 def plain_programme(model, box):

@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dcreg.families.dc.kernels.linearisation import best_linearisation
-from dcreg.families.dc.registry import make_bound
+from dcreg.families.registry import make_bound
 from dcreg.families.translation3d.kernels.curvature import norm_curvature
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.search import Box, LongestEdge

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dcreg.families.dc.bounds import IntervalBound
+from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search.boxes import OpenNodes
-from dcreg.search.budget import Workers
 
 # few distinct bounds and sizes: ties are what the order is about
 batches = st.lists(
@@ -23,7 +24,7 @@ batches = st.lists(
 
 @given(batches, st.booleans())
 @settings(max_examples=150)
-def test_best_bound_then_larger_then_older(batches, has_hints):
+def test_best_bound_then_larger_then_older(batches, has_warm_starts):
     nodes, reference, serial = OpenNodes(2), [], 0
     for boxes, count, cutoff in batches:
         bounds = np.array([float(bound) for bound, _ in boxes])
@@ -33,15 +34,15 @@ def test_best_bound_then_larger_then_older(batches, has_hints):
         for i, bound in enumerate(bounds):
             heapq.heappush(reference, (bound, -upper[i].sum(), serial + i, tuple(upper[i])))
         serial += len(boxes)
-        hints = upper.astype(np.uint16) if has_hints else None
-        nodes.push(lower, upper, bounds, hints)
+        warm_starts = upper.astype(np.uint16) if has_warm_starts else None
+        nodes.push(lower, upper, bounds, warm_starts)
         assert len(nodes) == len(reference)
         assert nodes.lower_bound == (reference[0][0] if reference else np.inf)
-        _, taken, taken_bounds, taken_hints = nodes.pop(count, cutoff)
-        if has_hints:
-            assert (taken_hints == taken.astype(np.uint16)).all()
+        _, taken, taken_bounds, taken_warm_starts = nodes.pop(count, cutoff)
+        if has_warm_starts:
+            assert (taken_warm_starts == taken.astype(np.uint16)).all()
         else:
-            assert taken_hints is None
+            assert taken_warm_starts is None
         expected = []
         while reference and len(expected) < count and reference[0][0] < cutoff:
             expected.append(heapq.heappop(reference))
@@ -50,25 +51,32 @@ def test_best_bound_then_larger_then_older(batches, has_hints):
         assert len(nodes) == len(reference)
 
 
+def one_pair_bound(threads):
+    space = Similarity2D(np.zeros((1, 2)), np.ones((1, 2)), 1, (0.5, 1.5))
+    return IntervalBound(space, threads=threads)
+
+
 @given(st.integers(1, 4), st.integers(0, 100))
 @settings(max_examples=60)
-def test_workers_do_everything_once(threads, count):
+def test_every_slice_is_mapped_once(threads, count):
+    bound = one_pair_bound(threads)
     done = np.zeros(count, int)
 
     def work(part):
         done[part] += 1
         return part.stop - part.start
 
-    assert Workers(threads).run(work, count) == count
+    bound.map_slices(count, work)
+    assert bound.n_assignments == count
     assert (done == 1).all()
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_a_worker_error_reaches_the_caller(threads):
+def test_an_error_in_a_thread_reaches_the_caller(threads):
     def work(part):
         if part.start == 0:
             raise ValueError("first slice")
         return 0
 
     with pytest.raises(ValueError, match="first slice"):
-        Workers(threads).run(work, 50)
+        one_pair_bound(threads).map_slices(50, work)

@@ -477,7 +477,7 @@ def test_no_box_with_a_local_optimum_is_bounded_above_it(seed):
             cutoff = best + beyond * max(best, 0.01)
             found = bound.evaluate(lower[None], upper[None], cutoff)
             assert found.lower_bounds[0] <= best + 1e-9
-            found = bound.evaluate(lower[None], upper[None], cutoff, hints=found.hints)
+            found = bound.evaluate(lower[None], upper[None], cutoff, found.warm_start)
             assert found.lower_bounds[0] <= best + 1e-9
 
 
@@ -546,7 +546,7 @@ def test_values_at_corners_close_boxes_that_nothing_else_does(rng, monkeypatch):
     assert (with_corners >= best).sum() > 20 + 2 * (without >= best).sum()
 
 
-def test_the_strongest_of_two_bounds_is_searched_without_their_hints(rng):
+def test_the_strongest_of_two_bounds_is_searched_without_warm_starts(rng):
     source = centred(rng.standard_normal((8, 3)))
     model = Rigid3D(source, centred(source + 0.05 * rng.standard_normal((8, 3))), 6)
     one, both = RigidBound(model), Strongest([RigidBound(model), RigidBound(model)])

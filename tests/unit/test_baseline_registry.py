@@ -52,15 +52,15 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("icp", {"max_iterations": True}, "is a bool"),
         ("icp", {"trim": 1}, "is a int; give a bool"),
         ("cpd", {"w": 1.5}, r"w = 1\.5"),
-        ("dcreg", {"bound": "papper"}, r"bound: 'papper' is unknown; did you mean 'paper'\?"),
+        ("dcreg", {"bound": "tihgt"}, r"bound: 'tihgt' is unknown; did you mean 'tight'\?"),
         ("dcreg", {"bound": 3}, r"bound: '3' is unknown"),
         ("dcreg", {"mode": "quick"}, r"mode = 'quick'; known: auto, full, multi, paper"),
-        ("dcreg", {"mode": "full", "bound": "paper"}, r"mode 'full' has bounds of its own"),
-        ("rpm_htb", {"bound": "paper"}, r"known: termwise, termwise-r1"),
+        ("dcreg", {"mode": "full", "bound": "dc"}, r"mode 'full' has bounds of its own"),
+        ("rpm_htb", {"bound": "dc"}, r"known: termwise, termwise-r1"),
         (
             "rpm_htb",
-            {"bound": "termwise-r1+edges"},
-            r"bound = 'edges'; known: termwise, termwise-r1",
+            {"bound": "termwise-r1+interval"},
+            r"bound = 'interval'; known: termwise, termwise-r1",
         ),
         ("rpm_htb", {"bound": None}, r"bound = 'None'; known: termwise, termwise-r1"),
         (
@@ -354,7 +354,7 @@ class TestWhatAMethodDependsOn:
         assert self.rerun_by(checkout, "baselines/icp/table.csv", "1,2\n") == {"icp"}
 
     def test_a_package_that_defines_the_name_counts_with_its_imports(self, checkout: Path) -> None:
-        """`dcreg.families.dc.registry` makes bounds by name; no import says which module runs."""
+        """`dcreg.families.registry` makes bounds by name; no import says which module runs."""
         assert "dcreg" in self.rerun_by(checkout, "dcreg/families/dc/bounds.py")
 
     def test_names_loaded_late_are_followed(self, checkout: Path) -> None:

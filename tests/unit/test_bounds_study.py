@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 
 from baselines import registry
-from dcreg.families.dc.registry import BOUNDS
+from dcreg.families.dc.bounds import IntervalBound
+from dcreg.names import BOUND_NAMES
 from dcreg.search import Box
 from reports import bounds_study as page
 from workflows.studies import bounds as study
@@ -32,22 +33,22 @@ def boxes(cases):
 
 def test_bounds_are_found_by_name_and_methods_by_what_they_can_do(cases):
     names = [line.name for line in study.lines(cases["plane"])]
-    assert names[: len(BOUNDS)] == list(BOUNDS)
+    assert names[: len(BOUND_NAMES)] == list(BOUND_NAMES)
     assert len(set(names)) == len(names)
     able = {name for name in registry.names() if hasattr(registry.load(name), "box_bound")}
     assert {"rpm_htb", "rpm_bp", "hbsp"} <= able
     assert "dcreg" not in able, "its bounds are those of the library"
     assert {"rpm_htb"} == able - set(names), "it has several bounds with names of their own"
-    assert set(names) - set(BOUNDS) - able == {"termwise-r1", "termwise-r2", "termwise-r3"}
+    assert set(names) - set(BOUND_NAMES) - able == {"termwise-r1", "termwise-r2", "termwise-r3"}
     in_space = {line.name for line in study.lines(cases["space"])}
     assert set(names) - in_space >= {"termwise-r3", "rpm_bp"}, "written for 2D only"
 
 
 def test_bounds_of_the_library_and_of_methods_with_several_take_part_in_the_searches(cases):
     termwise = {"termwise-r1", "termwise-r2", "termwise-r3"}
-    assert set(study.searched(cases["plane"])) == {*BOUNDS, *study.COMBINED, *termwise}
+    assert set(study.searched(cases["plane"])) == {*BOUND_NAMES, *study.COMBINED, *termwise}
     assert set(study.searched(cases["space"])) & termwise == termwise - {"termwise-r3"}
-    assert study.REFERENCE in BOUNDS
+    assert study.REFERENCE in BOUND_NAMES
 
 
 @pytest.mark.parametrize("name", SMALL)
@@ -72,22 +73,22 @@ def test_bounds_are_asked_for_their_full_strength(cases, monkeypatch):
         def __init__(self, name, space, roots):
             self.roots = roots
 
-        def evaluate(self, lower, upper, cutoff, *, thorough=False):
-            asked.append((self.roots, cutoff, thorough))
-            return BOUNDS["edges"](cases["plane"].space, self.roots).evaluate(lower, upper, cutoff)
+        def evaluate(self, lower, upper, cutoff, warm_start=None):
+            asked.append((self.roots, cutoff))
+            return IntervalBound(cases["plane"].space, self.roots).evaluate(lower, upper, cutoff)
 
     monkeypatch.setattr(study, "make_bound", Recording)
     box = Box(cases["plane"].theta - 0.1, cases["plane"].theta + 0.1)
     study.library_bound("tight", cases["plane"], box)
-    assert asked == [([box], np.inf, True)]
+    assert asked == [([box], None)]
 
 
 @pytest.mark.parametrize("name", SMALL)
 def test_every_bound_is_below_the_least_objective_met(name, boxes):
     table = boxes[name].dropna(subset="value")
-    assert set(BOUNDS) <= set(table["bound"])
+    assert set(BOUND_NAMES) <= set(table["bound"])
     assert (table["value"] <= table["least"] + 1e-8).all()
-    of_library = table[table["bound"].isin(BOUNDS)]
+    of_library = table[table["bound"].isin(BOUND_NAMES)]
     assert (of_library["n_assignments"] >= 1).all()
 
 

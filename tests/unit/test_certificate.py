@@ -28,7 +28,7 @@ from dcreg.certificate.prices import cheapest_pairs, prices_of
 from dcreg.certificate.proof import Proof
 from dcreg.certificate.record import record
 from dcreg.certificate.verification import check_samples, verify
-from dcreg.families.dc.registry import make_bound
+from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import Frame, Problem
@@ -80,7 +80,7 @@ def certify(
 def case(request):
     source, target = clouds(request.param, extra=1)
     tau = {"similarity2d": 0.06, "translation3d": 0.035}[request.param]
-    certificate = certify(source, target, 10, request.param, bound="paper", tau=tau)
+    certificate = certify(source, target, 10, request.param, bound="dc", tau=tau)
     assert certificate.status == "optimal"
     assert len(certificate.leaf_bounds) > 20
     assert certificate.lower_bound > 0
@@ -123,10 +123,10 @@ def refused(tmp_path, case, reason, **changes):
 @pytest.mark.parametrize(
     ("bound", "options"),
     [
-        ("paper", {}),
-        ("paper", {"reduced": False, "nodes": 3000}),
-        ("paper+edges", {"nodes": 40}),
-        ("edges", {"tau": 0.1, "nodes": 3000}),
+        ("dc", {}),
+        ("dc", {"reduced": False, "nodes": 3000}),
+        ("dc+interval", {"nodes": 40}),
+        ("interval", {"tau": 0.1, "nodes": 3000}),
         ("tight", {}),
     ],
 )
@@ -145,7 +145,7 @@ def test_real_certificates_are_accepted(tmp_path, model, bound, options, extra):
 
 def test_limit_is_stated_with_its_valid_bounds(tmp_path):
     source, target = clouds("similarity2d")
-    certificate = certify(source, target, 10, "similarity2d", bound="paper", nodes=200)
+    certificate = certify(source, target, 10, "similarity2d", bound="dc", nodes=200)
     assert certificate.status == "node_limit"
     assert (certificate.leaf_reasons == 2).any()
     assert check(tmp_path, certificate, source, target).accepted
@@ -216,7 +216,7 @@ def test_reasons_of_leaves_may_be_renumbered(tmp_path, monkeypatch, module, code
             monkeypatch.setattr(each, code, 7)
     source, target = clouds("similarity2d", extra=1)
     certificate = certify(
-        source, target, 10, "similarity2d", bound="paper", nodes=400, scale_range=(0.9, 1.1)
+        source, target, 10, "similarity2d", bound="dc", nodes=400, scale_range=(0.9, 1.1)
     )
     counts = [
         (certificate.leaf_reasons == reason).sum()
@@ -511,7 +511,7 @@ def test_inadmissible_leaves_must_be_so(tmp_path, case):
 
 def test_scale_outside_of_the_range_is_refused(tmp_path):
     source, target = clouds("similarity2d")
-    certificate = certify(source, target, 10, "similarity2d", bound="paper")
+    certificate = certify(source, target, 10, "similarity2d", bound="dc")
     case = certificate, source, target
     refused(tmp_path, case, "theta: not an admissible", scale_range=np.array([0.1, 0.2]))
     refused(tmp_path, case, "start box", scale_range=np.array([0.5, 3.0]))
@@ -526,7 +526,7 @@ def test_too_many_pairs_for_plain_code_are_said_to_be(tmp_path, case, monkeypatc
 def test_any_number_of_points_is_checked_in_sorted_order(tmp_path, monkeypatch):
     monkeypatch.setattr(verification, "MAX_DENSE", 100)
     source, target = clouds("translation3d", n=12, extra=0)
-    certificate = certify(source, target, 12, "translation3d", bound="paper", nodes=500)
+    certificate = certify(source, target, 12, "translation3d", bound="dc", nodes=500)
     report = check(tmp_path, certificate, source, target)
     assert report.accepted
     assert report.n_assignments == 0
@@ -549,7 +549,7 @@ def claims(draw):
     generator = np.random.default_rng(seed)
     k = draw(st.integers(3, 6))
     source, target = clouds(model, n=k, extra=draw(st.integers(0, 2)), seed=seed)
-    true = certify(source, target, k, model, bound="paper", nodes=draw(st.integers(1, 60)))
+    true = certify(source, target, k, model, bound="dc", nodes=draw(st.integers(1, 60)))
     family = family_of((true, source, target))
     while True:  # a worse pose passed off as the best
         step = 10.0 ** generator.uniform(-3, 0) * generator.standard_normal(len(true.theta))
@@ -588,7 +588,7 @@ def test_a_lower_bound_above_the_optimum_is_always_refused(claim):
 def test_a_bound_of_zero_needs_no_proof(monkeypatch):
     """However high the leaves' own bounds; but what is false among them is still refused."""
     source, target = clouds("translation3d", extra=1)
-    certificate = certify(source, target, 10, "translation3d", bound="paper", nodes=300, tau=0.01)
+    certificate = certify(source, target, 10, "translation3d", bound="dc", nodes=300, tau=0.01)
     assert certificate.lower_bound == 0
     assert (certificate.leaf_bounds > 0).any()
     false = certificate.leaf_bounds.copy()

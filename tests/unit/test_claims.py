@@ -26,7 +26,7 @@ LEVELS = (0.0, 0.1, 0.2)
 CARDS = {
     "ours": {"baseline": "dcreg", "options": {}, "limits": {"time_s": 10.0}},
     "half": {"baseline": "dcreg", "options": {}, "n_inliers_ratio": 0.5},
-    "bound": {"baseline": "dcreg", "options": {"bound": "paper"}},
+    "bound": {"baseline": "dcreg", "options": {"bound": "dc"}},
     "rival": {"baseline": "rpm_htb", "provenance": "reconstruction", "display_name": "RPM-HTB"},
 }
 ROLES = {"ours": "dcreg", "half": "dcreg_half", "bound": "dcreg_bound", "rival": "rpm_htb"}
@@ -158,20 +158,20 @@ def test_race_compares_times_to_the_same_gap(mine, theirs, verdict):
 
 
 STUDY = [
-    ({"kind": "boxes", "subject": "paper", "rivals": ["termwise-r1"], "claimed": {"at_least": 0.9}},
+    ({"kind": "boxes", "subject": "dc", "rivals": ["termwise-r1"], "claimed": {"at_least": 0.9}},
      "boxes", lambda sign: pd.DataFrame([
          {"instance": "i", "place": "p", "draw": d, "width": 1.0, "bound": b, "value": v}
          for d in range(40)
-         for b, v in (("paper", 1.0), ("termwise-r1", 1.0 - (sign if sign else d % 10 - 0.5)))
+         for b, v in (("dc", 1.0), ("termwise-r1", 1.0 - (sign if sign else d % 10 - 0.5)))
      ])),
-    ({"kind": "orders", "bounds": {"paper": {"at_least": 1.8}}},
-     "orders", lambda sign: pd.DataFrame({"bound": "paper", "order": 1.8 + 0.1 * (
+    ({"kind": "orders", "bounds": {"dc": {"at_least": 1.8}}},
+     "orders", lambda sign: pd.DataFrame({"bound": "dc", "order": 1.8 + 0.1 * (
          np.arange(8) % 4 - 1.5 if sign == 0 else sign * np.ones(8))})),
-    ({"kind": "work", "subject": "paper", "rivals": ["edges"], "claimed": {"below": 1.0}},
+    ({"kind": "work", "subject": "dc", "rivals": ["interval"], "claimed": {"below": 1.0}},
      "searches", lambda sign: pd.DataFrame([
          {"instance": i, "bound": b, "n_assignments": n, "gap": g if n else 100.0}
          for i in range(8) for n in (0, 10)
-         for b, g in (("paper", 2.0 - (sign if sign else i % 2 - 0.5)), ("edges", 2.0))
+         for b, g in (("dc", 2.0 - (sign if sign else i % 2 - 0.5)), ("interval", 2.0))
      ])),
 ]  # fmt: skip
 
@@ -589,7 +589,7 @@ def test_roles_prefer_the_plain_method_and_leave_out_oracles():
         for options in ({}, {"threshold": "paper"})
     )
     assert plain < tuned
-    assert roles["dcreg"].fit({"baseline": "dcreg", "options": {"bound": "paper"}}) is None
+    assert roles["dcreg"].fit({"baseline": "dcreg", "options": {"bound": "dc"}}) is None
     assert roles["dcreg_half"].fit({"baseline": "dcreg", "n_inliers_ratio": 0.5, "options": {}})
 
 
@@ -599,7 +599,7 @@ def test_claims_of_the_paper_are_about_its_own_bound_where_that_ran(role, ratio)
         ledger()
         .roles[role]
         .fit({"baseline": "dcreg", "n_inliers_ratio": ratio, "options": options})
-        for options in ({}, {"bound": "paper"})
+        for options in ({}, {"bound": "dc"})
     )
     assert published < ours
 

@@ -111,13 +111,13 @@ def fake(monkeypatch):
 
 def test_options_reach_the_library(call, fake):
     outcome = run(
-        *(*call, "--scale-range", 0.9, 1.1, "--mode", "paper", "--bound", "edges"),
+        *(*call, "--scale-range", 0.9, 1.1, "--mode", "paper", "--bound", "interval"),
         *("--gap-tol", 0.25, "--time-limit", 9, "--node-limit", 77, "--threads", 2, "--no-polish"),
     )
     assert outcome.exit_code == 0
     expected = {
         **{"model": "similarity2d", "n_inliers": 9, "scale_range": (0.9, 1.1), "mode": "paper"},
-        **{"bound": "edges", "gap_tol": 0.25, "time_limit": 9.0, "node_limit": 77, "threads": 2},
+        **{"bound": "interval", "gap_tol": 0.25, "time_limit": 9.0, "node_limit": 77, "threads": 2},
         **{"polish": False},
     }
     assert {name: fake.called[name] for name in expected} == expected
@@ -725,12 +725,17 @@ def test_sweep_lists_and_ranges(clouds, fake_sweep, text, counts):
 
 def test_sweep_options_reach_the_library(sweep_call, fake_sweep):
     outcome = run(
-        *(*sweep_call, "--scale-range", 0.9, 1.1, "--bound", "edges", "--gap-tol", 0.25),
+        *(*sweep_call, "--scale-range", 0.9, 1.1, "--bound", "interval", "--gap-tol", 0.25),
         *("--time-limit", 9, "--node-limit", 77, "--threads", 2, "--no-polish", "--downsample", 50),
     )
     assert outcome.exit_code == 0
     expected = {
-        **{"model": "similarity2d", "scale_range": (0.9, 1.1), "bound": "edges", "gap_tol": 0.25},
+        **{
+            "model": "similarity2d",
+            "scale_range": (0.9, 1.1),
+            "bound": "interval",
+            "gap_tol": 0.25,
+        },
         **{"time_limit": 9.0, "node_limit": 77, "threads": 2, "polish": False, "downsample": 50},
     }
     assert {name: fake_sweep.called[name] for name in expected} == expected
@@ -858,7 +863,7 @@ def test_equal_ends_of_the_scale_range_fix_the_scale(clouds, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--mode", "full", "--bound", "paper"], "--bound: 'paper', but mode 'full' has bounds"),
+        (["--mode", "full", "--bound", "dc"], "--bound: 'dc', but mode 'full' has bounds"),
         (["--scale-range", "0.9", "1.1"], "--scale-range: (0.9, 1.1), but rigid3d has no scale"),
         (["--mode", "full", "--certificate", "c.npz"], "--certificate: mode 'full' keeps no leaf"),
         (["--mode", "best"], "--mode: 'best' is unknown for rigid3d"),

@@ -10,7 +10,7 @@ import pytest
 
 import dcreg
 from dcreg.driver.warm_up import _works
-from dcreg.families.dc.registry import bound_parts
+from dcreg.families.registry import bound_parts
 from dcreg.names import BOUND_NAMES, DEFAULT_BOUND, MODEL_DIM
 
 LIBRARY = Path(dcreg.__file__).parent
@@ -140,10 +140,10 @@ print([e.data["dispatcher"].py_func.__name__ for _, e in seen.buffer if e.is_sta
     ("model", "mode", "bound"),
     [
         ("similarity2d", "paper", None),
-        ("similarity2d", "paper", "tight-exact"),
-        ("similarity2d", "paper", "paper+edges"),
+        ("similarity2d", "paper", "shared"),
+        ("similarity2d", "paper", "dc+interval"),
         ("rigid3d", "paper", None),
-        ("rigid3d", "paper", "edges"),
+        ("rigid3d", "paper", "interval"),
         ("rigid3d", "full", None),
         ("rigid3d", "multi", None),
     ],

@@ -81,7 +81,7 @@ def test_odd_clouds_still_give_a_start(kind, rng):
         source[:, 2] = 0.0
     target = source[::-1] + 0.5
     k = len(source) - 1
-    theta, value, spent = Rigid3D.centred(source, target, k).start(Budget())
+    theta, value, spent = Rigid3D.between(source, target, k).start(Budget())
     assert np.isfinite(theta).all()
     assert value == pytest.approx(0.0, abs=1e-9)
     assert spent >= 1
@@ -90,7 +90,7 @@ def test_odd_clouds_still_give_a_start(kind, rng):
 def test_what_is_within_the_tolerance_ends_the_starts(monkeypatch):
     """No objective is below 0, so the gap is closed; a few more starts may still find a better pose."""
     source, target, _ = partial_overlap(3)
-    space = Rigid3D.centred(source, target, 30)
+    space = Rigid3D.between(source, target, 30)
     descents = []
     refine = space.refine
     monkeypatch.setattr(space, "refine", lambda theta: descents.append(theta) or refine(theta))
@@ -102,7 +102,7 @@ def test_what_is_within_the_tolerance_ends_the_starts(monkeypatch):
 
 def test_triples_leave_half_of_the_time(monkeypatch):
     source, target, _ = partial_overlap(3)
-    space = Rigid3D.centred(source, target, 30)
+    space = Rigid3D.between(source, target, 30)
     seen = []
     monkeypatch.setattr(
         Rigid3D, "_congruent", lambda self, budget: seen.append(budget.left()) or iter(())

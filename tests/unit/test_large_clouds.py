@@ -160,7 +160,7 @@ def test_pairs_beyond_the_overlap_are_near_ones_too(rng):
 
 
 @pytest.mark.parametrize(
-    ("dim", "options"), [(2, {"mode": "paper"}), (3, {"mode": "full"}), (3, {"bound": "paper"})]
+    ("dim", "options"), [(2, {"mode": "paper"}), (3, {"mode": "full"}), (3, {"bound": "dc"})]
 )
 def test_dense_searches_refuse_what_would_not_fit(rng, dim, options):
     points = rng.random((10_001, dim))

@@ -34,7 +34,7 @@ def result(dim, lower=0.5, **changes):
         "status": Status.TIME_LIMIT,
         "model": "rigid3d" if dim == 3 else "similarity2d",
         "mode": "paper",
-        "bound": "paper",
+        "bound": "dc",
         "T_target_source": T,
         "T_certified": T,
         "assignment": np.array([[0, 1], [2, 0]]),

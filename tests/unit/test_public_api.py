@@ -14,7 +14,9 @@ import dcreg
 from dcreg import names
 from dcreg.cli.options import ModelChoice
 from dcreg.driver.modes import MODES
-from dcreg.families.dc.registry import BOUNDS
+from dcreg.families.registry import bounds_of
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.io import READERS
 
 PACKAGE = Path(dcreg.__file__).parent
@@ -133,8 +135,9 @@ def test_the_command_line_uses_public_names_only():
 
 
 def test_names_of_bounds_are_those_of_the_table():
-    assert list(BOUNDS) == list(names.BOUND_NAMES)
-    assert names.DEFAULT_BOUND in BOUNDS
+    assert set(bounds_of(Similarity2D)) == set(names.BOUND_NAMES)
+    assert set(bounds_of(Translation3D)) == set(names.BOUND_NAMES)
+    assert names.DEFAULT_BOUND in bounds_of(Translation3D)
 
 
 @pytest.mark.parametrize("model", names.MODEL_DIM)

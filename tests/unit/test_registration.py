@@ -16,7 +16,7 @@ from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.status import Status
 from tests.problems import KINDS, cloud, keywords
 
-BOUNDS_2D = ["paper", "edges", "paper+edges"]
+BOUNDS_2D = ["dc", "interval", "dc+interval"]
 
 
 def similarity(angle, scale, translation):
@@ -133,7 +133,7 @@ def test_threads_and_repetition_change_nothing(model, planar, spatial, rng):
             model=model,
             node_limit=5000,
             time_limit=None,
-            options=dcreg.SolveOptions(bound="paper", threads=threads),
+            options=dcreg.SolveOptions(bound="dc", threads=threads),
         )
         for threads in (1, 1, 2)
     ]
@@ -155,7 +155,7 @@ def test_node_limit_returns_the_best_pose_with_valid_bounds(model, planar, spati
         model=model,
         node_limit=3,
         gap_tol=1e-9,
-        options=dcreg.SolveOptions(bound="paper"),
+        options=dcreg.SolveOptions(bound="dc"),
     )
     assert result.status is Status.NODE_LIMIT
     assert np.isfinite(result.T_target_source).all()
@@ -177,7 +177,7 @@ def dense_minimum(model, steps):
     kind=st.sampled_from(KINDS),
     n=st.integers(1, 5),
     m=st.integers(1, 5),
-    bound=st.sampled_from(["paper", "edges", "tight", "shared"]),
+    bound=st.sampled_from(["dc", "interval", "tight", "shared"]),
 )
 def test_similarity_optimum_equals_dense_search(seed, kind, n, m, bound):
     generator = np.random.default_rng(seed)
@@ -205,7 +205,7 @@ def test_similarity_optimum_equals_dense_search(seed, kind, n, m, bound):
     kind=st.sampled_from(KINDS),
     n=st.integers(1, 6),
     m=st.integers(1, 6),
-    bound=st.sampled_from(["paper", "edges", "tight", "shared"]),
+    bound=st.sampled_from(["dc", "interval", "tight", "shared"]),
 )
 def test_norm_translation_optimum_equals_dense_search(seed, kind, n, m, bound):
     generator = np.random.default_rng(seed)
@@ -277,7 +277,7 @@ def test_trace_is_monotone_within_a_stage_and_ends(spatial, tmp_path):
         (60, 60, 50, {}, "full"),
         (1000, 1200, 800, {}, "full"),
         (2100, 2000, 2000, {}, "paper"),
-        (30, 30, 30, {"bound": "edges"}, "paper"),
+        (30, 30, 30, {"bound": "interval"}, "paper"),
         (30, 30, 30, {"certificate": True}, "paper"),
     ],
 )
@@ -366,7 +366,7 @@ def test_mode_without_leaves_refuses_to_promise_a_certificate(spatial):
         )
 
 
-@pytest.mark.parametrize("bound", ["paper", "tight"])
+@pytest.mark.parametrize("bound", ["dc", "tight"])
 def test_mode_full_refuses_a_bound_it_would_ignore(bound, spatial):
     source, target, _ = spatial
     with pytest.raises(dcreg.InputError, match=r"bound: .* mode 'full' has bounds of its own"):

@@ -248,7 +248,7 @@ def test_multi_tells_a_mirrored_basin_from_the_true_one(rng):
 def test_vertex_values_see_the_stop_flag(rng, monkeypatch):
     """A stop that comes before the values at the vertices ends their kernel at once."""
     source, target = rng.standard_normal((36, 3)), rng.standard_normal((40, 3))
-    given = task(source, target, 30, gap_tol=0.05, nodes=2000)
+    given = task(source, target, 30, gap_tol=0.05, bound="rigid", nodes=2000)
     untouched = []
 
     def priced_after_stop(known, asked, prices, clouds):

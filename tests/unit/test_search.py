@@ -24,7 +24,7 @@ class Ripples:
     def value(self, thetas):
         return ((thetas - self.centre) ** 2).sum(axis=1) + 0.3 * (1 - np.cos(8 * thetas[:, 0]))
 
-    def evaluate(self, lower, upper, cutoff, *, thorough=False):
+    def evaluate(self, lower, upper, cutoff, warm_start=None):
         centres = 0.5 * (lower + upper)
         values = self.value(centres)
         self.n_assignments += len(values)
@@ -56,25 +56,25 @@ def test_bounds_enclose_the_minimum_and_close():
 class Remembering(Ripples):
     """Hints are the lower corners, so that every box can tell whether they come from its parent."""
 
-    n_hinted = 0
+    n_warm = 0
 
-    def evaluate(self, lower, upper, cutoff, *, thorough=False, hints=None):
+    def evaluate(self, lower, upper, cutoff, warm_start=None):
         found = super().evaluate(lower, upper, cutoff)
-        if hints is not None:
-            self.n_hinted += len(hints)
-            assert hints.shape == (len(lower), 2)
-            assert (hints[:, 0] <= lower[:, 0]).all()
-            assert (hints[:, 1] <= lower[:, 1]).all()
+        if warm_start is not None:
+            self.n_warm += len(warm_start)
+            assert warm_start.shape == (len(lower), 2)
+            assert (warm_start[:, 0] <= lower[:, 0]).all()
+            assert (warm_start[:, 1] <= lower[:, 1]).all()
             # a parent is at most twice as wide along each axis
-            assert (lower - hints <= upper - lower + 1e-12).all()
-        found.hints = lower.copy()
+            assert (lower - warm_start <= upper - lower + 1e-12).all()
+        found.warm_start = lower.copy()
         return found
 
 
-def test_hints_of_a_box_go_to_its_parts():
+def test_warm_start_of_a_box_go_to_its_parts():
     bound = Remembering()
     found = branch_and_bound(bound, Budget(), gap_tol=1e-2, branching=LongestEdge(np.ones(2)))
-    assert bound.n_hinted == found.n_nodes - len(ROOT) > 0
+    assert bound.n_warm == found.n_nodes - len(ROOT) > 0
     assert found.upper_bound == solve().upper_bound
     assert found.n_nodes == solve().n_nodes
 
@@ -151,7 +151,7 @@ def test_root_without_admissible_parameter_is_not_searched():
         round_size = 16
         roots = ROOT
 
-        def evaluate(self, lower, upper, cutoff, *, thorough=False):
+        def evaluate(self, lower, upper, cutoff, warm_start=None):
             size = len(lower)
             return Evaluation(np.full(size, np.inf), lower.copy(), np.full(size, np.inf))
 

@@ -228,7 +228,7 @@ def test_time_limit_covers_the_whole_sweep_and_keeps_what_is_finished():
         [20, 25, 30, 60],
         model="similarity2d",
         time_limit=6.0,
-        options=dcreg.SolveOptions(bound="paper"),
+        options=dcreg.SolveOptions(bound="dc"),
     )
     assert time.perf_counter() - began < 18.0
     assert limited.status is Status.TIME_LIMIT

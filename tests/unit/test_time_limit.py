@@ -29,7 +29,7 @@ class Parabola:
     round_size = 16
     roots = (Box(np.array([1.0]), np.array([3.0])),)
 
-    def evaluate(self, lower, upper, cutoff, *, thorough=False):
+    def evaluate(self, lower, upper, cutoff, warm_start=None):
         centres = 0.5 * (lower + upper)
         return Evaluation(np.zeros(len(lower)), centres, (centres**2).sum(axis=1))
 
@@ -84,7 +84,7 @@ def test_a_kernel_ends_when_told_to():
 @pytest.mark.parametrize(
     ("model", "mode", "bound", "size"),
     [
-        ("similarity2d", "paper", "paper", 300),
+        ("similarity2d", "paper", "dc", 300),
         ("similarity2d", "paper", "tight", 1000),
         ("rigid3d", "full", None, 1000),
         ("rigid3d", "multi", None, 1000),

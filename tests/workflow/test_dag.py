@@ -52,8 +52,8 @@ WEAKER = """
 _evaluate = SpaceBound.evaluate
 
 
-def _weaker(self, lower, upper, cutoff, *, thorough=False):
-    found = _evaluate(self, lower, upper, cutoff, thorough=thorough)
+def _weaker(self, lower, upper, cutoff, warm_start=None):
+    found = _evaluate(self, lower, upper, cutoff, warm_start)
     found.lower_bounds -= 10 * ((upper - lower) ** 2).sum(axis=1)
     return found
 

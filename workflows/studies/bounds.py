@@ -1,6 +1,6 @@
 """``python -m workflows.studies.bounds OUT``: lower bounds side by side, on the same boxes and problems.
 
-Compared are the library's bounds (`dcreg.families.dc.registry.BOUNDS`) and the bounds of every other
+Compared are the library's bounds (`dcreg.families.registry`) and the bounds of every other
 method that can bound a box of poses (`baselines.contract.BoxBounding`). A new one of either kind takes
 part without a change here. Writes to OUT
 
@@ -34,9 +34,10 @@ from baselines._shared.library_search import OwnBound
 from baselines._shared.single_boxes import bound_of_box, box_space
 from baselines.contract import BoxBounding, Instance
 from data.registry import dataset
-from dcreg.families.dc.registry import BOUNDS, make_bound
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.protocol import MakeBound
+from dcreg.families.registry import make_bound
+from dcreg.names import BOUND_NAMES
 from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.search import Box, Budget, Outcome, minimise
 from workflows.disturb import make_instance
@@ -46,8 +47,8 @@ WIDTHS = np.geomspace(2.0, 0.0002, 13)  # of the whole box, in RMS radii of the 
 # plane these are 39 boxes, enough to show a share of 0.9.
 N_DRAWS = 6
 SEED = 20260326
-REFERENCE = "paper"  # the losses of the others are given as multiples of its loss
-COMBINED = ("tight+edges", "paper+edges")  # take part in the searches
+REFERENCE = "dc"  # the losses of the others are given as multiples of its loss
+COMBINED = ("tight+interval", "dc+interval")  # take part in the searches
 N_FITTED = 6  # an order is fitted to the smallest widths ...
 SHOWING = 1e-3  # ... at which the loss is above this share of the optimum
 CASES = {  # shape, disturbance, level, points, options of the disturbance
@@ -160,7 +161,7 @@ def methods(instance: Instance) -> Iterator[tuple[str, BoxBounding]]:
 
 def lines(case: Case) -> Iterator[Line]:
     """Yield all bounds."""
-    for name in BOUNDS:
+    for name in BOUND_NAMES:
         yield Line(name, partial(library_bound, name))
     for name, method in methods(case.instance):
         yield Line(name, partial(method_bound, method))
@@ -235,7 +236,7 @@ def search(make: MakeBound, space: FeatureSpace, gap_tol: float, budget: Budget)
 def searched(case: Case) -> dict[str, MakeBound]:
     """Bounds that take part in the searches: the library's, and those of methods with several."""
     makers: dict[str, MakeBound] = {
-        name: partial(make_bound, name) for name in (*BOUNDS, *COMBINED)
+        name: partial(make_bound, name) for name in (*BOUND_NAMES, *COMBINED)
     }
     for name, method in methods(case.instance):
         if isinstance(method, OwnBound) and method.bounds:

@@ -1,262 +1,217 @@
-"""DC bounds over shared vertex values: one assignment a lattice vertex instead of one a box vertex.
+"""Bounds over feature spaces: difference-of-convex (DC) and interval bounds, shared vertex values.
 
-For any linearisation point theta0 the DC bound of a box is
+The DC bound of a box M with linearisation point theta0 is
 
     LB(M; theta0) = min_{v in V(M)} min_P sum p_ij [ E_ij(v) - R_i(v - theta0) ].
 
-The costs E_ij(v) do not depend on the box, and R_i charges whole rows. So one exact assignment at a
-vertex, kept with its dual profile r (`dcreg.families.similarity2d.kernels.profiles`), bounds the inner minimum for every
-box that has the vertex and for every theta0. A bisection needs its new vertices only, and theta0 may be
-moved to where the bound is greatest without any assignment. Most vertices need no assignment either: the
-mean of the neighbours' duals gives a profile nearly as good, and only where such a vertex limits a box
-that is not yet pruned is it solved. Derived in this project, not in the paper.
-
-In norm space R_i is the same for all i, so that the values alone give every bound exactly; they are
-cheap, and all are solved.
+The costs E_ij(v) do not depend on the box, and R_i changes whole rows of costs only. Values at a vertex
+can therefore be shared: they are computed once and used for every box that has the vertex and for every
+theta0. `SharedVertexBound` keeps them; the families derive their bounds from it. Sharing was derived in
+this project and is not in the paper.
 """
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 
 import numpy as np
 
-from dcreg.families.dc.kernels.bounds import edge_bound, paper_bound
-from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.dc.vertex_cache import VertexCache
+from dcreg.families.dc.kernels.bounds import dc_bound, interval_bound
+from dcreg.families.dc.kernels.lattice import Lattice, Vertices, find_or_add, rebuild
+from dcreg.families.dc.space import F, FeatureSpace
 from dcreg.families.protocol import SpaceBound
-from dcreg.families.similarity2d.kernels.bounds import Boxes, Effort, exact_bounds, shared_bounds
-from dcreg.families.similarity2d.kernels.profiles import (
-    blend_prices,
-    boxes_of,
-    estimate_vertices,
-    solve_vertices,
-)
-from dcreg.families.translation3d.kernels.bounds import centre_bounds, tight_bounds
-from dcreg.families.translation3d.space import Translation3D
 from dcreg.search import Box, Evaluation
 
+# Beyond this size the cache drops the half of its vertices that was used least recently: bounds stay
+# valid, some vertices are solved twice.
+MAX_CACHE_BYTES = 400 * 2**20
+_INITIAL_CAPACITY = 4096  # vertices
 
-class PaperBound(SpaceBound[FeatureSpace]):
-    """Tangent of the convex part at the box centre, minimised over all 2^d vertices.
 
-    E_ij is convex minus convex; replacing its convex part by the tangent at the centre theta0 leaves
+class DCBound(SpaceBound[FeatureSpace]):
+    """The paper's bound: tangent of the convex part at the box centre, minimised over all 2^d vertices.
+
+    E_ij is a difference of convex functions. Replacing its convex part by the tangent at the centre
+    theta0 leaves
 
         LB(M) = min_{v in V(M)} min_P sum p_ij [ E_ij(v) - R_i(v - theta0) ],
 
-    because the tangent misses exactly R_i = |J_i delta|^2 and a concave function is least at a
-    vertex. One k-assignment a vertex; the loss is of second order in the box width.
+    because the linearisation gap of the tangent is exactly R_i = |J_i delta|^2 and a concave function is
+    minimal at a vertex. It takes one k-assignment per vertex; its gap is of second order in the box
+    width.
     """
 
+    name = "dc"
+    space_type = FeatureSpace
+
     def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None,
     ) -> Evaluation:
         found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
-
-        def work(part: slice) -> int:
-            return paper_bound(
-                self.space.points,
-                lower[part],
-                upper[part],
-                found.lower_bounds[part],
-                found.thetas[part],
-                found.values[part],
-            )
-
-        self._run(work, len(lower))
+        self.map_slices(
+            len(lower),
+            lambda part: dc_bound(
+                self.space.points, lower[part], upper[part], found.lower_bounds[part],
+                found.thetas[part], found.values[part],
+            ),
+        )  # fmt: skip
         return found
 
 
-class EdgeBound(SpaceBound[FeatureSpace]):
+class IntervalBound(SpaceBound[FeatureSpace]):
     """``min_P sum p_ij d(feature interval of x_i over the box, y_j)^2``; never negative.
 
-    Interval arithmetic on each feature (as in Go-ICP and GoTS, but one-to-one). First order in the box
-    width, yet on large boxes stronger than the DC bound, which is very negative there. Its candidate
-    is the box centre.
+    Interval arithmetic on each feature, as in Go-ICP and GoTS but one-to-one. The bound is of first order
+    in the box width. On large boxes it is nevertheless stronger than the DC bound, which is very negative
+    there. Its candidate is the box centre.
     """
 
+    name = "interval"
+    space_type = FeatureSpace
+
     def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None,
     ) -> Evaluation:
-        space = self.space
+        space, centres = self.space, 0.5 * (lower + upper)
         bounds, values = np.empty(len(lower)), np.empty(len(lower))
-        centres = 0.5 * (lower + upper)
 
         def work(part: slice) -> int:
-            spent = edge_bound(space.points, lower[part], upper[part], bounds[part])
+            spent = interval_bound(space.points, lower[part], upper[part], bounds[part])
             return spent + space.objectives(centres[part], values[part])
 
-        self._run(work, len(lower))
+        self.map_slices(len(lower), work)
         return Evaluation(bounds, centres, values)
 
 
-class SharedBound(SpaceBound[FeatureSpace]):
-    """The paper's linearisation at the box centre, over shared vertex values."""
+class SharedVertexBound(SpaceBound[F]):
+    """Base of the bounds over shared vertex values.
+
+    Parameters
+    ----------
+    space, roots, threads
+        As in `SpaceBound`.
+    profile_size, duals_size : int
+        Entries of the profile and of the dual vector kept per vertex; 0 if none is needed.
+
+    Attributes
+    ----------
+    moves : int
+        Maximum number of moves of the linearisation point from the box centre.
+    """
 
     moves = 0
 
     def __init__(
-        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
+        self,
+        space: F,
+        roots: Sequence[Box] | None = None,
+        threads: int = 1,
+        profile_size: int = 0,
+        duals_size: int = 0,
     ) -> None:
         super().__init__(space, roots, threads)
-        self.in_norm_space = isinstance(space, Translation3D)
-        sizes = (0, 0) if self.in_norm_space else (space.n_source, space.n_target)
-        self.cache = VertexCache(self.roots, *sizes)
-        self.loss_weights = space.n_inliers * space.axis_weights**2
+        self.cache = VertexCache(self.roots, profile_size, duals_size)
 
     def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None,
     ) -> Evaluation:
-        slots, before = self.cache.find(lower, upper)
-        if self.in_norm_space:
-            bounds = self._bound_norms(slots, before, lower, upper, cutoff, thorough)
-        else:
-            bounds = self._bound_plane(slots, before, lower, upper, cutoff, thorough)
+        slots, first_new = self.cache.find(lower, upper)
+        bounds = self._bound_boxes(slots, first_new, lower, upper, cutoff)
         best = np.where(slots >= 0, self.cache.values[slots], np.inf).argmin(axis=1)
         best = slots[np.arange(len(slots)), best]
         return Evaluation(bounds, self.cache.thetas[best], self.cache.values[best])
 
-    def _bound_norms(
+    @abc.abstractmethod
+    def _bound_boxes(
         self,
         slots: np.ndarray,
-        before: int,
+        first_new: int,
         lower: np.ndarray,
         upper: np.ndarray,
-        cutoff: float,
-        thorough: bool,
+        cutoff: float | None,
     ) -> np.ndarray:
-        cache, space, bounds = self.cache, self.space, np.empty(len(lower))
-
-        def solve(part: slice) -> int:
-            new = slice(before + part.start, before + part.stop)
-            return space.objectives(cache.thetas[new], cache.values[new])
-
-        def bound(part: slice) -> int:
-            boxes = lower[part], upper[part], slots[part]
-            if self.moves == 0:
-                return centre_bounds(cache.values, space.n_inliers, *boxes, bounds[part])
-            known = cache.thetas, cache.values
-            return tight_bounds(space.points, known, *boxes, cutoff, thorough, bounds[part])
-
-        self._run(solve, cache.used - before)
-        self._run(bound, len(lower))
-        return bounds
-
-    def _bound_plane(
-        self,
-        slots: np.ndarray,
-        before: int,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float,
-        thorough: bool,
-    ) -> np.ndarray:
-        self._estimate(slots, before)
-        boxes = Boxes(
-            lower, upper, slots, 0.5 * (lower + upper),
-            np.empty(len(lower)), np.empty(len(lower), np.int64),
-        )  # fmt: skip
-        floor = -np.inf if thorough else cutoff
-        effort = Effort(self.loss_weights, self.moves, floor, cutoff)
-        rows = np.arange(len(lower))
-        while rows.size:
-            self._bound(boxes, rows, effort)
-            # where an estimate limits a box that is not pruned yet, the vertex is solved
-            estimated = np.isinf(self.cache.values[boxes.binding[rows]])
-            rows = rows[(boxes.bounds[rows] < cutoff) & estimated]
-            which = np.unique(boxes.binding[rows])
-            self._blend(slots, which, settled=0)
-            self._solve(which, warm=True)
-        self._tighten(slots, boxes.points, cutoff, boxes.bounds)
-        return boxes.bounds
-
-    def _estimate(self, slots: np.ndarray, before: int) -> None:
-        """Lower bounds at the vertices from `before` on; values where no neighbour is known."""
-        new = np.arange(before, self.cache.used)
-        known = self._blend(slots, new, settled=before)
-        self._solve(new[~known], warm=False)
-        new, vertices = new[known], self.cache.vertices
-
-        def work(part: slice) -> int:
-            estimate_vertices(self.space.points, vertices, new[part])
-            return 0
-
-        self._run(work, new.size)
-
-    def _blend(self, slots: np.ndarray, which: np.ndarray, settled: int) -> np.ndarray:
-        """Prices from neighbours; False where there are none."""
-        known = np.zeros(which.size, np.bool_)
-        if not which.size:
-            return known
-        start, boxes = boxes_of(slots, which)
-        vertices = self.cache.vertices
-
-        def work(part: slice) -> int:
-            known[part] = blend_prices(
-                vertices, self.loss_weights, slots, which[part], start[part.start :], boxes, settled
-            )
-            return 0
-
-        self._run(work, which.size)
-        return known
-
-    def _solve(self, which: np.ndarray, warm: bool) -> None:
-        """Exact values at the vertices `which`."""
-        vertices = self.cache.vertices
-
-        def work(part: slice) -> int:
-            return solve_vertices(self.space.points, vertices, warm, which[part])
-
-        self._run(work, which.size)
-
-    def _bound(self, boxes: Boxes, rows: np.ndarray, effort: Effort) -> None:
-        """Bounds of some of the boxes."""
-        some = Boxes(*(array[rows] for array in boxes))
-        vertices = self.cache.vertices
-
-        def work(part: slice) -> int:
-            return shared_bounds(
-                self.space.points, vertices, effort, Boxes(*(array[part] for array in some))
-            )
-
-        self._run(work, rows.size)
-        boxes.points[rows], boxes.bounds[rows] = some.points, some.bounds
-        boxes.binding[rows] = some.binding
-
-    def _tighten(
-        self, slots: np.ndarray, points: np.ndarray, cutoff: float, bounds: np.ndarray
-    ) -> None:
-        """Nothing: profiles are all this bound uses."""
+        """Return the bounds of B boxes with the vertices in `slots`; those from `first_new` are new."""
 
 
-class TightBound(SharedBound):
-    """Shared vertex values and the linearisation point that makes the bound greatest.
+class VertexCache:
+    """Values at the vertices of all boxes so far, by slot; a lattice over the roots locates them.
 
-    In norm space also with the curvature of E in the box (`dcreg.families.translation3d.kernels.curvature`).
+    Its arrays are those of `Lattice` and `Vertices`.
+
+    Parameters
+    ----------
+    roots : sequence of Box
+        Every box is made from one of them by bisection.
+    profile_size, duals_size : int
+        Entries of a profile and of a dual vector; 0 if none is needed.
     """
 
-    moves = 2
+    _ARRAYS = ("keys", "thetas", "lows", "values", "levels", "profiles", "duals", "met")
 
+    def __init__(self, roots: Sequence[Box], profile_size: int, duals_size: int) -> None:
+        self.origin = np.min([root.lower for root in roots], axis=0)
+        self.width = np.max([root.upper for root in roots], axis=0) - self.origin
+        self.max_vertices = MAX_CACHE_BYTES // (8 * (profile_size + duals_size + 16))
+        self.used = self._calls = 0
+        capacity = _INITIAL_CAPACITY
+        self.keys = np.empty((capacity, 4), np.int64)
+        self.met = np.empty(capacity, np.int64)  # the last call that used the vertex
+        self.thetas = np.empty((capacity, self.origin.size))
+        self.lows, self.values, self.levels = (np.empty(capacity) for _ in range(3))
+        self.profiles, self.duals = (
+            np.empty((capacity, size)) for size in (profile_size, duals_size)
+        )
+        self.table = np.full(4 * capacity, -1, np.int64)
 
-class TightExactBound(TightBound):
-    """`TightBound`, then the exact assignment of ``E_ij(v) - R_i`` at the vertices that limit a box.
+    @property
+    def vertices(self) -> Vertices:
+        """What the kernels take; invalid after the next `find`, which may move the arrays."""
+        return Vertices(self.thetas, self.lows, self.values, self.levels, self.profiles, self.duals)
 
-    A profile charges the rows of one matching; where few of many points are matched (k < n) another
-    matching may suffer less from the charge, and only an assignment of its own tells. In norm space there
-    is nothing to gain.
-    """
+    def _reserve(self, count: int) -> None:
+        if self.used + count > self.max_vertices:
+            self._forget()
+        needed = self.used + count
+        if needed > len(self.keys):
+            # allocate the maximum at once: pages never written take no memory, a second copy takes time
+            for name in self._ARRAYS:
+                old = getattr(self, name)
+                new = np.empty((max(needed, self.max_vertices), *old.shape[1:]), old.dtype)
+                new[: self.used] = old[: self.used]
+                setattr(self, name, new)
+        if 2 * needed > len(self.table):
+            self.table = np.empty(8 * 2 ** int(needed).bit_length(), np.int64)
+            rebuild(self.table, self.keys, self.used)
 
-    def _tighten(
-        self, slots: np.ndarray, points: np.ndarray, cutoff: float, bounds: np.ndarray
-    ) -> None:
-        weak = np.flatnonzero(bounds < cutoff)
-        raised, vertices = bounds[weak], self.cache.vertices
+    def _forget(self) -> None:
+        """Keep the half of the vertices that was used most recently."""
+        keep = np.sort(np.argsort(self.met[: self.used], kind="stable")[self.used // 2 :])
+        for name in self._ARRAYS:
+            array = getattr(self, name)
+            array[: keep.size] = array[keep]
+        self.used = keep.size
+        rebuild(self.table, self.keys, self.used)
 
-        def work(part: slice) -> int:
-            rows = weak[part]
-            return exact_bounds(
-                self.space.points, vertices, cutoff, slots[rows], points[rows], raised[part]
-            )
-
-        self._run(work, weak.size)
-        bounds[weak] = raised
+    def find(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, int]:
+        """Return the slots of the boxes' vertices (-1 beyond the last), and the first new slot."""
+        slots = np.full((len(lower), 2**self.origin.size), -1, np.int64)
+        self._reserve(slots.size)
+        self._calls += 1
+        first_new = self.used
+        lattice = Lattice(self.table, self.keys, self.thetas, self.met, self.origin, self.width)
+        self.used = find_or_add(lattice, first_new, self._calls, lower, upper, slots)
+        self.values[first_new : self.used] = np.inf
+        return slots, first_new

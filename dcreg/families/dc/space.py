@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from typing import TypeVar
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from dcreg.families.dc.kernels.motion import pair_costs
 from dcreg.families.kernels import Points
 from dcreg.families.protocol import Space
 
-LEAST_GAIN = 1e-9  # share of the objective by which a step of a descent has to lower it
+MIN_GAIN = 1e-9  # share of the objective by which a step of a descent has to lower it
 
 
 class FeatureSpace(Space):
@@ -59,3 +60,6 @@ class FeatureSpace(Space):
     @abc.abstractmethod
     def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
         """The objective at every row of `thetas` into `values`; the assignments that took."""
+
+
+F = TypeVar("F", bound=FeatureSpace)

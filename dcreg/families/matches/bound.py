@@ -54,9 +54,14 @@ class MatchBound:
         return int(np.clip(ROUND_WORK // max(1, self.n_left), 16, 512))
 
     def evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, *, thorough: bool = False
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None = None,
     ) -> Evaluation:
-        """Bound B boxes; the value of the most promising pose is computed, no other."""
+        """Bound B boxes; only the value of the most promising pose is computed."""
+        cutoff = np.inf if cutoff is None else cutoff
         count = len(lower)
         highest, poses = np.full(count, self._best), np.zeros((count, 3, 4))
         if self.n_left:

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from dcreg.assignment.polish import alternate
 from dcreg.families.matches.kernels.compatible import closest_allies, compatible_matches
-from dcreg.families.matches.problem import MatchProblem
+from dcreg.families.matches.problem import LEAST, MatchProblem
 from dcreg.families.matches.surfaces import Surfaces
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
@@ -24,6 +25,7 @@ LEAST_WEIGHT = 0.3  # of a member of a set, in shares of the greatest
 MAX_DESCENTS = 30
 TURN, SHIFT = np.deg2rad(5.0), 2.0  # poses nearer than that, in radians and reaches, are one start
 PULLING_STEPS, EXACT_STEPS = 10, 10  # of a descent
+MIN_GAIN = 1e-9  # relative decrease of the cost below which a descent ends
 WIDE = 4.0  # residual in reaches, at its start, up to which a match can pull in a descent
 
 
@@ -97,15 +99,11 @@ def descend(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, flo
         weights = 1.0 / (1.0 + 4.0 * square[near])
         centred = fit_pose(around_x[near], around_y[near], (1.0, 1.0), weights)[:3]
     value, chosen = problem.cost(centred)
-    for _ in range(EXACT_STEPS):
-        if len(chosen) < 3:
-            break
-        better = fit_pose(x[chosen], y[chosen], (1.0, 1.0))[:3]
-        less, other = problem.cost(better)
-        if less >= value * (1.0 - 1e-9):
-            break
-        centred, value, chosen = better, less, other
-    return centred, value
+
+    def fit(_: np.ndarray, chosen: np.ndarray) -> np.ndarray | None:
+        return None if len(chosen) < LEAST else fit_pose(x[chosen], y[chosen], (1.0, 1.0))[:3]
+
+    return alternate(centred, value, chosen, fit, problem.cost, MIN_GAIN, EXACT_STEPS)[:2]
 
 
 def _agreed_poses(problem: MatchProblem) -> np.ndarray:

@@ -129,11 +129,13 @@ from dcreg.search import Box, Evaluation
 
 
 class RigidBound(SpaceBound[Rigid3D]):
-    """The greatest of the bounds in the module's docstring, over boxes of poses.
+    """The maximum of the bounds in the module's docstring, over boxes of poses.
 
-    The prices of a box are its hints: the boxes made from it begin with them.
+    The warm start of a box is its dual variables: the boxes made from it begin with them.
     """
 
+    name = "rigid"
+    space_type = Rigid3D
     max_round = 512
 
     def __init__(
@@ -146,53 +148,44 @@ class RigidBound(SpaceBound[Rigid3D]):
             drift=k * largest_subset_mean_3d(source.T, k),
             spread=float(np.linalg.eigvalsh(source @ source.T)[-1]),
         )
-        self._corners = CornerValues(space.clouds, self._run)
+        self._corners = CornerValues(space.clouds, self.map_slices)
 
-    def evaluate(
+    def _evaluate(
         self,
         lower: np.ndarray,
         upper: np.ndarray,
-        cutoff: float,
-        *,
-        thorough: bool = False,
-        hints: np.ndarray | None = None,
+        cutoff: float | None,
+        warm_start: np.ndarray | None,
     ) -> Evaluation:
-        """Bound B boxes; see `dcreg.search.Bound`. The hints given become those of these boxes."""
+        count, most = len(lower), self._corners.most_boxes
+        if warm_start is None:
+            warm_start = np.zeros((count, self.space.n_target), np.uint16)
+        enough = np.inf if cutoff is None else cutoff
+        parts = [
+            self._evaluate_part(lower[part], upper[part], enough, warm_start[part])
+            for part in (slice(at, at + most) for at in range(0, count, most))
+        ]
+        bounds, thetas, values = map(np.concatenate, zip(*parts, strict=True))
+        return Evaluation(bounds, thetas, values, warm_start)
+
+    def _evaluate_part(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, prices: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bound boxes, as many as the cache has room for; `prices` is updated in place."""
         count, space, corners = len(lower), self.space, self._corners
-        cutoff = np.inf if thorough else cutoff
-        prices = np.zeros((count, space.n_target), np.uint16) if hints is None else hints
-        if count > corners.most_boxes:
-            return self._in_parts(lower, upper, cutoff, prices)
         found = room_for_findings(prices)
         corners.make_room(count)
-
-        def work(part: slice) -> int:
-            return bound_boxes(
+        self.map_slices(
+            count,
+            lambda part: bound_boxes(
                 lower[part], upper[part], cutoff, space.clouds, self._limits, corners.known,
                 found.part(part),
-            )  # fmt: skip
-
-        self._run(work, count)
+            ),
+        )  # fmt: skip
         corners.raise_bounds(lower, upper, cutoff, found)
         thetas = 0.5 * (lower + upper)
         self._look_at_best(thetas, found.guesses, found.values)
-        return Evaluation(found.bounds, thetas, found.values, prices)
-
-    def _in_parts(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, prices: np.ndarray
-    ) -> Evaluation:
-        """More boxes than there is room for the corners of."""
-        most = self._corners.most_boxes
-        found = [
-            self.evaluate(lower[part], upper[part], cutoff, hints=prices[part])
-            for part in (slice(at, at + most) for at in range(0, len(lower), most))
-        ]
-        return Evaluation(
-            np.concatenate([part.lower_bounds for part in found]),
-            np.concatenate([part.thetas for part in found]),
-            np.concatenate([part.values for part in found]),
-            prices,
-        )
+        return found.bounds, thetas, found.values
 
     def _look_at_best(self, thetas: np.ndarray, guesses: np.ndarray, values: np.ndarray) -> None:
         """The objective where it may be least."""
@@ -200,8 +193,3 @@ class RigidBound(SpaceBound[Rigid3D]):
         if guesses[best] < values.min():
             values[best] = self.space.objective(thetas[best])[0]
             self.n_assignments += 1
-
-    def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
-    ) -> Evaluation:
-        return self.evaluate(lower, upper, cutoff, thorough=thorough)

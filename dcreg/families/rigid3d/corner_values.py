@@ -28,8 +28,8 @@ class CornerValues:
     Parameters
     ----------
     clouds : Clouds
-    run : callable
-        Applies a function to slices that cover so many items, in several threads.
+    map_slices : callable
+        That of a `SpaceBound`.
 
     Attributes
     ----------
@@ -37,8 +37,10 @@ class CornerValues:
         As many may be looked at at a time.
     """
 
-    def __init__(self, clouds: Clouds, run: Callable[[Callable[[slice], int], int], None]) -> None:
-        self._clouds, self._run = clouds, run
+    def __init__(
+        self, clouds: Clouds, map_slices: Callable[[int, Callable[[slice], int]], None]
+    ) -> None:
+        self._clouds, self._map_slices = clouds, map_slices
         room = 1 if is_small(clouds) else _REMEMBERED
         self.most_boxes = _REMEMBERED // CORNERS
         self._used = 0
@@ -72,5 +74,5 @@ class CornerValues:
             )
             if not count:  # every box is judged
                 break
-            self._run(price, count)
+            self._map_slices(count, price)
         bounds_by_corners(known, found.prospects, cutoff, found.bounds)

@@ -58,7 +58,7 @@ class Rigid3D(CloudSpace):
     Parameters
     ----------
     source, target : (n, 3), (m, 3) arrays
-        n <= m is best: nearest distances are taken from the source.
+        n <= m is best: nearest distances are taken from the source. See `between`.
     n_inliers : int
     reduced_box : bool
         Start from the translations that an optimum can have, or from the plain safe box.
@@ -85,10 +85,11 @@ class Rigid3D(CloudSpace):
         super().__init__(source, target, n_inliers, candidates, stop_flag)
         self.reduced_box = reduced_box
         self._candidates = candidates
-        self._centres = np.zeros(3), np.zeros(3)  # of the clouds as they were given, see `centred`
+        self._centres = np.zeros(3), np.zeros(3)  # of the clouds given to `between`
+        self._swapped = False
 
     @classmethod
-    def centred(
+    def between(
         cls,
         source: np.ndarray,
         target: np.ndarray,
@@ -97,14 +98,21 @@ class Rigid3D(CloudSpace):
         candidates: np.ndarray | None = None,
         stop_flag: np.ndarray = NEVER,
     ) -> Rigid3D:
-        """The space over both clouds centred, which gives the smallest start box.
+        """Return the space that is searched best for two clouds in any frame, of any sizes.
 
-        `pose` and `theta` translate to and from the clouds as they were given.
+        Both clouds are centred, which gives the smallest start box. The smaller one is moved, because
+        nearest distances are taken from the moved cloud; the inverse pose has the same residuals. `pose`
+        and `theta` convert from and to poses of `source`.
         """
+        swapped = len(source) > len(target)
+        if swapped:
+            source, target = target, source
+            if candidates is not None:  # in C order: kernels are compiled for no other
+                candidates = np.ascontiguousarray(candidates.T)
         centres = source.mean(axis=0), target.mean(axis=0)
         clouds = source - centres[0], target - centres[1]
         space = cls(*clouds, n_inliers, reduced_box, candidates, stop_flag)
-        space._centres = centres
+        space._centres, space._swapped = centres, swapped
         return space
 
     def translations(self) -> Box:
@@ -172,7 +180,8 @@ class Rigid3D(CloudSpace):
                 if budget.is_over:
                     return
                 poses = congruent_poses(
-                    source, target, self.n_inliers, scale, self._candidates, seed=seed, stop=self.stop_flag
+                    source, target, self.n_inliers, scale, self._candidates, seed=seed,
+                    stop=self.stop_flag,
                 )  # fmt: skip
                 if self.n_pairs > DENSE_DESCENTS:
                     poses = best_descents(poses, source, target, self.n_inliers)
@@ -198,16 +207,16 @@ class Rigid3D(CloudSpace):
         return scores, 0
 
     def pose(self, theta: np.ndarray) -> np.ndarray:
-        """The (4, 4) matrix that maps the source as it was given onto the target."""
+        """Return the (4, 4) matrix that maps the given source onto the target."""
         T: np.ndarray = np.eye(4)
         T[:3, :3] = Rotation3D.matrix(theta[:4])
         T[:3, 3] = theta[4:]
         T[:3, 3] += self._centres[1] - T[:3, :3] @ self._centres[0]
-        return T
+        return np.linalg.inv(T) if self._swapped else T
 
     def theta(self, T: np.ndarray) -> np.ndarray:
-        """The parameter of a pose: the inverse of `pose`."""
-        T = T.copy()
+        """Return the parameter of a pose: the inverse of `pose`."""
+        T = np.linalg.inv(T) if self._swapped else T.copy()
         T[:3, 3] -= self._centres[1] - T[:3, :3] @ self._centres[0]
         return self._parameter(T)
 

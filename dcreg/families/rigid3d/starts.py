@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dcreg.assignment.polish import follow_nearest
+from dcreg.families.protocol import distinct
 from dcreg.families.rigid3d.kernels import congruent as kernels
 from dcreg.jit import NEVER
 from dcreg.problem import rms_radius
@@ -181,15 +182,10 @@ def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _distinct(poses: np.ndarray, scores: np.ndarray, count: int) -> np.ndarray:
-    """The best poses that differ, as (P, 4, 4)."""
-    corners = np.vstack([np.zeros(3), np.eye(3)])
-    kept: list[np.ndarray] = []
-    moved = np.einsum("pab,cb->pca", poses[:, :, :3], corners) + poses[:, None, :, 3]
-    taken = np.empty((0, 4, 3))
-    for at in np.argsort(-scores, kind="stable"):
-        if scores[at] <= 0.0 or len(kept) == count:
-            break
-        if (np.abs(taken - moved[at]).max(axis=(1, 2), initial=0.0) > APART).all():
-            kept.append(np.vstack([poses[at], [0.0, 0.0, 0.0, 1.0]]))
-            taken = np.concatenate([taken, moved[at : at + 1]])
-    return np.array(kept).reshape(-1, 4, 4)
+    """Return the best poses that differ, as (P, 4, 4)."""
+    tetrahedron = np.vstack([np.zeros(3), np.eye(3)])
+    moved = np.einsum("pab,cb->pca", poses[:, :, :3], tetrahedron) + poses[:, None, :, 3]
+    kept = distinct(moved.reshape(-1, 12), scores, APART, count)
+    out = np.tile(np.eye(4), (len(kept), 1, 1))
+    out[:, :3] = poses[kept]
+    return out

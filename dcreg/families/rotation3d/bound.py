@@ -39,46 +39,34 @@ as it decides about the cutoff. At a box of one rotation B1 equals E.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
-
 import numpy as np
 
 from dcreg.families.protocol import SpaceBound
 from dcreg.families.rotation3d.kernels.rotation import bound_boxes
-from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
+from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Evaluation
 
-S = TypeVar("S", bound=CloudSpace)
 
-
-class CloudBound(SpaceBound[S]):
-    """Each box on its own, the candidate at its centre.
-
-    Attributes
-    ----------
-    bound_boxes : callable
-        The kernel: (lower, upper, cutoff, clouds, bounds, values) -> assignments.
-    """
-
-    bound_boxes: Callable[..., int]
-
-    def _evaluate(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, thorough: bool
-    ) -> Evaluation:
-        bounds, values = np.empty(len(lower)), np.empty(len(lower))
-
-        def work(part: slice) -> int:
-            return self.bound_boxes(
-                lower[part], upper[part], cutoff, self.space.clouds, bounds[part], values[part]
-            )
-
-        self._run(work, len(lower))
-        return Evaluation(bounds, 0.5 * (lower + upper), values)
-
-
-class RotationBound(CloudBound[Rotation3D]):
+class RotationBound(SpaceBound[Rotation3D]):
     """max(B1, B2) over boxes of quaternions; proofs in the module's docstring."""
 
+    name = "rotation"
+    space_type = Rotation3D
     round_pairs, max_round = 4_000_000, 32
-    bound_boxes = staticmethod(bound_boxes)
+
+    def _evaluate(
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+        warm_start: np.ndarray | None,
+    ) -> Evaluation:
+        bounds, values = np.empty(len(lower)), np.empty(len(lower))
+        enough = np.inf if cutoff is None else cutoff
+        self.map_slices(
+            len(lower),
+            lambda part: bound_boxes(
+                lower[part], upper[part], enough, self.space.clouds, bounds[part], values[part]
+            ),
+        )
+        return Evaluation(bounds, 0.5 * (lower + upper), values)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from dcreg.assignment.polish import alternate
 from dcreg.assignment.sparse import nearest_pairs, sparse_matching
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import Rotation3D
@@ -26,6 +27,7 @@ _SCORED_TARGETS = 2000
 _DESCENTS = 12
 _DESCENT_SAMPLE = 500
 _MAX_ROUNDS = 50
+_MIN_GAIN = 1e-4
 
 
 def search_sampled_rotation(
@@ -112,14 +114,18 @@ def _descend(
     budget: Budget,
 ) -> np.ndarray:
     """Alternate the k nearest neighbours and the best rotation while their distance falls."""
-    best, least = theta, np.inf
-    for _ in range(_MAX_ROUNDS):
+
+    def evaluate(theta: np.ndarray) -> tuple[float, np.ndarray]:
         pairs, value = nearest_pairs(points @ rotation_matrix(theta).T, tree, k)
-        if value >= least * (1.0 - 1e-4) or budget.is_over:
-            break
-        best, least = theta, value
-        theta = best_rotation(points[pairs[:, 0]].T, target[pairs[:, 1]].T)
-    return best
+        return value, pairs
+
+    def fit(theta: np.ndarray, pairs: np.ndarray) -> np.ndarray | None:
+        if budget.is_over:
+            return None
+        return best_rotation(points[pairs[:, 0]].T, target[pairs[:, 1]].T)
+
+    value, pairs = evaluate(theta)
+    return alternate(theta, value, pairs, fit, evaluate, _MIN_GAIN, _MAX_ROUNDS - 1)[0]
 
 
 def _two_sided(

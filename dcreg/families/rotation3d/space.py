@@ -23,15 +23,15 @@ import abc
 import numpy as np
 
 from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.assignment.polish import alternate
 from dcreg.families.kernels import Clouds
-from dcreg.families.protocol import Space, alternate, radius
+from dcreg.families.protocol import Space, infeasibility_penalty, radius
 from dcreg.families.rotation3d.kernels import rotation as kernels
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.jit import NEVER
-from dcreg.problem.problem import FeasiblePairs
 from dcreg.search import Box
 
-_LEAST_GAIN = 1e-12
+_MIN_GAIN = 1e-12
 
 
 class CloudSpace(Space):
@@ -65,7 +65,7 @@ class CloudSpace(Space):
         self.clouds = Clouds(
             np.ascontiguousarray(source.T),
             np.ascontiguousarray(target.T),
-            FeasiblePairs(candidates).prices(n_inliers, reach),
+            infeasibility_penalty(candidates, n_inliers, reach),
             n_inliers,
             stop_flag,
         )
@@ -97,14 +97,10 @@ class CloudSpace(Space):
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Alternate matching and best pose from `theta`: theta, objective, assignments."""
         value, col_of = self.objective(theta)
-        theta, value, spent = alternate(
-            theta,
-            value,
-            col_of,
-            lambda _, matching: self.fit(*self.matched(matching)),
-            self.objective,
-            _LEAST_GAIN,
-        )
+        theta, value, _, spent = alternate(
+            theta, value, col_of, lambda _, matching: self.fit(*self.matched(matching)),
+            self.objective, _MIN_GAIN,
+        )  # fmt: skip
         return self.normalised(theta), value, spent + 1
 
 

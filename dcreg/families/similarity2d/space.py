@@ -8,17 +8,29 @@ from collections.abc import Iterator
 import numpy as np
 
 from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
+from dcreg.assignment.polish import alternate
 from dcreg.families.dc.kernels.bounds import objectives
-from dcreg.families.dc.space import LEAST_GAIN, FeatureSpace
+from dcreg.families.dc.space import MIN_GAIN, FeatureSpace
 from dcreg.families.kernels import Points
-from dcreg.families.protocol import alternate, largest_subset_mean, means_of_subsets, radius
+from dcreg.families.protocol import infeasibility_penalty, means_of_subsets, radius
 from dcreg.families.similarity2d.starts import similar_poses
 from dcreg.jit import NEVER
-from dcreg.problem.problem import FeasiblePairs
 from dcreg.search import Box, Budget
 
 # Descents that end with k pairs begin with so many of the pairs beyond k that there are.
 _SURPLUS = (0.75, 0.5, 0.25)
+
+
+def largest_subset_mean(points: np.ndarray, count: int, n_directions: int = 64) -> float:
+    """Return an upper bound on ``|mean of any `count` points|`` of (2, n) points.
+
+    The support function of all subset means is the mean of the largest projections; sampled
+    a sampled direction differs from the worst one by at most half their spacing.
+    """
+    angles = np.arange(n_directions) * (2 * np.pi / n_directions)
+    directions = np.stack([np.cos(angles), np.sin(angles)])
+    projections = np.sort(points @ directions, axis=0)[-count:].mean(axis=0)
+    return float(max(projections.max(), 0.0) / np.cos(np.pi / n_directions))
 
 
 class Similarity2D(FeatureSpace):
@@ -59,7 +71,7 @@ class Similarity2D(FeatureSpace):
             np.ascontiguousarray(source),
             np.ascontiguousarray(source.T),
             np.ascontiguousarray(target.T),
-            FeasiblePairs(candidates).prices(n_inliers, reach),
+            infeasibility_penalty(candidates, n_inliers, reach),
             n_inliers,
             stop_flag,
         )
@@ -156,13 +168,13 @@ class Similarity2D(FeatureSpace):
             self.check()
             return value, matching
 
-        found, value, spent = alternate(
+        found, value, _, spent = alternate(
             theta.copy(),
             np.inf,
             col_of,
             lambda _, matching: self._fit(matching),
             evaluate,
-            LEAST_GAIN,
+            MIN_GAIN,
         )
         return found, value, spent + 1
 

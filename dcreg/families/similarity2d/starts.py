@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dcreg.families.protocol import distinct
 from dcreg.families.similarity2d.kernels import similar as kernels
 from dcreg.jit import NEVER
 from dcreg.problem import rms_radius
@@ -75,7 +76,8 @@ def similar_poses(
         pairs, source, target[columns], feasible,
         (looked, origin, cell, field, *map(float, scale_range), stop), thetas, scores,
     )  # fmt: skip
-    return _distinct(thetas.reshape(-1, 4), scores.ravel(), unit)
+    found = thetas.reshape(-1, 4)
+    return found[distinct(found / [1.0, 1.0, unit, unit], scores.ravel(), APART, MAX_POSES)]
 
 
 def _long_pairs(points: np.ndarray, n_inliers: int, rng: np.random.Generator) -> np.ndarray:
@@ -88,15 +90,3 @@ def _long_pairs(points: np.ndarray, n_inliers: int, rng: np.random.Generator) ->
     longest = np.argsort(-lengths, kind="stable")[: 2 * count]
     longest = longest[lengths[longest] > 0.0]
     return drawn[longest[np.sort(rng.permutation(len(longest))[:count])]]
-
-
-def _distinct(thetas: np.ndarray, scores: np.ndarray, unit: float) -> np.ndarray:
-    """The best parameters that differ by more than `APART` in units of the clouds."""
-    scaled = thetas / [1.0, 1.0, unit, unit]
-    kept: list[int] = []
-    for at in np.argsort(-scores, kind="stable"):
-        if scores[at] <= 0.0 or len(kept) == MAX_POSES:
-            break
-        if (np.abs(scaled[kept] - scaled[at]).max(axis=1) > APART).all():
-            kept.append(at)
-    return thetas[kept]

@@ -5,14 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.assignment.kernels.sorting import COLUMNS
+from dcreg.assignment.polish import alternate
 from dcreg.families.dc.kernels.bounds import objectives
-from dcreg.families.dc.space import LEAST_GAIN, FeatureSpace
+from dcreg.families.dc.space import MIN_GAIN, FeatureSpace
 from dcreg.families.kernels import Points
-from dcreg.families.protocol import alternate, mean_of_largest, means_of_subsets, radius
+from dcreg.families.protocol import (
+    infeasibility_penalty,
+    mean_of_largest,
+    means_of_subsets,
+    radius,
+)
 from dcreg.families.translation3d.kernels.fit import fit_norm3d
 from dcreg.families.translation3d.kernels.line import match_on_line, objectives_on_line
 from dcreg.jit import NEVER
-from dcreg.problem.problem import FeasiblePairs
 from dcreg.search import Box
 
 _AT_ONCE = 20_000  # points, `COLUMNS` times: that takes hundredths of a second
@@ -39,6 +44,7 @@ class Translation3D(FeatureSpace):
     """
 
     scope = "translation in norm space"
+    fixes_rotation = False
     identity = np.zeros(3)
 
     def __init__(
@@ -52,14 +58,13 @@ class Translation3D(FeatureSpace):
     ) -> None:
         self.norms = np.sqrt((target**2).sum(axis=1))
         self._ordered = np.sort(self.norms)
-        pairs = FeasiblePairs(candidates)
         # where every pair is feasible, scalars are matched, which needs no matrix of costs
-        self._on_line = pairs.mask is None
+        self._on_line = candidates is None
         self.points = Points(
             np.ascontiguousarray(source),
             np.ascontiguousarray(source.T),
             self.norms,
-            pairs.prices(n_inliers, radius(source) + radius(target)),
+            infeasibility_penalty(candidates, n_inliers, radius(source) + radius(target)),
             n_inliers,
             stop_flag,
         )
@@ -111,8 +116,8 @@ class Translation3D(FeatureSpace):
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         value, col_of = self.objective(theta)
-        found, value, spent = alternate(
-            theta.copy(), value, col_of, self._fit, self.objective, LEAST_GAIN
+        found, value, _, spent = alternate(
+            theta.copy(), value, col_of, self._fit, self.objective, MIN_GAIN
         )
         return found, value, spent + 1
 
@@ -123,3 +128,9 @@ class Translation3D(FeatureSpace):
         axes = np.ascontiguousarray(self.points.axes[:, rows])
         fit_norm3d(axes, self.norms[col_of[rows]], _STEPS, trial)
         return trial
+
+    def pose(self, theta: np.ndarray) -> np.ndarray:
+        """Return the translation alone; the rotation about the origin follows it."""
+        T = np.eye(4)
+        T[:3, 3] = theta
+        return T

@@ -56,7 +56,7 @@ def instance(dim: int, k: int = 6) -> Instance:
         (3, 50, {}, "mode full, bound rigid"),
         (3, 60, {}, "mode full, bound rigid"),
         (3, 50, {"mode": "multi"}, "mode multi, bound tight"),
-        (3, 50, {"bound": "paper"}, "mode paper, bound paper"),
+        (3, 50, {"bound": "dc"}, "mode paper, bound dc"),
         (3, 50, {"front_end": "shared-mutual"}, "mode matches, bound nested"),
     ],
 )

@@ -24,7 +24,7 @@ def objectives(points, thetas, values):
 
 
 @jit
-def paper_bound(points, lower, upper, bounds, thetas, values):
+def dc_bound(points, lower, upper, bounds, thetas, values):
     """DC bound as published: tangent at the box centre, one assignment at every vertex.
 
     Fills per box the bound, the minimising vertex and the objective of the matching found there (an
@@ -61,7 +61,7 @@ def paper_bound(points, lower, upper, bounds, thetas, values):
 
 
 @jit
-def edge_bound(points, lower, upper, bounds):
+def interval_bound(points, lower, upper, bounds):
     """Every pair at its own best place in the box: sum of k interval distances, never negative."""
     cost = np.empty((points.source.shape[0], points.target.shape[-1]))
     for box in range(lower.shape[0]):

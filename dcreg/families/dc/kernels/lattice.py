@@ -39,6 +39,29 @@ class Lattice(NamedTuple):
     width: np.ndarray
 
 
+class Vertices(NamedTuple):
+    """What is known of the vertices, by slot.
+
+    Attributes
+    ----------
+    thetas : (S, dim) array
+    lows : (S,) array
+        Lower bounds on E.
+    values : (S,) array
+        E where it was solved, else infinite.
+    levels : (S,) array
+        About the k-th smallest entry of the profile.
+    profiles, duals : (S, n), (S, m) arrays
+    """
+
+    thetas: np.ndarray
+    lows: np.ndarray
+    values: np.ndarray
+    levels: np.ndarray
+    profiles: np.ndarray
+    duals: np.ndarray
+
+
 @jit_part
 def _hash(q0, q1, q2, q3):
     h = np.uint64(q0) * np.uint64(0x9E3779B97F4A7C15)

@@ -6,12 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.assignment.kernels.dense import improve_assignment
-from dcreg.assignment.kernels.selection import place_of_least, smallest_sum, total
+from dcreg.assignment.kernels.selection import smallest_sum, total
 from dcreg.families.dc.kernels.boxes import n_vertices
 from dcreg.families.dc.kernels.linearisation import best_linearisation
-from dcreg.families.dc.kernels.motion import pair_costs, plane_curvature
-from dcreg.jit import jit, jit_part
+from dcreg.families.dc.kernels.motion import plane_curvature
+from dcreg.jit import jit
 
 
 class Boxes(NamedTuple):
@@ -118,50 +117,3 @@ def shared_bounds(points, known, effort, boxes):
                 break
         boxes.bounds[box] = best
     return 0
-
-
-@jit
-def exact_bounds(points, known, cutoff, slots, places, bounds):
-    """Raise `bounds` by exact minima over P at the vertices that limit them, theta0 in `places`.
-
-    Vertices are taken from the lowest on, until the lowest is exact or above `cutoff`. Returns the
-    assignments spent.
-    """
-    n, m, dim = points.source.shape[0], points.target.shape[1], places.shape[1]
-    missed, cost, delta, duals = np.empty(n), np.empty((n, m)), np.empty(dim), np.empty(m)
-    charged, exact = np.empty(slots.shape[1]), np.empty(slots.shape[1], np.bool_)
-    spent = 0
-    for box in range(slots.shape[0]):
-        for v in range(slots.shape[1]):
-            charged[v], exact[v] = np.inf, False
-            slot = slots[box, v]
-            if slot >= 0:
-                _from_point(known.thetas, slot, places, box, delta)
-                charged[v] = charged_value(
-                    points.axes, points.k, known.lows[slot], known.levels[slot],
-                    known.profiles[slot], delta, missed,
-                )  # fmt: skip
-        while True:
-            v = place_of_least(charged)
-            if exact[v] or charged[v] >= cutoff or points.stop[0]:
-                break
-            slot = slots[box, v]
-            _from_point(known.thetas, slot, places, box, delta)
-            pair_costs(points, known.thetas[slot], cost)
-            plane_curvature(points.axes, delta, missed)
-            for i in range(n):
-                for j in range(m):
-                    cost[i, j] -= missed[i]
-            for j in range(m):
-                duals[j] = known.duals[slot, j]
-            charged[v], _ = improve_assignment(cost, points.k, duals, points.stop)
-            exact[v] = True
-            spent += 1
-        bounds[box] = max(bounds[box], charged[v])
-    return spent
-
-
-@jit_part
-def _from_point(thetas, slot, places, box, delta):
-    for a in range(delta.size):
-        delta[a] = thetas[slot, a] - places[box, a]

@@ -7,8 +7,6 @@ optimal b the k smallest r_i add up to E(v).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from dcreg.assignment.kernels.dense import first_prices, improve_assignment, row_minima
@@ -18,29 +16,6 @@ from dcreg.jit import jit
 
 # Added to the squared distance of a vertex that was not solved: any solved one counts for more.
 _UNSOLVED = 1e6
-
-
-class Vertices(NamedTuple):
-    """What is known of the vertices, by slot.
-
-    Attributes
-    ----------
-    thetas : (S, dim) array
-    lows : (S,) array
-        Lower bounds on E.
-    values : (S,) array
-        E where it was solved, else infinite.
-    levels : (S,) array
-        About the k-th smallest entry of the profile.
-    profiles, duals : (S, n), (S, m) arrays
-    """
-
-    thetas: np.ndarray
-    lows: np.ndarray
-    values: np.ndarray
-    levels: np.ndarray
-    profiles: np.ndarray
-    duals: np.ndarray
 
 
 @jit

@@ -1,0 +1,122 @@
+"""DC bounds over similarities in 2D, from shared vertex values.
+
+A vertex is kept with a dual profile (`dcreg.families.similarity2d.kernels.profiles`), which bounds the
+inner minimum of `dcreg.families.dc.bounds` for every box that has the vertex and for every linearisation
+point. A bisection then needs its new vertices only, and the linearisation point can be moved to where the
+bound is maximal without any assignment. Most vertices need no assignment either: the mean of their
+neighbours' dual variables gives a profile that is nearly as good. A vertex is solved only if it limits a
+box that has not been pruned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dcreg.families.dc.bounds import SharedVertexBound
+from dcreg.families.similarity2d.kernels.bounds import Boxes, Effort, shared_bounds
+from dcreg.families.similarity2d.kernels.profiles import (
+    blend_prices,
+    boxes_of,
+    estimate_vertices,
+    solve_vertices,
+)
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.search import Box
+
+
+class SharedBound(SharedVertexBound[Similarity2D]):
+    """The paper's linearisation at the box centre, over shared vertex values."""
+
+    name = "shared"
+    space_type = Similarity2D
+
+    def __init__(
+        self, space: Similarity2D, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> None:
+        super().__init__(space, roots, threads, space.n_source, space.n_target)
+        self.loss_weights = space.n_inliers * space.axis_weights**2
+
+    def _bound_boxes(
+        self,
+        slots: np.ndarray,
+        first_new: int,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        cutoff: float | None,
+    ) -> np.ndarray:
+        self._estimate(slots, first_new)
+        boxes = Boxes(
+            lower, upper, slots, 0.5 * (lower + upper),
+            np.empty(len(lower)), np.empty(len(lower), np.int64),
+        )  # fmt: skip
+        floor, enough = (-np.inf, np.inf) if cutoff is None else (cutoff, cutoff)
+        effort = Effort(self.loss_weights, self.moves, floor, enough)
+        rows = np.arange(len(lower))
+        while rows.size:
+            self._bound(boxes, rows, effort)
+            # an estimated vertex that limits a box which is not pruned yet is solved
+            estimated = np.isinf(self.cache.values[boxes.binding[rows]])
+            rows = rows[(boxes.bounds[rows] < enough) & estimated]
+            which = np.unique(boxes.binding[rows])
+            self._blend(slots, which, settled=0)
+            self._solve(which, warm=True)
+        return boxes.bounds
+
+    def _estimate(self, slots: np.ndarray, first_new: int) -> None:
+        """Bound E at the vertices from `first_new` on; solve those without a known neighbour."""
+        new = np.arange(first_new, self.cache.used)
+        known = self._blend(slots, new, settled=first_new)
+        self._solve(new[~known], warm=False)
+        new, vertices = new[known], self.cache.vertices
+
+        def work(part: slice) -> int:
+            estimate_vertices(self.space.points, vertices, new[part])
+            return 0
+
+        self.map_slices(new.size, work)
+
+    def _blend(self, slots: np.ndarray, which: np.ndarray, settled: int) -> np.ndarray:
+        """Set the dual variables to means of the neighbours'; False where there is no neighbour."""
+        known = np.zeros(which.size, np.bool_)
+        if not which.size:
+            return known
+        start, boxes = boxes_of(slots, which)
+        vertices = self.cache.vertices
+
+        def work(part: slice) -> int:
+            known[part] = blend_prices(
+                vertices, self.loss_weights, slots, which[part], start[part.start :], boxes, settled
+            )
+            return 0
+
+        self.map_slices(which.size, work)
+        return known
+
+    def _solve(self, which: np.ndarray, warm: bool) -> None:
+        """Compute the exact values at the vertices `which`."""
+        points, vertices = self.space.points, self.cache.vertices
+        self.map_slices(
+            which.size, lambda part: solve_vertices(points, vertices, warm, which[part])
+        )
+
+    def _bound(self, boxes: Boxes, rows: np.ndarray, effort: Effort) -> None:
+        """Bound some of the boxes."""
+        some = Boxes(*(array[rows] for array in boxes))
+        points, vertices = self.space.points, self.cache.vertices
+        self.map_slices(
+            rows.size,
+            lambda part: shared_bounds(
+                points, vertices, effort, Boxes(*(array[part] for array in some))
+            ),
+        )
+        boxes.points[rows], boxes.bounds[rows] = some.points, some.bounds
+        boxes.binding[rows] = some.binding
+
+
+class TightBound(SharedBound):
+    """Shared vertex values, and the linearisation point that maximises the bound."""
+
+    name = "tight"
+    moves = 2
