@@ -163,7 +163,7 @@ EXAMPLES = [path for path in sorted(PACKAGE.rglob("*.py")) if ">>> " in path.rea
 
 def test_the_main_functions_have_examples():
     names_of_modules = {path.stem for path in EXAMPLES}
-    assert {"registration", "sweeping", "verification"} <= names_of_modules
+    assert {"solve", "sweep", "verification"} <= names_of_modules
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
