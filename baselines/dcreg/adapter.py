@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import dcreg
 from baselines._shared.front_ends import SHARED, FrontEndError, missing_matches, putative_pairs
 from baselines._shared.library_search import LibraryMethod, solution_of
 from baselines.contract import Card, Instance, Limits, Solution
+from dcreg.driver.matching import register_matches
 from dcreg.driver.modes import CHOSEN, MODES, find_mode
+from dcreg.driver.options import SolveOptions
+from dcreg.driver.solve import register
 from dcreg.driver.warm_up import warm_up_matches, warm_up_mode
 from dcreg.families.registry import bound_parts
 from dcreg.names import AUTO, JUDGES, mode_names
@@ -86,7 +88,7 @@ class Adapter(LibraryMethod):
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         if self.options["front_end"] is not None:
             return self._solve_matches(instance, limits)
-        result = dcreg.register(
+        result = register(
             instance.source,
             instance.target,
             n_inliers=instance.n_inliers,
@@ -96,7 +98,7 @@ class Adapter(LibraryMethod):
             time_limit=limits.time_s,
             node_limit=limits.nodes,
             memory_limit_mb=limits.memory_mb,
-            options=dcreg.SolveOptions(
+            options=SolveOptions(
                 mode=self.options["mode"],
                 bound=self.options["bound"],
                 polish=self.options["polish"],
@@ -110,7 +112,7 @@ class Adapter(LibraryMethod):
             putative = putative_pairs(instance, self.options)
         except FrontEndError as error:
             return Solution(Status.FAILED, None, str(error))
-        result = dcreg.register_matches(
+        result = register_matches(
             instance.source,
             instance.target,
             putative.pairs,

@@ -320,7 +320,7 @@ class TestWhatAMethodDependsOn:
                 {"dcreg", "rpm_bp", "rpm_cav"},
                 {"icp", "cpd", "dcp"},
             ),
-            ("dcreg/problem/geometry.py", {"dcreg", "rpm_cav", "teaser", "icp"}, {"kiss_icp"}),
+            ("dcreg/problem/geometry.py", {"dcreg", "rpm_cav", "teaser", "icp"}, set()),
             ("baselines/_shared/poses.py", {"icp", "gore", "teaserpp"}, {"rpm_htb"}),
             # imported within a function
             ("baselines/_shared/open3d_clouds.py", {"fpfh_ransac", "gore"}, {"icp", "goicp"}),
@@ -353,21 +353,23 @@ class TestWhatAMethodDependsOn:
     def test_a_data_file_of_the_folder_counts(self, checkout: Path) -> None:
         assert self.rerun_by(checkout, "baselines/icp/table.csv", "1,2\n") == {"icp"}
 
-    def test_a_package_that_defines_the_name_counts_with_its_imports(self, checkout: Path) -> None:
-        """`dcreg.families.registry` makes bounds by name; no import says which module runs."""
-        assert "dcreg" in self.rerun_by(checkout, "dcreg/families/dc/bounds.py")
+    def test_modules_that_are_discovered_count(self, checkout: Path) -> None:
+        """`dcreg.families.registry` finds bounds by a pattern of file names; no import names them."""
+        assert {"dcreg", "hbsp"} <= self.rerun_by(checkout, "dcreg/families/dc/bounds.py")
 
-    def test_names_loaded_late_are_followed(self, checkout: Path) -> None:
-        """They stand in the stub of the library, not in its ``__init__``."""
+    def test_the_library_as_a_whole_is_what_its_stub_names(self, checkout: Path) -> None:
+        """Public names are loaded on first use; they stand in the stub, not in ``__init__``."""
         (checkout / "uses.py").write_text("import dcreg\n\ndcreg.register()\n")
         behind = files_behind([checkout / "uses.py"], checkout)
         found = {path.relative_to(checkout).as_posix() for path in behind}
-        assert {
-            "dcreg/__init__.pyi",
-            "dcreg/driver/solve.py",
-            "dcreg/families/dc/bounds.py",
-        } <= found
-        assert not {"dcreg/plot/sweep.py", "dcreg/driver/sweep.py", "dcreg/io/points.py"} & found
+        assert {"dcreg/__init__.pyi", "dcreg/families/dc/bounds.py", "dcreg/io/points.py"} <= found
+        assert "dcreg/cli/app.py" not in found
+
+    def test_the_package_around_a_module_counts_without_its_imports(self, checkout: Path) -> None:
+        (checkout / "uses.py").write_text("from dcreg.status import Status\n")
+        behind = files_behind([checkout / "uses.py"], checkout)
+        found = {path.relative_to(checkout).as_posix() for path in behind}
+        assert found == {"uses.py", "dcreg/__init__.py", "dcreg/status.py"}
 
     def test_imports_for_type_checkers_do_not_count(self, checkout: Path) -> None:
         only_types = "\nif TYPE_CHECKING:\n    from dcreg.plot import page\n"
@@ -390,20 +392,17 @@ class TestWhatAMethodDependsOn:
             assert set(loaded) <= counted
             assert str(registry.ROOT / name / "adapter.py") in loaded
 
-    def test_no_adapter_is_imported_and_it_is_quick(self) -> None:
+    def test_no_adapter_is_imported(self) -> None:
         script = (
-            "import sys, time\n"
+            "import sys\n"
             "from baselines import registry\n"
-            "began = time.process_time()\n"
             "prints = [registry.fingerprint(name) for name in registry.names()]\n"
-            "print(time.process_time() - began)\n"
             "print([name for name in sys.modules if name.endswith('.adapter')])\n"
         )
-        seconds, adapters = subprocess.run(
+        adapters = subprocess.run(
             [sys.executable, "-c", script],
             capture_output=True, text=True, check=True, cwd=registry.ROOT.parent,
-        ).stdout.splitlines()  # fmt: skip
-        assert float(seconds) < 0.05 * len(registry.names())
+        ).stdout.strip()  # fmt: skip
         assert adapters == "[]"
 
     def test_an_old_card_with_the_list_is_told_so(self, root: Path) -> None:
