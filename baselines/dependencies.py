@@ -2,8 +2,9 @@
 
 Imports count anywhere in a file, also within functions, except imports for type checkers only. A package
 stands for what its ``__init__`` and the stub next to it import. The packages around an imported module
-are counted too, but their imports are not followed. A string that names a file next to the code (a child
-process, a data file) counts like an import.
+are counted too, but their imports are not followed. A string that names files next to the code (a child
+process, a data file, a pattern such as ``*/bound*.py`` for modules that are discovered) counts like an
+import.
 
 An import graph made by a tool would not do: method folders are no packages, may lie outside the checkout,
 and start child processes.
@@ -18,7 +19,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 PACKAGES = ("baselines", "dcreg")  # those that a method may import
-_FILE_NAME = re.compile(r"[A-Za-z][\w-]*\.\w+")
+_FILE_NAMES = re.compile(r"(\*/)?[A-Za-z][\w*-]*\.\w+")
 
 
 def files_behind(
@@ -46,9 +47,8 @@ def files_behind(
         followed.add(path)
         state = path.stat()
         imports, texts = _read(path, state.st_mtime_ns, state.st_size)
-        waiting += filter(
-            Path.is_file, [path.with_suffix(".pyi"), *map(path.parent.joinpath, texts)]
-        )
+        near = (file for text in texts for file in path.parent.glob(text))
+        waiting += filter(Path.is_file, [path.with_suffix(".pyi"), *near])
         for level, module, name in imports:
             if level:
                 parts = path.relative_to(checkout).parts[:-level]
@@ -76,14 +76,14 @@ def _packages_around(path: Path, checkout: Path) -> Iterator[Path]:
 
 @functools.cache
 def _read(path: Path, *_state: int) -> tuple[set[tuple[int, str, str]], set[str]]:
-    """Return imports (level, module, name) and strings that may name files; kept while `_state` lasts."""
+    """Return imports (level, module, name) and strings that may name files, kept while `_state` lasts."""
     imports, texts = set(), set()
     for node in _nodes(ast.parse(path.read_text(encoding="utf-8"), str(path))):
         if isinstance(node, ast.Import):
             imports |= {(0, alias.name, "") for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             imports |= {(node.level, node.module or "", alias.name) for alias in node.names}
-        elif isinstance(node, ast.Constant) and _FILE_NAME.fullmatch(str(node.value)):
+        elif isinstance(node, ast.Constant) and _FILE_NAMES.fullmatch(str(node.value)):
             texts.add(str(node.value))
     return imports, texts
 

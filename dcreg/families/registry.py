@@ -28,7 +28,7 @@ def all_bounds() -> tuple[type[SpaceBound[Any]], ...]:
 
 def _find_bounds() -> Iterator[type[SpaceBound[Any]]]:
     here = Path(__file__).parent
-    for path in sorted([*here.glob("*/bound*.py"), *here.glob("dc/termwise*.py")]):
+    for path in sorted(here.glob("*/bound*.py")):
         module = importlib.import_module(f"{__package__}.{path.parent.name}.{path.stem}")
         for _, member in inspect.getmembers(module, inspect.isclass):
             is_defined_here = member.__module__ == module.__name__
