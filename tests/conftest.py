@@ -1,11 +1,14 @@
 """Shared fixtures, the fixed Hypothesis profile, and which tests share a worker, the longest first."""
 
 import os
+import time
 from pathlib import Path
 
 import hypothesis
 import numpy as np
 import pytest
+
+from tests import clocks
 
 hypothesis.settings.register_profile(
     "fixed", derandomize=True, deadline=None, max_examples=int(os.environ.get("EXAMPLES", "60"))
@@ -39,3 +42,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20260326)
+
+
+@pytest.fixture
+def set_clock(monkeypatch: pytest.MonkeyPatch) -> clocks.SetClock:
+    """The clock of all budgets, which only the test moves."""
+    clock = clocks.SetClock()
+    clocks.use(monkeypatch, clock)
+    return clock
+
+
+@pytest.fixture
+def processor_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Budgets count processor time, which other work on the machine does not prolong."""
+    clocks.use(monkeypatch, time.process_time)

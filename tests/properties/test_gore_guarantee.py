@@ -220,11 +220,11 @@ def test_search_out_of_time_leaves_what_intervals_left(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(("n", "bound", "limit"), [(3000, 0.12, 0.5), (200, 0.15, 1.6)])
-def test_time_limit_holds(n: int, bound: float, limit: float) -> None:
+def test_time_limit_holds(n: int, bound: float, limit: float, processor_clock: None) -> None:
     """Amid the intervals of one correspondence of thousands, and (where fast) amid the search."""
     remove_outliers(*sparse(0)[:3], Budget())  # compiled
     source, target, _, _ = sparse(0, n, 6, bound)
-    start = time.perf_counter()
+    start = time.process_time()
     removal = remove_outliers(source, target, bound, Budget(limit))
-    assert time.perf_counter() - start < limit + 0.8  # one slice, a refit, and a loaded machine
+    assert time.process_time() - start < 2.5 * limit  # one slice and a refit
     assert len(removal.kept) > 0

@@ -77,8 +77,7 @@ def test_all_matched_is_certified_without_a_dense_matrix(rng):
     assert np.isclose((residuals**2).sum(), result.objective)
 
 
-def test_outliers_return_in_time(rng):
-    # ample for the descents on a busy machine; whether limits are kept is tested elsewhere
+def test_outliers_return_in_time(rng, processor_clock):
     size, n_inliers, limit = 3000, 2400, 10.0
     source = spiral(rng, size)
     target = moved_copy(rng, source)

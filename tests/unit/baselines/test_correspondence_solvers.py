@@ -93,16 +93,16 @@ def test_result_does_not_depend_on_the_unit_of_length(name: str, unit: float) ->
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_hopeless_pairs_end_in_time_with_a_true_status(name: str) -> None:
+def test_hopeless_pairs_end_in_time_with_a_true_status(name: str, processor_clock: None) -> None:
     """All pairs of random clouds under a bound so wide that the graphs are dense."""
     generator = np.random.default_rng(0)
     source, target = generator.random((2, 35, 3))
     instance = Instance("random", source, target, "rigid3d", 20, (1, 1), 0.12, 0)
     method = registry.load(name, front_end="all-pairs", max_pairs=1000)
     method.warm_up(instance)
-    start = time.perf_counter()
+    start = time.process_time()
     solution = method.solve(instance, Limits(0.3))
-    assert time.perf_counter() - start < 1.5  # limit, one step, and a loaded machine
+    assert time.process_time() - start < 4 * 0.3  # limit and one step
     assert solution.status in (Status.TIME_LIMIT, Status.CONVERGED, Status.FAILED)
     assert solution.T_target_source is not None or solution.status is Status.FAILED
     assert "28 of 35 source points paired" in solution.message

@@ -77,8 +77,7 @@ def test_bounds_are_in_squared_units_of_the_target(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", METHODS)
-@pytest.mark.parametrize("time_s", [0.3, 1.0])
-def test_a_hard_problem_ends_at_its_limit_with_a_pose(name: str, time_s: float) -> None:
+def test_a_hard_problem_ends_at_its_limit_with_a_pose(name: str, processor_clock: None) -> None:
     generator = np.random.default_rng(0)
     instance = Instance(
         "hard", generator.uniform(size=(60, 3)), generator.uniform(size=(60, 3)), "rigid3d",
@@ -86,9 +85,9 @@ def test_a_hard_problem_ends_at_its_limit_with_a_pose(name: str, time_s: float) 
     )  # fmt: skip
     method = registry.load(name)
     method.warm_up(instance)
-    began = time.perf_counter()
-    solution = method.solve(instance, Limits(time_s=time_s))
-    assert time.perf_counter() - began < time_s + 1.0  # a loaded machine
+    began = time.process_time()
+    solution = method.solve(instance, Limits(time_s=0.3))
+    assert time.process_time() - began < 4 * 0.3
     assert solution.status is Status.TIME_LIMIT
     assert solution.T_target_source is not None
     assert solution.lower_bound < solution.upper_bound

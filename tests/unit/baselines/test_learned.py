@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import numpy as np
@@ -278,9 +277,7 @@ def test_a_slow_answer_is_a_time_limit_and_the_next_one_is_fresh(
 ) -> None:
     monkeypatch.setenv("STAND_IN", "sleep")
     method = registry.load("hunter", **places)
-    start = time.perf_counter()
     solution = method.solve(instance(), Limits(time_s=1.0))
-    assert time.perf_counter() - start < 5.0
     assert solution.status is Status.TIME_LIMIT
     np.testing.assert_array_equal(solution.T_target_source, np.eye(4))
     method._drop_child()
