@@ -19,12 +19,12 @@ import networkx as nx
 ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "docs" / "architecture.svg"
 
-# Boxes of the picture that are not a folder of `dcreg`; all other single modules are "shared".
+# Boxes of the picture that are not a folder of `dcreg`. All other single modules are "shared", or
+# "families.protocol" if they lie in `families`.
 GROUPS = {
     "cli": ("cli", "__main__"),
     "api": ("__init__", "api"),
     "results": ("result", "sweep_result", "runner_up", "diagnostics"),
-    "families.protocol": ("families", "families.protocol", "families.kernels"),
 }
 LINES = {
     "cli": "The command line",
@@ -58,7 +58,10 @@ def package_of(module: str) -> str:
     for group, modules in GROUPS.items():
         if name in modules:
             return group
-    return name if (ROOT / "dcreg" / Path(*name.split("."))).is_dir() else "shared"
+    if parts[0] != "families":
+        return name if (ROOT / "dcreg" / name).is_dir() else "shared"
+    is_family = len(parts) > 1 and (ROOT / "dcreg" / "families" / parts[1]).is_dir()
+    return name if is_family else "families.protocol"
 
 
 def package_graph() -> nx.DiGraph:
@@ -211,7 +214,7 @@ def _path(start: tuple, between: list[tuple], end: tuple) -> str:
 
 def _box(name: str, x: float, y: float) -> list[str]:
     left = round(x - WIDTH / 2, 1)
-    lines = textwrap.wrap(LINES.get(name, ""), 31, max_lines=2, placeholder=" …")
+    lines = textwrap.wrap(LINES.get(name, ""), 29, max_lines=2, placeholder=" …")
     texts = [("title", name, y + 21)]
     texts += [("line", line, y + 40 + 15 * at) for at, line in enumerate(lines)]
     kind = "box family" if name.startswith("families") else "box"
