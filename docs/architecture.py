@@ -170,7 +170,10 @@ CAPTION = "An arrow means “imports”. Arrows that follow from a chain of othe
 
 def draw(graph: nx.DiGraph) -> str:
     """Return the picture of an acyclic graph as SVG, for light and dark pages."""
-    arrows = nx.transitive_reduction(graph)
+    reduced = nx.transitive_reduction(graph)
+    arrows = nx.DiGraph()  # in an order that does not depend on hashes
+    arrows.add_nodes_from(sorted(reduced))
+    arrows.add_edges_from(sorted(reduced.edges))
     places = place(arrows)
     top = max(row for _, row in places.values())
     spots = {node: (x, MARGIN + (top - row) * ROW) for node, (x, row) in places.items()}
