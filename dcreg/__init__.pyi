@@ -1,13 +1,11 @@
 """The public names and where they live; ``__init__.py`` loads each of them on its first use."""
 
 from . import certificate, search
+from .api import register, register_matches, sweep
 from .assignment.polish import objective
 from .certificate import Certificate, Report, verify
 from .diagnostics import advice
-from .driver.matching import register_matches
 from .driver.options import SolveOptions
-from .driver.solve import register
-from .driver.sweep import sweep
 from .driver.warm_up import warm_up
 from .io import read_candidates, read_matches, read_points
 from .names import bound_names, mode_names

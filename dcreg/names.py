@@ -13,7 +13,7 @@ MODEL_DIM = {"similarity2d": 2, "rigid3d": 3}
 DEFAULT_TIME_LIMIT_S = 60.0
 
 AUTO = "auto"  # the mode that is chosen by the problem
-_MODES = {"similarity2d": ("paper",), "rigid3d": ("full", "multi", "paper")}
+_MODES = {"similarity2d": ("paper",), "rigid3d": ("full", "paper")}
 
 BOUND_NAMES = (
     "tight",
@@ -22,6 +22,9 @@ BOUND_NAMES = (
     "interval",
 )
 DEFAULT_BOUND = "tight"
+
+# Start boxes of a search; the first is the default.
+START_BOXES = ("stationary", "radius")
 
 # Suffix of a figure's file: the packages that draw it.
 FIGURE_PACKAGES = {

@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 
 from dcreg.assignment.k_assignment import pairs_of
-from dcreg.driver import full, multi
-from dcreg.driver.task import Task
+from dcreg.driver.modes import find_mode
+from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.rotation3d.bound import RotationBound
 from dcreg.families.rotation3d.space import Rotation3D
+from dcreg.problem import Frame
 from dcreg.search import Budget, minimise
 
 
@@ -25,31 +26,22 @@ def search_rotation(source, target, k, *, gap_tol, candidates=None, threads=1, *
     )
 
 
-def task(
-    source, target, k, *, gap_tol, candidates=None, threads=1, bound="tight",
-    reduced_box=True, **limits,
+def normalised(
+    source, target, k, *, gap_tol, candidates=None, threads=1, stationary_box=True, **limits
 ):  # fmt: skip
-    """A task in the coordinates of the clouds themselves."""
-    scale_range = (1.0, 1.0) if np.shape(source)[1] == 3 else (0.5, 1.5)
-    return Task(
-        source, target, k, scale_range, candidates, bound, reduced_box, gap_tol, threads,
-        Budget(**limits),
+    """A rigid problem in the coordinates of the clouds themselves; `limits` are those of a `Budget`."""
+    return NormalisedProblem(
+        source, target, k, (1.0, 1.0), candidates, Frame(np.zeros(3), np.zeros(3), 1.0), "rigid",
+        stationary_box, gap_tol, gap_tol, threads, Budget(**limits),
     )  # fmt: skip
 
 
 def search_rigid(source, target, k, **settings):
     """Mode `full`, with the work of its one search."""
-    answer = full.run(task(source, target, k, bound="rigid", **settings))
-    return _with_work(answer)
+    return _with_work(find_mode("rigid3d", "full").run(normalised(source, target, k, **settings)))
 
 
-def search_multi(source, target, k, *, basins=None, **settings):
-    """Mode `multi`; `basins` are its `Settings`."""
-    given = task(source, target, k, **settings)
-    return _with_work(multi.run(given, basins or multi.Settings()))
-
-
-def _with_work(answer):
+def _with_work(solution):
     names = ("n_nodes", "n_assignments", "time_s")
-    work = {name: sum(getattr(stage, name) for stage in answer.stages) for name in names}
-    return SimpleNamespace(**vars(answer), **work)
+    work = {name: sum(getattr(stage, name) for stage in solution.stages) for name in names}
+    return SimpleNamespace(**vars(solution), **work)

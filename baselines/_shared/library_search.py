@@ -7,22 +7,19 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from baselines._shared.single_boxes import bound_of_box, box_space
 from baselines.contract import Baseline, Instance, Limits, Solution, tiny
-from dcreg.driver import paper
-from dcreg.driver.modes import Mode
-from dcreg.driver.solve import result_of, task_of
-from dcreg.driver.task import Answer, Task
+from dcreg.driver import normalised, options
+from dcreg.driver.modes import Mode, find_mode
+from dcreg.driver.normalised import NormalisedProblem
+from dcreg.driver.options import SolveOptions
+from dcreg.driver.solve import register_problem
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.problem import (
-    TOLERATED_NORM_RESIDUAL,
-    TOLERATED_RESIDUAL,
-    Problem,
-    default_gap_tol,
-)
+from dcreg.problem import Problem, default_gap_tol
 from dcreg.result import Result
 from dcreg.search import Bound, Box
 
@@ -52,7 +49,7 @@ class OwnMode(LibraryMethod):
     bounds_norms = False
 
     @abc.abstractmethod
-    def run(self, task: Task) -> Answer:
+    def run(self, problem: NormalisedProblem) -> normalised.Solution:
         """Solve the normalised problem."""
 
     def warm_up(self, instance: Instance) -> None:
@@ -67,20 +64,24 @@ class OwnMode(LibraryMethod):
 
     def result(self, problem: Problem, gap_tol: float, limits: Limits) -> Result:
         """Return what `dcreg.register` would return if this were a mode of the library."""
-        in_norm_space = self.bounds_norms and problem.dim == 3
-        mode = Mode(
-            self.card.display_name, problem.model, self.run, self.card.summary,
-            takes_bound=False, own_bound=self.own_bound,
-            tolerated=TOLERATED_NORM_RESIDUAL if in_norm_space else TOLERATED_RESIDUAL,
+        mode = MethodMode(
+            self.card.display_name, problem.model, self.card.summary, own_bound=self.own_bound,
+            in_norm_space=self.bounds_norms and problem.dim == 3, method=self,
         )  # fmt: skip
-        mode.check(problem, None, certificate=False)
-        with limits.budget() as budget:
-            task = task_of(problem, mode, None, gap_tol, limits.threads, budget)
-            answer = self.run(task)
-            answer.events = budget.history
-            return result_of(
-                problem, mode, task, answer, polish=self.options["polish"], time_setup_s=0.0
-            )
+        settings = options.Limits(gap_tol, None, limits.time_s, limits.nodes, limits.memory_mb)
+        how = SolveOptions(threads=limits.threads, polish=self.options["polish"])
+        return register_problem(problem, settings, how, mode)
+
+
+@dataclass(frozen=True)
+class MethodMode(Mode):
+    """The mode of a method, which runs in place of the library's search."""
+
+    method: OwnMode | None = None
+
+    def run(self, problem: NormalisedProblem) -> normalised.Solution:
+        assert self.method is not None
+        return self.method.run(problem)
 
 
 class OwnBound(OwnMode):
@@ -103,8 +104,9 @@ class OwnBound(OwnMode):
     ) -> Bound:
         """Return the method's bound over the boxes that bisection makes of `roots`."""
 
-    def run(self, task: Task) -> Answer:
-        return paper.run(task, self.make_bound)
+    def run(self, problem: NormalisedProblem) -> normalised.Solution:
+        model = "similarity2d" if problem.dim == 2 else "rigid3d"
+        return replace(find_mode(model, "paper"), make_bound=self.make_bound).run(problem)
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
         """Return the bound over one box; see `baselines.contract.BoxBounding`."""

@@ -7,10 +7,9 @@ from typing import Any
 from baselines._shared.front_ends import SHARED, FrontEndError, missing_matches, putative_pairs
 from baselines._shared.library_search import LibraryMethod, solution_of
 from baselines.contract import Card, Instance, Limits, Solution
-from dcreg.driver.matching import register_matches
-from dcreg.driver.modes import CHOSEN, MODES, find_mode
+from dcreg.api import register, register_matches
+from dcreg.driver.modes import MODES, find_mode
 from dcreg.driver.options import SolveOptions
-from dcreg.driver.solve import register
 from dcreg.driver.warm_up import warm_up_matches, warm_up_mode
 from dcreg.families.registry import bound_parts
 from dcreg.names import AUTO, JUDGES, mode_names
@@ -55,7 +54,7 @@ class Adapter(LibraryMethod):
         except InputError as error:
             raise ValueError(f"option {error}") from error
         chosen = [entry for entry in MODES if entry.name == mode]
-        if chosen and not any(entry.takes_bound for entry in chosen):
+        if chosen and not any(entry.make_bound is None for entry in chosen):
             raise ValueError(
                 f"option bound = {bound!r}, but mode {mode!r} has bounds of its own; leave one of "
                 "them out"
@@ -80,7 +79,11 @@ class Adapter(LibraryMethod):
             warm_up_matches()
             return
         mode, bound = self.options["mode"], self.options["bound"]
-        names = {mode} if mode not in (None, AUTO) else set(CHOSEN if bound is None else ["paper"])
+        names = (
+            {mode}
+            if mode not in (None, AUTO)
+            else set(mode_names(instance.model) if bound is None else ["paper"])
+        )
         for name in mode_names(instance.model):
             if name in names:
                 warm_up_mode(find_mode(instance.model, name), bound)

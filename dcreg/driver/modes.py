@@ -4,30 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-from dcreg.driver.full import run as run_full
-from dcreg.driver.multi import run as run_multi
-from dcreg.driver.paper import run as run_paper
-from dcreg.driver.task import Answer, Task
-from dcreg.families.registry import bound_parts
+import numpy as np
+
+from dcreg.assignment.sparse import is_large
+from dcreg.driver.normalised import NormalisedProblem, Solution
+from dcreg.families.registry import bound_parts, make_bound
+from dcreg.families.rigid3d.bound import RigidBound
+from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.families.rotation3d.bound import RotationBound
+from dcreg.families.rotation3d.sampled import search_sampled_rotation
+from dcreg.families.rotation3d.space import Rotation3D
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import AUTO, DEFAULT_BOUND, mode_names
-from dcreg.problem import (
-    TOLERATED_NORM_RESIDUAL,
-    TOLERATED_RESIDUAL,
-    InputError,
-    Problem,
-    suggestion,
-)
+from dcreg.problem import InputError, Problem, suggestion
+from dcreg.problem.geometry import TOLERATED_NORM_RESIDUAL, TOLERATED_RESIDUAL
+from dcreg.search import Bound, Budget, Outcome, minimise
+from dcreg.status import Status
 
-# A dense cost matrix beyond this many pairs does not fit the memory of a common machine.
+# A dense cost matrix of more pairs than this does not fit into the memory of a common machine.
 MAX_PAIRS = 100_000_000
 # In norm space these match sorted numbers and need no cost matrix.
-MATRIX_FREE_BOUNDS = {"tight", "shared"}
-# By dimension: pairs beyond which a sample is searched instead, and the points of each cloud in it. In
-# the plane searches of some hundred come to their end, and of thousands not one descent does; in space a
-# single assignment of mode `full` takes seconds.
+MATRIX_FREE_BOUNDS = frozenset({"tight", "shared"})
+# By dimension: pairs of points above which a sample is searched, and the points of each cloud in it. In
+# 2D a search of some hundred points ends, while of thousands not one descent does; in 3D a single
+# assignment of mode `full` takes seconds.
 LARGE_PAIRS = {2: 1_000_000, 3: 4_000_000}
 LARGE_SAMPLE = {2: 300, 3: 1_000}
+# Share of the time for the translation search; the rotation search follows.
+TRANSLATION_SHARE = 0.8
+
+# (problem, shifted source, budget) -> the best rotation about the origin
+RotationSearch = Callable[[NormalisedProblem, np.ndarray, Budget], Outcome]
 
 
 @dataclass(frozen=True)
@@ -37,46 +47,60 @@ class Mode:
     Attributes
     ----------
     name, model : str
-        The same name may serve several models.
-    run : callable
-    takes_bound : bool
-        Whether the bounding function can be chosen; otherwise the mode has its own, `own_bound`.
-    tolerated : float
-        RMS residual per pair that the default tolerance allows, in RMS radii of the target.
-    certifies : str
-        Family of the certificate its search can record (``dcreg.certificate.format.MODELS``), or
-        empty.
+        Several models may share a name.
     summary : str
         One line for help texts and manuals.
+    make_space : callable
+        The space of the certified search, from a normalised problem.
+    make_bound : callable, optional
+        The mode's own bound, from ``(space, threads=...)``. None: the user chooses it by name.
+    own_bound : str
+        Name of the bound if the user does not choose one.
+    rotation : callable, optional
+        The rotation search that follows a search over translations.
+    in_norm_space : bool
+        Whether the bounds refer to norms, not to the residuals of a pose.
+    certifies : str
+        Family of the certificate that the search can record (``dcreg.certificate.format.MODELS``), or
+        empty.
+    stage : str
+        Name of the certified search in events and stages.
     """
 
     name: str
     model: str
-    run: Callable[[Task], Answer]
     summary: str
-    takes_bound: bool = True
+    make_space: Callable[[NormalisedProblem], Any] | None = None
+    make_bound: Callable[..., Bound] | None = None
     own_bound: str = DEFAULT_BOUND
+    rotation: RotationSearch | None = None
+    in_norm_space: bool = False
     certifies: str = ""
-    tolerated: float = TOLERATED_RESIDUAL
+    stage: str = "search"
 
     @property
-    def in_norm_space(self) -> bool:
-        """Whether its bounds speak of norms, not of the residuals of a pose."""
-        return self.tolerated == TOLERATED_NORM_RESIDUAL
+    def tolerated(self) -> float:
+        """RMS residual per pair that the default tolerance allows, in RMS radii of the target."""
+        return TOLERATED_NORM_RESIDUAL if self.in_norm_space else TOLERATED_RESIDUAL
+
+    @property
+    def search_share(self) -> float:
+        """Share of the time for the certified search."""
+        return 1.0 if self.rotation is None else TRANSLATION_SHARE
 
     def check(self, problem: Problem, bound: str | None, certificate: bool) -> None:
-        """Refuse settings that this mode would ignore, and clouds it cannot hold.
+        """Refuse settings that this mode would ignore, and clouds that do not fit into memory.
 
         Raises
         ------
         InputError
         """
         if bound is not None:
-            bound_parts(bound)  # unknown names end here
-            if not self.takes_bound:
+            bound_parts(bound)  # refuses unknown names
+            if self.make_bound is not None:
                 raise InputError(
-                    f"bound: {bound!r}, but mode {self.name!r} has bounds of its own; leave the bound "
-                    "out, or choose mode 'paper'"
+                    f"bound: mode {self.name!r} has its own bounds and does not accept {bound!r}; leave "
+                    "the bound out, or choose mode 'paper'"
                 )
         if certificate and not self.certifies:
             raise InputError(
@@ -93,38 +117,122 @@ class Mode:
 
     def _is_matrix_free(self, problem: Problem, bound: str | None) -> bool:
         return (
-            self.certifies == "translation3d"
+            self.in_norm_space
             and problem.candidates is None
             and MATRIX_FREE_BOUNDS.issuperset(bound_parts(bound or self.own_bound))
         )
 
+    def space(self, problem: NormalisedProblem) -> Any:
+        """Return the space of the certified search."""
+        assert self.make_space is not None
+        return self.make_space(problem)
+
+    def bound(self, problem: NormalisedProblem, space: Any) -> Bound:
+        """Return the bound of the certified search."""
+        if self.make_bound is not None:
+            return self.make_bound(space, threads=problem.threads)
+        return make_bound(problem.bound, space, threads=problem.threads)
+
+    def run(self, problem: NormalisedProblem) -> Solution:
+        """Search the space of the mode, then recover the pose."""
+        space = self.space(problem)
+        bound = self.bound(problem, space)
+        budget = problem.budget
+        searching = budget if self.rotation is None else budget.sub_budget(self.search_share)
+        found = minimise(
+            space, bound, searching,
+            gap_tol=problem.gap_tol, stage=self.stage, keep_leaves=problem.keep_leaves,
+        )  # fmt: skip
+        solution = Solution(
+            np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,
+            certified=(bound.roots[0], found),
+        )  # fmt: skip
+        solution.add(self.stage, found)
+        self.recover_pose(problem, space, found.theta, budget, solution)
+        return solution
+
+    def recover_pose(
+        self,
+        problem: NormalisedProblem,
+        space: Any,
+        theta: np.ndarray,
+        budget: Budget,
+        solution: Solution,
+    ) -> None:
+        """Complete the solution of a search that ended at `theta`, by a rotation search if needed."""
+        if self.rotation is None:
+            solution.T = space.pose(theta)
+            solution.minima = [(space.pose(end), value) for end, value in space.ends]
+            return
+        found = self.rotation(problem, problem.source + theta, budget)
+        solution.add("rotation", found)
+        solution.T = shifted_rotation(Rotation3D.matrix(found.theta), theta)
+        if solution.status is Status.OPTIMAL:  # no stage proves more than the weakest one
+            solution.status = found.status
+
+
+def shifted_rotation(rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Return ``x -> rotation (x + shift)`` as a (4, 4) matrix."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, rotation @ shift
+    return T
+
+
+def search_rotation(problem: NormalisedProblem, shifted: np.ndarray, budget: Budget) -> Outcome:
+    """Find the best rotation of the shifted source; for large clouds from a sample."""
+    large = is_large(len(problem.source), len(problem.target))
+    if problem.candidates is None and large:
+        return search_sampled_rotation(
+            shifted, problem.target, problem.n_inliers,
+            gap_tol=problem.rotation_gap_tol, budget=budget,
+        )  # fmt: skip
+    space = Rotation3D(shifted, problem.target, problem.n_inliers, problem.candidates, budget.stop)
+    return minimise(
+        space, RotationBound(space, threads=problem.threads), budget.named("start of rotation"),
+        gap_tol=problem.rotation_gap_tol, stage="rotation",
+    )  # fmt: skip
+
+
+def _similarity(problem: NormalisedProblem) -> Similarity2D:
+    return Similarity2D(
+        problem.source, problem.target, problem.n_inliers, problem.scale_range,
+        problem.stationary_box, problem.candidates, problem.budget.stop,
+    )  # fmt: skip
+
+
+def _translation(problem: NormalisedProblem) -> Translation3D:
+    return Translation3D(
+        problem.source, problem.target, problem.n_inliers, problem.stationary_box,
+        problem.candidates, problem.budget.stop,
+    )  # fmt: skip
+
+
+def _rigid(problem: NormalisedProblem) -> Rigid3D:
+    return Rigid3D.between(
+        problem.source, problem.target, problem.n_inliers, problem.stationary_box,
+        problem.candidates, problem.budget.stop,
+    )  # fmt: skip
+
 
 MODES = (
     Mode(
-        "paper", "similarity2d", run_paper,
-        "the similarity, searched as in the paper; certifies the pose",
-        certifies="similarity2d",
+        "paper", "similarity2d", "searches the similarity as the paper does; certifies the pose",
+        _similarity, certifies="similarity2d",
     ),
     Mode(
-        "full", "rigid3d", run_full,
-        "translation and rotation searched together; certifies the rigid pose",
-        takes_bound=False, own_bound="rigid",
+        "full", "rigid3d", "searches translation and rotation together; certifies the rigid pose",
+        _rigid, RigidBound, own_bound="rigid", stage="rigid",
     ),
     Mode(
-        "multi", "rigid3d", run_multi,
-        "every near-optimal translation gets its rotation search; certifies the norm objective",
-        tolerated=TOLERATED_NORM_RESIDUAL,
-    ),
-    Mode(
-        "paper", "rigid3d", run_paper,
+        "paper", "rigid3d",
         "the paper's two stages: one translation in norm space, then its rotation",
-        certifies="translation3d", tolerated=TOLERATED_NORM_RESIDUAL,
+        _translation, rotation=search_rotation, in_norm_space=True, certifies="translation3d",
     ),
 )  # fmt: skip
 
 
 def find_mode(model: str, name: str) -> Mode:
-    """The mode called `name`.
+    """Return the mode called `name`.
 
     Raises
     ------
@@ -139,15 +247,11 @@ def find_mode(model: str, name: str) -> Mode:
     )
 
 
-# What `choose_mode` chooses among.
-CHOSEN = ("full", "paper")
-
-
 def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = False) -> str:
-    """The mode that gives the best pose for the time.
+    """Return the mode that gives the best pose for the time.
 
-    In 3D ``full``: over shapes, disturbances, sizes and limits none is right more often (``make modes``
-    measures it). ``paper`` where only it will do: for certificates, a bound that was asked for, and large
+    In 3D this is ``full``: over shapes, disturbances, sizes and limits no mode has a higher success rate
+    (``make modes`` measures it). ``paper`` is chosen for certificates, for a bound by name, and for large
     clouds.
     """
     pairs = len(problem.source) * len(problem.target)
@@ -158,10 +262,10 @@ def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = 
 
 
 def default_sample(problem: Problem, bound: str | None, certificate: bool) -> int | None:
-    """Points that are searched instead of all; None: all.
+    """Return the number of points to search with; None: all.
 
-    Of large clouds some of the points give a better pose than all of them. Not so in space where all of
-    them match: then norms tell enough.
+    A sample of large clouds gives a better pose than all points. This does not hold in 3D if all points
+    match: then norms suffice.
     """
     n, m = len(problem.source), len(problem.target)
     free = bound is None and not certificate and problem.candidates is None

@@ -1,13 +1,17 @@
-"""Options of a solve that say how to solve, not what."""
+"""How to solve a problem: options, tolerance and limits."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dcreg.problem.problem import InputError, suggestion
-from dcreg.search import Listener
+import numpy as np
 
-START_BOXES = ("stationary", "radius")
+from dcreg.names import START_BOXES
+from dcreg.problem.geometry import gap_tol_of
+from dcreg.problem.problem import InputError, suggestion
+from dcreg.search import Budget, Listener
+
+MAX_THREADS = 1024
 
 
 @dataclass(frozen=True)
@@ -64,3 +68,60 @@ class SolveOptions:
             raise InputError(
                 f"start_box: {self.start_box!r} is unknown{suggestion(self.start_box, START_BOXES)}"
             )
+        check_positive("threads", self.threads, minimum=1)
+        if self.threads > MAX_THREADS:
+            raise InputError(f"threads: {self.threads} are too many; give at most {MAX_THREADS}")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Tolerance on the gap, and limits of a solve; None: default tolerance, no limit.
+
+    Attributes
+    ----------
+    gap_tol, tol : float, optional
+        See `dcreg.register`.
+    time_s : float, optional
+    nodes : int, optional
+    memory_mb : float, optional
+    """
+
+    gap_tol: float | None = None
+    tol: float | None = None
+    time_s: float | None = None
+    nodes: int | None = None
+    memory_mb: float | None = None
+
+    def check(self, n_inliers: int) -> None:
+        """Refuse limits and tolerances that make no sense.
+
+        Raises
+        ------
+        InputError
+        """
+        check_positive("gap_tol", gap_tol_of(self.tol, self.gap_tol, n_inliers))
+        if self.time_s != np.inf:
+            check_positive("time_limit", self.time_s)
+            if self.time_s == 0:
+                raise InputError("time_limit: 0 is not a usable value; give a positive number")
+        check_positive("node_limit", self.nodes, minimum=1)
+        check_positive("memory_limit_mb", self.memory_mb)
+
+    def budget(self, listener: Listener | None) -> Budget:
+        """Start the clock."""
+        return Budget(self.time_s, self.nodes, self.memory_mb, listener)
+
+
+def check_positive(name: str, value: float | None, minimum: float = 0) -> None:
+    """Refuse a setting that is no finite number of at least `minimum`; None is not set.
+
+    Raises
+    ------
+    InputError
+    """
+    if value is None:
+        return
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise InputError(f"{name}: {value!r} is not a number; give a positive number")
+    if not minimum <= value < np.inf:
+        raise InputError(f"{name}: {value} is not a usable value; give a positive number")

@@ -1,334 +1,347 @@
-"""`register`: from two clouds to a certified pose."""
+"""The one driver: prepare, search, and turn the solution into a result."""
 
 from __future__ import annotations
 
 import logging
 import time
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dcreg.assignment.polish import is_greedy, objective
-from dcreg.assignment.polish import polish as polish_pose
-from dcreg.assignment.reuse import Matched
+from dcreg.assignment.polish import is_greedy, objective, polish
+from dcreg.assignment.reuse import Matched, quick_objective
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, warnings_for
-from dcreg.driver.downsample import SEARCH_SHARE, refined, to_search
+from dcreg.driver.downsample import SEARCH_SHARE, to_search
 from dcreg.driver.modes import Mode, choose_mode, find_mode
-from dcreg.driver.options import START_BOXES, SolveOptions
-from dcreg.driver.task import Answer, Task
+from dcreg.driver.normalised import NormalisedProblem, Solution
+from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.warm_up import special, warm_up_mode
-from dcreg.names import AUTO, DEFAULT_TIME_LIMIT_S
-from dcreg.problem import (
-    EXACT,
-    Candidates,
-    Frame,
-    InputError,
-    Problem,
-    default_gap_tol,
-    gap_tol_of,
-)
-from dcreg.result import Result, Stage
+from dcreg.names import AUTO, START_BOXES
+from dcreg.problem import Problem
+from dcreg.problem.geometry import EXACT, Frame, default_gap_tol, gap_tol_of
+from dcreg.result import Result, Sample, Stage
 from dcreg.runner_up import find_runner_up
-from dcreg.search import Budget, Leaves, Listener, Trace
+from dcreg.search import Budget, Listener, Trace
 from dcreg.status import Status
 
-MAX_THREADS = 1024
+HOPELESS = 4.0  # poses with more than this many times the best objective are not refined
 _LOGGER = logging.getLogger("dcreg")
 
+# A pose with its objective and its pairs.
+Pose = tuple[float, np.ndarray, np.ndarray]
 
-def register(
-    source: np.ndarray,
-    target: np.ndarray,
-    *,
-    n_inliers: int | float,
-    model: str,
-    scale_range: tuple[float, float] | None = None,
-    candidates: Candidates | None = None,
-    gap_tol: float | None = None,
-    tol: float | None = None,
-    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
-    node_limit: int | None = None,
-    memory_limit_mb: float | None = None,
-    options: SolveOptions | None = None,
+
+def register_problem(
+    problem: Problem, limits: Limits, options: SolveOptions, mode: Mode | None = None
 ) -> Result:
-    """Register two clouds without correspondences, globally and with a certificate.
-
-    Minimises, over poses T of the model and one-to-one matchings P of exactly `n_inliers` pairs,
-    ``sum_ij p_ij |T(x_i) - y_j|^2`` by branch and bound over the pose (DC-Reg, arXiv 2603.25442).
-    In 3D the paper's mode certifies the translation of the norm objective
-    ``sum p_ij (|x_i + t| - |y_j|)^2`` and recovers the rotation after it.
-
-    Parameters
-    ----------
-    source, target : (n, d), (m, d) arrays
-        d = 2 for ``similarity2d``, 3 for ``rigid3d``. In any unit of length.
-    n_inliers : int or float
-        Pairs to match; a float in (0, 1] is a fraction of ``min(n, m)``.
-    model : {"similarity2d", "rigid3d"}
-    scale_range : (low, high), optional
-        Admissible scale, 2D only; default (0.5, 1.5). Equal numbers fix the scale: ``(1, 1)`` searches
-        rotation and translation alone.
-    gap_tol : float, optional
-        Absolute tolerance on the gap of the objective, in squared units of the target; default
-        ``n_inliers * (0.03 * RMS radius of the target)^2`` (`dcreg.default_gap_tol`), and with 0.003
-        where the bounds speak of norms, which fit better than points.
-    tol : float, optional
-        The same as a length, the RMS residual per pair in units of the target:
-        ``gap_tol = n_inliers * tol^2``. Only one of the two can be given.
-    time_limit : float, optional
-        Seconds for the solve, 60 unless told otherwise; None or inf: no limit. The best pose so far is
-        returned with status ``time_limit``, at most a tenth of the limit and a second later.
-    node_limit : int, optional
-        Boxes bounded per stage; the round begun, of up to a thousand boxes, is ended.
-    memory_limit_mb : float, optional
-        Memory of the open boxes; up to three times that is in use while their number grows.
-    candidates : (n, m) bool array, or n sequences of target indices, optional
-        The feasible pairs, e.g. from descriptors or a distance gate; all others are ruled out in the
-        objective, the bounds and the answer.
-    options : SolveOptions, optional
-        How to solve: mode, bound, threads, polish, certificate, downsampling, listener.
-
-    Returns
-    -------
-    Result
-        In the coordinates of the input.
-
-    Raises
-    ------
-    InputError
-        For bad input, before any search, naming field, value and remedy.
-
-    Examples
-    --------
-    >>> import numpy as np, dcreg
-    >>> points = np.random.default_rng(0).random((20, 2))
-    >>> result = dcreg.register(points, points + 3.0, n_inliers=20, model="similarity2d")
-    >>> result.status.value, np.round(result.translation, 6).tolist()
-    ('optimal', [3.0, 3.0])
-    """
-    began = time.perf_counter()
-    problem = Problem(source, target, n_inliers, model, scale_range, candidates)
-    options = options or SolveOptions()
-    bound, certificate, threads = options.bound, options.certificate, options.threads
-    asked = None if options.mode == AUTO else options.mode
-    (searched,) = to_search([problem], options.downsample, asked, bound, certificate)
-    way = find_mode(model, asked or choose_mode(searched, bound, certificate))
-    way.check(searched, bound, certificate)
-    gap_tol = gap_tol_of(tol, gap_tol, searched.n_inliers)
-    check_settings(
-        gap_tol=gap_tol, time_limit=time_limit, node_limit=node_limit,
-        memory_limit_mb=memory_limit_mb, threads=threads,
-    )  # fmt: skip
-    rotation_tol = gap_tol
-    if gap_tol is None:
-        gap_tol, rotation_tol = default_tolerances(searched, way)
-    advise(searched)
-    warm_up_mode(way, bound, *special(searched))
-    time_setup = time.perf_counter() - began
-
-    told = in_file_units(options.listener, Frame.of(searched).area)
-    with Budget(time_limit, node_limit, memory_limit_mb, told) as budget:
-        searching = budget if searched is problem else budget.isolated_sub_budget(SEARCH_SHARE)
-        task = task_of(
-            searched, way, bound, gap_tol, threads, searching, reduced_box=options.start_box == START_BOXES[0],
-            rotation_tol=rotation_tol,
-        )  # fmt: skip
-        task = replace(task, leaves=Leaves() if certificate else None)
-        answer = way.run(task)
-        answer.events = budget.history
-        result = result_of(
-            searched, way, task, answer, polish=options.polish, time_setup_s=time_setup
-        )
-        result = completed(result, problem, searched, way, budget)
+    """Solve one problem by a mode of the table, or by `mode`; see `dcreg.register`."""
+    setup = Setup.of([problem], limits, options, mode)
+    with setup.budget() as budget:
+        searching = budget.isolated_sub_budget(SEARCH_SHARE) if setup.is_sampled else budget
+        normalised = setup.normalised(0, searching)
+        solution = setup.mode.run(normalised)
+        solution.events = budget.history
+        result = Finish(setup, 0, normalised, budget, searching).result(solution)
         return replace(result, time_solve_s=budget.elapsed())
 
 
-def completed(
-    result: Result,
-    problem: Problem,
-    searched: Problem,
-    mode: Mode,
-    budget: Budget,
-    known: Matched | None = None,
-) -> Result:
-    """The result of what was searched as that of the problem: for all its points, and with warnings."""
-    if searched is not problem:
-        result = refined(result, problem, searched, budget, known)
-    return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
+@dataclass(frozen=True)
+class Setup:
+    """What is decided before a search over problems that differ in `n_inliers` only.
 
-
-def default_tolerances(problem: Problem, mode: Mode) -> tuple[float, float]:
-    """The gaps asked of the certified search and of rotation searches, in squared units of the target."""
-    source, target, k = problem.source, problem.target, problem.n_inliers
-    return default_gap_tol(source, target, k, mode.tolerated), default_gap_tol(source, target, k)
-
-
-def task_of(
-    problem: Problem,
-    mode: Mode,
-    bound: str | None,
-    gap_tol: float,
-    threads: int,
-    budget: Budget,
-    *,
-    reduced_box: bool = True,
-    rotation_tol: float | None = None,
-) -> Task:
-    """The normalised task of a problem; tolerances in the units of the clouds."""
-    frame = Frame.of(problem)
-    return Task(
-        frame.source(problem.source),
-        frame.target(problem.target),
-        problem.n_inliers,
-        problem.scale_range,
-        problem.candidates,
-        bound or mode.own_bound,
-        reduced_box,
-        gap_tol / frame.area,
-        threads,
-        budget,
-        rotation_tol=None if rotation_tol is None else rotation_tol / frame.area,
-    )
-
-
-def result_of(
-    problem: Problem,
-    mode: Mode,
-    task: Task,
-    answer: Answer,
-    *,
-    polish: bool,
-    time_setup_s: float,
-    budget: Budget | None = None,
-    matched: tuple[float, np.ndarray] | None = None,
-) -> Result:
-    """The answer in the coordinates of the clouds, its pose polished as far as the budget allows.
-
-    Parameters
+    Attributes
     ----------
-    problem, mode, task, answer
-    polish : bool
-    time_setup_s : float
-    budget : Budget, optional
-        Of the polish; default: the task's.
-    matched : (value, pairs), optional
-        At the pose; default: `objective`'s.
+    problems : list of Problem
+        As given, in ascending order of `n_inliers`.
+    searched : list of Problem
+        What is searched for each: itself, or a sample of it.
+    mode : Mode
+    limits : Limits
+    options : SolveOptions
+    time_s : float
+        Seconds that the decisions took, compilation included.
     """
-    budget = budget or task.budget
-    frame = Frame.of(problem)
-    area = frame.area
-    T = T_certified = frame.pose(answer.T)
-    value, pairs = matched or objective(
-        problem.source, problem.target, T, problem.n_inliers, problem.candidates,
-        prove=not (polish or budget.is_over), stop=budget.hard_stop,
-    )  # fmt: skip
-    greedy = is_greedy(len(problem.source), len(problem.target), budget.hard_stop)
-    # where not one descent came to its end; norms differ by no more than the points do
-    upper_bound = value if np.isinf(answer.upper_bound) else answer.upper_bound * area
-    final = value
-    stages = [stage.scaled(area) for stage in answer.stages]
-    if greedy and not polish:
-        stages.append(Stage("pairs", 0.0, greedy_assignment=True))
-    if polish:
-        polishing, spent = budget.elapsed(), 0
-        if not budget.is_over:
-            T, final, pairs, spent = polish_pose(
-                problem.source, problem.target, T_certified, problem.n_inliers,
-                problem.scale_range, problem.candidates, budget,
+
+    problems: Sequence[Problem]
+    searched: Sequence[Problem]
+    mode: Mode
+    limits: Limits
+    options: SolveOptions
+    time_s: float
+
+    @classmethod
+    def of(
+        cls,
+        problems: Sequence[Problem],
+        limits: Limits,
+        options: SolveOptions,
+        mode: Mode | None = None,
+    ) -> Setup:
+        """Choose sample and mode, check all settings, log advice and compile the kernels.
+
+        Parameters
+        ----------
+        problems : sequence of Problem
+        limits : Limits
+        options : SolveOptions
+        mode : Mode, optional
+            A mode that is not in the table of modes; it compiles its own kernels.
+
+        Raises
+        ------
+        InputError
+        """
+        began = time.perf_counter()
+        bound, certificate = options.bound, options.certificate
+        name = None if options.mode == AUTO else options.mode
+        searched = to_search(problems, options.downsample, name, bound, certificate)
+        largest = searched[-1]
+        chosen = mode or find_mode(largest.model, name or choose_mode(largest, bound, certificate))
+        chosen.check(largest, bound, certificate)
+        limits.check(largest.n_inliers)
+        for line in advice(largest):
+            _LOGGER.info(line)
+        if mode is None:
+            warm_up_mode(chosen, bound, *special(searched[0]))
+        return cls(problems, searched, chosen, limits, options, time.perf_counter() - began)
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether a sample of the points is searched."""
+        return self.searched[0] is not self.problems[0]
+
+    def budget(self) -> Budget:
+        """Start the clock; the listener receives events in the units of the input."""
+        return self.limits.budget(
+            in_input_units(self.options.listener, Frame.of(self.searched[0]).area)
+        )
+
+    def normalised(self, at: int, budget: Budget) -> NormalisedProblem:
+        """Return the problem that is searched for ``problems[at]``."""
+        problem, mode, options = self.searched[at], self.mode, self.options
+        frame = Frame.of(problem)
+        source, target, k = problem.source, problem.target, problem.n_inliers
+        gap_tol = rotation_gap_tol = gap_tol_of(self.limits.tol, self.limits.gap_tol, k)
+        if gap_tol is None or rotation_gap_tol is None:
+            gap_tol = default_gap_tol(source, target, k, mode.tolerated)
+            rotation_gap_tol = default_gap_tol(source, target, k)
+        return NormalisedProblem(
+            frame.source(source),
+            frame.target(target),
+            k,
+            problem.scale_range,
+            problem.candidates,
+            frame,
+            options.bound or mode.own_bound,
+            options.start_box == START_BOXES[0],
+            gap_tol / frame.area,
+            rotation_gap_tol / frame.area,
+            options.threads,
+            budget,
+            options.certificate,
+        )
+
+
+@dataclass(frozen=True)
+class Finish:
+    """From a solution in normalised units to a result: pairs, polish, all points, warnings.
+
+    Attributes
+    ----------
+    setup : Setup
+    at : int
+        The problem is ``setup.problems[at]``.
+    normalised : NormalisedProblem
+    budget : Budget
+        Of all that remains to be done.
+    placing : Budget
+        Of the steps on the points that were searched.
+    known : Matched, optional
+        Pairs of another cardinality, tried if the time is over.
+    """
+
+    setup: Setup
+    at: int
+    normalised: NormalisedProblem
+    budget: Budget
+    placing: Budget
+    known: Matched | None = None
+
+    def result(self, solution: Solution) -> Result:
+        """Return the result for all points, with its warnings."""
+        result = self._of_search(solution)
+        problem, mode = self.setup.problems[self.at], self.setup.mode
+        if self.setup.is_sampled:
+            result = self._of_all_points(result)
+        return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
+
+    def _of_search(self, solution: Solution) -> Result:
+        """Return the result for the points that were searched."""
+        problem, mode = self.setup.searched[self.at], self.setup.mode
+        normalised, frame = self.normalised, self.normalised.frame
+        certificate = self._certificate(solution)
+        solution = solution.to_input(frame)
+        before = self._matched(solution.T)
+        greedy = is_greedy(len(problem.source), len(problem.target), self.placing.hard_stop)
+        # no descent may have ended; norms differ by no more than the points do
+        upper_bound = before[0] if np.isinf(solution.upper_bound) else solution.upper_bound
+        (final, T, pairs), stages = before, list(solution.stages)
+        if self.setup.options.polish:
+            began = self.placing.elapsed()
+            ((final, T, pairs),), spent = refine_poses(problem, [before], self.placing)
+            stages.append(
+                Stage(
+                    "polish", self.placing.elapsed() - began, n_assignments=spent,
+                    objective_before=before[0], objective_after=final, greedy_assignment=greedy or None,
+                )
             )  # fmt: skip
-        stages.append(
-            Stage(
-                "polish", budget.elapsed() - polishing, n_assignments=spent,
-                objective_before=value, objective_after=final, greedy_assignment=greedy or None,
-            )
+        elif greedy:
+            stages.append(Stage("pairs", 0.0, greedy_assignment=True))
+        return Result(
+            status=self._status(solution, upper_bound),
+            model=problem.model,
+            mode=mode.name,
+            bound=normalised.bound,
+            T_target_source=T,
+            T_certified=solution.T,
+            assignment=pairs,
+            n_inliers=problem.n_inliers,
+            lower_bound=solution.lower_bound,
+            upper_bound=upper_bound,
+            gap_tol=normalised.gap_tol * frame.area,
+            certificate_scope=solution.scope,
+            objective=final,
+            objective_certified=before[0],
+            n_nodes=sum(stage.n_nodes for stage in solution.stages),
+            n_assignments=sum(stage.n_assignments for stage in solution.stages),
+            time_setup_s=self.setup.time_s,
+            time_solve_s=self.placing.elapsed(),
+            trace=Trace(solution.events),
+            stages=stages,
+            certificate=certificate,
+            runner_up=find_runner_up(
+                problem,
+                T,
+                final if mode.in_norm_space else min(final, upper_bound),
+                solution.minima,
+            ),
+        )
+
+    def _matched(self, T: np.ndarray) -> Pose:
+        """Return the pose with its pairs. The pairs of a sample are not returned and may be rough."""
+        problem, budget = self.setup.searched[self.at], self.placing
+        prove = not (self.setup.options.polish or budget.is_over)
+        clouds, k = (problem.source, problem.target), problem.n_inliers
+        if self.setup.is_sampled:
+            value, pairs = objective(*clouds, T, k, prove=prove, stop=budget.hard_stop, at_once=0)
+        else:
+            value, pairs = quick_objective(
+                *clouds, T, k, problem.candidates,
+                known=self.known, prove=prove, stop=budget.hard_stop,
+            )  # fmt: skip
+        return value, T, pairs
+
+    def _status(self, solution: Solution, upper_bound: float) -> Status:
+        """Return `optimal` only if the bounds say more than that squares are not negative.
+
+        Norms can agree where points do not: in norm space an upper bound within the tolerance says
+        nothing about the pose, unless the norms agree exactly.
+        """
+        trivial = self.setup.mode.in_norm_space and solution.lower_bound <= 0.0
+        rounding = EXACT * self.normalised.n_inliers * self.normalised.frame.area
+        if solution.status is Status.OPTIMAL and trivial and upper_bound > rounding:
+            return Status.CONVERGED
+        return solution.status
+
+    def _certificate(self, solution: Solution) -> Certificate | None:
+        if not self.normalised.keep_leaves or solution.certified is None:
+            return None
+        root, found = solution.certified
+        assert found.leaves is not None
+        return record(
+            found, found.leaves, root, self.setup.searched[self.at],
+            family=self.setup.mode.certifies, mode=self.setup.mode.name,
+            bound=self.normalised.bound, gap_tol=self.normalised.gap_tol,
         )  # fmt: skip
-    return Result(
-        status=_status(mode, answer, upper_bound / area, problem.n_inliers),
-        model=problem.model,
-        mode=mode.name,
-        bound=task.bound,
-        T_target_source=T,
-        T_certified=T_certified,
-        assignment=pairs,
-        n_inliers=problem.n_inliers,
-        lower_bound=answer.lower_bound * area,
-        upper_bound=upper_bound,
-        gap_tol=task.gap_tol * area,
-        certificate_scope=answer.scope,
-        objective=final,
-        objective_certified=value,
-        n_nodes=sum(stage.n_nodes for stage in answer.stages),
-        n_assignments=sum(stage.n_assignments for stage in answer.stages),
-        time_setup_s=time_setup_s,
-        time_solve_s=budget.elapsed(),
-        trace=Trace([event.scaled(area) for event in answer.events]),
-        stages=stages,
-        certificate=_certificate(problem, mode, task, answer),
-        runner_up=find_runner_up(
-            problem,
-            T,
-            final if mode.in_norm_space else min(final, upper_bound),
-            ((frame.pose(end), value * area) for end, value in answer.ends),
-        ),
-    )
+
+    def _of_all_points(self, result: Result) -> Result:
+        """Refine the pose of a sample on all points.
+
+        The runner-up and the pose of the `known` pairs are refined as well, the best of them first. The
+        runner-up of the result then refers to all points.
+        """
+        problem, searched = self.setup.problems[self.at], self.setup.searched[self.at]
+        budget, known = self.budget, self.known
+        began = budget.elapsed()
+        clouds, k = (problem.source, problem.target), problem.n_inliers
+        T = result.T_target_source
+        before, pairs = quick_objective(
+            *clouds, T, k, known=known, prove=False, stop=budget.hard_stop
+        )
+        greedy = is_greedy(len(problem.source), len(problem.target), budget.hard_stop)
+        poses, tried = [(before, T, pairs)], 1
+        if result.runner_up is not None and not budget.is_over:
+            T, tried = result.runner_up.T_target_source, tried + 1
+            value, pairs = objective(*clouds, T, k, prove=False, stop=budget.hard_stop)
+            poses.append((value, T, pairs))
+        if known is not None:
+            value, pairs = known.cheapest(*clouds, known.T_target_source, k)
+            poses.append((value, known.T_target_source, pairs))
+        poses, spent = refine_poses(problem, poses, budget)
+        value, T, pairs = min(poses, key=_value)
+        stage = Stage(
+            "all points", budget.elapsed() - began, n_assignments=tried + spent,
+            objective_before=before, objective_after=value, greedy_assignment=greedy or None,
+        )  # fmt: skip
+        ended = result.status in (Status.OPTIMAL, Status.CONVERGED)
+        return replace(
+            result,
+            status=budget.ended_by if ended and budget.is_over else result.status,
+            T_target_source=T,
+            assignment=pairs,
+            n_inliers=k,
+            objective=value,
+            objective_certified=before,
+            runner_up=find_runner_up(
+                problem, T, value, [(other, cost) for cost, other, _ in poses]
+            ),
+            stages=[*result.stages, stage],
+            downsampled=Sample(len(searched.source), len(searched.target), searched.n_inliers),
+        )
 
 
-def _status(mode: Mode, answer: Answer, upper_bound: float, n_inliers: int) -> Status:
-    """`optimal` only where the bounds say more than that squares are not negative.
-
-    Norms can agree where points do not: in norm space an upper bound within the tolerance says nothing
-    of the pose, unless the norms agree exactly.
-    """
-    trivial = mode.in_norm_space and answer.lower_bound <= 0.0
-    if answer.status is Status.OPTIMAL and trivial and upper_bound > EXACT * n_inliers:
-        return Status.CONVERGED
-    return answer.status
-
-
-def _certificate(problem: Problem, mode: Mode, task: Task, answer: Answer) -> Certificate | None:
-    if task.leaves is None or answer.cover is None:
-        return None
-    start, found = answer.cover
-    return record(
-        found, task.leaves, start, problem,
-        family=mode.certifies, mode=mode.name, bound=task.bound, gap_tol=task.gap_tol,
-    )  # fmt: skip
-
-
-def check_settings(**settings: float | None) -> None:
-    """Refuse limits and tolerances that make no sense.
-
-    Raises
-    ------
-    InputError
-    """
-    for name, value in settings.items():
-        if value is None:
-            continue
-        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-            raise InputError(f"{name}: {value!r} is not a number; give a positive number")
-        least = 1 if name in ("node_limit", "threads") else 0
-        endless = name == "time_limit" and value == np.inf
-        if (
-            not (value < np.inf or endless)
-            or value < least
-            or (name == "time_limit" and value == 0)
-        ):
-            raise InputError(f"{name}: {value} is not a usable value; give a positive number")
-        if name == "threads" and value > MAX_THREADS:
-            raise InputError(f"threads: {value} are too many; give at most {MAX_THREADS}")
-
-
-def advise(problem: Problem) -> None:
-    """Tell, before a search, what most often goes wrong: records of level INFO."""
-    for line in advice(problem):
-        _LOGGER.info(line)
-
-
-def in_file_units(listener: Listener | None, area: float) -> Listener | None:
-    """The listener, told of events in the units of the clouds."""
+def in_input_units(listener: Listener | None, area: float) -> Listener | None:
+    """Return the listener for events in normalised units."""
     if listener is None:
         return None
     return lambda event: listener(event.scaled(area))
+
+
+def refine_poses(problem: Problem, poses: Sequence[Pose], budget: Budget) -> tuple[list[Pose], int]:
+    """Polish the poses in ascending order of their objective, as far as the budget allows.
+
+    Returns
+    -------
+    poses : list of Pose
+        None is worse than before.
+    n_assignments : int
+    """
+    refined, spent = sorted(poses, key=_value), 0
+    for at, (value, T, _) in enumerate(refined):
+        if budget.is_over or value > HOPELESS * min(map(_value, refined)):
+            break
+        T, better, pairs, more = polish(
+            problem.source, problem.target, T, problem.n_inliers, problem.scale_range,
+            problem.candidates, budget,
+        )  # fmt: skip
+        spent += more
+        if better < value:
+            refined[at] = better, T, pairs
+    return refined, spent
+
+
+def _value(pose: Pose) -> float:
+    return pose[0]

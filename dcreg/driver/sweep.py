@@ -22,29 +22,22 @@ the time is over. Results are made from the most pairs down: their pairs and pos
 from __future__ import annotations
 
 import itertools
-import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from dcreg.assignment.polish import objective
-from dcreg.assignment.reuse import Matched, quick_objective
-from dcreg.driver.downsample import SEARCH_SHARE, to_search
-from dcreg.driver.modes import CHOSEN, Mode, choose_mode, find_mode
-from dcreg.driver.options import SolveOptions
-from dcreg.driver.paper import TRANSLATION_SHARE, place, pose_of
-from dcreg.driver.solve import advise, check_settings, completed, in_file_units, result_of
+from dcreg.assignment.reuse import Matched
+from dcreg.driver.downsample import SEARCH_SHARE
+from dcreg.driver.modes import shifted_rotation
+from dcreg.driver.normalised import Solution
+from dcreg.driver.options import Limits, SolveOptions
+from dcreg.driver.solve import Finish, Setup
 from dcreg.driver.sweep_level import Level
-from dcreg.driver.task import Answer, Task
-from dcreg.driver.warm_up import special, warm_up_mode
-from dcreg.families.protocol import Space
-from dcreg.families.registry import make_bound
-from dcreg.names import AUTO, DEFAULT_TIME_LIMIT_S, mode_names
-from dcreg.problem import Candidates, Frame, InputError, Problem, gap_tol_of
+from dcreg.problem import InputError, Problem
 from dcreg.result import Result, Stage
-from dcreg.search import Budget, Interrupted, Outcome, minimise
+from dcreg.search import Budget, Interrupted, minimise
 from dcreg.status import Status
 from dcreg.sweep_result import SweepResult
 
@@ -59,163 +52,42 @@ _ENDING_S_PER_POINT = 5e-6
 _LARGEST_ENDING = 0.75
 
 
-def sweep(
-    source: np.ndarray,
-    target: np.ndarray,
-    n_inliers: Sequence[int | float],
-    *,
-    model: str,
-    scale_range: tuple[float, float] | None = None,
-    candidates: Candidates | None = None,
-    gap_tol: float | None = None,
-    tol: float | None = None,
-    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
-    node_limit: int | None = None,
-    memory_limit_mb: float | None = None,
-    options: SolveOptions | None = None,
+def sweep_problems(
+    problems: Sequence[Problem], limits: Limits, options: SolveOptions
 ) -> SweepResult:
-    """Register two clouds for several numbers of inliers, with bounds for each.
-
-    For every cardinality the problem of `dcreg.register` is solved; searches share
-    their poses, and a bound for fewer pairs serves for more of them where it is good enough. The k
-    cheapest pairs of a feasible matching are feasible, so `candidates` change nothing about that.
-
-    Parameters
-    ----------
-    source, target : (n, d), (m, d) arrays
-    n_inliers : sequence of int or float
-        Cardinalities, in any order and with repetitions; floats in (0, 1] are fractions of
-        ``min(n, m)``.
-    model, scale_range, candidates
-        As in `dcreg.register`.
-    gap_tol : float, optional
-        Absolute tolerance for every cardinality; default `dcreg.default_gap_tol` of each.
-    tol : float, optional
-        A length instead, as in `dcreg.register`: ``gap_tol = k * tol^2`` for cardinality k.
-    time_limit : float, optional
-        Seconds for all cardinalities, 60 unless told otherwise; None or inf: no limit. What one
-        leaves over goes to those after it; those whose gap is open at the end have status
-        ``time_limit``, with valid bounds and a pose.
-    node_limit, memory_limit_mb : optional
-        For each search.
-    options : SolveOptions, optional
-        As in `dcreg.register`, but a sweep keeps no certificate. The stages of events name the
-        cardinality (``k=40``) or are ``rotation``. Cardinalities that are the same number of pairs after
-        downsampling have the same bounds.
-
-    Returns
-    -------
-    SweepResult
-
-    Raises
-    ------
-    InputError
-        For bad input, before any search, naming field, value and remedy.
-
-    Examples
-    --------
-    >>> import numpy as np, dcreg
-    >>> rng = np.random.default_rng(0)
-    >>> points = rng.random((20, 2))
-    >>> moved = points + 3.0 + 0.01 * rng.standard_normal((20, 2))
-    >>> moved[16:] = rng.random((4, 2)) + 3.0  # outliers
-    >>> found = dcreg.sweep(points, moved, [12, 14, 16, 18, 20], model="similarity2d")
-    >>> found.status.value, [round(row["rms"], 2) for row in found.rows()]
-    ('optimal', [0.01, 0.01, 0.01, 0.03, 0.11])
-    """
-    began = time.perf_counter()
-    problems = _problems(source, target, n_inliers, model, scale_range, candidates)
-    options = options or SolveOptions()
+    """Solve problems that differ in `n_inliers`, given in ascending order; see `dcreg.sweep`."""
     if options.certificate:
         raise InputError("certificate: a sweep keeps none; use register for one cardinality")
-    bound, threads = options.bound, options.threads
-    asked = None if options.mode == AUTO else options.mode
-    searched = to_search(problems, options.downsample, asked, bound)
-    way = _mode(searched[-1], asked, bound)
-    way.check(searched[-1], bound, certificate=False)
-    gap_tols = [gap_tol_of(tol, gap_tol, problem.n_inliers) for problem in searched]
-    check_settings(
-        gap_tol=gap_tols[-1], time_limit=time_limit, node_limit=node_limit,
-        memory_limit_mb=memory_limit_mb, threads=threads,
-    )  # fmt: skip
-    advise(searched[-1])
-    warm_up_mode(way, bound, *special(searched[0]))
-    time_setup = time.perf_counter() - began
-    area = Frame.of(searched[0]).area
-    budget = Budget(time_limit, node_limit, memory_limit_mb, in_file_units(options.listener, area))
-    with budget:
-        searching = budget.isolated_sub_budget(_searching_share(problems, searched, way, budget))
-        solve = _Sweep(
-            [
-                Level.of(whole, problem, way, bound, gap_tol, threads, searching)
-                for whole, problem, gap_tol in zip(problems, searched, gap_tols, strict=True)
-            ],
-            way,
-            budget,
-            searching,
-        )
+    setup = Setup.of(problems, limits, options)
+    with setup.budget() as budget:
+        solve = _Sweep(setup, budget)
         solve.incumbents()
         solve.bounds()
-        results = solve.results(options.polish, time_setup)
+        results = solve.results()
     return SweepResult(results, [level.proven_by for level in solve.levels])
-
-
-def _mode(problem: Problem, name: str | None, bound: str | None) -> Mode:
-    if name is None:
-        name = choose_mode(problem, bound)
-    if name not in CHOSEN and name in mode_names(problem.model):
-        raise InputError(
-            f"mode: {name!r} serves one cardinality; a sweep takes {' or '.join(CHOSEN)}"
-        )
-    return find_mode(problem.model, name)
-
-
-def _problems(
-    source: np.ndarray,
-    target: np.ndarray,
-    n_inliers: Sequence[int | float],
-    model: str,
-    scale_range: tuple[float, float] | None,
-    candidates: Candidates | None,
-) -> list[Problem]:
-    """One problem per distinct cardinality, ascending."""
-    if isinstance(n_inliers, str) or not isinstance(n_inliers, Iterable):
-        raise InputError(
-            f"n_inliers: {n_inliers!r} is not a list; give several such as [0.5, 0.7, 0.9], or use "
-            "register for one"
-        )
-    made = {
-        problem.n_inliers: problem
-        for problem in (
-            Problem(source, target, k, model, scale_range, candidates) for k in n_inliers
-        )
-    }
-    if not made:
-        raise InputError("n_inliers: the list is empty; give at least one count or fraction")
-    return [made[k] for k in sorted(made)]
-
-
-def _searching_share(
-    problems: Sequence[Problem], searched: Sequence[Problem], mode: Mode, budget: Budget
-) -> float:
-    """Share of the time that is searched: the rest is for placing and matching what was found."""
-    share = TRANSLATION_SHARE if mode.in_norm_space else 1.0
-    if searched[0] is not problems[0]:
-        share *= SEARCH_SHARE
-    limit = budget.left()
-    if not limit:
-        return share
-    points = max(len(problems[0].source), len(problems[0].target))
-    ending = len(problems) * points * _ENDING_S_PER_POINT / limit
-    return min(share, 1.0 - min(ending, _LARGEST_ENDING))
 
 
 class _Sweep:
     """The state of one sweep; its methods are the stages, in the order in which they are called."""
 
-    def __init__(self, levels: list[Level], mode: Mode, budget: Budget, searching: Budget) -> None:
-        self.levels, self.mode, self.budget, self.searching = levels, mode, budget, searching
+    def __init__(self, setup: Setup, budget: Budget) -> None:
+        self.setup, self.mode, self.budget = setup, setup.mode, budget
+        self.searching = budget.isolated_sub_budget(self._searching_share())
+        self.levels = [Level.of(setup, at, self.searching) for at in range(len(setup.problems))]
         self.rotation: np.ndarray | None = None  # that of the last translation
+
+    def _searching_share(self) -> float:
+        """Share of the time that is searched: the rest is for placing and matching what was found."""
+        share = self.mode.search_share
+        if self.setup.is_sampled:
+            share *= SEARCH_SHARE
+        limit = self.budget.left()
+        if not limit:
+            return share
+        clouds = self.setup.problems[0]
+        points = max(len(clouds.source), len(clouds.target))
+        ending = len(self.setup.problems) * points * _ENDING_S_PER_POINT / limit
+        return min(share, 1.0 - min(ending, _LARGEST_ENDING))
 
     def incumbents(self) -> None:
         """A pose for every cardinality, from descents of its own and from its neighbours'."""
@@ -283,15 +155,10 @@ class _Sweep:
         return count, gap_tol
 
     def _search(self, level: Level, gap_tol: float, budget: Budget) -> None:
-        space, threads = level.space, level.task.threads
-        found: Outcome = minimise(
-            space,
-            make_bound(level.task.bound, space, threads=threads),
-            budget,
-            gap_tol=gap_tol,
-            start=(level.theta, level.upper_bound),
-            stage=f"k={level.name}",
-        )
+        found = minimise(
+            level.space, self.mode.bound(level.normalised, level.space), budget,
+            gap_tol=gap_tol, start=(level.theta, level.upper_bound), stage=f"k={level.name}",
+        )  # fmt: skip
         better = found.upper_bound < level.upper_bound
         level.take(found.theta, found.upper_bound)
         if found.lower_bound > level.lower_bound:
@@ -302,8 +169,8 @@ class _Sweep:
         if better:
             self._exchange()
 
-    def results(self, polish: bool, time_setup: float) -> list[Result]:
-        """Poses and results, each with an equal share of the time that is left.
+    def results(self) -> list[Result]:
+        """Return the results, each with an equal share of the time that is left.
 
         The most pairs come first: the cheapest of them may serve for fewer.
         """
@@ -311,63 +178,27 @@ class _Sweep:
         known: Matched | None = None
         for n_left in range(len(self.levels), 0, -1):
             budget = self.budget.isolated_sub_budget(1.0 / n_left)
-            level = self.levels[n_left - 1]
-            found.insert(0, self._result(level, polish, time_setup, budget, known))
+            found.insert(0, self._result(self.levels[n_left - 1], budget, known))
             last = found[0]
             known = Matched(last.T_target_source, last.assignment, last.is_greedy)
         return found
 
-    def _result(
-        self,
-        level: Level,
-        polish: bool,
-        time_setup: float,
-        budget: Budget,
-        known: Matched | None,
-    ) -> Result:
+    def _result(self, level: Level, budget: Budget, known: Matched | None) -> Result:
         began = budget.elapsed()
-        placing = budget.sub_budget(SEARCH_SHARE) if level.is_sampled else budget
-        answer = level.answer()
-        spent = sum(stage.time_s for stage in answer.stages)
-        self._place(level.task, level.space, level.theta, placing, answer)
-        result = result_of(
-            level.problem, self.mode, level.task, answer, polish=polish, time_setup_s=time_setup,
-            budget=placing, matched=_matched(level, answer.T, polish, placing, known),
-        )  # fmt: skip
-        result = completed(result, level.whole, level.problem, self.mode, budget, known)
-        return replace(result, time_solve_s=spent + budget.elapsed() - began)
+        placing = budget.sub_budget(SEARCH_SHARE) if self.setup.is_sampled else budget
+        solution = level.solution()
+        spent = sum(stage.time_s for stage in solution.stages)
+        self._recover_pose(level, placing, solution)
+        finish = Finish(self.setup, level.at, level.normalised, budget, placing, known)
+        return replace(finish.result(solution), time_solve_s=spent + budget.elapsed() - began)
 
-    def _place(
-        self, task: Task, space: Space, theta: np.ndarray, budget: Budget, answer: Answer
-    ) -> None:
-        """`place`; past the limit the rotation of another cardinality stands in for a search."""
-        if space.fixes_rotation or self.rotation is None or not budget.is_over:
-            place(task, space, theta, budget, answer)
+    def _recover_pose(self, level: Level, budget: Budget, solution: Solution) -> None:
+        """Recover the pose; past the limit the rotation of another cardinality replaces a search."""
+        if self.rotation is None or not budget.is_over:
+            self.mode.recover_pose(level.normalised, level.space, level.theta, budget, solution)
         else:
-            answer.T = pose_of(self.rotation, theta)
-            if answer.status is Status.OPTIMAL:
-                answer.status = budget.ended_by
-        if not space.fixes_rotation:
-            self.rotation = answer.T[:3, :3]
-
-
-def _matched(
-    level: Level, T: np.ndarray, polish: bool, budget: Budget, known: Matched | None
-) -> tuple[float, np.ndarray]:
-    """Value and pairs at a pose in the frame; pairs of a sample are seen by nobody and may be rough."""
-    problem = level.problem
-    clouds, T = (problem.source, problem.target), Frame.of(problem).pose(T)
-    prove = not (polish or budget.is_over)
-    if level.is_sampled:
-        return objective(
-            *clouds, T, problem.n_inliers, prove=prove, stop=budget.hard_stop, at_once=0
-        )
-    return quick_objective(
-        *clouds,
-        T,
-        problem.n_inliers,
-        problem.candidates,
-        known=known,
-        prove=prove,
-        stop=budget.hard_stop,
-    )
+            solution.T = shifted_rotation(self.rotation, level.theta)
+            if solution.status is Status.OPTIMAL:
+                solution.status = budget.ended_by
+        if self.mode.rotation is not None:
+            self.rotation = solution.T[:3, :3]

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from dcreg.driver.full import rigid_space
-from dcreg.driver.modes import Mode
-from dcreg.driver.paper import space_of
-from dcreg.driver.solve import default_tolerances, task_of
-from dcreg.driver.task import Answer, Task
-from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.rigid3d.space import Rigid3D
-from dcreg.problem import Problem
+from dcreg.driver.normalised import NormalisedProblem, Solution
+from dcreg.driver.solve import Setup
 from dcreg.result import Stage
 from dcreg.search import Budget, Event
 from dcreg.status import Status
@@ -23,10 +18,10 @@ from dcreg.status import Status
 class Level:
     """One cardinality: its problem, what is searched for it, what is known of that (frame units)."""
 
-    whole: Problem
-    problem: Problem
-    task: Task
-    space: FeatureSpace | Rigid3D
+    at: int
+    name: int  # the cardinality as given
+    normalised: NormalisedProblem
+    space: Any
     theta: np.ndarray = field(default_factory=lambda: np.empty(0))
     lower_bound: float = 0.0
     upper_bound: float = np.inf
@@ -39,43 +34,20 @@ class Level:
     searches: list[Stage] = field(default_factory=list)
 
     @classmethod
-    def of(
-        cls,
-        whole: Problem,
-        problem: Problem,
-        mode: Mode,
-        bound: str | None,
-        gap_tol: float | None,
-        threads: int,
-        budget: Budget,
-    ) -> Level:
-        if gap_tol is None:
-            gap_tol, rotation_tol = default_tolerances(problem, mode)
-        else:
-            rotation_tol = gap_tol
-        task = task_of(problem, mode, bound, gap_tol, threads, budget, rotation_tol=rotation_tol)
-        if mode.name == "full":
-            return cls(whole, problem, task, rigid_space(task))
-        return cls(whole, problem, task, space_of(task))
-
-    @property
-    def name(self) -> int:
-        """The cardinality, as it was asked for."""
-        return self.whole.n_inliers
+    def of(cls, setup: Setup, at: int, budget: Budget) -> Level:
+        """Prepare the search for ``setup.problems[at]``."""
+        normalised = setup.normalised(at, budget)
+        name = setup.problems[at].n_inliers
+        return cls(at, name, normalised, setup.mode.space(normalised))
 
     @property
     def k(self) -> int:
-        """Pairs of the search."""
-        return self.problem.n_inliers
-
-    @property
-    def is_sampled(self) -> bool:
-        """Whether some of the points are searched, not all."""
-        return self.whole is not self.problem
+        """Number of pairs in the search."""
+        return self.normalised.n_inliers
 
     @property
     def gap_tol(self) -> float:
-        return self.task.gap_tol
+        return self.normalised.gap_tol
 
     @property
     def closed(self) -> bool:
@@ -93,11 +65,11 @@ class Level:
         if bound > self.lower_bound:
             self.lower_bound, self.proven_by = bound, smaller.proven_by
 
-    def answer(self) -> Answer:
+    def solution(self) -> Solution:
         """What is known, but for the pose."""
         status = Status.OPTIMAL if self.closed else self.stopped_by or Status.STOPPED
         descents = Stage("descents", self.descending_s, n_assignments=self.n_descending)
-        return Answer(
+        return Solution(
             np.empty(0), status, self.lower_bound, self.upper_bound, self.space.scope,
             [descents, *self.searches], list(self.events),
         )  # fmt: skip

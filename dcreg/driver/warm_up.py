@@ -13,15 +13,17 @@ import numpy as np
 
 from dcreg.assignment.polish import objective, polish
 from dcreg.assignment.sparse import is_large, sparse_matching
-from dcreg.driver.modes import MODES, Mode, find_mode
-from dcreg.driver.task import Task
+from dcreg.driver.modes import MODES, Mode
+from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.matches.bound import MatchBound
 from dcreg.families.matches.problem import MatchProblem
 from dcreg.families.matches.start import coinciding_poses, promising_poses
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.jit import forget_old_kernels, when_compiling
+from dcreg.names import BOUND_NAMES
 from dcreg.problem import Problem
-from dcreg.search import Budget, LongestEdge, branch_and_bound
+from dcreg.problem.geometry import Frame
+from dcreg.search import Budget
 
 _LOGGER = logging.getLogger("dcreg")
 _MESSAGE = "compiling the kernels that this search needs; once, they are kept for later runs"
@@ -53,18 +55,18 @@ def warm_up(processes: int = 1) -> None:
 def _works() -> Iterator[functools.partial[None]]:
     """All there is to compile, in parts that have little in common."""
     yield functools.partial(warm_up_matches)
-    for mode in sorted(MODES, key=lambda mode: mode.name):  # the dearest first
-        bounds = (None, "shared", "dc", "interval")
-        yield functools.partial(
-            _compile_mode, mode.model, mode.name, bounds if mode.takes_bound else (None,)
-        )
+    for mode in sorted(MODES, key=lambda mode: mode.name):  # the most expensive first
+        yield functools.partial(_compile_mode, mode)
 
 
-def _compile_mode(model: str, name: str, bounds: tuple[str | None, ...]) -> None:
+def _compile_mode(mode: Mode) -> None:
+    bounds: list[str | None] = [None]
+    if mode.make_bound is None:
+        bounds += [name for name in BOUND_NAMES if name != mode.own_bound]
     for bound in bounds:
         for restricted in (False, True):
-            warm_up_mode(find_mode(model, name), bound, restricted)
-    warm_up_mode(find_mode(model, name), None, large=True)
+            warm_up_mode(mode, bound, restricted)
+    warm_up_mode(mode, None, large=True)
 
 
 def special(problem: Problem) -> tuple[bool, bool]:
@@ -100,9 +102,10 @@ def warm_up_mode(
     candidates = ~np.eye(8, dtype=bool) if restricted else None
     with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
         mode.run(
-            Task(
-                points, moved, 6, scale_range, candidates, bound or mode.own_bound, False, 0.5, 1,
-                Budget(nodes=8),
+            NormalisedProblem(
+                points, moved, 6, scale_range, candidates, Frame(np.zeros(dim), np.zeros(dim), 1.0),
+                bound or mode.own_bound, stationary_box=False, gap_tol=0.5, rotation_gap_tol=0.5,
+                threads=1, budget=Budget(nodes=8),
             )
         )  # fmt: skip
         polish(points, moved, np.eye(dim + 1), 6, scale_range, candidates)
@@ -125,10 +128,7 @@ def warm_up_matches() -> None:
         coinciding_poses(problem, Budget())
         worst = problem.reach**2 * problem.most
         bound = MatchBound(problem, worst, 0.0)
-        branch_and_bound(
-            bound, Budget(nodes=8), branching=LongestEdge(bound.axis_weights), gap_tol=0.0,
-            refine=bound.refine, start=(np.eye(3, 4).ravel(), worst),
-        )  # fmt: skip
+        bound.search(Budget(nodes=8), 0.0, (np.eye(3, 4).ravel(), worst))
 
 
 if __name__ == "__main__":

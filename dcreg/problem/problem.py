@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Literal
 
@@ -144,6 +145,21 @@ class Problem:
     def dim(self) -> int:
         """Dimension of the points: 2 or 3."""
         return MODEL_DIM[self.model]
+
+    def with_n_inliers(self, n_inliers: int | float) -> Problem:
+        """Return the problem over the same clouds for another number of pairs.
+
+        Raises
+        ------
+        InputError
+            If the number is out of range, or the feasible pairs do not allow it.
+        """
+        count = check_n_inliers(n_inliers, min(len(self.source), len(self.target)))
+        if self.candidates is not None and count > self.n_inliers:
+            check_candidates(self.candidates, len(self.source), len(self.target), count)
+        other = copy(self)
+        object.__setattr__(other, "n_inliers", count)
+        return other
 
 
 def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndarray:

@@ -8,9 +8,9 @@ independent, so the result does not depend on how many threads evaluate them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from dcreg.search.budget import Budget, Event, Interrupted
 from dcreg.status import Status
 
 
-@dataclass
+@dataclass(frozen=True)
 class Outcome:
     """The best parameter found, with bounds that hold whatever the status.
 
@@ -34,6 +34,8 @@ class Outcome:
     time_s : float
     events : list of Event
         One per change of a bound, and a closing one.
+    leaves : Leaves, optional
+        The undivided boxes, if they were kept.
     """
 
     status: Status
@@ -44,6 +46,7 @@ class Outcome:
     n_assignments: int
     time_s: float
     events: list[Event] = field(default_factory=list)
+    leaves: Leaves | None = None
 
 
 # A descent starts where the round's best value is no worse than the last start's times this factor per
@@ -51,6 +54,16 @@ class Outcome:
 REFINING_PATIENCE = 1.01
 
 MIN_ROUND = 16  # boxes a round divides at least, if the search allows as many
+
+
+class Start(NamedTuple):
+    """A known parameter with its objective, and what it took to find it."""
+
+    theta: np.ndarray
+    value: float = np.inf
+    n_assignments: int = 0
+    time_s: float = 0.0
+
 
 # theta -> (better theta, its objective, assignments spent): descent from a promising parameter
 Refine = Callable[[np.ndarray], tuple[np.ndarray, float, int]]
@@ -64,9 +77,9 @@ def branch_and_bound(
     branching: Branching,
     gap_tol: float,
     refine: Refine | None = None,
-    start: tuple[np.ndarray, float] | None = None,
+    start: Sequence[Any] | None = None,
     stage: str = "search",
-    leaves: Leaves | None = None,
+    keep_leaves: bool = False,
 ) -> Outcome:
     """Minimise a function over boxes to within `gap_tol`, by Algorithm 1 of DC-Reg.
 
@@ -84,12 +97,12 @@ def branch_and_bound(
         Stop when ``upper_bound - lower_bound <= gap_tol`` (the paper's epsilon).
     refine : callable, optional
         Local descent, tried from the most promising parameter of each round.
-    start : (theta, value), optional
+    start : Start or (theta, value), optional
         A known admissible parameter and its objective: the first incumbent.
     stage : str
         Name of this search in its events.
-    leaves : Leaves, optional
-        Collects the leaf boxes with their bounds, for a certificate.
+    keep_leaves : bool
+        Keep the leaf boxes with their bounds, for a certificate.
 
     Returns
     -------
@@ -97,7 +110,8 @@ def branch_and_bound(
         ``lower_bound <= min <= upper_bound`` whatever the status.
     """
     began = budget.elapsed()
-    search = _Search(bound, budget, gap_tol, stage, leaves, start)
+    first = Start(bound.roots[0].centre) if start is None else Start(*start)
+    search = _Search(bound, budget, gap_tol, stage, Leaves() if keep_leaves else None, first)
     lower = np.array([box.lower for box in bound.roots])
     upper = np.array([box.upper for box in bound.roots])
     inherited = np.zeros(len(lower))  # the objective is a sum of squares
@@ -118,7 +132,7 @@ def branch_and_bound(
             parts = len(lower) // len(inherited)
             inherited = np.repeat(inherited, parts)
             warm_start = None if kept is None else np.repeat(kept, parts, axis=0)
-    return search.outcome(budget.elapsed() - began)
+    return search.outcome(first.time_s + budget.elapsed() - began)
 
 
 class _Search:
@@ -131,14 +145,14 @@ class _Search:
         gap_tol: float,
         stage: str,
         leaves: Leaves | None,
-        start: tuple[np.ndarray, float] | None,
+        start: Start,
     ) -> None:
         self.bound, self.budget, self.gap_tol = bound, budget, gap_tol
         self.stage, self.leaves = stage, leaves
-        self.theta, self.upper_bound = start or (bound.roots[0].centre, np.inf)
+        self.theta, self.upper_bound = start.theta, start.value
         self.nodes = OpenNodes(bound.roots[0].dim)
         self.pruned_bound = np.inf  # least bound among pruned boxes: part of the certificate
-        self.n_nodes = self.n_refining = 0
+        self.n_nodes, self.n_refining = 0, start.n_assignments
         self.worth_refining = np.inf
         self.is_over = False
         self.status: Status | None = None
@@ -240,6 +254,7 @@ class _Search:
             self.bound.n_assignments + self.n_refining,
             time_s,
             self.events,
+            self.leaves,
         )
 
     def _report(self, kind: str) -> None:
@@ -295,10 +310,9 @@ def minimise(
     budget: Budget,
     *,
     gap_tol: float,
-    start: tuple[np.ndarray, float] | None = None,
-    refine: Refine | None = None,
+    start: Sequence[Any] | None = None,
     stage: str = "search",
-    leaves: Leaves | None = None,
+    keep_leaves: bool = False,
 ) -> Outcome:
     """Least objective over the roots of `bound`, to within `gap_tol`.
 
@@ -312,31 +326,26 @@ def minimise(
         Absolute, in the units of the objective.
     start : (theta, value), optional
         A known parameter and its objective; default: what ``space.start`` finds.
-    refine : callable, optional
-        Descent in place of ``space.refine``.
     stage : str
         Name of this search in its events.
-    leaves : Leaves, optional
-        Collects the leaf boxes for a certificate.
+    keep_leaves : bool
+        Keep the leaf boxes for a certificate.
 
     Returns
     -------
     Outcome
     """
-    began, spent = budget.elapsed(), 0
     if start is None:
-        theta, value, spent = space.start(budget, gap_tol)
-        start = theta, value
-    found = branch_and_bound(
+        began = budget.elapsed()
+        start = space.start(budget, gap_tol)
+        start = Start(*start, budget.elapsed() - began)
+    return branch_and_bound(
         bound,
         budget,
         branching=LongestEdge(space.axis_weights),
         gap_tol=gap_tol,
-        refine=refine or space.refine,
+        refine=space.refine,
         start=start,
         stage=stage,
-        leaves=leaves,
+        keep_leaves=keep_leaves,
     )
-    found.n_assignments += spent
-    found.time_s = budget.elapsed() - began
-    return found

@@ -95,10 +95,9 @@ RANGES = {
 IN_SPACE = {
     "bound of full": (("--mode", "full", "--bound", "dc"), "--bound: 'dc'", "mode"),
     "certificate of full": (("--mode", "full", "--certificate", "c.npz"), "--certificate", "mode"),
-    "certificate of multi": (("--mode", "multi", "--certificate", "c.npz"), "--certificate", "mode"),
     "scale": (("--scale-range", "0.9", "1.1"), "--scale-range: (0.9, 1.1)", "leave it out"),
     "unknown mode": (("--mode", "best"), "--mode: 'best' is unknown", "known: "),
-    "mode with a slip": (("--mode", "mutli"), "--mode: 'mutli'", "did you mean 'multi'"),
+    "mode with a slip": (("--mode", "papr"), "--mode: 'papr'", "did you mean 'paper'"),
 }  # fmt: skip
 HELP = "Try 'dcreg"
 USAGE = {

@@ -36,7 +36,7 @@ def main(
     points: Annotated[list[int], typer.Option(help="points per cloud")] = [100],  # noqa: B006
     share: Annotated[list[float], typer.Option(help="n_inliers over true pairs")] = [1.0, 0.5],  # noqa: B006
     limit: Annotated[list[float], typer.Option(help="seconds per solve")] = [10.0],  # noqa: B006
-    mode: Annotated[list[str], typer.Option()] = ["auto", "full", "multi"],  # noqa: B006
+    mode: Annotated[list[str], typer.Option()] = ["auto", "full", "paper"],  # noqa: B006
     shapes: Annotated[str, typer.Option(help="data sets, by comma")] = ",".join(SHAPES),
     trials: Annotated[int, typer.Option()] = 1,
 ) -> None:

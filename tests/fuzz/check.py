@@ -42,10 +42,9 @@ def check(problem: FuzzProblem, result: Result) -> Verdict:
             )
         if result.upper_bound - result.lower_bound > result.gap_tol + slack:
             faults.append("optimal claimed with an open gap")
-    if problem.family != "multi3d":  # its pose has the least rigid objective, not the norm's
-        attained = certified_value(problem, result.T_certified)
-        if abs(attained - result.upper_bound) > slack:
-            faults.append(f"upper bound {result.upper_bound:.9g}, but its pose has {attained:.9g}")
+    attained = certified_value(problem, result.T_certified)
+    if abs(attained - result.upper_bound) > slack:
+        faults.append(f"upper bound {result.upper_bound:.9g}, but its pose has {attained:.9g}")
     faults += _pose_faults(problem, result, slack)
     if result.certificate is not None:
         report = dcreg.verify(result.certificate, problem.source, problem.target)

@@ -15,8 +15,8 @@ from tests.problems import keywords
 
 KINDS = ("general", "copy", "duplicates", "collinear", "grid", "symmetric", "clutter")
 # Shares of the families, and weights of the bounds within one: the default bound is drawn most often.
-FAMILIES = {"similarity2d": 0.58, "norm3d": 0.3, "rigid3d": 0.11, "multi3d": 0.01}
-MODES = {"similarity2d": "paper", "norm3d": "paper", "rigid3d": "full", "multi3d": "multi"}
+FAMILIES = {"similarity2d": 0.58, "norm3d": 0.3, "rigid3d": 0.12}
+MODES = {"similarity2d": "paper", "norm3d": "paper", "rigid3d": "full"}
 EMPHASIS = {"tight": 8.0, "shared": 4.0, "dc": 2.0}
 # No problem may take long; one that ends at a limit still has bounds to be checked.
 NODE_LIMIT, TIME_LIMIT = 2000, 5.0

@@ -54,7 +54,7 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("cpd", {"w": 1.5}, r"w = 1\.5"),
         ("dcreg", {"bound": "tihgt"}, r"bound: 'tihgt' is unknown; did you mean 'tight'\?"),
         ("dcreg", {"bound": 3}, r"bound: '3' is unknown"),
-        ("dcreg", {"mode": "quick"}, r"mode = 'quick'; known: auto, full, multi, paper"),
+        ("dcreg", {"mode": "quick"}, r"mode = 'quick'; known: auto, full, paper"),
         ("dcreg", {"mode": "full", "bound": "dc"}, r"mode 'full' has bounds of its own"),
         ("rpm_htb", {"bound": "dc"}, r"known: termwise, termwise-r1"),
         (
@@ -151,7 +151,7 @@ def test_a_tuned_threshold_is_the_papers_multiple_of_the_deviation(
     assert registry.load(name).inlier_distance(instance) == bound
 
 
-@pytest.mark.parametrize("mode", ["full", "multi", "auto", None])
+@pytest.mark.parametrize("mode", ["full", "auto", None])
 def test_rpm_htb_runs_no_mode_that_does_without_its_bound(mode: str | None) -> None:
     """Mode `full` has bounds of its own: DC-Reg's search would be reported as RPM-HTB."""
     with pytest.raises(BaselineError, match=r"rpm_htb: unknown option 'mode'"):

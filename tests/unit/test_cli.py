@@ -255,7 +255,7 @@ def test_candidates_reach_the_sweep(sweep_call, tmp_path, fake_sweep):
     assert lists == [sorted([i, (i + 1) % 12]) for i in range(12)]
 
 
-@pytest.mark.parametrize("mode", ["auto", "full", "multi", "paper"])
+@pytest.mark.parametrize("mode", ["auto", "full", "paper"])
 def test_candidates_hold_in_every_3d_mode(mode, tmp_path):
     source = np.random.default_rng(3).random((8, 3))
     np.savetxt(tmp_path / "source.txt", source)

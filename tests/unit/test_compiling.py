@@ -145,7 +145,6 @@ print([e.data["dispatcher"].py_func.__name__ for _, e in seen.buffer if e.is_sta
         ("rigid3d", "paper", None),
         ("rigid3d", "paper", "interval"),
         ("rigid3d", "full", None),
-        ("rigid3d", "multi", None),
     ],
 )
 def test_a_search_compiles_nothing_after_its_warm_up(model, mode, bound, restricted):

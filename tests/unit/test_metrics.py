@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from data.sampling import reference_pose
-from dcreg.driver import multi
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
@@ -112,7 +111,7 @@ def test_a_bound_above_what_the_truth_attains_is_a_violation(rng, scope):
 
 def test_scopes_are_those_of_the_library():
     assert set(POSE_SCOPES) == {Similarity2D.scope, Rigid3D.scope}
-    assert set(NORM_SCOPES) == {Translation3D.scope, multi.SCOPE}
+    assert set(NORM_SCOPES) == {Translation3D.scope}
 
 
 @pytest.mark.parametrize(

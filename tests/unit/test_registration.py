@@ -307,18 +307,14 @@ def test_result_states_the_mode_that_ran(asked, spatial):
     assert (paper.mode, paper.certificate_scope) == ("paper", "translation in norm space")
 
 
-@pytest.mark.parametrize(
-    ("mode", "scope"),
-    [("full", "rigid pose"), ("multi", "translation in norm space, best of its basins")],
-)
-def test_other_3d_modes_recover_the_pose_and_state_their_scope(spatial, mode, scope):
+def test_full_mode_recovers_the_pose_and_states_its_scope(spatial):
     source, target, T = spatial
     result = dcreg.register(
-        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode=mode)
+        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode="full")
     )
     assert result.status is Status.OPTIMAL
-    assert result.certificate_scope == scope
-    assert result.bound == ("rigid" if mode == "full" else "tight")
+    assert result.certificate_scope == "rigid pose"
+    assert result.bound == "rigid"
     np.testing.assert_allclose(result.T_target_source, T, atol=1e-5)
 
 
@@ -400,50 +396,6 @@ def test_a_fixed_scale_leaves_rotation_and_translation(planar):
     assert other.status is Status.OPTIMAL
     assert other.scale == pytest.approx(1.0, rel=1e-12)
     assert other.objective > 0.1
-
-
-def test_mode_multi_counts_the_descents_it_starts_with(spatial):
-    source, target, _ = spatial
-    result = dcreg.register(
-        source, target, n_inliers=25, model="rigid3d", options=dcreg.SolveOptions(mode="multi")
-    )
-    start = result.stages[0]
-    assert start.name == "start"
-    assert start.n_assignments >= 48  # 24 descents of two assignments at least
-    counted = sum(stage.n_assignments for stage in result.stages if stage.name != "polish")
-    assert result.n_assignments == counted
-
-
-def test_node_limit_holds_in_every_stage_of_mode_multi(spatial, rng):
-    source, target, _ = spatial
-    target = target + 0.1 * rng.standard_normal(target.shape)
-    result = dcreg.register(
-        source,
-        target,
-        n_inliers=15,
-        model="rigid3d",
-        node_limit=40,
-        options=dcreg.SolveOptions(mode="multi"),
-    )
-    assert {"search", "basins"} <= {stage.name for stage in result.stages}
-    # a round may end a little beyond: a stage bounds at most twice its last round more
-    assert all(stage.n_nodes <= 40 + 64 for stage in result.stages)
-
-
-def test_mode_multi_tells_of_every_basin(spatial):
-    source, target, _ = spatial
-    seen = []
-    result = dcreg.register(
-        source,
-        target,
-        n_inliers=25,
-        model="rigid3d",
-        options=dcreg.SolveOptions(mode="multi", listener=seen.append),
-    )
-    names = [stage.name for stage in result.stages if stage.name.startswith("basin ")]
-    assert names
-    assert set(names) <= {event.stage for event in result.trace}
-    assert [e.time_s for e in seen] == sorted(e.time_s for e in seen)
 
 
 def test_rounding_of_a_single_place_is_no_unit_of_length():

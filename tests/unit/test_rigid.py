@@ -9,15 +9,14 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from data import registry
 from dcreg.assignment.polish import objective
-from dcreg.driver import full
-from dcreg.driver.multi import Settings
+from dcreg.driver.modes import find_mode
 from dcreg.families.rigid3d import corner_values
 from dcreg.families.rigid3d.kernels.corners import price_corners
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem.geometry import fit_pose
 from dcreg.status import Status
 from tests.problems import KINDS, cloud
-from tests.searches import search_multi, search_rigid, task
+from tests.searches import normalised, search_rigid
 from workflows.disturb import make_instance
 
 
@@ -173,18 +172,7 @@ def test_duplicates_that_nearest_neighbours_cannot_tell(rng):
     assert result.lower_bound > 0.1
 
 
-def test_multi_is_not_misled_by_noise(rng):
-    """All points match: the norm optimum is biased, the best rigid objective is not."""
-    source, target, _ = planted(rng, 40, 0.05)
-    source, target = source - source.mean(axis=0), target - target.mean(axis=0)
-    result = search_multi(source, target, 40, gap_tol=40 * 0.03**2, nodes=3000)
-    full = search_rigid(source, target, 40, gap_tol=40 * 0.03**2)
-    assert result.value == pytest.approx(full.upper_bound, rel=1e-6)
-    assert result.scope.startswith("translation in norm space")
-    assert objective(source, target, result.T, 40)[0] == pytest.approx(result.value)
-
-
-def test_no_mode_suffers_from_the_bias_of_the_norm_objective():
+def test_full_mode_is_free_of_the_bias_of_the_norm_objective():
     """Where noise is large and all points match, the norm optimum is off by much; its pose too."""
     instance = make_instance(registry.dataset("embedded"), "saurian", "noise", 0.05, 0, 60)
     source, target, truth = instance.source, instance.target, instance.T_true
@@ -197,58 +185,17 @@ def test_no_mode_suffers_from_the_bias_of_the_norm_objective():
         mode: dcreg.register(
             source, target, n_inliers=60, model="rigid3d", options=dcreg.SolveOptions(mode=mode)
         )
-        for mode in ("paper", "multi", "full")
+        for mode in ("paper", "full")
     }
-    for mode in ("multi", "full"):
-        assert shift(found[mode].T_target_source) < 0.02  # of the longest side
-        # the certified pose, before any polish, is free of it too
-        assert shift(found[mode].T_certified) < 0.02 < shift(found["paper"].T_certified)
-    assert found["full"].objective <= found["multi"].objective + 1e-9
-
-
-def test_multi_starts_from_poses_that_norms_cannot_tell_apart():
-    """Clutter makes thousands of translations equally good in norm space, most of them wrong."""
-    instance = make_instance(registry.dataset("embedded"), "pony", "separate_outliers", 0.3, 0, 25)
-    source, target, truth = instance.source, instance.target, instance.T_true
-    n_inliers = len(instance.pairs)
-    result = search_multi(source, target, n_inliers, gap_tol=0.005, time_s=20.0)
-    assert not result.complete
-    assert error_of(result.T, truth)[0] < 0.1
-    assert result.value < objective(source, target, truth, n_inliers)[0]
-
-
-def test_multi_respects_its_time_limit():
-    instance = make_instance(registry.dataset("embedded"), "pony", "separate_outliers", 0.3, 0, 60)
-    arguments = instance.source, instance.target, len(instance.pairs)
-    few = instance.source[:9], instance.target[:9], 7
-    search_multi(*few, gap_tol=0.01, nodes=10)  # compiles
-    result = search_multi(*arguments, gap_tol=1e-4, time_s=0.5)
-    assert result.status is Status.TIME_LIMIT
-    assert result.time_s < 2.0
-    assert result.lower_bound <= result.upper_bound
-
-
-def test_multi_tells_a_mirrored_basin_from_the_true_one(rng):
-    """A cloud that mirrors itself has two norm optima; only one admits a proper rotation."""
-    half = np.abs(rng.standard_normal((8, 3)))
-    cloud_ = np.concatenate([half, half * [-1.0, 1.0, 1.0]])
-    cloud_ -= cloud_.mean(axis=0)
-    target = cloud_ @ Rotation.random(random_state=1).as_matrix().T + 0.4 * np.array([1.0, 0, 0])
-    result = search_multi(
-        cloud_, target, 16, gap_tol=16 * 0.01**2, nodes=20_000, basins=Settings(margin=0.05)
-    )
-    assert result.value < 1e-6
-    values = [basin.value for basin in result.basins]
-    assert values == sorted(values)
-    assert (
-        result.lower_bound <= result.upper_bound <= min(b.norm_value for b in result.basins) + 1e-9
-    )
+    assert shift(found["full"].T_target_source) < 0.02  # of the longest side
+    # the certified pose, before any polish, is free of it too
+    assert shift(found["full"].T_certified) < 0.02 < shift(found["paper"].T_certified)
 
 
 def test_vertex_values_see_the_stop_flag(rng, monkeypatch):
     """A stop that comes before the values at the vertices ends their kernel at once."""
     source, target = rng.standard_normal((36, 3)), rng.standard_normal((40, 3))
-    given = task(source, target, 30, gap_tol=0.05, bound="rigid", nodes=2000)
+    given = normalised(source, target, 30, gap_tol=0.05, nodes=2000)
     untouched = []
 
     def priced_after_stop(known, asked, prices, clouds):
@@ -257,6 +204,6 @@ def test_vertex_values_see_the_stop_flag(rng, monkeypatch):
         untouched.append(np.isnan(known.values[asked.slots]).all())
 
     monkeypatch.setattr(corner_values, "price_corners", priced_after_stop)
-    full.run(given)
+    find_mode("rigid3d", "full").run(given)
     assert untouched
     assert all(untouched)

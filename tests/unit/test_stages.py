@@ -1,7 +1,6 @@
 """Every stage of every mode in space tells its bounds: to the listener, in the trace and on the page."""
 
 import json
-import re
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ def clouds():
     return source, rng.permutation(target)
 
 
-@pytest.fixture(scope="module", params=["full", "multi", "paper"])
+@pytest.fixture(scope="module", params=["full", "paper"])
 def solved(request, clouds):
     heard = []
     result = dcreg.register(
@@ -44,7 +43,7 @@ def test_trace_holds_what_the_listener_heard(solved):
 
 
 def test_every_stage_with_bounds_ends_with_them(solved):
-    mode, result, _ = solved
+    _, result, _ = solved
     ends = {event.stage: event for event in result.trace if event.kind == "end"}
     bounding = [stage for stage in result.stages if stage.status is not None]
     assert bounding
@@ -52,7 +51,6 @@ def test_every_stage_with_bounds_ends_with_them(solved):
         event = ends[stage.name]
         assert (event.lower_bound, event.upper_bound) == (stage.lower_bound, stage.upper_bound)
         assert event.status == stage.status
-    assert ("basins" in ends) == (mode == "multi")
 
 
 def test_start_comes_first_with_a_pose(solved):
@@ -72,16 +70,7 @@ def test_start_never_speaks_for_the_stage_before(solved):
             assert (event.n_nodes, event.lower_bound) == (0, 0.0)
 
 
-def test_basins_are_numbered(solved):
-    mode, result, _ = solved
-    names = {event.stage for event in result.trace if event.stage.startswith("basin ")}
-    assert bool(names) == (mode == "multi")
-    for name in names:
-        number, count = map(int, re.fullmatch(r"basin (\d+) of (\d+)", name).groups())
-        assert 1 <= number <= count
-
-
-@pytest.mark.parametrize("mode", ["full", "multi", "paper"])
+@pytest.mark.parametrize("mode", ["full", "paper"])
 def test_trace_file_and_page_name_all_stages(clouds, tmp_path, mode):
     paths = [tmp_path / name for name in ("a.txt", "b.txt")]
     for path, cloud in zip(paths, clouds, strict=True):
@@ -102,7 +91,7 @@ def test_trace_file_and_page_name_all_stages(clouds, tmp_path, mode):
     call += ["--trace", trace, "--plot", page, "--quiet"]
     assert CliRunner().invoke(app, list(map(str, call))).exit_code in (0, 3)
     stages = {json.loads(line)["stage"] for line in trace.read_text().splitlines()}
-    expected = {"full": {"rigid"}, "multi": {"search", "basins"}, "paper": {"search", "rotation"}}
+    expected = {"full": {"rigid"}, "paper": {"search", "rotation"}}
     assert {"start"} | expected[mode] <= stages
     html = page.read_text(encoding="utf-8")
     for stage in stages:

@@ -319,13 +319,6 @@ def test_space_default_is_that_of_register():
     np.testing.assert_allclose(product, np.eye(4), atol=0.2)
 
 
-def test_sweep_refuses_the_mode_of_one_cardinality():
-    with pytest.raises(
-        dcreg.InputError, match="mode: 'multi' serves one cardinality; a sweep takes"
-    ):
-        dcreg.sweep(*solid(), [20], model="rigid3d", options=dcreg.SolveOptions(mode="multi"))
-
-
 def half_of(pairs, n, m, seed=3):
     """A mask with `pairs` that (i, i) and half of all others."""
     mask = np.random.default_rng(seed).random((n, m)) < 0.5

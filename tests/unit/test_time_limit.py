@@ -89,7 +89,6 @@ def test_a_kernel_ends_when_told_to():
         ("similarity2d", "paper", "dc", 300),
         ("similarity2d", "paper", "tight", 1000),
         ("rigid3d", "full", None, 1000),
-        ("rigid3d", "multi", None, 1000),
         ("rigid3d", "paper", None, 1000),
         ("rigid3d", "paper", None, 5000),
     ],

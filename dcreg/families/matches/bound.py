@@ -9,7 +9,7 @@ from dcreg.families.matches.kernels.compatible import caps
 from dcreg.families.matches.problem import MatchProblem
 from dcreg.families.matches.start import descend
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.search import Box, Evaluation
+from dcreg.search import Box, Budget, Evaluation, LongestEdge, Outcome, branch_and_bound
 
 ROUND_WORK = (
     200_000  # matches looked at in a round: boxes bounded between two readings of the clock
@@ -78,3 +78,10 @@ class MatchBound:
         """Descent from a pose."""
         pose, value = descend(self._problem, theta.reshape(3, 4))
         return pose.ravel(), value, 0
+
+    def search(self, budget: Budget, gap_tol: float, start: tuple[np.ndarray, float]) -> Outcome:
+        """Certify the pose `start`, or find a better one."""
+        return branch_and_bound(
+            self, budget, branching=LongestEdge(self.axis_weights), gap_tol=gap_tol,
+            refine=self.refine, start=start, stage="rotation",
+        )  # fmt: skip

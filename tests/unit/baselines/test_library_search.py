@@ -55,7 +55,6 @@ def instance(dim: int, k: int = 6) -> Instance:
         (2, 50, {}, "mode paper, bound tight"),
         (3, 50, {}, "mode full, bound rigid"),
         (3, 60, {}, "mode full, bound rigid"),
-        (3, 50, {"mode": "multi"}, "mode multi, bound tight"),
         (3, 50, {"bound": "dc"}, "mode paper, bound dc"),
         (3, 50, {"front_end": "shared-mutual"}, "mode matches, bound nested"),
     ],

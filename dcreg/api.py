@@ -1,0 +1,250 @@
+"""The public functions that solve: `register`, `sweep` and `register_matches`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from dcreg.driver.matching import register_match_problem
+from dcreg.driver.options import Limits, SolveOptions
+from dcreg.driver.solve import register_problem
+from dcreg.driver.sweep import sweep_problems
+from dcreg.families.matches.problem import MatchProblem
+from dcreg.names import DEFAULT_TIME_LIMIT_S, JUDGES
+from dcreg.problem import Candidates, InputError, Problem
+from dcreg.result import Result
+from dcreg.sweep_result import SweepResult
+
+
+def register(
+    source: np.ndarray,
+    target: np.ndarray,
+    *,
+    n_inliers: int | float,
+    model: str,
+    scale_range: tuple[float, float] | None = None,
+    candidates: Candidates | None = None,
+    gap_tol: float | None = None,
+    tol: float | None = None,
+    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
+    node_limit: int | None = None,
+    memory_limit_mb: float | None = None,
+    options: SolveOptions | None = None,
+) -> Result:
+    """Register two clouds without correspondences, globally and with a certificate.
+
+    Minimises, over poses T of the model and one-to-one matchings P of exactly `n_inliers` pairs,
+    ``sum_ij p_ij |T(x_i) - y_j|^2`` by branch and bound over the pose (DC-Reg, arXiv 2603.25442).
+    In 3D the paper's mode certifies the translation of the norm objective
+    ``sum p_ij (|x_i + t| - |y_j|)^2`` and recovers the rotation after it.
+
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) arrays
+        d = 2 for ``similarity2d``, 3 for ``rigid3d``. In any unit of length.
+    n_inliers : int or float
+        Number of pairs; a float in (0, 1] is a fraction of ``min(n, m)``.
+    model : {"similarity2d", "rigid3d"}
+    scale_range : (low, high), optional
+        Admissible scale, 2D only; default (0.5, 1.5). Equal numbers fix the scale: ``(1, 1)`` searches
+        rotation and translation only.
+    candidates : (n, m) bool array, or n sequences of target indices, optional
+        The feasible pairs, e.g. from descriptors or a distance gate. All other pairs are excluded from
+        the objective, the bounds and the answer.
+    gap_tol : float, optional
+        Absolute tolerance on the gap of the objective, in squared units of the target; default
+        ``n_inliers * (0.03 * RMS radius of the target)^2`` (`dcreg.default_gap_tol`), with 0.003 instead
+        of 0.03 if the bounds refer to norms, which fit better than points.
+    tol : float, optional
+        The tolerance as a length, the RMS residual per pair in units of the target:
+        ``gap_tol = n_inliers * tol^2``. Only one of the two can be given.
+    time_limit : float, optional
+        Seconds for the solve, 60 by default; None or inf: no limit. At the limit the best pose is
+        returned with status ``time_limit``, at most a tenth of the limit and a second later.
+    node_limit : int, optional
+        Maximum number of boxes bounded per stage. A round of up to a thousand boxes is completed.
+    memory_limit_mb : float, optional
+        Memory of the open boxes. Up to three times as much is in use while their number grows.
+    options : SolveOptions, optional
+        How to solve: mode, bound, threads, polish, certificate, downsampling, listener.
+
+    Returns
+    -------
+    Result
+        In the coordinates of the input.
+
+    Raises
+    ------
+    InputError
+        For bad input, before any search, naming field, value and remedy.
+
+    Examples
+    --------
+    >>> import numpy as np, dcreg
+    >>> points = np.random.default_rng(0).random((20, 2))
+    >>> result = dcreg.register(points, points + 3.0, n_inliers=20, model="similarity2d")
+    >>> result.status.value, np.round(result.translation, 6).tolist()
+    ('optimal', [3.0, 3.0])
+    """
+    problem = Problem(source, target, n_inliers, model, scale_range, candidates)
+    limits = Limits(gap_tol, tol, time_limit, node_limit, memory_limit_mb)
+    return register_problem(problem, limits, options or SolveOptions())
+
+
+def sweep(
+    source: np.ndarray,
+    target: np.ndarray,
+    n_inliers: Sequence[int | float],
+    *,
+    model: str,
+    scale_range: tuple[float, float] | None = None,
+    candidates: Candidates | None = None,
+    gap_tol: float | None = None,
+    tol: float | None = None,
+    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
+    node_limit: int | None = None,
+    memory_limit_mb: float | None = None,
+    options: SolveOptions | None = None,
+) -> SweepResult:
+    """Register two clouds for several numbers of inliers, with bounds for each.
+
+    For each cardinality the problem of `dcreg.register` is solved. Searches share their poses, and a
+    bound for fewer pairs serves for more pairs if it is good enough. The k cheapest pairs of a feasible
+    matching are feasible, so `candidates` do not change this.
+
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) arrays
+    n_inliers : sequence of int or float
+        Cardinalities, in any order and with repetitions; floats in (0, 1] are fractions of
+        ``min(n, m)``.
+    model, scale_range, candidates
+        As in `dcreg.register`.
+    gap_tol : float, optional
+        Absolute tolerance for every cardinality; default `dcreg.default_gap_tol` of each.
+    tol : float, optional
+        The tolerance as a length, as in `dcreg.register`: ``gap_tol = k * tol^2`` for cardinality k.
+    time_limit : float, optional
+        Seconds for all cardinalities, 60 by default; None or inf: no limit. Time that one cardinality
+        leaves is used by the next ones. A cardinality whose gap is open at the end has status
+        ``time_limit``, with valid bounds and a pose.
+    node_limit, memory_limit_mb : optional
+        For each search.
+    options : SolveOptions, optional
+        As in `dcreg.register`, but a sweep keeps no certificate. The stages of events name the
+        cardinality (``k=40``) or are ``rotation``. Cardinalities that are the same number of pairs after
+        downsampling have the same bounds.
+
+    Returns
+    -------
+    SweepResult
+
+    Raises
+    ------
+    InputError
+        For bad input, before any search, naming field, value and remedy.
+
+    Examples
+    --------
+    >>> import numpy as np, dcreg
+    >>> rng = np.random.default_rng(0)
+    >>> points = rng.random((20, 2))
+    >>> moved = points + 3.0 + 0.01 * rng.standard_normal((20, 2))
+    >>> moved[16:] = rng.random((4, 2)) + 3.0  # outliers
+    >>> found = dcreg.sweep(points, moved, [12, 14, 16, 18, 20], model="similarity2d")
+    >>> found.status.value, [round(row["rms"], 2) for row in found.rows()]
+    ('optimal', [0.01, 0.01, 0.01, 0.03, 0.11])
+    """
+    if isinstance(n_inliers, str) or not isinstance(n_inliers, Iterable):
+        raise InputError(
+            f"n_inliers: {n_inliers!r} is not a list; give several such as [0.5, 0.7, 0.9], or use "
+            "register for one"
+        )
+    counts = list(n_inliers)
+    if not counts:
+        raise InputError("n_inliers: the list is empty; give at least one count or fraction")
+    first = Problem(source, target, counts[0], model, scale_range, candidates)
+    distinct = {problem.n_inliers: problem for problem in map(first.with_n_inliers, counts)}
+    limits = Limits(gap_tol, tol, time_limit, node_limit, memory_limit_mb)
+    return sweep_problems(
+        [distinct[k] for k in sorted(distinct)], limits, options or SolveOptions()
+    )
+
+
+def register_matches(
+    source: np.ndarray,
+    target: np.ndarray,
+    matches: np.ndarray,
+    *,
+    inlier_distance: float,
+    judge: str = JUDGES[0],
+    certify: bool | None = None,
+    gap_tol: float | None = None,
+    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
+    node_limit: int | None = None,
+    options: SolveOptions | None = None,
+) -> Result:
+    """Register two clouds in 3D over a list of matches, many of which may be wrong.
+
+    Chooses matches one to one and the rigid pose that minimise the sum of squared residuals of the
+    chosen matches plus `inlier_distance` squared for every match that could have been chosen and was not.
+    This is the objective of `register` over these feasible pairs, with a price in place of ``n_inliers``. The
+    result gives the number of chosen matches; for that number it also solves the problem of `register`.
+
+    Poses on which many compatible matches agree are refined first. Branch and bound over the rotation,
+    with the translation inside, then certifies the best one as far as the limits allow. Time and memory
+    grow with the number of matches, not with the product of the sizes of the clouds.
+
+    Parameters
+    ----------
+    source, target : (n, 3), (m, 3) arrays
+    matches : (N, 2) int array
+        Source row and target row of every match, the likely ones first; a point may be in several.
+        Initial poses use the first 5,000.
+    inlier_distance : float
+        A match with a larger residual counts as wrong. In the unit of the clouds.
+    judge : {"matches", "surfaces"}
+        How the right pose is told from others on which matches agree. ``matches``: the cost above.
+        ``surfaces``: the score of the matches times that of the surfaces of both clouds (near points with
+        like normals) at the pose. The latter has a higher success rate for dense scans with partial
+        overlap and says nothing for sparse points. The pose need not have minimum cost, and it is not
+        certified.
+    certify : bool, optional
+        False: the pose only, with lower bound 0 and status ``converged``. Default: True for ``matches``.
+    gap_tol : float, optional
+        Absolute tolerance on the gap, in squared units; default a tenth of `inlier_distance` squared for
+        every match that the initial pose chooses.
+    time_limit : float, optional
+        Seconds for the solve, 60 by default; None or inf: no limit.
+    node_limit : int, optional
+        Maximum number of boxes bounded. Like `gap_tol` it applies to the certificate only.
+    options : SolveOptions, optional
+        Its listener; the other options do not apply and are refused.
+
+    Returns
+    -------
+    Result
+        `n_inliers` is the number of chosen matches, `assignment` lists them, `objective` is their sum of
+        squared residuals. The bounds refer to the whole cost, including the price of matches that are
+        not chosen; `score` expresses the same in numbers of matches. `warnings` name what is not proven
+        or not determined, and another pose that agrees with the matches nearly as well.
+
+    Raises
+    ------
+    InputError
+        For bad input, naming field, value and remedy.
+
+    Examples
+    --------
+    >>> import numpy as np, dcreg
+    >>> points = np.random.default_rng(0).random((40, 3))
+    >>> target = np.vstack([points[:20] + 3.0, points[:20]])  # the last 20 matches are wrong
+    >>> matches = np.column_stack([np.arange(40), np.arange(40)])
+    >>> result = dcreg.register_matches(points, target, matches, inlier_distance=0.02)
+    >>> result.n_inliers, np.round(result.translation, 6).tolist()
+    (20, [3.0, 3.0, 3.0])
+    """
+    problem = MatchProblem.checked(source, target, matches, inlier_distance)
+    limits = Limits(gap_tol, None, time_limit, node_limit)
+    return register_match_problem(problem, judge, certify, limits, options or SolveOptions())
