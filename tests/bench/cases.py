@@ -223,7 +223,7 @@ SURVEY_3D = [
     )
 ]  # fmt: skip
 
-SAFE = {"start_box": "safe"}
+SAFE = {"start_box": "radius"}
 
 
 def _cases() -> list[Case]:

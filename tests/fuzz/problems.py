@@ -82,7 +82,7 @@ def _settings(
         "model": "similarity2d" if family == "similarity2d" else "rigid3d",
         "mode": MODES[family],
         "gap_tol": n_inliers * (tau * (extent or 1.0)) ** 2,
-        "start_box": str(rng.choice(["reduced", "safe"])),
+        "start_box": str(rng.choice(["stationary", "radius"])),
         "polish": bool(rng.random() < 0.2),
         "node_limit": NODE_LIMIT,
     }

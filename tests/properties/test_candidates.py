@@ -141,7 +141,7 @@ def rigid_model(seed, **settings):
     st.booleans(),
 )
 def test_rigid_bound_holds_for_the_feasible_pairs(seed, size, tightness, reduced):
-    model, problem = rigid_model(seed, reduced_box=reduced)
+    model, problem = rigid_model(seed, stationary_box=reduced)
     generator = np.random.default_rng(seed + 1)
     theta, best, _ = model.refine(rigid_box(model, generator, 0.0).centre)
     box = box_about(model.normalised(theta), generator, size)
@@ -193,7 +193,7 @@ def test_rigid_vertex_bound_is_tight_where_only_forbidden_pairs_are_better():
     assert 0.98 * best <= parts.vertex_bound() <= best + 1e-9
 
 
-@pytest.mark.parametrize("start_box", ["reduced", "safe"])
+@pytest.mark.parametrize("start_box", ["stationary", "radius"])
 @pytest.mark.parametrize("seed", range(15))
 def test_mode_full_finds_the_rigid_optimum_over_feasible_pairs(seed, start_box):
     x, y, k, mask = feasible_problem(seed, 3)

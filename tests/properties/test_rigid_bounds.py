@@ -58,7 +58,7 @@ def problems(draw, max_points=6):
 def boxes(draw, halves=(1.0, 0.5, 0.1, 0.01)):
     """Rotations and translations of any place and size, perhaps flat along some axes."""
     generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    root = draw(st.sampled_from(Rigid3D(np.eye(3), np.eye(3), 1, reduced_box=False).roots()))
+    root = draw(st.sampled_from(Rigid3D(np.eye(3), np.eye(3), 1, stationary_box=False).roots()))
     centre = np.append(generator.uniform(-1.0, 1.0, 4), generator.uniform(-0.7, 0.7, 3))
     half = generator.uniform(0.2, 1.0, 7)
     half[:4] *= draw(st.sampled_from(halves))

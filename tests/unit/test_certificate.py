@@ -682,7 +682,7 @@ def test_safe_start_box_holds_the_region_of_a_single_far_pair():
     source = np.array([[1.0, 0.0], [0.1, 0.0], [0.0, -0.1]])
     clouds = source, -source, 1, (0.5, 1.5)
     lower, upper = FAMILIES["similarity2d"](*clouds).region()
-    (start,) = Similarity2D(*clouds, reduced_box=False).roots()
+    (start,) = Similarity2D(*clouds, stationary_box=False).roots()
     assert (start.lower <= lower + 1e-12).all()
     assert (start.upper >= upper - 1e-12).all()
 

@@ -78,13 +78,13 @@ def test_search_finds_the_exhaustive_optimum(kind, sizes, rng):
     assert best - 1e-9 <= result.upper_bound <= best + gap_tol + 1e-9
 
 
-@pytest.mark.parametrize("start_box", ["reduced", "safe"])
+@pytest.mark.parametrize("start_box", ["stationary", "radius"])
 def test_start_box_holds_the_optimum(start_box, rng):
     for _ in range(20):
         source, target = rng.standard_normal((5, 3)), rng.standard_normal((5, 3))
         source, target = source - source.mean(axis=0), target - target.mean(axis=0)
         for k in (2, 4, 5):
-            box = Rigid3D(source, target, k, start_box == "reduced").translations()
+            box = Rigid3D(source, target, k, start_box == "stationary").translations()
             rows, columns = rng.permutation(5)[:k], rng.permutation(5)[:k]
             t = fit_pose(source[rows], target[columns], (1.0, 1.0))[:3, 3]
             assert (t >= box.lower - 1e-12).all()

@@ -60,7 +60,7 @@ class Rigid3D(CloudSpace):
     source, target : (n, 3), (m, 3) arrays
         n <= m is best: nearest distances are taken from the source. See `between`.
     n_inliers : int
-    reduced_box : bool
+    stationary_box : bool
         Start from the translations that an optimum can have, or from the plain safe box.
     candidates : (n, m) bool array, optional
         The feasible pairs.
@@ -78,12 +78,12 @@ class Rigid3D(CloudSpace):
         source: np.ndarray,
         target: np.ndarray,
         n_inliers: int,
-        reduced_box: bool = True,
+        stationary_box: bool = True,
         candidates: np.ndarray | None = None,
         stop_flag: np.ndarray = NEVER,
     ) -> None:
         super().__init__(source, target, n_inliers, candidates, stop_flag)
-        self.reduced_box = reduced_box
+        self.stationary_box = stationary_box
         self._candidates = candidates
         self._centres = np.zeros(3), np.zeros(3)  # of the clouds given to `between`
         self._swapped = False
@@ -94,7 +94,7 @@ class Rigid3D(CloudSpace):
         source: np.ndarray,
         target: np.ndarray,
         n_inliers: int,
-        reduced_box: bool = True,
+        stationary_box: bool = True,
         candidates: np.ndarray | None = None,
         stop_flag: np.ndarray = NEVER,
     ) -> Rigid3D:
@@ -111,14 +111,14 @@ class Rigid3D(CloudSpace):
                 candidates = np.ascontiguousarray(candidates.T)
         centres = source.mean(axis=0), target.mean(axis=0)
         clouds = source - centres[0], target - centres[1]
-        space = cls(*clouds, n_inliers, reduced_box, candidates, stop_flag)
+        space = cls(*clouds, n_inliers, stationary_box, candidates, stop_flag)
         space._centres, space._swapped = centres, swapped
         return space
 
     def translations(self) -> Box:
         """A box that holds the translation of every optimum."""
         k, source, target = self.n_inliers, self.clouds.source, self.clouds.target
-        if self.reduced_box:
+        if self.stationary_box:
             if k == source.shape[1]:
                 reach = float(np.linalg.norm(source.mean(axis=1)))
             else:

@@ -44,7 +44,7 @@ class Similarity2D(FeatureSpace):
     scale_range : (low, high)
         Parameters outside this annulus are not poses: without a lower limit the scale would
         collapse (all sources onto one target neighbourhood).
-    reduced_box : bool
+    stationary_box : bool
         Start from the translations that an optimum can have (its residuals have zero mean, so
         t = mean of matched y - s R mean of matched x), or from the plain safe box of the paper.
     candidates : (n, m) bool array, optional
@@ -62,7 +62,7 @@ class Similarity2D(FeatureSpace):
         target: np.ndarray,
         n_inliers: int,
         scale_range: tuple[float, float],
-        reduced_box: bool = True,
+        stationary_box: bool = True,
         candidates: np.ndarray | None = None,
         stop_flag: np.ndarray = NEVER,
     ) -> None:
@@ -79,13 +79,13 @@ class Similarity2D(FeatureSpace):
         self._candidates = candidates
         self.n_inliers = n_inliers
         self.scale_range = scale_range
-        self.reduced_box = reduced_box
+        self.stationary_box = stationary_box
         spread = max(float(np.sqrt((source**2).sum(axis=1).mean())), 1e-12)
         self.axis_weights = np.array([spread, spread, 1.0, 1.0])
 
     def roots(self) -> list[Box]:
         high = self.scale_range[1]
-        if self.reduced_box:
+        if self.stationary_box:
             reach = high * largest_subset_mean(self.source, self.n_inliers)
             low_y, high_y = means_of_subsets(self.points.target, self.n_inliers)
             # rounding must not cut off the optimum, yet an exactly centred set keeps zero width

@@ -35,7 +35,7 @@ class Translation3D(FeatureSpace):
     source, target : (n, 3), (m, 3) arrays
         Normalised points. The origin of the target is the centre of rotation.
     n_inliers : int
-    reduced_box : bool
+    stationary_box : bool
         Start from the translations a stationary point can have, or from the plain safe box.
     candidates : (n, m) bool array, optional
         The feasible pairs. With them the assignment is no longer one-dimensional, hence dearer.
@@ -52,7 +52,7 @@ class Translation3D(FeatureSpace):
         source: np.ndarray,
         target: np.ndarray,
         n_inliers: int,
-        reduced_box: bool = True,
+        stationary_box: bool = True,
         candidates: np.ndarray | None = None,
         stop_flag: np.ndarray = NEVER,
     ) -> None:
@@ -70,12 +70,12 @@ class Translation3D(FeatureSpace):
         )
         self.stop_flag = stop_flag
         self.n_inliers = n_inliers
-        self.reduced_box = reduced_box
+        self.stationary_box = stationary_box
         self.axis_weights = np.ones(3)
 
     def roots(self) -> list[Box]:
         """Every minimiser is stationary: t = mean of (|y| u - x) over the matched, u unit vectors."""
-        if not self.reduced_box:
+        if not self.stationary_box:
             reach = self.norms.max() + np.sqrt((self.source**2).sum(axis=1)).max()
             return [Box(np.full(3, -reach), np.full(3, reach))]
         reach = mean_of_largest(self.norms, self.n_inliers)
