@@ -23,7 +23,7 @@ BOUND_NAMES = (
 )
 DEFAULT_BOUND = "tight"
 
-# Start boxes of a search; the first is the default.
+# Start boxes of a search, which contain every optimum; the first is the default.
 START_BOXES = ("stationary", "radius")
 
 # Suffix of a figure's file: the packages that draw it.

@@ -114,8 +114,9 @@ def verify(
     --------
     >>> import numpy as np, dcreg
     >>> points = np.random.default_rng(0).random((12, 2))
+    >>> options = dcreg.SolveOptions(certificate=True)
     >>> result = dcreg.register(
-    ...     points, points + 3.0, n_inliers=12, model="similarity2d", certificate=True
+    ...     points, points + 3.0, n_inliers=12, model="similarity2d", options=options
     ... )
     >>> dcreg.verify(result.certificate, points, points + 3.0).accepted
     True

@@ -11,7 +11,7 @@ def main() -> None:
     """Run the command ``dcreg``; where its packages are missing, say what to install."""
     interrupts.end_at_once()
     try:
-        from dcreg.cli.app import app
+        from dcreg.cli.commands import app
 
         app(prog_name="dcreg")
     except ModuleNotFoundError as error:

@@ -162,11 +162,11 @@ def _outputs() -> Iterator[Case]:
             yield Case("outputs", f"{name} below a file", call(option, f"a2.txt/{good}"),
                        [f"{option} a2.txt/{good}", "no folder", "create it first"])  # fmt: skip
             yield Case("outputs", f"{name} is a folder", call(option, good),
-                       [f"{option} {good}", "not a plain file", "name another file"],
+                       [f"{option} {good}", "not a regular file", "name another file"],
                        {good: None})  # fmt: skip
             source = f"in{good[1:]}"
             yield Case("outputs", f"{name} is an input", call(option, source, "--candidates", source),
-                       [f"{option} {source}", "is an input as well", "name another file"],
+                       [f"{option} {source}", "is also an input", "name another file"],
                        {source: b"0 0\n"})  # fmt: skip
             long = 300 * "x" + good
             yield Case("outputs", f"{name} too long", call(option, long),
@@ -176,14 +176,14 @@ def _outputs() -> Iterator[Case]:
                        [f"{option} /proc/{good}", "cannot write in '/proc'", "elsewhere"])  # fmt: skip
     for option, good in list(OUTPUTS.items())[1:]:
         run = register("--json", good, option, good)
-        words = [f"{option} {good}", "is the file of --json as well", "name another file"]
+        words = [f"{option} {good}", "is also the file of --json", "name another file"]
         yield Case("outputs", f"{option} as --json", run, words)
     for suffix in (".png", ".pdf", ".svg", ".jpg", ""):
-        words = [f"--plot o{suffix}", "must end in one of .html"]
+        words = [f"--plot o{suffix}", "must end in .html"]
         yield Case("outputs", f"register --plot {suffix or 'none'}",
                    register("--plot", f"o{suffix}"), words)  # fmt: skip
     for suffix in (".pdf", ".gif", ".tex", ""):
-        words = [f"--plot o{suffix}", "must end in one of .html, .png, .svg"]
+        words = [f"--plot o{suffix}", "must end in .html or .png or .svg"]
         yield Case("outputs", f"sweep --plot {suffix or 'none'}",
                    sweep("--plot", f"o{suffix}"), words)  # fmt: skip
     for suffix in (".xlsx", ".txt", ""):

@@ -82,7 +82,7 @@ def _certificates() -> Iterator[Case]:
         ("another version", npz(format="dcreg leaf cover", format_version=9), "format version"),
     ):
         case = ["c.npz", words, again]
-        yield Case("certificates", name, verify, case, {"c.npz": content}, code=1)
+        yield Case("certificates", name, verify, case, {"c.npz": content}, code=5)
     c = certificate()
     for name, changes, words in (
         ("false lower bound", {"lower_bound": 2 * c.upper_bound}, "lower_bound"),
@@ -113,12 +113,12 @@ def _certificates() -> Iterator[Case]:
     ):
         case = [words, again]
         files = {"c.npz": _sealed(**changes)}
-        yield Case("certificates", f"forged: {name}", verify, case, files, code=1)
+        yield Case("certificates", f"forged: {name}", verify, case, files, code=5)
     for name, run, words in (
         ("clouds exchanged", ["b2.txt", "a2.txt"], ["source: other data", again]),
         ("clouds of space", ["a3.txt", "b3.txt"], ["source: other data", again]),
     ):
-        yield Case("certificates", name, ["verify", "c.npz", *run], words, {"c.npz": good}, code=1)
+        yield Case("certificates", name, ["verify", "c.npz", *run], words, {"c.npz": good}, code=5)
     yield Case("certificates", "no source", ["verify", "c.npz", "x.txt", "b2.txt"],
                ["x.txt: no such file", "check the path"], {"c.npz": good})  # fmt: skip
 

@@ -77,14 +77,10 @@ def test_every_arrow_of_the_picture_points_down():
 # --- sizes -------------------------------------------------------------------------------------
 
 MODULE_LINES, FUNCTION_LINES, PARAMETERS = 400, 80, 8
-OPTIONS = "its parameters are the options of a command, each documented where it is declared"
 LARGE = {
     "driver.solve.register": "the public function: every setting by name, and its manual",
     "driver.matching.register_matches": "as register",
     "driver.sweep.sweep": "as register",
-    "cli.register.register": OPTIONS,
-    "cli.matches.register_matches": OPTIONS,
-    "cli.sweep.sweep": OPTIONS,
 }
 
 

@@ -1,17 +1,15 @@
 """``dcreg register-matches`` and the files it reads."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import dcreg
-from dcreg.cli.app import app
+from tests import results
 
-
-def run(*arguments):
-    return CliRunner().invoke(app, ["register-matches", *map(str, arguments)])
+run = partial(results.run, "register-matches")
 
 
 @pytest.fixture
@@ -30,7 +28,7 @@ def test_pose_and_files(call, tmp_path):
     options = [text for option, name in outputs.items() for text in (option, tmp_path / name)]
     outcome = run(*call, *options)
     assert outcome.exit_code == 0, outcome.stderr
-    assert "optimal: certified within the tolerance, for the rigid pose over the given matches" in (
+    assert "optimal: certified within the tolerance for the rigid pose over the given matches" in (
         " ".join(outcome.stdout.split())
     )
     assert "rotation" in outcome.stderr  # the progress of the search
@@ -96,7 +94,7 @@ def test_bad_matches_exit_2_and_name_the_file(call, content, words):
         (["--inlier-distance", "wide"], "'wide' is not a number"),
         (["--time-limit", "0"], "--time-limit: 0.0"),
         (["--json", "absent/o.json"], "no folder 'absent'; create it first"),
-        (["--plot", "o.png"], "the name must end in one of .html"),
+        (["--plot", "o.png"], "the name must end in .html"),
     ],
 )
 def test_bad_options_exit_2(call, options, words):
@@ -115,4 +113,4 @@ def test_clouds_of_the_plane_are_refused(call, tmp_path):
 def test_inputs_are_not_overwritten(call):
     outcome = run(*call, "--json", call[2])
     assert outcome.exit_code == 2
-    assert "is an input as well" in outcome.stderr
+    assert "is also an input" in outcome.stderr

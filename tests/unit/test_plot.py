@@ -9,7 +9,6 @@ import pytest
 from dcreg import (
     Event,
     InputError,
-    Result,
     Status,
     SweepResult,
     Trace,
@@ -18,6 +17,7 @@ from dcreg import (
 )
 from dcreg.plot import registration as plot
 from dcreg.plot.sweep import sweep_figures
+from tests.results import made_result
 
 
 def result(dim, lower=0.5, **changes):
@@ -33,25 +33,16 @@ def result(dim, lower=0.5, **changes):
     values = {
         "status": Status.TIME_LIMIT,
         "model": "rigid3d" if dim == 3 else "similarity2d",
-        "mode": "paper",
-        "bound": "dc",
         "T_target_source": T,
         "T_certified": T,
         "assignment": np.array([[0, 1], [2, 0]]),
         "n_inliers": 2,
         "lower_bound": lower,
-        "upper_bound": 1.0,
         "gap_tol": 0.25,
         "certificate_scope": "translation in norm space",
-        "objective": 1.0,
-        "objective_certified": 1.0,
-        "n_nodes": 40,
-        "n_assignments": 160,
-        "time_setup_s": 0.1,
-        "time_solve_s": 2.0,
         "trace": Trace(events),
     }
-    return Result(**values | changes)
+    return made_result(**values | changes)
 
 
 @pytest.fixture(params=[2, 3])

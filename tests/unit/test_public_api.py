@@ -12,7 +12,6 @@ import pytest
 
 import dcreg
 from dcreg import names
-from dcreg.cli.options import ModelChoice
 from dcreg.driver.modes import MODES
 from dcreg.families.registry import bounds_of
 from dcreg.families.similarity2d.space import Similarity2D
@@ -145,12 +144,8 @@ def test_names_of_modes_are_those_of_the_table(model):
     assert [mode.name for mode in MODES if mode.model == model] == names.mode_names(model)
 
 
-def test_models_of_the_command_line_are_those_of_the_library():
-    assert list(ModelChoice) == list(names.MODEL_DIM)
-
-
 def test_formats_of_the_command_line_are_those_of_the_readers():
-    from dcreg.cli.register import register
+    from dcreg.cli.commands import register
 
     assert f"Files: {' '.join(READERS)}." in register.__doc__
     assert f"A ``{' '.join(READERS)}`` file" in dcreg.read_points.__doc__
@@ -162,8 +157,7 @@ EXAMPLES = [path for path in sorted(PACKAGE.rglob("*.py")) if ">>> " in path.rea
 
 
 def test_the_main_functions_have_examples():
-    names_of_modules = {path.stem for path in EXAMPLES}
-    assert {"solve", "sweep", "verification"} <= names_of_modules
+    assert all(">>> " in each.__doc__ for each in (dcreg.register, dcreg.sweep, dcreg.verify))
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

@@ -13,43 +13,8 @@ import dcreg
 from dcreg.files import as_json, plain, whole_file, write_text
 from dcreg.result import Sample
 from dcreg.text import listing, table
-
-
-def result(**changes):
-    """A made-up optimum in the plane: a quarter turn, scale 2, 100 pairs."""
-    T = np.array([[0.0, -2.0, 5.0], [2.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
-    values = {
-        "status": dcreg.Status.OPTIMAL,
-        "model": "similarity2d",
-        "mode": "paper",
-        "bound": "tight",
-        "T_target_source": T,
-        "T_certified": T,
-        "assignment": np.array([[i, i] for i in range(100)]),
-        "n_inliers": 100,
-        "lower_bound": 0.75,
-        "upper_bound": 1.0,
-        "gap_tol": 0.5,
-        "certificate_scope": "similarity pose",
-        "objective": 1.0,
-        "objective_certified": 1.25,
-        "n_nodes": 40,
-        "n_assignments": 160,
-        "time_setup_s": 0.1,
-        "time_solve_s": 2.0,
-        "trace": dcreg.Trace(),
-    }
-    return dcreg.Result(**values | changes)
-
-
-def sweep(n=3, **changes):
-    counts = range(50, 50 + 10 * n, 10)
-    values = [0.5, 0.6, 9.0, 18.0]
-    results = [
-        result(n_inliers=k, lower_bound=0.9 * x, upper_bound=x, objective=x, **changes)
-        for k, x in zip(counts, values, strict=False)
-    ]
-    return dcreg.SweepResult(results, [None, *(r.n_inliers for r in results[1:])])
+from tests.results import made_result as result
+from tests.results import made_sweep as sweep
 
 
 def test_a_result_prints_all_but_the_pairs():
@@ -161,7 +126,7 @@ def test_a_sweep_prints_its_table_and_the_suggestion():
     assert "0.09487 to 0.1" in rows[0]
     assert legend.startswith("bounds on: similarity pose; RMS: sqrt(bound / pairs)")
     assert hint.startswith("suggestion (*), not proven: 60 pairs, beyond which residuals stand out")
-    assert "suggestion: none" in str(sweep(2))
+    assert "suggestion: none" in str(sweep(*2 * [dcreg.Status.OPTIMAL]))
     assert "RMSE of pose" not in heading
     space = {"T_target_source": np.eye(4), "model": "rigid3d"}
     assert "RMSE of pose" in str(sweep(**space))

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import dcreg
-from dcreg.cli.app import app
+from dcreg.cli.commands import app
 
 
 @pytest.fixture(scope="module")

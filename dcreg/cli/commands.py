@@ -1,0 +1,364 @@
+"""The commands of ``dcreg``.
+
+A command loads what it needs when it runs: `--help` and `--version` load neither NumPy nor the solver.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import platform
+from collections.abc import Callable
+from dataclasses import is_dataclass
+from functools import partial
+from importlib.metadata import version as package_version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_type_hints
+
+import typer
+from typer.core import TyperGroup
+from typer.models import OptionInfo
+
+import dcreg
+from dcreg.cli.interrupts import Interrupt, leave
+from dcreg.cli.options import (
+    Clouds,
+    MatchSearch,
+    Outputs,
+    Quiet,
+    Search,
+    parse_count,
+    parse_counts,
+)
+from dcreg.cli.output import (
+    EXIT_INPUT,
+    EXIT_OK,
+    EXIT_REFUSED,
+    STDOUT,
+    Writer,
+    check_figure,
+    check_outputs,
+    check_suffix,
+    print_error,
+    print_warning,
+    write_outputs,
+)
+from dcreg.names import FIGURE_PACKAGES
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+class Commands(TyperGroup):
+    """The commands; a signal that interrupts one of them gives one line and an exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except Interrupt as interrupt:
+            leave(interrupt)
+
+
+app = typer.Typer(
+    name="dcreg",
+    cls=Commands,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def command(function: Callable[..., int]) -> Callable[..., int]:
+    """Add a command that returns its exit code; bad input gives one line and `EXIT_INPUT`.
+
+    Each field of a parameter that is a dataclass becomes a parameter of the command.
+    """
+    hints = get_type_hints(function, include_extras=True)
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(function).parameters.values():
+        source = groups.get(parameter.name)
+        if source is None:
+            parameters.append(parameter.replace(annotation=hints[parameter.name]))
+            continue
+        kinds = get_type_hints(source, include_extras=True)
+        parameters += [
+            each.replace(annotation=kinds[each.name], kind=inspect.Parameter.KEYWORD_ONLY)
+            for each in inspect.signature(source).parameters.values()
+        ]
+    parameters.sort(key=lambda each: each.default is not inspect.Parameter.empty)
+    # the library's messages begin with the name of an argument, which is an option here
+    options = {
+        each.name.removesuffix("_path"): f"--{each.name.removesuffix('_path').replace('_', '-')}"
+        for each in parameters
+        if isinstance(each.annotation.__metadata__[0], OptionInfo)
+    }
+
+    @functools.wraps(function)
+    def run(**given: Any) -> NoReturn:
+        for name, kind in groups.items():
+            given[name] = kind(
+                **{each: given.pop(each) for each in inspect.signature(kind).parameters}
+            )
+        try:
+            code = function(**given)
+        except dcreg.InputError as error:
+            name, colon, rest = str(error).partition(":")
+            print_error(f"{options.get(name, name)}{colon}{rest}")
+            code = EXIT_INPUT
+        raise typer.Exit(code)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    app.command()(run)
+    return function
+
+
+def _run(
+    solve: Callable[..., Any], *given: Any, quiet: bool, options: dict[str, Any], **keywords: Any
+) -> Any:
+    """Call `solve` while its progress is shown and Ctrl-C stops it."""
+    from dcreg.cli.progress import Progress
+
+    for name in ("gap_tol", "tol"):
+        if keywords.get(name) == 0 and not quiet:
+            print_warning(
+                f"--{name.replace('_', '-')} 0: a gap hardly ever closes completely, so the search ends "
+                "only at a limit or by Ctrl-C; give a length such as --tol 0.01, or --time-limit 60"
+            )
+    with Progress(gap_tol=keywords["gap_tol"], quiet=quiet) as progress:
+        chosen = dcreg.SolveOptions(**options, listener=progress)
+        return progress.run(partial(solve, *given, **keywords, options=chosen))
+
+
+def _finish(
+    result: dcreg.Result,
+    clouds: tuple[np.ndarray, np.ndarray],
+    names: dict[str, str],
+    outputs: Outputs,
+    certificate_path: Path | None = None,
+) -> int:
+    """Print a registration and write its files; `names` are those of the input files."""
+    json_path = outputs.json_path
+    # standard output belongs to the JSON if that is written there
+    to_stdout = json_path == STDOUT
+    typer.echo(result, err=to_stdout)
+    if to_stdout:
+        typer.echo(result.to_json(**names))
+        json_path = None
+    shown = names["source"], names["target"]
+    return write_outputs(
+        result.status,
+        (json_path, lambda path: result.write_json(path, **names)),
+        (outputs.trace_path, result.trace.write_jsonl),
+        (certificate_path, result.write_certificate),
+        (
+            outputs.plot_path,
+            lambda path: dcreg.plot_registration(*clouds, result, path, names=shown),
+        ),
+    )
+
+
+@command
+def register(
+    *,
+    clouds: Clouds,
+    n_inliers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="K",
+            help="Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. "
+            "A decimal point makes it a fraction: '1' is one pair, '1.0' is all pairs. Required; "
+            "`dcreg sweep` helps to choose it.",
+        ),
+    ] = None,
+    search: Search,
+    outputs: Outputs,
+    certificate_path: Annotated[
+        Path | None,
+        typer.Option(
+            "--certificate", metavar="OUT.npz", help="Write a certificate for `dcreg verify`."
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> int:
+    """Register SOURCE to TARGET and certify the result.
+
+    Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off.
+
+    Exit code: 0 solved; 2 bad input; 3 stopped at a limit or by Ctrl-C,
+    the best pose is still written; 4 an output file could not be written.
+    """
+    check_outputs(
+        {**outputs.paths, "--certificate": certificate_path},
+        *clouds.names.values(),
+        search.candidates_path,
+    )
+    check_figure(outputs.plot_path, [".html"])
+    if n_inliers is None:
+        raise dcreg.InputError(
+            "--n-inliers: missing; give the number of pairs to match, such as 40 or 0.8, or let "
+            "`dcreg sweep` suggest one"
+        )
+    points = clouds.read(search.model)
+    keywords, options = search.settings(len(points[0]))
+    options["certificate"] = certificate_path is not None
+    result = _run(
+        dcreg.register,
+        *points,
+        n_inliers=parse_count(n_inliers),
+        **keywords,
+        options=options,
+        quiet=quiet,
+    )
+    return _finish(result, points, clouds.names, outputs, certificate_path)
+
+
+@command
+def register_matches(
+    *,
+    clouds: Clouds,
+    matches: Annotated[
+        str,
+        typer.Argument(
+            metavar="MATCHES",
+            help="Matches, the most likely ones first: two columns, source row and target row, from 0.",
+        ),
+    ],
+    search: MatchSearch,
+    outputs: Outputs,
+    quiet: Quiet = False,
+) -> int:
+    """Register two 3D clouds over a list of matches of which many may be wrong.
+
+    The pose is rigid. Exit codes are those of `dcreg register`.
+    """
+    check_outputs(outputs.paths, *clouds.names.values(), matches)
+    check_figure(outputs.plot_path, [".html"])
+    points = clouds.read("rigid3d")
+    pairs = dcreg.read_matches(matches, *map(len, points))
+    result = _run(dcreg.register_matches, *points, pairs, **vars(search), options={}, quiet=quiet)
+    return _finish(result, points, {**clouds.names, "matches": matches}, outputs)
+
+
+@command
+def sweep(
+    *,
+    clouds: Clouds,
+    n_inliers: Annotated[
+        str,
+        typer.Option(
+            metavar="LIST",
+            help="Numbers of pairs to match, separated by commas: counts, fractions of the smaller "
+            "cloud, or ranges FROM:TO:STEP with both ends, such as 0.3:1.0:0.1 or 20:60:5.",
+        ),
+    ],
+    search: Search,
+    out_path: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="OUT", help="Write the results: .json with poses and pairs, or .csv."
+        ),
+    ] = None,
+    plot_path: Annotated[
+        Path | None,
+        typer.Option("--plot", metavar="OUT", help="Write the curves: .html, .png or .svg."),
+    ] = None,
+    quiet: Quiet = False,
+) -> int:
+    """Register SOURCE to TARGET for several numbers of pairs, to choose one of them.
+
+    Each number gets its optimum and bounds, as from `dcreg register`.
+    The time limit holds for all numbers together, the other limits for each
+    search. Example:
+
+    dcreg sweep a.txt b.txt --model similarity2d --n-inliers 0.5:1.0:0.05 --plot curves.html
+
+    Exit code: 0 all solved; 2 bad input; 3 some stopped at a limit or by
+    Ctrl-C, their best poses and bounds are still written; 4 an output file
+    could not be written.
+    """
+    check_suffix("--out", out_path, [".json", ".csv"])
+    check_figure(plot_path, list(FIGURE_PACKAGES))
+    inputs = *clouds.names.values(), search.candidates_path
+    check_outputs({"--out": out_path, "--plot": plot_path}, *inputs)
+    counts = parse_counts(n_inliers)
+    points = clouds.read(search.model)
+    keywords, options = search.settings(len(points[0]))
+    found = _run(dcreg.sweep, *points, counts, quiet=quiet, options=options, **keywords)
+    typer.echo(found)
+    write: Writer = lambda path: found.write_json(path, **clouds.names)  # noqa: E731
+    if out_path is not None and out_path.suffix.lower() == ".csv":
+        write = found.write_csv
+    names = clouds.source, clouds.target
+    return write_outputs(
+        found.status,
+        (out_path, write),
+        (plot_path, lambda path: dcreg.plot_sweep(found, path, names=names)),
+    )
+
+
+@command
+def verify(
+    *,
+    certificate: Annotated[
+        Path, typer.Argument(metavar="CERT", help="File written by --certificate.")
+    ],
+    clouds: Clouds,
+    quiet: Quiet = False,
+) -> int:
+    """Check a certificate against its clouds with NumPy and SciPy only, without the search.
+
+    Exit code: 0 the claim is proven; 2 bad input; 5 the certificate is
+    refused, with the reason.
+    """
+    from dcreg.cli.progress import ProofProgress
+
+    points = clouds.read()
+    with ProofProgress(quiet=quiet) as progress:
+        report = dcreg.verify(certificate, *points, progress=progress)
+    if not report.is_certificate:
+        raise dcreg.InputError(report.reason)
+    for check in report.checks:
+        typer.echo(f"ok: {check}")
+    if not report.accepted:
+        typer.echo(
+            f"refused: {report.reason}; check the clouds, or make a new certificate with "
+            "`dcreg register --certificate`"
+        )
+        return EXIT_REFUSED
+    if report.is_trivial:
+        typer.echo(
+            f"true, but proves nothing: {report.statement}; 0 is a lower bound of every sum of squares. "
+            "Register with a smaller --gap-tol or more time for a larger lower bound"
+        )
+    else:
+        typer.echo(f"proven: {report.statement}")
+    return EXIT_OK
+
+
+@app.command()
+def version() -> None:
+    """Print the versions that determine a result."""
+    typer.echo(f"dcreg {dcreg.__version__}")
+    packages = ("numpy", "scipy", "numba")
+    listing = ", ".join(f"{name} {package_version(name)}" for name in packages)
+    typer.echo(f"python {platform.python_version()}, {listing}")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"dcreg {dcreg.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def dcreg_command(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """Globally optimal point cloud registration by branch and bound."""

@@ -1,0 +1,281 @@
+"""Progress lines, Ctrl-C and SIGTERM, while a search runs and outside of it."""
+
+import io
+import json
+import logging
+import math
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import psutil
+import pytest
+from rich.console import Console
+
+from dcreg.cli.interrupts import Interrupt, leave, raise_again
+from dcreg.cli.progress import Progress, ProofProgress
+from dcreg.files import whole_file
+from tests.results import event
+
+
+def show(events, *, terminal=False, **options):
+    stream = io.StringIO()
+    console = Console(file=stream, force_terminal=terminal, width=80)
+    with Progress(console, **options) as progress:
+        for each in events:
+            assert progress(each) is False
+    return stream.getvalue()
+
+
+def test_plain_lines_are_few_aligned_and_end_with_the_last_event():
+    events = [event(time_s=i / 100, n_nodes=i + 1, upper=9.0 - i % 2) for i in range(50)]
+    events.append(event("end", time_s=0.5, n_nodes=99, upper=0.125, status="optimal"))
+    lines = show(events, gap_tol=0.5).splitlines()
+    assert "gap 0.5" in lines[0]
+    assert lines[1].startswith("* better pose")
+    header, first, last = lines[2:]
+    assert first.startswith("* search")
+    assert last.startswith("* search")
+    assert last.split()[2:] == ["99", "3", "1584", "0", "0.125", "0.125", "0.5s", "optimal"]
+    for column in ("nodes", "lower bound", "upper bound", "gap", "time"):
+        end = header.index(column) + len(column)
+        assert first[end - 1] != " "
+        assert first[end : end + 1] in ("", " ")
+    assert max(map(len, (header, first))) <= 80
+
+
+def test_infinite_bounds_and_new_stage_marks():
+    events = [event(lower=-math.inf, upper=math.inf), event("end", upper=1.0)]
+    events.append(event("end", stage="rotation", upper=5.0))
+    first, second, third = show(events).splitlines()[3:]
+    assert first.split() == ["search", "1", "3", "16", "-", "-", "-", "0.0s"]
+    assert second.startswith("*")
+    assert third.startswith("* rotation")  # a larger value, but of another objective
+
+
+def test_the_last_event_is_shown_even_without_an_end():
+    lines = show([event(n_nodes=1), event(n_nodes=2), event(n_nodes=3)]).splitlines()
+    assert [line.split()[-7] for line in lines[3:]] == ["1", "3"]
+
+
+def test_terminal_shows_one_live_line():
+    text = show([event(n_nodes=n) for n in (41, 42, 43)], terminal=True)
+    assert "search            43" in text
+    assert "\x1b[" in text  # redrawn in place
+
+
+def test_messages_of_the_library_are_shown_while_it_works():
+    stream = io.StringIO()
+    log = logging.getLogger("dcreg.driver.warm_up")
+    level = logging.getLogger("dcreg").level
+    with Progress(Console(file=stream)):
+        log.info("compiling %s (once; about %d s)", "[kernels]", 9)
+    log.info("too late")
+    with Progress(Console(file=stream), quiet=True):
+        log.info("not asked for")
+    assert stream.getvalue() == "compiling [kernels] (once; about 9 s)\n"
+    assert logging.getLogger("dcreg").level == level
+
+
+def test_quiet_shows_nothing():
+    assert show([event("end")], quiet=True) == ""
+
+
+def test_interrupt_asks_to_stop_then_quits_and_restores_the_handler():
+    before = signal.getsignal(signal.SIGINT)
+    with Progress(Console(file=io.StringIO())) as progress:
+        assert progress(event()) is False
+        signal.raise_signal(signal.SIGINT)
+        assert progress(event()) is True
+        with pytest.raises(KeyboardInterrupt, match="nothing is written"):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_proof_progress_goes_on_while_a_step_takes_long():
+    stream = io.StringIO()
+    with ProofProgress(Console(file=stream), interval_s=0.01) as progress:
+        time.sleep(0.2)
+        progress(64, 200)
+        time.sleep(0.2)
+        progress(300, 200)  # more than were known to be needed
+        time.sleep(0.2)
+    lines = stream.getvalue().splitlines()
+    assert lines.count("checking what the certificate states, 0 s") >= 2
+    assert lines.count("proving the bounds: 64 of 200 boxes, 0 s") >= 2
+    assert lines.count("proving the bounds: 300 of 300 boxes, 0 s") >= 1
+    n_threads = threading.active_count()
+    stream = io.StringIO()
+    with ProofProgress(Console(file=stream), interval_s=60.0) as progress:
+        assert threading.active_count() == n_threads + 1
+        progress(64, 200)
+    assert stream.getvalue() == ""
+    assert threading.active_count() == n_threads
+
+
+def test_proof_progress_on_a_terminal_is_one_line_and_quiet_is_none():
+    stream = io.StringIO()
+    terminal = Console(file=stream, force_terminal=True, width=80)
+    with ProofProgress(terminal) as progress:
+        progress(1, 1)
+    assert "proving the bounds: 1 of 1 box" in stream.getvalue()
+    assert "boxes" not in stream.getvalue()
+    stream = io.StringIO()
+    with ProofProgress(Console(file=stream, force_terminal=True), quiet=True) as progress:
+        progress(64, 200)
+    assert stream.getvalue() == ""
+
+
+def test_progress_works_outside_the_main_thread():
+    texts = []
+    thread = threading.Thread(target=lambda: texts.append(show([event("end")])))
+    thread.start()
+    thread.join()
+    assert "search" in texts[0]
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_time_of_the_preparation_is_shown(monkeypatch, terminal):
+    monkeypatch.setattr("dcreg.cli.progress._WAITING_S", 0.3)
+
+    def prepare_and_search(progress):
+        time.sleep(0.5)
+        progress(event("end"))
+        time.sleep(0.5)
+        return 7
+
+    for quiet in (False, True):
+        stream = io.StringIO()
+        console = Console(file=stream, force_terminal=terminal, width=80)
+        with Progress(console, quiet=quiet) as progress:
+            assert progress.run(lambda: prepare_and_search(progress)) == 7
+        assert ("preparing the search, 0 s" in stream.getvalue()) != quiet
+        if not (quiet or terminal):
+            assert stream.getvalue().count("preparing") == 1  # and not while it searches
+
+
+# --- signals before a search ------------------------------------------------------------------------
+
+NOTHING = "interrupted: there is no result, and nothing is written"
+
+
+def ends_within_2_s(process, number):
+    """Exit code and last line on standard error of a process that is sent a signal."""
+    used = psutil.Process(process.pid).cpu_times()
+    others = resource.getrusage(resource.RUSAGE_CHILDREN)
+    process.send_signal(number)
+    _, messages = process.communicate(timeout=15)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - others.ru_utime - others.ru_stime
+    # of the processor, which other work on the machine does not prolong: 15 s of the clock
+    assert spent - used.user - used.system <= 2.0
+    assert "Traceback" not in messages
+    return process.returncode, messages.splitlines()[-1]
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_a_file_is_read_ends_at_once(tmp_path, number, code):
+    os.mkfifo(tmp_path / "slow.txt")
+    np.savetxt(tmp_path / "a.txt", np.eye(2))
+    command = [sys.executable, "-m", "dcreg", "register", tmp_path / "slow.txt", tmp_path / "a.txt"]
+    process = subprocess.Popen(
+        [*map(str, command), "--model", "similarity2d", "--n-inliers", "2"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with (tmp_path / "slow.txt").open("w") as slow:  # waits for the reader
+        assert ends_within_2_s(process, number) == (code, NOTHING)
+        assert not slow.closed
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_kernels_are_compiled_ends_at_once(call, tmp_path, number, code):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dcreg", *map(str, call)],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cold")},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stderr.readline().startswith("compiling the kernels")
+    assert ends_within_2_s(process, number) == (code, NOTHING)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("reentrant call"), BrokenPipeError()])
+def test_a_command_that_was_printing_ends_at_once(monkeypatch, capfd, error):
+    class Interrupted(io.StringIO):
+        def flush(self):
+            raise error
+
+    ended = []
+    monkeypatch.setattr(sys, "stdout", Interrupted())
+    monkeypatch.setattr(os, "_exit", ended.append)
+    leave(Interrupt(signal.SIGTERM))
+    assert ended == [143]
+    monkeypatch.undo()
+    assert capfd.readouterr().err == f"{NOTHING}\n"
+
+
+def test_a_signal_before_the_search_ends_the_preparation():
+    with Progress(Console(file=io.StringIO())) as progress, pytest.raises(Interrupt, match=NOTHING):
+        signal.raise_signal(signal.SIGTERM)
+    assert not progress.stop_requested
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_file_is_written_leaves_no_half_of_it(tmp_path, number):
+    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        raise_again()
+        with (  # noqa: PT012
+            pytest.raises(Interrupt, match="printed above"),
+            whole_file(tmp_path / "a") as part,
+        ):
+            part.write_text("half")
+            signal.raise_signal(number)
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- signals during a search -------------------------------------------------------------------------
+
+
+def hard_case(folder):
+    """Two unrelated clouds and no tolerance: a search that does not end by itself."""
+    generator = np.random.default_rng(8)
+    for name in ("a.txt", "b.txt"):
+        np.savetxt(folder / name, generator.random((60, 2)))
+    return [
+        *("register", folder / "a.txt", folder / "b.txt", "--model", "similarity2d"),
+        *("--n-inliers", "0.5", "--gap-tol", "0", "--time-limit", "120"),
+        *("--json", folder / "o.json"),
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_process_keeps_the_pose(tmp_path, number):
+    command = [sys.executable, "-m", "dcreg", *map(str, hard_case(tmp_path))]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    watchdog = threading.Timer(180, process.kill)
+    watchdog.start()
+    try:
+        lines = []
+        for line in process.stderr:  # plain lines in a pipe
+            lines.append(line)
+            if line[2:].startswith("search "):
+                break
+        time.sleep(0.2)
+        process.send_signal(number)
+        stdout, rest = process.communicate()
+    finally:
+        watchdog.cancel()
+        process.kill()
+    assert process.returncode == 3, "".join(lines) + rest
+    assert "stopped: best pose so far" in stdout
+    assert "Traceback" not in rest
+    assert json.loads((tmp_path / "o.json").read_text())["status"] == "stopped"
