@@ -340,7 +340,7 @@ class TestWhatAMethodDependsOn:
     @pytest.mark.parametrize(
         "file",
         [
-            "dcreg/cli/app.py",
+            "dcreg/cli/commands.py",
             "dcreg/plot/sweep.py",
             "dcreg/driver/sweep.py",
             "baselines/registry.py",
