@@ -20,6 +20,16 @@ def keywords(**settings: Any) -> dict[str, Any]:
     return {**settings, "options": dcreg.SolveOptions(**options)}
 
 
+def register(*clouds: np.ndarray, **settings: Any) -> dcreg.Result:
+    """`dcreg.register`, with options among the other keywords."""
+    return dcreg.register(*clouds, **keywords(**settings))
+
+
+def sweep(*given: Any, **settings: Any) -> dcreg.SweepResult:
+    """`dcreg.sweep`, with options among the other keywords."""
+    return dcreg.sweep(*given, **keywords(**settings))
+
+
 KINDS = ["general", "duplicates", "collinear", "noisy copy", "grid"]
 
 

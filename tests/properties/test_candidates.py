@@ -25,6 +25,7 @@ from dcreg.problem.geometry import fit_pose
 from dcreg.search import Box
 from tests.fuzz.reference import optimum_rigid3d
 from tests.oracles import kernels as reference
+from tests.problems import register
 from tests.properties.test_rigid_bounds import Parts, box_about
 from tests.searches import search_rigid
 
@@ -198,14 +199,15 @@ def test_rigid_vertex_bound_is_tight_where_only_forbidden_pairs_are_better():
 def test_mode_full_finds_the_rigid_optimum_over_feasible_pairs(seed, start_box):
     x, y, k, mask = feasible_problem(seed, 3)
     optimum = optimum_rigid3d(x, y, mask, k)
-    found = dcreg.register(
+    found = register(
         x,
         y,
         n_inliers=k,
         model="rigid3d",
         candidates=mask,
         gap_tol=0.05,
-        options=dcreg.SolveOptions(mode="full", start_box=start_box),
+        mode="full",
+        start_box=start_box,
     )
     assert found.status is dcreg.Status.OPTIMAL
     assert found.certificate_scope == "rigid pose"
@@ -273,14 +275,8 @@ def test_candidates_resolve_the_surrogate_in_3d():
     y = x[:, [1, 2, 0]] + [0.3, -0.2, 0.1]  # a proper rotation and a shift
     mask = generator.random((20, 20)) < 0.15
     np.fill_diagonal(mask, True)
-    found = dcreg.register(
-        x,
-        y,
-        n_inliers=20,
-        model="rigid3d",
-        gap_tol=0.01,
-        candidates=mask,
-        options=dcreg.SolveOptions(mode="paper"),
+    found = register(
+        x, y, n_inliers=20, model="rigid3d", gap_tol=0.01, candidates=mask, mode="paper"
     )
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
     assert found.rotation == pytest.approx(np.eye(3)[[1, 2, 0]], abs=1e-6)
@@ -323,19 +319,12 @@ def test_too_few_feasible_pairs_are_refused_in_every_mode(mode):
     mask[:, :2] = True  # ten pairs, of which two are one to one
     message = "at most 2 pairs can be matched one to one, fewer than n_inliers = 3"
     with pytest.raises(InputError, match=message):
-        dcreg.register(
-            points,
-            points,
-            n_inliers=3,
-            model="rigid3d",
-            candidates=mask,
-            options=dcreg.SolveOptions(mode=mode),
-        )
+        register(points, points, n_inliers=3, model="rigid3d", candidates=mask, mode=mode)
 
 
 def certified(seed, dim, tmp_path):
     x, y, k, mask = feasible_problem(seed, dim, most=9)
-    result = dcreg.register(
+    result = register(
         x,
         y,
         n_inliers=k,
@@ -344,7 +333,8 @@ def certified(seed, dim, tmp_path):
         candidates=mask,
         gap_tol=1e-3 * k,
         node_limit=20_000,
-        options=dcreg.SolveOptions(mode="paper", certificate=True),
+        mode="paper",
+        certificate=True,
     )
     path = tmp_path / "certificate.npz"
     certificate.write(path, result.certificate)
@@ -368,14 +358,15 @@ def test_a_certificate_does_not_hold_for_more_candidates(dim, tmp_path):
     for seed in range(30):
         x, y, mask, result, path = certified(seed, dim, tmp_path)
         wider = np.ones_like(mask)
-        free = dcreg.register(
+        free = register(
             x,
             y,
             n_inliers=result.n_inliers,
             model=result.model,
             scale_range=(0.5, 1.5) if dim == 2 else None,
             gap_tol=result.gap_tol,
-            options=dcreg.SolveOptions(mode="paper", polish=False),
+            mode="paper",
+            polish=False,
         )
         forged = dataclasses.replace(result.certificate, candidates=np.argwhere(wider))
         certificate.write(path, forged)

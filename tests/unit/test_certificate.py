@@ -34,7 +34,7 @@ from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import Frame, Problem
 from dcreg.search import Budget, Leaves, LongestEdge, minimise
 from dcreg.search import boxes as leaves
-from tests.problems import models_with_boxes
+from tests.problems import models_with_boxes, register
 
 DIM = {"similarity2d": 2, "translation3d": 3}
 
@@ -184,7 +184,7 @@ def test_certificate_in_memory_is_checked_like_its_file(tmp_path, case):
 def test_result_is_verified_in_memory():
     source, target = clouds("similarity2d", n=8, extra=0)
     asked = {"n_inliers": 8, "model": "similarity2d", "gap_tol": 0.5}
-    result = dcreg.register(source, target, **asked, options=dcreg.SolveOptions(certificate=True))
+    result = register(source, target, **asked, certificate=True)
     report = dcreg.verify(result.certificate, source, target)
     assert report.accepted, report.reason
     assert report.lower_bound == pytest.approx(result.lower_bound, rel=1e-12)
@@ -618,13 +618,7 @@ def test_a_bound_of_zero_needs_no_proof(monkeypatch):
 def test_a_lower_bound_of_zero_says_nothing_in_the_plane_too(rng):
     source = rng.random((12, 2))
     target = source + 1e-3 * rng.standard_normal((12, 2))
-    found = dcreg.register(
-        source,
-        target,
-        n_inliers=12,
-        model="similarity2d",
-        options=dcreg.SolveOptions(certificate=True),
-    )
+    found = register(source, target, n_inliers=12, model="similarity2d", certificate=True)
     assert found.success
     assert found.lower_bound == 0 < found.upper_bound
     report = verify(found.certificate, source, target)

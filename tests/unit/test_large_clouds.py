@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-import dcreg
 from dcreg.assignment import sparse
 from dcreg.assignment.k_assignment import k_assignment
 from dcreg.driver.modes import find_mode
@@ -19,7 +18,7 @@ from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.problem import InputError
 from dcreg.search import Budget
 from dcreg.status import Status
-from tests.problems import keywords
+from tests.problems import register
 
 NOISE = 0.005
 ROTATION = Rotation.from_rotvec([0.4, -1.9, 1.1]).as_matrix()
@@ -58,9 +57,7 @@ def test_all_matched_is_certified_without_a_dense_matrix(rng):
     target = moved_copy(rng, source)
     warm_up_mode(find_mode("rigid3d", "paper"), None, large=True)  # compiling takes memory too
     tracemalloc.start()
-    result = dcreg.register(
-        source, target, n_inliers=size, model="rigid3d", options=dcreg.SolveOptions(mode="paper")
-    )
+    result = register(source, target, n_inliers=size, model="rigid3d", mode="paper")
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 8 * size**2 / 2  # half of one dense matrix
@@ -82,13 +79,8 @@ def test_outliers_return_in_time(rng, processor_clock):
     source = spiral(rng, size)
     target = moved_copy(rng, source)
     target[n_inliers:] = rng.uniform(target.min(axis=0), target.max(axis=0), (size - n_inliers, 3))
-    result = dcreg.register(
-        source,
-        target,
-        n_inliers=n_inliers,
-        model="rigid3d",
-        time_limit=limit,
-        options=dcreg.SolveOptions(mode="paper"),
+    result = register(
+        source, target, n_inliers=n_inliers, model="rigid3d", time_limit=limit, mode="paper"
     )
     assert result.status in (Status.CONVERGED, Status.TIME_LIMIT)
     assert sum(stage.time_s for stage in result.stages[:2]) < 2 * limit
@@ -165,7 +157,7 @@ def test_dense_searches_refuse_what_would_not_fit(rng, dim, options):
     points = rng.random((10_001, dim))
     model = "similarity2d" if dim == 2 else "rigid3d"
     with pytest.raises(InputError, match=r"10001 x 10001 pairs exceed .* downsample"):
-        dcreg.register(points, points, n_inliers=10_001, model=model, **keywords(**options))
+        register(points, points, n_inliers=10_001, model=model, **options)
 
 
 def _squared(a, b):

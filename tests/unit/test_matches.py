@@ -14,6 +14,7 @@ from dcreg.families.matches.kernels.bounds import rotation_bounds
 from dcreg.families.matches.kernels.compatible import caps
 from dcreg.families.matches.problem import MatchProblem
 from dcreg.families.matches.start import descend
+from tests.problems import register
 
 REACH = 0.1
 
@@ -164,14 +165,14 @@ def test_optimum_chooses_among_the_cheapest_matchings_of_its_size():
     )
     mask = np.zeros((12, 12), bool)
     mask[tuple(matches.T)] = True
-    dense = dcreg.register(
+    dense = register(
         source,
         target,
         n_inliers=found.n_inliers,
         model="rigid3d",
         candidates=mask,
         time_limit=2,
-        options=dcreg.SolveOptions(mode="full"),
+        mode="full",
     )
     assert found.status is dcreg.Status.OPTIMAL
     assert found.objective <= dense.objective + 1e-6

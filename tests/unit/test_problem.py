@@ -5,7 +5,7 @@ import pytest
 
 import dcreg
 from dcreg.problem import Problem, default_gap_tol
-from tests.problems import keywords
+from tests.problems import register
 
 GOOD = np.random.default_rng(0).random((6, 2))
 
@@ -46,19 +46,13 @@ def with_value(value):
 def test_bad_input_is_named(change, message):
     arguments = {"source": GOOD, "target": GOOD, "n_inliers": 6, "model": "similarity2d"} | change
     with pytest.raises(dcreg.InputError, match=message):
-        dcreg.register(**keywords(**arguments))
+        register(**arguments)
 
 
 def test_unknown_bound_is_refused_by_modes_with_bounds_of_their_own():
     points = np.random.default_rng(0).random((5, 3))
     with pytest.raises(dcreg.InputError, match="bound: 'papr' is unknown"):
-        dcreg.register(
-            points,
-            points,
-            n_inliers=5,
-            model="rigid3d",
-            options=dcreg.SolveOptions(mode="full", bound="papr"),
-        )
+        register(points, points, n_inliers=5, model="rigid3d", mode="full", bound="papr")
 
 
 @pytest.mark.parametrize(
@@ -91,13 +85,7 @@ def test_default_gap_tol_scales_with_the_square_of_the_target():
 def test_clouds_beyond_memory_are_refused_before_any_work():
     large = np.zeros((20_000, 2))
     with pytest.raises(dcreg.InputError, match="downsample"):
-        dcreg.register(
-            large,
-            large,
-            n_inliers=5,
-            model="similarity2d",
-            options=dcreg.SolveOptions(mode="paper"),
-        )
+        register(large, large, n_inliers=5, model="similarity2d", mode="paper")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.status import Status
-from tests.problems import KINDS, cloud, keywords
+from tests.problems import KINDS, cloud, register
 
 BOUNDS_2D = ["dc", "interval", "dc+interval"]
 
@@ -48,9 +48,7 @@ def spatial(rng):
 @pytest.mark.parametrize("bound", BOUNDS_2D)
 def test_similarity_is_recovered_with_a_certificate(planar, bound):
     source, target, T = planar
-    result = dcreg.register(
-        source, target, n_inliers=25, model="similarity2d", options=dcreg.SolveOptions(bound=bound)
-    )
+    result = register(source, target, n_inliers=25, model="similarity2d", bound=bound)
     assert result.status is Status.OPTIMAL
     np.testing.assert_allclose(result.T_target_source, T, atol=1e-6)
     assert result.lower_bound <= result.upper_bound
@@ -62,9 +60,7 @@ def test_similarity_is_recovered_with_a_certificate(planar, bound):
 
 def test_rigid_pose_is_recovered_and_proper(spatial):
     source, target, T = spatial
-    result = dcreg.register(
-        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode="paper")
-    )
+    result = register(source, target, n_inliers=30, model="rigid3d", mode="paper")
     assert result.status is Status.OPTIMAL
     np.testing.assert_allclose(result.T_target_source, T, atol=1e-5)
     assert np.linalg.det(result.rotation) == pytest.approx(1.0)
@@ -105,16 +101,8 @@ def test_bounds_and_objective_speak_of_the_file_coordinates(planar, rng):
 def test_polish_is_apart_from_the_certificate(spatial, rng):
     source, target, _ = spatial
     target = target + 0.03 * rng.standard_normal(target.shape)
-    polished = dcreg.register(
-        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode="paper")
-    )
-    plain = dcreg.register(
-        source,
-        target,
-        n_inliers=30,
-        model="rigid3d",
-        options=dcreg.SolveOptions(mode="paper", polish=False),
-    )
+    polished = register(source, target, n_inliers=30, model="rigid3d", mode="paper")
+    plain = register(source, target, n_inliers=30, model="rigid3d", mode="paper", polish=False)
     np.testing.assert_array_equal(plain.T_target_source, plain.T_certified)
     np.testing.assert_array_equal(plain.T_certified, polished.T_certified)
     assert polished.upper_bound == plain.upper_bound
@@ -126,14 +114,15 @@ def test_threads_and_repetition_change_nothing(model, planar, spatial, rng):
     source, target, _ = planar if model == "similarity2d" else spatial
     target = target + 0.05 * rng.standard_normal(target.shape)
     results = [
-        dcreg.register(
+        register(
             source,
             target,
             n_inliers=0.8,
             model=model,
             node_limit=5000,
             time_limit=None,
-            options=dcreg.SolveOptions(bound="dc", threads=threads),
+            bound="dc",
+            threads=threads,
         )
         for threads in (1, 1, 2)
     ]
@@ -148,14 +137,8 @@ def test_threads_and_repetition_change_nothing(model, planar, spatial, rng):
 def test_node_limit_returns_the_best_pose_with_valid_bounds(model, planar, spatial, rng):
     source, target, _ = planar if model == "similarity2d" else spatial
     target = target + 0.2 * rng.standard_normal(target.shape)
-    result = dcreg.register(
-        source,
-        target,
-        n_inliers=0.6,
-        model=model,
-        node_limit=3,
-        gap_tol=1e-9,
-        options=dcreg.SolveOptions(bound="dc"),
+    result = register(
+        source, target, n_inliers=0.6, model=model, node_limit=3, gap_tol=1e-9, bound="dc"
     )
     assert result.status is Status.NODE_LIMIT
     assert np.isfinite(result.T_target_source).all()
@@ -183,13 +166,8 @@ def test_similarity_optimum_equals_dense_search(seed, kind, n, m, bound):
     generator = np.random.default_rng(seed)
     source, target = cloud(generator, n, 2, kind), cloud(generator, m, 2, kind)
     n_inliers = int(generator.integers(1, min(n, m) + 1))
-    result = dcreg.register(
-        source,
-        target,
-        n_inliers=n_inliers,
-        model="similarity2d",
-        node_limit=20_000,
-        options=dcreg.SolveOptions(bound=bound),
+    result = register(
+        source, target, n_inliers=n_inliers, model="similarity2d", node_limit=20_000, bound=bound
     )
     frame = Frame.of(dcreg.Problem(source, target, n_inliers, "similarity2d"))
     model = Similarity2D(frame.source(source), frame.target(target), n_inliers, (0.5, 1.5))
@@ -211,13 +189,14 @@ def test_norm_translation_optimum_equals_dense_search(seed, kind, n, m, bound):
     generator = np.random.default_rng(seed)
     source, target = cloud(generator, n, 3, kind), cloud(generator, m, 3, kind)
     n_inliers = int(generator.integers(1, min(n, m) + 1))
-    result = dcreg.register(
+    result = register(
         source,
         target,
         n_inliers=n_inliers,
         model="rigid3d",
         node_limit=5_000,
-        options=dcreg.SolveOptions(mode="paper", bound=bound),
+        mode="paper",
+        bound=bound,
     )
     frame = Frame.of(dcreg.Problem(source, target, n_inliers, "rigid3d"))
     model = Translation3D(frame.source(source), frame.target(target), n_inliers)
@@ -256,9 +235,7 @@ def test_result_is_json_ready(planar):
 
 def test_trace_is_monotone_within_a_stage_and_ends(spatial, tmp_path):
     source, target, _ = spatial
-    result = dcreg.register(
-        source, target, n_inliers=20, model="rigid3d", options=dcreg.SolveOptions(mode="paper")
-    )
+    result = register(source, target, n_inliers=20, model="rigid3d", mode="paper")
     for stage in ("search", "rotation"):
         events = [event for event in result.trace if event.stage == stage]
         assert events[-1].kind == "end"
@@ -293,25 +270,15 @@ def test_auto_takes_the_mode_for_the_problem(n, m, k, settings, mode, rng):
 @pytest.mark.parametrize("asked", [None, "auto"])
 def test_result_states_the_mode_that_ran(asked, spatial):
     source, target, _ = spatial
-    full = dcreg.register(
-        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode=asked)
-    )
+    full = register(source, target, n_inliers=30, model="rigid3d", mode=asked)
     assert (full.mode, full.certificate_scope) == ("full", "rigid pose")
-    paper = dcreg.register(
-        source,
-        target,
-        n_inliers=30,
-        model="rigid3d",
-        options=dcreg.SolveOptions(mode=asked, certificate=True),
-    )
+    paper = register(source, target, n_inliers=30, model="rigid3d", mode=asked, certificate=True)
     assert (paper.mode, paper.certificate_scope) == ("paper", "translation in norm space")
 
 
 def test_full_mode_recovers_the_pose_and_states_its_scope(spatial):
     source, target, T = spatial
-    result = dcreg.register(
-        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode="full")
-    )
+    result = register(source, target, n_inliers=30, model="rigid3d", mode="full")
     assert result.status is Status.OPTIMAL
     assert result.certificate_scope == "rigid pose"
     assert result.bound == "rigid"
@@ -321,9 +288,7 @@ def test_full_mode_recovers_the_pose_and_states_its_scope(spatial):
 def test_full_mode_bounds_the_objective_it_reports(spatial, rng):
     source, target, _ = spatial
     target = target + 0.05 * rng.standard_normal(target.shape)
-    result = dcreg.register(
-        source, target, n_inliers=30, model="rigid3d", options=dcreg.SolveOptions(mode="full")
-    )
+    result = register(source, target, n_inliers=30, model="rigid3d", mode="full")
     assert result.status is Status.OPTIMAL
     assert result.lower_bound <= result.objective <= result.upper_bound + 1e-9
 
@@ -335,13 +300,7 @@ def test_certificate_of_a_search_is_proven_apart_from_it(model, planar, spatial,
 
     source, target, _ = planar if model == "similarity2d" else spatial
     target = target + 0.05 * rng.standard_normal(target.shape)
-    result = dcreg.register(
-        source,
-        target,
-        n_inliers=0.8,
-        model=model,
-        options=dcreg.SolveOptions(mode="paper", certificate=True),
-    )
+    result = register(source, target, n_inliers=0.8, model=model, mode="paper", certificate=True)
     write(tmp_path / "proof.npz", result.certificate)
     report = verify(tmp_path / "proof.npz", source, target)
     assert report.accepted, report.reason
@@ -353,26 +312,14 @@ def test_certificate_of_a_search_is_proven_apart_from_it(model, planar, spatial,
 def test_mode_without_leaves_refuses_to_promise_a_certificate(spatial):
     source, target, _ = spatial
     with pytest.raises(dcreg.InputError, match="certificate: mode 'full' keeps no leaf boxes"):
-        dcreg.register(
-            source,
-            target,
-            n_inliers=30,
-            model="rigid3d",
-            options=dcreg.SolveOptions(mode="full", certificate=True),
-        )
+        register(source, target, n_inliers=30, model="rigid3d", mode="full", certificate=True)
 
 
 @pytest.mark.parametrize("bound", ["dc", "tight"])
 def test_mode_full_refuses_a_bound_it_would_ignore(bound, spatial):
     source, target, _ = spatial
     with pytest.raises(dcreg.InputError, match=r"bound: .* mode 'full' has bounds of its own"):
-        dcreg.register(
-            source,
-            target,
-            n_inliers=30,
-            model="rigid3d",
-            options=dcreg.SolveOptions(mode="full", bound=bound),
-        )
+        register(source, target, n_inliers=30, model="rigid3d", mode="full", bound=bound)
 
 
 def test_space_refuses_a_scale_it_would_ignore(spatial):
@@ -414,13 +361,8 @@ def test_downsampled_clouds_are_searched_and_the_pose_is_refined_on_all_points(r
     source = rng.random((300, 2)) * [2.0, 1.0]
     source[:, 1] += source[:, 0] ** 2
     target = rng.permutation(source + 3.0)
-    result = dcreg.register(
-        source,
-        target,
-        n_inliers=300,
-        model="similarity2d",
-        time_limit=20,
-        options=dcreg.SolveOptions(downsample=40),
+    result = register(
+        source, target, n_inliers=300, model="similarity2d", time_limit=20, downsample=40
     )
     assert result.downsampled == (40, 40, 40)
     assert result.n_inliers == len(result.assignment) == 300
@@ -434,14 +376,8 @@ def test_downsampled_clouds_are_searched_and_the_pose_is_refined_on_all_points(r
 def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit(rng):
     source = rng.random((300, 3)) * [2.0, 1.0, 0.5]
     target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
-    result = dcreg.register(
-        source,
-        target,
-        n_inliers=0.7,
-        model="rigid3d",
-        gap_tol=0.0,
-        time_limit=3.0,
-        options=dcreg.SolveOptions(downsample=60),
+    result = register(
+        source, target, n_inliers=0.7, model="rigid3d", gap_tol=0.0, time_limit=3.0, downsample=60
     )
     assert result.status is dcreg.Status.TIME_LIMIT
     last = result.stages[-1]
@@ -452,13 +388,7 @@ def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit
 
 def test_downsampling_leaves_small_clouds_alone(rng):
     source = rng.random((20, 2))
-    result = dcreg.register(
-        source,
-        source,
-        n_inliers=20,
-        model="similarity2d",
-        options=dcreg.SolveOptions(downsample=50),
-    )
+    result = register(source, source, n_inliers=20, model="similarity2d", downsample=50)
     assert result.downsampled is None
 
 
@@ -474,7 +404,7 @@ def test_downsampling_leaves_small_clouds_alone(rng):
 def test_downsampling_refuses_what_it_would_ignore(rng, options, words):
     source = rng.random((20, 2))
     with pytest.raises(dcreg.InputError, match=words):
-        dcreg.register(source, source, n_inliers=20, model="similarity2d", **keywords(**options))
+        register(source, source, n_inliers=20, model="similarity2d", **options)
 
 
 def test_large_clouds_in_the_plane_are_searched_by_a_sample(rng):
@@ -485,13 +415,8 @@ def test_large_clouds_in_the_plane_are_searched_by_a_sample(rng):
     assert found.downsampled == (300, 300, 250)
     assert found.rotation_deg == pytest.approx(90.0, abs=0.5)
     assert len(found.assignment) == 1_500
-    mode = dcreg.register(
-        source,
-        target,
-        n_inliers=1_500,
-        model="similarity2d",
-        time_limit=0.1,
-        options=dcreg.SolveOptions(mode="paper"),
+    mode = register(
+        source, target, n_inliers=1_500, model="similarity2d", time_limit=0.1, mode="paper"
     )
     assert mode.downsampled is None
 

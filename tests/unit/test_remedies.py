@@ -11,7 +11,7 @@ from dcreg import diagnostics as remedies
 from dcreg.result import Sample
 from dcreg.runner_up import find_runner_up
 from dcreg.status import Status
-from tests.problems import keywords
+from tests.problems import register
 
 
 def clouds(dim=2, size=30, noise=0.01, seed=0):
@@ -23,7 +23,7 @@ def clouds(dim=2, size=30, noise=0.01, seed=0):
 def solve(source, target, k, **options):
     """A result with its warnings."""
     model = "similarity2d" if source.shape[1] == 2 else "rigid3d"
-    return dcreg.register(source, target, n_inliers=k, model=model, **keywords(**options))
+    return register(source, target, n_inliers=k, model=model, **options)
 
 
 def case(result, source, target, in_norm_space=False, **changes):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import dcreg
 from data import registry
 from dcreg.assignment.polish import objective
 from dcreg.driver.modes import find_mode
@@ -15,7 +14,7 @@ from dcreg.families.rigid3d.kernels.corners import price_corners
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem.geometry import fit_pose
 from dcreg.status import Status
-from tests.problems import KINDS, cloud
+from tests.problems import KINDS, cloud, register
 from tests.searches import normalised, search_rigid
 from workflows.disturb import make_instance
 
@@ -182,9 +181,7 @@ def test_full_mode_is_free_of_the_bias_of_the_norm_objective():
         return np.linalg.norm(((T - truth) @ middle)[:3])
 
     found = {
-        mode: dcreg.register(
-            source, target, n_inliers=60, model="rigid3d", options=dcreg.SolveOptions(mode=mode)
-        )
+        mode: register(source, target, n_inliers=60, model="rigid3d", mode=mode)
         for mode in ("paper", "full")
     }
     assert shift(found["full"].T_target_source) < 0.02  # of the longest side

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-import dcreg
 from dcreg.cli.commands import app
+from tests.problems import register
 
 
 @pytest.fixture(scope="module")
@@ -25,14 +25,13 @@ def clouds():
 @pytest.fixture(scope="module", params=["full", "paper"])
 def solved(request, clouds):
     heard = []
-    result = dcreg.register(
+    result = register(
         *clouds,
         n_inliers=12,
         model="rigid3d",
         time_limit=5.0,
-        options=dcreg.SolveOptions(
-            mode=request.param, listener=lambda event: heard.append(event) and None
-        ),
+        mode=request.param,
+        listener=lambda event: heard.append(event) and None,
     )
     return request.param, result, heard
 

@@ -17,7 +17,7 @@ from dcreg.problem import InputError
 from dcreg.search import Budget
 from dcreg.status import Status
 from tests.clocks import Stopwatch
-from tests.problems import keywords
+from tests.problems import register, sweep
 
 COUNTS = [16, 17, 18, 19, 20, 22, 24]
 
@@ -191,12 +191,7 @@ def test_a_single_cardinality_is_a_single_search(clouds, separate):
 )
 def test_bad_cardinalities_are_refused_before_any_search(clouds, counts, words):
     with pytest.raises(InputError) as refusal:
-        dcreg.sweep(
-            *clouds,
-            counts,
-            model="similarity2d",
-            options=dcreg.SolveOptions(listener=lambda _: pytest.fail("ran")),
-        )
+        sweep(*clouds, counts, model="similarity2d", listener=lambda _: pytest.fail("ran"))
     for word in words:
         assert word in str(refusal.value)
 
@@ -206,7 +201,7 @@ def test_bad_cardinalities_are_refused_before_any_search(clouds, counts, words):
 )
 def test_bad_settings_are_refused(clouds, bad):
     with pytest.raises(InputError, match=next(iter(bad))):
-        dcreg.sweep(*clouds, [10], model="similarity2d", **keywords(**bad))
+        sweep(*clouds, [10], model="similarity2d", **bad)
 
 
 def test_limits_leave_valid_bounds_everywhere(clouds, separate):
@@ -222,13 +217,14 @@ def test_limits_leave_valid_bounds_everywhere(clouds, separate):
 def test_time_limit_covers_the_whole_sweep_and_keeps_what_is_finished(processor_clock):
     source, target = flat(40, 60, noise=0.05)
     watch, limit = Stopwatch(), 3.0
-    limited = dcreg.sweep(
+    limited = sweep(
         source,
         target,
         [20, 25, 30, 60],
         model="similarity2d",
         time_limit=limit,
-        options=dcreg.SolveOptions(bound="dc", listener=watch),
+        bound="dc",
+        listener=watch,
     )
     assert watch.since_first() <= 1.1 * limit + 1.0
     assert limited.status is Status.TIME_LIMIT
@@ -246,9 +242,7 @@ def test_listener_stops_the_sweep(clouds):
             stages.append(event.stage)
         return len(set(stages)) == 2  # in the second search
 
-    stopped = dcreg.sweep(
-        *clouds, COUNTS, model="similarity2d", options=dcreg.SolveOptions(listener=listener)
-    )
+    stopped = sweep(*clouds, COUNTS, model="similarity2d", listener=listener)
     assert len(set(stages)) == 2
     statuses = [result.status for result in stopped.results]
     assert statuses[0] is Status.OPTIMAL
@@ -257,9 +251,7 @@ def test_listener_stops_the_sweep(clouds):
 
 
 def test_threads_do_not_change_the_result(clouds, found):
-    threaded = dcreg.sweep(
-        *clouds, COUNTS, model="similarity2d", options=dcreg.SolveOptions(threads=2)
-    )
+    threaded = sweep(*clouds, COUNTS, model="similarity2d", threads=2)
     assert threaded.rows() == [
         row | {"time_s": other["time_s"]}
         for row, other in zip(found.rows(), threaded.rows(), strict=True)
@@ -275,23 +267,16 @@ def test_gap_tolerance_holds_for_every_cardinality(clouds):
 def test_space_both_stages():
     source, target = solid()
     counts = [16, 20, 22, 24]
-    swept = dcreg.sweep(
-        source,
-        target,
-        counts,
-        model="rigid3d",
-        gap_tol=0.0005,
-        options=dcreg.SolveOptions(mode="paper"),
-    )
+    swept = sweep(source, target, counts, model="rigid3d", gap_tol=0.0005, mode="paper")
     assert swept.status is Status.OPTIMAL
     for result in swept.results:
-        alone = dcreg.register(
+        alone = register(
             source,
             target,
             n_inliers=result.n_inliers,
             model="rigid3d",
             gap_tol=0.0005,
-            options=dcreg.SolveOptions(mode="paper"),
+            mode="paper",
         )
         assert result.certificate_scope == alone.certificate_scope
         assert result.lower_bound <= alone.upper_bound + 1e-12
@@ -372,12 +357,8 @@ def test_large_clouds_get_the_same_rotation_stage_as_a_single_call(monkeypatch):
 
     monkeypatch.setattr(sparse, "DENSE_PAIRS", 100)
     source, target = solid(n_common=24, noise=0.01)
-    swept = dcreg.sweep(
-        source, target, [24], model="rigid3d", options=dcreg.SolveOptions(mode="paper")
-    ).results[0]
-    alone = dcreg.register(
-        source, target, n_inliers=24, model="rigid3d", options=dcreg.SolveOptions(mode="paper")
-    )
+    swept = sweep(source, target, [24], model="rigid3d", mode="paper").results[0]
+    alone = register(source, target, n_inliers=24, model="rigid3d", mode="paper")
     turns = [
         next(stage for stage in result.stages if stage.name == "rotation")
         for result in (swept, alone)
@@ -397,9 +378,7 @@ def test_polish_of_a_sweep_ends_with_its_time(monkeypatch):
 
 
 def test_times_of_all_stages_are_on_one_clock():
-    found = dcreg.sweep(
-        *solid(), [18, 20], model="rigid3d", options=dcreg.SolveOptions(mode="paper")
-    )
+    found = sweep(*solid(), [18, 20], model="rigid3d", mode="paper")
     for result in found.results:
         times = [event.time_s for event in result.trace]
         assert times == sorted(times)
@@ -502,23 +481,22 @@ def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     assert set(part.proven_by) <= {None, 30, 31, 32}  # as they were asked for
     whole = dcreg.sweep(source, target, [40], **options)
     assert (whole.results[0].mode, whole.results[0].downsampled) == ("paper", None)
-    asked = dcreg.sweep(
-        source, target, [30], **options, options=dcreg.SolveOptions(mode="full", downsample=20)
-    )
+    asked = sweep(source, target, [30], **options, mode="full", downsample=20)
     assert asked.results[0].downsampled == (20, 20, 15)
 
 
 def test_a_rotation_search_leaves_time_for_all_points(rng):
     source = rng.random((300, 3)) * [2.0, 1.0, 0.5]
     target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
-    swept = dcreg.sweep(
+    swept = sweep(
         source,
         target,
         [200, 210],
         model="rigid3d",
         gap_tol=0.0,
         time_limit=4.0,
-        options=dcreg.SolveOptions(mode="paper", downsample=60),
+        mode="paper",
+        downsample=60,
     )
     assert swept.status is Status.TIME_LIMIT
     for result in swept.results:
@@ -530,13 +508,7 @@ def test_a_rotation_search_leaves_time_for_all_points(rng):
 
 def test_a_sample_of_a_sweep_refuses_what_it_would_ignore(clouds):
     with pytest.raises(InputError, match="downsample: candidates speak of all points"):
-        dcreg.sweep(
-            *clouds,
-            [18],
-            model="similarity2d",
-            candidates=half_of(18, 24, 24),
-            options=dcreg.SolveOptions(downsample=10),
-        )
+        sweep(*clouds, [18], model="similarity2d", candidates=half_of(18, 24, 24), downsample=10)
 
 
 def test_descents_of_all_cardinalities_share_the_time(monkeypatch):
@@ -556,14 +528,7 @@ def test_descents_of_all_cardinalities_share_the_time(monkeypatch):
 
 def test_a_cardinality_without_any_time_has_a_pose():
     source, target = np.random.default_rng(0).random((2, 1000, 3))
-    found = dcreg.sweep(
-        source,
-        target,
-        [0.5, 0.7, 0.9],
-        model="rigid3d",
-        time_limit=0.05,
-        options=dcreg.SolveOptions(mode="full"),
-    )
+    found = sweep(source, target, [0.5, 0.7, 0.9], model="rigid3d", time_limit=0.05, mode="full")
     assert found.status is Status.TIME_LIMIT
     for result in found.results:
         assert np.linalg.det(result.rotation) == pytest.approx(1.0)

@@ -22,6 +22,7 @@ from dcreg.names import MODEL_DIM
 from dcreg.search import Box, Budget, Evaluation, Interrupted, LongestEdge, branch_and_bound
 from dcreg.status import Status
 from tests.clocks import Stopwatch
+from tests.problems import register, sweep
 
 
 class Parabola:
@@ -124,11 +125,8 @@ def test_every_mode_keeps_the_limit_and_reports_progress(model, mode, bound, siz
 def test_a_caller_can_stop_within_a_kernel(processor_clock):
     """Heartbeats come while a kernel runs."""
     watch = Stopwatch(stops=lambda event: event.kind == "heartbeat")
-    result = dcreg.register(
-        *pair_of_clouds(1000, 3),
-        n_inliers=0.5,
-        model="rigid3d",
-        options=dcreg.SolveOptions(mode="full", listener=watch),
+    result = register(
+        *pair_of_clouds(1000, 3), n_inliers=0.5, model="rigid3d", mode="full", listener=watch
     )
     assert result.status is Status.STOPPED
     assert watch.since_stop() <= 2.0
@@ -210,12 +208,7 @@ def test_a_stop_is_seen_at_once():
 @pytest.mark.parametrize(("mode", "size"), [(None, 30_000), ("paper", 42_000)])
 def test_a_caller_can_stop_a_search_of_large_clouds(mode, size):
     clouds, clock = pair_of_clouds(size, 3), Stopwatch(stops=lambda event: True)
-    result = dcreg.register(
-        *clouds,
-        n_inliers=0.7,
-        model="rigid3d",
-        options=dcreg.SolveOptions(mode=mode, listener=clock),
-    )
+    result = register(*clouds, n_inliers=0.7, model="rigid3d", mode=mode, listener=clock)
     assert clock.since_first() <= 2.0
     assert result.status is Status.STOPPED
     assert result.downsampled == ((1000, 1000, 700) if mode is None else None)
@@ -226,12 +219,8 @@ def test_a_caller_can_stop_a_search_of_large_clouds(mode, size):
 def test_large_clouds_in_the_plane_that_match_in_full_end_in_time(mode):
     """Scores of the first poses take a second each, of 5,000 points."""
     clouds, clock = pair_of_clouds(5_000, 2), Stopwatch()
-    result = dcreg.register(
-        *clouds,
-        n_inliers=1.0,
-        model="similarity2d",
-        time_limit=2.0,
-        options=dcreg.SolveOptions(mode=mode, listener=clock),
+    result = register(
+        *clouds, n_inliers=1.0, model="similarity2d", time_limit=2.0, mode=mode, listener=clock
     )
     assert clock.since_first() <= 1.1 * 2.0 + 1.0
     assert len(result.assignment) == 5_000
@@ -245,13 +234,8 @@ SHARES = [0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8]
 @pytest.mark.parametrize("stops", [True, False])
 def test_a_sweep_of_large_clouds_ends_in_time(mode, stops):
     clouds, clock = pair_of_clouds(33_000, 3), Stopwatch(stops=lambda event: stops)
-    found = dcreg.sweep(
-        *clouds,
-        SHARES,
-        model="rigid3d",
-        gap_tol=0.0,
-        time_limit=2.0,
-        options=dcreg.SolveOptions(mode=mode, listener=clock),
+    found = sweep(
+        *clouds, SHARES, model="rigid3d", gap_tol=0.0, time_limit=2.0, mode=mode, listener=clock
     )
     assert clock.since_first() <= (2.0 if stops else 1.1 * 2.0 + 1.0)
     assert found.status is (Status.STOPPED if stops else Status.TIME_LIMIT)
@@ -269,12 +253,7 @@ def test_an_error_of_a_listener_reaches_the_caller():
         raise RuntimeError("window closed")
 
     with pytest.raises(RuntimeError, match="window closed"):
-        dcreg.register(
-            *clouds,
-            n_inliers=0.5,
-            model="rigid3d",
-            options=dcreg.SolveOptions(mode="full", listener=listener),
-        )
+        register(*clouds, n_inliers=0.5, model="rigid3d", mode="full", listener=listener)
 
 
 def children_cpu_s():
