@@ -11,8 +11,7 @@ from .io import read_candidates, read_matches, read_points
 from .names import bound_names, mode_names
 from .plot import plot_registration, plot_sweep
 from .problem import Candidates, InputError, Problem, default_gap_tol, gap_tol_of
-from .result import Result, Stage
-from .runner_up import RunnerUp
+from .result import Result, RunnerUp, Stage
 from .search import Event, Listener, Trace
 from .status import Status
 from .sweep_result import SweepResult

@@ -7,13 +7,21 @@ looks odd and the remedy. `RULES` is the table of them; `warnings_for` asks each
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from dcreg.problem import EXACT, Problem, median_spacing, rms_radius, unit_length
-from dcreg.result import Result
+from dcreg.problem import (
+    EXACT,
+    Problem,
+    median_spacing,
+    nearest_rotation,
+    rms_radius,
+    rotation_angle_deg,
+    unit_length,
+)
+from dcreg.result import Result, RunnerUp
 from dcreg.status import Status
 
 _VERY_MANY_POINTS = 4000
@@ -76,6 +84,8 @@ def _duration(seconds: float) -> str:
 
 
 _MANY_POINTS = 1000
+# Poses differ if they displace the source by more than this fraction of the target's RMS radius.
+DISTINCT = 0.2
 _MUCH_LARGER = 100.0
 _OTHER_SIZE = 10.0
 TOO_MANY_PAIRS = "pairs are probably too many"  # in the line of `loose_pairs`
@@ -270,3 +280,37 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
 def warnings_for(case: Case) -> list[str]:
     """One line for each rule that applies."""
     return [line for rule in RULES if (line := rule(case)) is not None]
+
+
+def find_runner_up(
+    problem: Problem, T: np.ndarray, objective: float, ends: Iterable[tuple[np.ndarray, float]]
+) -> RunnerUp | None:
+    """Return the cheapest of the `ends` that differs from the pose `T`, or None.
+
+    Parameters
+    ----------
+    problem : Problem
+    T : (d+1, d+1) array
+    objective : float
+        At `T`.
+    ends : iterable of (pose, objective)
+        Final poses of local descents, in the coordinates of the clouds.
+    """
+    source, target, d = problem.source, problem.target, problem.dim
+    minimum = DISTINCT * rms_radius(target)
+    centre = source.mean(axis=0)
+    covariance = np.cov(source, rowvar=False, bias=True).reshape(d, d)
+
+    def displacement(other: np.ndarray) -> float:
+        linear, shift = other[:d, :d] - T[:d, :d], other[:d, d] - T[:d, d]
+        squared = ((linear @ centre + shift) ** 2).sum() + np.trace(linear @ covariance @ linear.T)
+        return float(np.sqrt(squared))
+
+    others = [end for end in ends if np.isfinite(end[1]) and displacement(end[0]) > minimum]
+    if not others:
+        return None
+    other, value = min(others, key=lambda end: end[1])
+    rounding = EXACT * problem.n_inliers * (unit_length(source, target) or 1.0) ** 2
+    angle = rotation_angle_deg(nearest_rotation(other[:d, :d] @ T[:d, :d].T))
+    ratio = (value + rounding) / (objective + rounding)
+    return RunnerUp(other, ratio, abs(angle), displacement(other))

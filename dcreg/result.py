@@ -15,7 +15,6 @@ from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, plain, write_text
 from dcreg.problem import InputError, rotation_angle_deg, scale_of
-from dcreg.runner_up import RunnerUp
 from dcreg.search import Outcome, Trace
 from dcreg.status import Status
 
@@ -51,6 +50,44 @@ class Score(NamedTuple):
 
     reached: float
     upper_bound: float
+
+
+@dataclass(frozen=True)
+class RunnerUp:
+    """The best distinct pose at which a local descent of the search ended; a better one may exist.
+
+    Attributes
+    ----------
+    T_target_source : (d+1, d+1) array
+    objective_ratio : float
+        Objective of this pose divided by the objective of the result. Near 1 the data hardly
+        distinguish the two poses.
+    rotation_difference_deg : float
+        Angle between the two rotations.
+    rms_displacement : float
+        RMS distance between the two images of the source, in units of the target.
+    """
+
+    T_target_source: np.ndarray
+    objective_ratio: float
+    rotation_difference_deg: float
+    rms_displacement: float
+
+    def __str__(self) -> str:
+        ratio = f"{self.objective_ratio:.3g}" if self.objective_ratio < 1000 else "over 1000"
+        return f"{ratio} times the objective, {self.difference} (best one found, not proven)"
+
+    @property
+    def difference(self) -> str:
+        """Its difference from the pose of the result, in words."""
+        return (
+            f"displaced by {self.rms_displacement:.3g} (RMS), "
+            f"rotated by {self.rotation_difference_deg:.0f} deg"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return plain(self)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dcreg.assignment.polish import is_greedy, objective, polish
 from dcreg.assignment.reuse import Matched, quick_objective
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
-from dcreg.diagnostics import Case, advice, warnings_for
+from dcreg.diagnostics import Case, advice, find_runner_up, warnings_for
 from dcreg.driver.downsample import SEARCH_SHARE, to_search
 from dcreg.driver.modes import Mode, choose_mode, find_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
@@ -23,7 +23,6 @@ from dcreg.names import AUTO, START_BOXES
 from dcreg.problem import Problem
 from dcreg.problem.geometry import EXACT, Frame, default_gap_tol, gap_tol_of
 from dcreg.result import Result, Sample, Stage
-from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget, Listener, Trace
 from dcreg.status import Status
 

@@ -11,7 +11,7 @@ from dcreg.assignment.polish import objective
 from dcreg.assignment.reuse import Matched, quick_objective
 from dcreg.driver.downsample import refined
 from dcreg.problem import Problem
-from dcreg.runner_up import RunnerUp
+from dcreg.result import RunnerUp
 from dcreg.search import Budget
 from dcreg.status import Status
 
