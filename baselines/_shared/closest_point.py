@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from baselines._shared.poses import apply, homogeneous
+from baselines._shared.poses import homogeneous
+from dcreg.problem import apply_pose
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
@@ -22,7 +23,7 @@ class ClosestPoint:
 
     def value(self, pose: np.ndarray) -> float:
         """The objective at a pose, by exact nearest neighbours."""
-        distances, _ = self.tree.query(apply(pose, self.source))
+        distances, _ = self.tree.query(apply_pose(pose, self.source))
         return float((np.sort(distances)[: self.n_kept] ** 2).sum())
 
     def descend(

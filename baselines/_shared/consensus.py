@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from baselines._shared.closest_point import ClosestPoint, spread_poses
-from baselines._shared.poses import apply
 from baselines.contract import Instance
+from dcreg.problem import apply_pose
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
@@ -27,7 +27,7 @@ class Consensus:
 
     def count(self, pose: np.ndarray) -> int:
         """Source points that the pose brings within the radius of a target point."""
-        distances, _ = self.tree.query(apply(pose, self.source))
+        distances, _ = self.tree.query(apply_pose(pose, self.source))
         return int((distances <= self.radius).sum())
 
     def ascend(self, pose: np.ndarray, radius: float) -> tuple[np.ndarray, int]:
@@ -35,7 +35,7 @@ class Consensus:
         best_pose, best = pose, self.count(pose)
         stalled = 0
         while stalled < 2:
-            distances, nearest = self.tree.query(apply(pose, self.source))
+            distances, nearest = self.tree.query(apply_pose(pose, self.source))
             near = distances <= radius
             if near.sum() < 3:
                 break

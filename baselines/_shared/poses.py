@@ -18,12 +18,6 @@ def homogeneous(scale: float, rotation: np.ndarray, translation: np.ndarray) -> 
     return pose
 
 
-def apply(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """The points moved by the pose."""
-    d = points.shape[1]
-    return points @ pose[:d, :d].T + pose[:d, d]
-
-
 def rigid_pose(pose: np.ndarray) -> np.ndarray | None:
     """The pose with an exactly proper rotation and scale 1; None when it has non-finite entries."""
     pose = np.asarray(pose, dtype=float)

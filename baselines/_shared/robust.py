@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from baselines._shared.poses import apply
-from dcreg.problem import nearest_rotation
+from dcreg.problem import apply_pose, nearest_rotation
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
@@ -95,7 +94,7 @@ def gnc_pose(
 
 def squared_residuals(pose: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Squared distances of the moved source to the target, row by row."""
-    return ((apply(pose, source) - target) ** 2).sum(axis=1)
+    return ((apply_pose(pose, source) - target) ** 2).sum(axis=1)
 
 
 def refit(

@@ -21,8 +21,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from baselines._shared.poses import apply, homogeneous
+from baselines._shared.poses import homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
+from dcreg.problem import apply_pose
 from dcreg.search import Budget
 from dcreg.status import Status
 
@@ -96,7 +97,7 @@ class SymmetricDistance:
         self.target_tree = cKDTree(instance.target)
 
     def __call__(self, pose: np.ndarray) -> float:
-        moved = apply(pose, self.instance.source)
+        moved = apply_pose(pose, self.instance.source)
         if not np.isfinite(moved).all():
             return np.inf
         forward, _ = self.target_tree.query(moved)

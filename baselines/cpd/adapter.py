@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from baselines._shared.poses import apply, homogeneous, unit_of
+from baselines._shared.poses import homogeneous, unit_of
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
-from dcreg.problem import scale_of
+from dcreg.problem import apply_pose, scale_of
 from dcreg.search import Budget
 
 
@@ -27,14 +27,14 @@ class Adapter(Baseline):
         unit = unit_of(instance)
         origin = instance.target.mean(axis=0)
         normalise = homogeneous(1 / unit, np.eye(instance.dim), -origin / unit)
-        target = apply(normalise, instance.target)
+        target = apply_pose(normalise, instance.target)
 
         def refine(pose: np.ndarray, budget: Budget) -> np.ndarray | None:
             start_scale = scale_of(pose)
             drift = _bounded_rigid()(
                 scale_range=np.array(instance.scale_range) / start_scale,
                 X=target,
-                Y=apply(normalise @ pose, instance.source),
+                Y=apply_pose(normalise @ pose, instance.source),
                 w=self._outlier_weight(instance),
                 max_iterations=self.options["max_iterations"],
                 tolerance=self.options["tolerance"],

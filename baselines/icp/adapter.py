@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from baselines._shared.poses import apply
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
+from dcreg.problem import apply_pose
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
@@ -28,7 +28,7 @@ class Adapter(Baseline):
         def refine(pose: np.ndarray, budget: Budget) -> np.ndarray:
             last_cost = np.inf
             for _ in range(self.options["max_iterations"]):
-                distances, nearest = tree.query(apply(pose, instance.source))
+                distances, nearest = tree.query(apply_pose(pose, instance.source))
                 kept = np.argsort(distances, kind="stable")[:n_kept]
                 cost = float((distances[kept] ** 2).sum())
                 if last_cost - cost <= self.options["tolerance"] * cost:

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from dcreg.assignment.k_assignment import k_assignment, pairs_of
 from dcreg.assignment.sparse import is_large, nearest_pairs, sparse_matching
 from dcreg.jit import NEVER
-from dcreg.problem.geometry import fit_pose
+from dcreg.problem.geometry import apply_pose, fit_pose
 from dcreg.search import Budget
 
 # So few pairs are matched to the end in a quarter of a second, whatever the clock says.
@@ -102,8 +102,7 @@ def objective(
     value : float, in squared units of the target
     assignment : (n_inliers, 2) int array
     """
-    d = source.shape[1]
-    moved = source @ T_target_source[:d, :d].T + T_target_source[:d, d]
+    moved = apply_pose(T_target_source, source)
     if len(source) * len(target) <= at_once:
         stop = NEVER
     if candidates is None and (stop[0] or is_large(len(source), len(target))):
@@ -197,10 +196,9 @@ def follow_nearest(
     The pose it ends at, and the sum of squared distances of its pairs, which are not one-to-one. `tree`
     holds the target.
     """
-    d = source.shape[1]
 
     def evaluate(T: np.ndarray) -> tuple[float, np.ndarray]:
-        pairs, value = nearest_pairs(source @ T[:d, :d].T + T[:d, d], tree, k)
+        pairs, value = nearest_pairs(apply_pose(T, source), tree, k)
         return value, pairs
 
     def fit(T: np.ndarray, pairs: np.ndarray) -> np.ndarray | None:

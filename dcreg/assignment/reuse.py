@@ -8,6 +8,7 @@ import numpy as np
 
 from dcreg.assignment.polish import objective
 from dcreg.jit import NEVER
+from dcreg.problem.geometry import apply_pose
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,7 @@ class Matched:
         self, source: np.ndarray, target: np.ndarray, T: np.ndarray, k: int
     ) -> tuple[float, np.ndarray]:
         """The k of the pairs that cost least at the pose `T`, and the sum of their squared residuals."""
-        d = source.shape[1]
-        moved = source[self.pairs[:, 0]] @ T[:d, :d].T + T[:d, d]
+        moved = apply_pose(T, source[self.pairs[:, 0]])
         moved -= target[self.pairs[:, 1]]
         costs = np.einsum("ij,ij->i", moved, moved)
         kept = np.sort(np.argpartition(costs, k - 1)[:k])

@@ -12,7 +12,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from dcreg.plot.style import GREY, LOWER, SOURCE, TARGET, UPPER, figure, write_page
-from dcreg.problem import InputError
+from dcreg.problem import InputError, apply_pose
 from dcreg.result import Result
 from dcreg.search import Event
 
@@ -65,8 +65,7 @@ def plot_registration(
 
 def figures(source: np.ndarray, target: np.ndarray, result: Result) -> dict[str, go.Figure]:
     """The figures of the page of `plot_registration`, by caption."""
-    d = source.shape[1]
-    moved = source @ result.T_target_source[:d, :d].T + result.T_target_source[:d, d]
+    moved = apply_pose(result.T_target_source, source)
     stages = _stages(result.trace)
     pairs = _pair_lines(moved, target, result.assignment)
     return {

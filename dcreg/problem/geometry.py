@@ -17,6 +17,12 @@ def scale_of(pose: np.ndarray) -> float:
     return float(abs(np.linalg.det(pose[:d, :d])) ** (1.0 / d))
 
 
+def apply_pose(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the (n, d) points moved by a (d+1, d+1) pose."""
+    d = len(pose) - 1
+    return points @ pose[:d, :d].T + pose[:d, d]
+
+
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """The rotation (determinant +1) nearest to a (d, d) matrix, and of largest inner product with it.
 

@@ -12,9 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
-from baselines._shared.poses import apply, homogeneous
+from baselines._shared.poses import homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
-from dcreg.problem import rms_radius
+from dcreg.problem import apply_pose, rms_radius
 from dcreg.status import Status
 
 NAMES = registry.names()
@@ -40,7 +40,7 @@ def easy_instance(model: str) -> Instance:
         rotation = Rotation.from_rotvec([0.1, -0.15, 0.1]).as_matrix()
         truth = homogeneous(1.0, rotation, np.array([0.05, 0.02, -0.04]))
         scale_range = (1.0, 1.0)
-    target = generator.permutation(apply(truth, source))[2:]
+    target = generator.permutation(apply_pose(truth, source))[2:]
     target += 0.002 * generator.standard_normal(target.shape)
     return Instance(
         instance_id=f"easy-{model}",
@@ -279,7 +279,7 @@ def test_raw_point_methods_solve_the_easy_instance(solutions: dict, name: str, m
     if solution.status.is_limit:
         pytest.skip(f"{name} stopped at {solution.status.value}")
     instance = easy_instance(model)
-    moved = apply(solution.T_target_source, instance.source)
+    moved = apply_pose(solution.T_target_source, instance.source)
     distances = np.linalg.norm(moved[:, None] - instance.target[None], axis=2).min(axis=0)
     assert np.sqrt((distances**2).mean()) < 0.05 * rms_radius(instance.target)
 
@@ -295,7 +295,7 @@ def test_the_template_keeps_the_contract(tmp_path: Path) -> None:
         instance = easy_instance(model)
         solution = method.solve(instance, LIMITS)
         assert solution.status is Status.CONVERGED
-        moved = apply(solution.T_target_source, instance.source)
+        moved = apply_pose(solution.T_target_source, instance.source)
         np.testing.assert_allclose(moved.mean(axis=0), instance.target.mean(axis=0), atol=1e-12)
     with pytest.raises(registry.BaselineError, match="exists already"):
         registry.new_baseline("my_method", root=tmp_path)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from baselines._shared.kernels.lengths import consistency_graph
-from baselines._shared.poses import apply, homogeneous
+from baselines._shared.poses import homogeneous
 from baselines.teaser.pipeline import register
+from dcreg.problem import apply_pose
 from dcreg.search import Budget
 from workflows.studies.golden import golden_folder, main, pose_difference, read_case, teaser_row
 
@@ -48,7 +49,7 @@ def hard_case(seed: int, n: int = 1000, outlier_share: float = 0.95) -> tuple:
     source = generator.uniform(-0.5, 0.5, (n, 3))
     angle = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
     truth = homogeneous(1.0, angle, np.array([1.0, -2.0, 0.5]))
-    target = apply(truth, source) + 0.003 * generator.standard_normal((n, 3))
+    target = apply_pose(truth, source) + 0.003 * generator.standard_normal((n, 3))
     wrong = round(outlier_share * n)
     target[:wrong] = generator.uniform(-0.5, 0.5, (wrong, 3)) + truth[:3, 3]
     return source, target, truth

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from baselines._shared.consensus import Consensus
 from baselines._shared.cubes import OCTANTS, Incumbent, OutOfTimeError, search_cubes
-from baselines._shared.poses import apply, homogeneous
+from baselines._shared.poses import homogeneous
 from baselines._shared.rotation_search import most_correspondences, most_matches
 from baselines.contract import Instance
 from baselines.frs import search as frs
@@ -22,6 +22,7 @@ from baselines.goicp.adapter import Frame, optimal_translations
 from baselines.goicp.distance import Cells
 from baselines.goicp.search import GoICP, Settings, uncertainty
 from baselines.gots import search as gots
+from dcreg.problem import apply_pose
 from dcreg.search import Budget
 from dcreg.status import Status
 
@@ -54,7 +55,7 @@ def settings_for(n_kept: int, half: float = 0.4) -> Settings:
 
 
 def trimmed(source: np.ndarray, target: np.ndarray, pose: np.ndarray, n_kept: int) -> float:
-    distances = np.linalg.norm(apply(pose, source)[:, None] - target, axis=2).min(axis=1)
+    distances = np.linalg.norm(apply_pose(pose, source)[:, None] - target, axis=2).min(axis=1)
     return float((np.sort(distances)[:n_kept] ** 2).sum())
 
 

@@ -14,9 +14,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
-from baselines._shared.poses import apply
 from baselines.contract import Instance, Limits
 from baselines.gots.search import points_of
+from dcreg.problem import apply_pose
 from dcreg.status import Status
 
 COUNT = int(os.environ.get("CERTIFICATES", "6"))
@@ -63,7 +63,7 @@ def test_goicp(seed: int) -> None:
     solution = registry.load("goicp", mse_threshold=0.02, start_rotations=1).solve(instance, LIMITS)
     assert solution.lower_bound <= best + 1e-9
     assert solution.upper_bound >= best - 1e-9
-    moved = apply(solution.T_target_source, instance.source)
+    moved = apply_pose(solution.T_target_source, instance.source)
     distances = np.linalg.norm(moved[:, None] - instance.target, axis=2).min(axis=1)
     value = (np.sort(distances)[: instance.n_inliers] ** 2).sum()
     assert value == pytest.approx(solution.upper_bound, abs=1e-9)
@@ -109,7 +109,7 @@ def test_frs(seed: int) -> None:
     radius = 1.5 * instance.noise_bound
     most = instance.n_inliers - solution.lower_bound / radius**2
     matched = instance.n_inliers - solution.upper_bound / radius**2
-    moved = apply(solution.T_target_source, instance.source)
+    moved = apply_pose(solution.T_target_source, instance.source)
     distances = np.linalg.norm(moved[:, None] - instance.target, axis=2).min(axis=1)
     assert (distances <= radius + 1e-9).sum() >= round(matched)
     above = int(np.floor(most + 1e-6)) + 1

@@ -22,8 +22,9 @@ from baselines._shared.front_ends import (
     oracle_pairs,
     putative_pairs,
 )
-from baselines._shared.poses import apply, homogeneous, median_spacing
+from baselines._shared.poses import homogeneous, median_spacing
 from baselines.contract import Instance, Limits
+from dcreg.problem import apply_pose
 from dcreg.status import Status
 
 LIMITS = Limits(time_s=20.0)
@@ -36,7 +37,7 @@ def planted(outlier_share: float, n: int = 200) -> tuple[Instance, np.ndarray]:
     source = generator.uniform(-0.5, 0.5, (n, 3))
     rotation = Rotation.from_rotvec([1.1, -0.7, 1.9]).as_matrix()
     truth = homogeneous(1.0, rotation, np.array([5.0, -3.0, 2.0]))
-    target = apply(truth, source) + NOISE / 3 * generator.standard_normal((n, 3))
+    target = apply_pose(truth, source) + NOISE / 3 * generator.standard_normal((n, 3))
     wrong = int(outlier_share * n)
     target[:wrong] = generator.uniform(-0.5, 0.5, (wrong, 3)) + target.mean(axis=0)
     return Instance("planted", source, target, "rigid3d", n - wrong, (1, 1), NOISE, 5), truth
@@ -58,8 +59,8 @@ def test_planted_pose_is_recovered_despite_outliers(name: str, outlier_share: fl
     pose = method.solve_pairs(instance, np.column_stack([rows, rows]), LIMITS.budget())
     assert angle_between(pose, truth) < 2.0
     np.testing.assert_allclose(
-        apply(pose, instance.source).mean(axis=0),
-        apply(truth, instance.source).mean(axis=0),
+        apply_pose(pose, instance.source).mean(axis=0),
+        apply_pose(truth, instance.source).mean(axis=0),
         atol=NOISE,
     )
 
@@ -101,7 +102,7 @@ def test_norm_signature_finds_true_pairs_whatever_the_pose(model: str) -> None:
     turn = Rotation.from_rotvec([0.0, 0.0, 2.0]).as_matrix()[:dim, :dim]
     scale = 1.0 if dim == 3 else 0.6
     order = generator.permutation(60)
-    moved = apply(homogeneous(scale, turn, np.ones(dim)), source)[order]
+    moved = apply_pose(homogeneous(scale, turn, np.ones(dim)), source)[order]
     scale_range = (1.0, 1.0) if dim == 3 else (0.5, 1.5)
     instance = Instance("moved", source, moved, model, 60, scale_range, NOISE, 0)
     pairs = norm_signature(instance, neighbours=1)
@@ -195,11 +196,11 @@ def test_fpfh_pairs_are_mutual_and_mostly_right_on_a_moved_surface() -> None:
     pose = homogeneous(1.0, Rotation.from_rotvec([0.3, 0.2, -0.4]).as_matrix(), np.ones(3))
     order = generator.permutation(len(surface))
     instance = Instance(
-        "moved", surface, apply(pose, surface)[order], "rigid3d", 1500, (1, 1), NOISE, 0
+        "moved", surface, apply_pose(pose, surface)[order], "rigid3d", 1500, (1, 1), NOISE, 0
     )
     pairs = fpfh_mutual(instance, normal_radius=3.2, feature_radius=8.0)
     assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs) > 300
-    off = apply(pose, instance.source[pairs[:, 0]]) - instance.target[pairs[:, 1]]
+    off = apply_pose(pose, instance.source[pairs[:, 0]]) - instance.target[pairs[:, 1]]
     right = np.linalg.norm(off, axis=1) < 2 * median_spacing(instance.target)
     assert right.mean() > 0.5
 

@@ -14,16 +14,10 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from baselines import registry
-from baselines._shared.poses import (
-    apply,
-    homogeneous,
-    median_spacing,
-    rigid_pose,
-    unit_of,
-)
+from baselines._shared.poses import homogeneous, median_spacing, rigid_pose, unit_of
 from baselines._shared.starts import STARTS, best_of_starts, start_poses
 from baselines.contract import Instance, Limits
-from dcreg.problem import nearest_rotation
+from dcreg.problem import apply_pose, nearest_rotation
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
@@ -45,7 +39,7 @@ def test_fit_recovers_an_exact_pose_inside_the_range(seed: int, d: int, low: flo
     rotation = nearest_rotation(generator.standard_normal((d, d)))
     truth = homogeneous(low + 0.1, rotation, generator.standard_normal(d))
     source = generator.standard_normal((8, d))
-    found = fit_pose(source, apply(truth, source), (low, low + 0.2))
+    found = fit_pose(source, apply_pose(truth, source), (low, low + 0.2))
     np.testing.assert_allclose(found, truth, atol=1e-9)
 
 
@@ -59,10 +53,10 @@ def test_clipped_fit_is_the_constrained_optimum() -> None:
         scale, angle, *shift = parameters
         c, s = np.cos(angle), np.sin(angle)
         pose = homogeneous(scale, np.array([[c, -s], [s, c]]), np.array(shift))
-        return float(((apply(pose, source) - target) ** 2).sum())
+        return float(((apply_pose(pose, source) - target) ** 2).sum())
 
     pose = fit_pose(source, target, (0.5, 1.5))
-    value = ((apply(pose, source) - target) ** 2).sum()
+    value = ((apply_pose(pose, source) - target) ** 2).sum()
     others = [
         minimize(cost, [1.0, angle, 0, 0], bounds=[(0.5, 1.5), (None, None)] + 2 * [(None, None)])
         for angle in (-1.5, 0.0, 1.5)
@@ -79,7 +73,7 @@ def test_fit_of_mirrored_points_stays_a_rotation() -> None:
 
 def test_fit_of_one_pair_moves_it_there() -> None:
     pose = fit_pose(np.array([[1.0, 2.0]]), np.array([[3.0, 5.0]]), (0.5, 1.5))
-    np.testing.assert_allclose(apply(pose, np.array([[1.0, 2.0]])), [[3.0, 5.0]])
+    np.testing.assert_allclose(apply_pose(pose, np.array([[1.0, 2.0]])), [[3.0, 5.0]])
 
 
 def test_rigid_pose_cleans_single_precision_and_refuses_nan() -> None:
@@ -123,7 +117,7 @@ def test_start_lists_are_as_documented(model: str, count: int) -> None:
         scale = np.linalg.det(pose[:d, :d]) ** (1 / d)
         assert instance.scale_range[0] <= scale <= instance.scale_range[1] + 1e-12
         if index != 1:  # the identity is the one that does not align the centroids
-            moved = apply(pose, instance.source).mean(axis=0)
+            moved = apply_pose(pose, instance.source).mean(axis=0)
             np.testing.assert_allclose(moved, instance.target.mean(axis=0), atol=1e-12)
 
 
@@ -186,7 +180,7 @@ def test_multi_start_icp_finds_a_large_rotation(angle: float) -> None:
     c, s = np.cos(angle), np.sin(angle)
     truth = homogeneous(0.8, np.array([[c, -s], [s, c]]), np.array([1.0, 2.0]))
     instance = Instance(
-        "turned", source, apply(truth, source), "similarity2d", 60, (0.5, 1.5), 0.01, 0
+        "turned", source, apply_pose(truth, source), "similarity2d", 60, (0.5, 1.5), 0.01, 0
     )
     found = registry.load("icp").solve(instance, Limits(time_s=20.0))
     np.testing.assert_allclose(found.T_target_source, truth, atol=1e-6)
@@ -203,7 +197,7 @@ def test_trimming_lets_icp_ignore_outliers() -> None:
         pose = registry.load("icp", starts="identity", trim=trim).solve(
             instance, Limits(time_s=20.0)
         )
-        moved = apply(pose.T_target_source, source)
+        moved = apply_pose(pose.T_target_source, source)
         errors[trim] = np.abs(moved - target).max()
     assert errors[True] < 1e-9 < 0.05 < errors[False]
 
@@ -214,7 +208,7 @@ class TestCpd:
         generator = np.random.default_rng(8)
         source = generator.standard_normal((40, 2)) * [1.0, 0.5]
         truth = homogeneous(1.3, np.eye(2), np.array([0.1, -0.1]))
-        target = apply(truth, source)
+        target = apply_pose(truth, source)
         return Instance("exact", source, target, "similarity2d", 40, (0.5, 1.5), 0.01, 0), truth
 
     @pytest.fixture(autouse=True)
@@ -238,7 +232,7 @@ class TestCpd:
     def test_more_starts_find_what_one_misses(self, exact: tuple[Instance, np.ndarray]) -> None:
         instance, _ = exact
         turn = homogeneous(1.0, np.array([[-0.8, -0.6], [0.6, -0.8]]), np.zeros(2))
-        far = replace(instance, target=apply(turn, instance.source))
+        far = replace(instance, target=apply_pose(turn, instance.source))
         limits = Limits(time_s=60.0)
         one, many = (
             registry.load("cpd", starts=starts).solve(far, limits)

@@ -151,14 +151,6 @@ def test_a_tuned_threshold_is_the_papers_multiple_of_the_deviation(
     assert registry.load(name).inlier_distance(instance) == bound
 
 
-@pytest.mark.parametrize("mode", ["full", "auto", None])
-def test_rpm_htb_runs_no_mode_that_does_without_its_bound(mode: str | None) -> None:
-    """Mode `full` has bounds of its own: DC-Reg's search would be reported as RPM-HTB."""
-    with pytest.raises(BaselineError, match=r"rpm_htb: unknown option 'mode'"):
-        registry.load("rpm_htb", mode=mode)
-    assert registry.load("rpm_htb").mode == "paper"
-
-
 def test_dcreg_leaves_mode_and_bound_to_the_library() -> None:
     """An explicit bound would keep the library from choosing modes with bounds of their own."""
     assert registry.load("dcreg").options["bound"] is None

@@ -28,6 +28,7 @@ from dcreg.families.rigid3d.starts import SCALES, best_descents, congruent_poses
 from dcreg.families.rotation3d.kernels.geometry import best_rotation
 from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
 from dcreg.jit import NEVER
+from dcreg.problem.geometry import apply_pose
 from dcreg.search import Box, Budget
 
 _SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored
@@ -223,5 +224,5 @@ class Rigid3D(CloudSpace):
     def _parameter(self, T: np.ndarray) -> np.ndarray:
         """Quaternion and translation of a pose, by the fit to four moved points."""
         corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-        moved = corners @ T[:3, :3].T + T[:3, 3]
+        moved = apply_pose(T, corners)
         return self.fit(corners.T, moved.T)

@@ -16,7 +16,7 @@ from baselines._shared.cliques import maximum_clique, pack
 from baselines._shared.consistency import vote, vote_scale
 from baselines._shared.kernels.graphs import degeneracy
 from baselines._shared.kernels.lengths import consistency_graph
-from baselines._shared.poses import apply, homogeneous
+from baselines._shared.poses import homogeneous
 from baselines._shared.ransac import ransac
 from baselines._shared.robust import gnc_pose
 from baselines.clipper.dense import dense_clique
@@ -25,6 +25,7 @@ from baselines.mac.adapter import compatibility
 from baselines.mac.enumerate import HeaviestCliques
 from baselines.sc2_pcr_pp.adapter import candidate_closeness
 from baselines.turboreg.adapter import ordered_scores
+from dcreg.problem import apply_pose
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
@@ -48,7 +49,7 @@ def planted(model: str, n: int, outlier_share: float, seed: int = 3) -> tuple[In
     truth = homogeneous(scale, turn[:dim, :dim], np.array([5.0, -3.0, 2.0])[:dim])
     jitter = generator.standard_normal((n, dim))
     jitter /= np.maximum(1.0, np.linalg.norm(jitter, axis=1, keepdims=True))
-    target = apply(truth, source) + 0.6 * NOISE * jitter
+    target = apply_pose(truth, source) + 0.6 * NOISE * jitter
     wrong = round(outlier_share * n)
     target[:wrong] = target.mean(axis=0) + generator.uniform(-0.5, 0.5, (wrong, dim))
     return Instance("planted", source, target, model, n - wrong, scale_range, NOISE, 5), truth
@@ -59,7 +60,9 @@ def rows_as_pairs(n: int) -> np.ndarray:
 
 
 def rms_to(pose: np.ndarray, truth: np.ndarray, points: np.ndarray) -> float:
-    return float(np.sqrt(((apply(pose, points) - apply(truth, points)) ** 2).sum(axis=1).mean()))
+    return float(
+        np.sqrt(((apply_pose(pose, points) - apply_pose(truth, points)) ** 2).sum(axis=1).mean())
+    )
 
 
 CASES = [

@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from baselines import registry
 from baselines._shared.cubes import OutOfTimeError
-from baselines._shared.poses import apply, homogeneous
+from baselines._shared.poses import homogeneous
 from baselines.contract import Instance, Limits
 from baselines.gots import adapter as gots
+from dcreg.problem import apply_pose
 from dcreg.status import Status
 
 METHODS = ["goicp", "frs", "gots"]
@@ -26,7 +27,7 @@ def planted(n: int = 25, outliers: int = 5, unit: float = 1.0, noise: float = 0.
     truth = homogeneous(
         1.0, Rotation.from_rotvec([2.0, -1.0, 0.6]).as_matrix(), np.array([0.4, -0.2, 0.3])
     )
-    target = apply(truth, shape) + noise * generator.standard_normal(shape.shape) / np.sqrt(3)
+    target = apply_pose(truth, shape) + noise * generator.standard_normal(shape.shape) / np.sqrt(3)
     source = np.vstack([shape, generator.uniform(-0.5, 0.5, (outliers, 3))])
     strays = generator.uniform(-0.5, 0.5, (outliers, 3)) + truth[:3, 3]
     target = generator.permutation(np.vstack([target, strays]))
@@ -42,8 +43,8 @@ def test_planted_pose_is_found_under_any_rotation(name: str) -> None:
     instance, truth = planted()
     solution = registry.load(name).solve(instance, Limits(time_s=20.0))
     moved, expected = (
-        apply(solution.T_target_source, instance.source),
-        apply(truth, instance.source),
+        apply_pose(solution.T_target_source, instance.source),
+        apply_pose(truth, instance.source),
     )
     assert np.sqrt(((moved - expected) ** 2).sum(axis=1).mean()) < 0.02
     assert solution.status in (Status.OPTIMAL, Status.TIME_LIMIT)
@@ -54,7 +55,7 @@ def test_planted_pose_is_found_under_any_rotation(name: str) -> None:
 def test_lower_bound_holds_for_the_harness_objective(name: str) -> None:
     """Below the sum of n_inliers one-to-one squared residuals at the truth, for any end."""
     instance, truth = planted()
-    moved = apply(truth, instance.source[: instance.n_inliers])
+    moved = apply_pose(truth, instance.source[: instance.n_inliers])
     distances = np.linalg.norm(moved[:, None] - instance.target, axis=2).min(axis=1)
     for limits in (Limits(time_s=20.0, nodes=300), Limits(time_s=0.2)):
         solution = registry.load(name).solve(instance, limits)

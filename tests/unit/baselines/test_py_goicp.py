@@ -11,9 +11,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
-from baselines._shared.poses import apply, homogeneous
+from baselines._shared.poses import homogeneous
 from baselines.contract import Instance, Limits
 from baselines.py_goicp.adapter import trim_fraction
+from dcreg.problem import apply_pose
 from dcreg.status import Status
 
 # Pairs points by index and fits them, which is enough to see whether units and axes are kept. It
@@ -66,7 +67,7 @@ def problem(n_inliers: int = 20) -> Instance:
     truth = homogeneous(
         1.0, Rotation.from_rotvec([0.5, 1.0, -2.0]).as_matrix(), np.array([9.0, -70.0, 5.0])
     )
-    target = apply(truth, source)
+    target = apply_pose(truth, source)
     return Instance("p", source, target, "rigid3d", n_inliers, (1, 1), 0.1, 0)
 
 
@@ -87,7 +88,7 @@ def test_pose_and_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     solution = method.solve(instance, Limits(time_s=60.0))
     assert solution.status is Status.CONVERGED
     np.testing.assert_allclose(
-        apply(solution.T_target_source, instance.source), instance.target, atol=1e-3
+        apply_pose(solution.T_target_source, instance.source), instance.target, atol=1e-3
     )
     rotation = solution.T_target_source[:3, :3]
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
@@ -117,7 +118,7 @@ def test_ends_at_the_time_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     instance = problem()
     solution = registry.load("py_goicp").solve(instance, Limits(time_s=1.0))
     assert solution.status is Status.TIME_LIMIT
-    moved = apply(solution.T_target_source, instance.source)
+    moved = apply_pose(solution.T_target_source, instance.source)
     np.testing.assert_allclose(moved.mean(axis=0), instance.target.mean(axis=0))
 
 

@@ -10,8 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
-from baselines._shared.poses import apply, homogeneous
+from baselines._shared.poses import homogeneous
 from baselines.contract import Instance
+from dcreg.problem import apply_pose
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
@@ -61,7 +62,7 @@ def problem() -> tuple[Instance, np.ndarray]:
     generator = np.random.default_rng(1)
     source = generator.uniform(-3, -2, (30, 3))
     truth = homogeneous(1.0, Rotation.from_rotvec([0.4, 1.2, -2]).as_matrix(), [5.0, -70.0, 1.0])
-    return Instance("x", source, apply(truth, source), "rigid3d", 30, (1, 1), 0.02, 0), truth
+    return Instance("x", source, apply_pose(truth, source), "rigid3d", 30, (1, 1), 0.02, 0), truth
 
 
 @pytest.mark.parametrize("name", NAMES)
