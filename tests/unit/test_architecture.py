@@ -78,9 +78,9 @@ def test_every_arrow_of_the_picture_points_down():
 
 MODULE_LINES, FUNCTION_LINES, PARAMETERS = 400, 80, 8
 LARGE = {
-    "driver.solve.register": "the public function: every setting by name, and its manual",
-    "driver.matching.register_matches": "as register",
-    "driver.sweep.sweep": "as register",
+    "api.register": "the public function: every setting by name, and its documentation",
+    "api.register_matches": "as register",
+    "api.sweep": "as register",
 }
 
 
