@@ -11,7 +11,7 @@ from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import register_problem
 from dcreg.driver.sweep import sweep_problems
 from dcreg.families.matches.problem import MatchProblem
-from dcreg.names import DEFAULT_TIME_LIMIT_S, JUDGES
+from dcreg.names import DEFAULT_TIME_LIMIT_S, SCORES
 from dcreg.problem import Candidates, InputError, Problem
 from dcreg.result import Result
 from dcreg.sweep_result import SweepResult
@@ -178,7 +178,7 @@ def register_matches(
     matches: np.ndarray,
     *,
     inlier_distance: float,
-    judge: str = JUDGES[0],
+    score: str = SCORES[0],
     certify: bool | None = None,
     gap_tol: float | None = None,
     time_limit: float | None = DEFAULT_TIME_LIMIT_S,
@@ -204,14 +204,15 @@ def register_matches(
         Initial poses use the first 5,000.
     inlier_distance : float
         A match with a larger residual counts as wrong. In the unit of the clouds.
-    judge : {"matches", "surfaces"}
-        How the right pose is told from others on which matches agree. ``matches``: the cost above.
-        ``surfaces``: the score of the matches times that of the surfaces of both clouds (near points with
-        like normals) at the pose. The latter has a higher success rate for dense scans with partial
-        overlap and says nothing for sparse points. The pose need not have minimum cost, and it is not
-        certified.
+    score : {"correspondences", "surfaces"}
+        How to select among the poses on which matches agree. ``correspondences``: by the cost above.
+        ``surfaces``: by the score of the matches times that of the surfaces of both clouds (near points
+        with similar normals) at the pose. The latter has a higher success rate for dense scans with
+        partial overlap and has no meaning for sparse points. Its pose need not have minimum cost and is
+        not certified.
     certify : bool, optional
-        False: the pose only, with lower bound 0 and status ``converged``. Default: True for ``matches``.
+        False: the pose only, with lower bound 0 and status ``converged``. Default: True for
+        ``correspondences``.
     gap_tol : float, optional
         Absolute tolerance on the gap, in squared units; default a tenth of `inlier_distance` squared for
         every match that the initial pose chooses.
@@ -247,4 +248,4 @@ def register_matches(
     """
     problem = MatchProblem.checked(source, target, matches, inlier_distance)
     limits = Limits(gap_tol, None, time_limit, node_limit)
-    return register_match_problem(problem, judge, certify, limits, options or SolveOptions())
+    return register_match_problem(problem, score, certify, limits, options or SolveOptions())

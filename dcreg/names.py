@@ -32,8 +32,8 @@ FIGURE_PACKAGES = {
     ".png": ("plotly", "matplotlib", "seaborn"),
     ".svg": ("plotly", "matplotlib", "seaborn"),
 }
-# What tells apart the poses that matches agree on; the first is the default.
-JUDGES = ("matches", "surfaces")
+# Scores by which `register_matches` selects among the poses that matches agree on; default first.
+SCORES = ("correspondences", "surfaces")
 
 
 def mode_names(model: str) -> list[str]:

@@ -12,11 +12,11 @@ from dcreg.driver.modes import MODES, find_mode
 from dcreg.driver.options import SolveOptions
 from dcreg.driver.warm_up import warm_up_matches, warm_up_mode
 from dcreg.families.registry import bound_parts
-from dcreg.names import AUTO, JUDGES, mode_names
+from dcreg.names import AUTO, SCORES, mode_names
 from dcreg.problem import InputError, suggestion
 from dcreg.status import Status
 
-OVER_MATCHES = ("max_pairs", "certify", "judge")  # options of `dcreg.register_matches`
+OVER_MATCHES = ("max_pairs", "certify", "score")  # options of `dcreg.register_matches`
 OVER_POINTS = ("bound", "mode", "gap_tol_factor", "polish")  # of `dcreg.register`
 
 
@@ -31,16 +31,13 @@ class Adapter(LibraryMethod):
                 f"option front_end = {self.options['front_end']!r}; choose one of "
                 f"{', '.join(SHARED)}, or null for raw points"
             )
-        judge, certify = self.options["judge"], self.options["certify"]
-        if judge not in JUDGES:
-            raise ValueError(f"option judge = {judge!r}; choose one of {', '.join(JUDGES)}")
+        score, certify = self.options["score"], self.options["certify"]
+        if score not in SCORES:
+            raise ValueError(f"option score = {score!r}; choose one of {', '.join(SCORES)}")
         if certify is not None and not isinstance(certify, bool):
             raise ValueError(f"option certify = {certify!r}; give true, false or null")
-        if judge != JUDGES[0] and certify:
-            raise ValueError(
-                f"option judge = {judge!r} tells poses over matches apart, without bounds: leave "
-                "certify out"
-            )
+        if score != SCORES[0] and certify:
+            raise ValueError(f"option score = {score!r} has no bounds: leave certify out")
 
     def _check_mode_and_bound(self) -> None:
         mode, bound = self.options["mode"], self.options["bound"]
@@ -120,7 +117,7 @@ class Adapter(LibraryMethod):
             instance.target,
             putative.pairs,
             inlier_distance=instance.noise_bound,
-            judge=self.options["judge"],
+            score=self.options["score"],
             certify=self.options["certify"],
             time_limit=limits.time_s,
             node_limit=limits.nodes,

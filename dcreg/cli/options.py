@@ -17,8 +17,8 @@ import dcreg
 from dcreg.names import (
     AUTO,
     DEFAULT_TIME_LIMIT_S,
-    JUDGES,
     MODEL_DIM,
+    SCORES,
     START_BOXES,
     bound_names,
     mode_names,
@@ -262,17 +262,17 @@ class MatchSearch:
             help="Residual above which a match counts as wrong, in units of the target.",
         ),
     ]
-    judge: Annotated[
+    score: Annotated[
         str,
         typer.Option(
             metavar="NAME",
-            help="What the pose optimises: 'matches', their cost; or 'surfaces', the overlap of dense "
-            "scans near the poses that the matches suggest, without bounds.",
+            help="What the pose optimises: 'correspondences', the cost of the matches; or 'surfaces', the "
+            "overlap of dense scans near the poses that the matches suggest, without bounds.",
         ),
-    ] = JUDGES[0]
+    ] = SCORES[0]
     certify: Annotated[
         bool | None,
-        typer.Option(help="Prove bounds by branch and bound. Default: only with --judge matches."),
+        typer.Option(help="Prove bounds by branch and bound. Default: only with --score correspondences."),
     ] = None
     gap_tol: Annotated[
         float | None,

@@ -8,10 +8,10 @@ from dataclasses import replace
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.warm_up import warm_up_matches
 from dcreg.families.matches.bound import MatchBound
-from dcreg.families.matches.doubts import doubts
 from dcreg.families.matches.problem import MatchProblem
-from dcreg.families.matches.start import coinciding_poses, is_near, promising_poses
-from dcreg.names import JUDGES
+from dcreg.families.matches.start import is_near, promising_poses, surface_consistent_poses
+from dcreg.families.matches.warnings import warnings_of
+from dcreg.names import SCORES
 from dcreg.problem import InputError, suggestion
 from dcreg.result import Result, Score, Stage
 from dcreg.search import Budget, Trace
@@ -23,49 +23,49 @@ SCOPE = "rigid pose over the given matches, those not chosen priced at inlier_di
 
 
 def register_match_problem(
-    problem: MatchProblem, judge: str, certify: bool | None, limits: Limits, options: SolveOptions
+    problem: MatchProblem, score: str, certify: bool | None, limits: Limits, options: SolveOptions
 ) -> Result:
     """Solve a problem over matches; see `dcreg.register_matches`."""
     began = time.perf_counter()
     if replace(options, listener=None) != SolveOptions():
         raise InputError("options: registration over matches has one mode; set the listener alone")
-    limits.check(problem.most)
-    certify = _certified(judge, certify)
+    limits.check(problem.max_cardinality)
+    certify = _certified(score, certify)
     warm_up_matches()
     setup = time.perf_counter() - began
     with limits.budget(options.listener) as budget:
-        return _solved(problem, judge, certify, limits.gap_tol, budget, setup)
+        return _solved(problem, score, certify, limits.gap_tol, budget, setup)
 
 
-def _certified(judge: str, certify: bool | None) -> bool:
-    """Whether bounds are wanted; refuses a judge that is unknown, or has none."""
-    if judge not in JUDGES:
-        raise InputError(f"judge: {judge!r} is unknown{suggestion(judge, JUDGES)}")
-    if certify and judge == "surfaces":
+def _certified(score: str, certify: bool | None) -> bool:
+    """Tell whether bounds are requested; refuse an unknown score, or one without bounds."""
+    if score not in SCORES:
+        raise InputError(f"score: {score!r} is unknown{suggestion(score, SCORES)}")
+    if certify and score == "surfaces":
         raise InputError(
-            "certify: bounds speak of the cost of matches, and judge='surfaces' chooses a pose by other "
-            "evidence; leave one of both out"
+            "certify: bounds refer to the cost of matches, but score='surfaces' selects a pose by "
+            "another criterion; omit one of the two"
         )
-    return judge == "matches" if certify is None else certify
+    return score == "correspondences" if certify is None else certify
 
 
 def _solved(
     problem: MatchProblem,
-    judge: str,
+    score: str,
     certify: bool,
     gap_tol: float | None,
     budget: Budget,
     setup: float,
 ) -> Result:
-    if judge == "surfaces":
-        starts = coinciding_poses(problem, budget)
+    if score == "surfaces":
+        starts = surface_consistent_poses(problem, budget)
     else:
         starts = [(problem.score(cost), pose) for cost, pose in promising_poses(problem, budget)]
     best, pose = starts[0]
     value, chosen = problem.cost(pose)
     stages = [Stage("start", budget.elapsed(), n_assignments=len(starts))]
     if gap_tol is None:
-        gap_tol = TOLERATED * problem.reach**2 * max(1, len(chosen))
+        gap_tol = TOLERATED * problem.inlier_threshold**2 * max(1, len(chosen))
     status = budget.ended_by if budget.is_over else Status.CONVERGED
     lower, events = 0.0, []
     if certify:
@@ -77,8 +77,9 @@ def _solved(
         value, chosen = problem.cost(pose)
         best = problem.score(value)
     lower = max(0.0, lower)
-    score = Score(problem.score(value), problem.score(lower))
-    others = [evidence for evidence, other in starts if not is_near(other, pose, problem.reach)]
+    scores = Score(problem.score(value), problem.score(lower))
+    threshold = problem.inlier_threshold
+    others = [evidence for evidence, other in starts if not is_near(other, pose, threshold)]
     objective = float(problem.residuals(pose)[chosen].sum())
     is_open = certify and status is not Status.OPTIMAL
     T = problem.pose(pose)
@@ -90,6 +91,6 @@ def _solved(
         n_nodes=sum(stage.n_nodes for stage in stages),
         n_assignments=sum(stage.n_assignments for stage in stages),
         time_setup_s=setup, time_solve_s=budget.elapsed(), stages=stages,
-        trace=Trace(events), score=score,
-        warnings=doubts(problem, chosen, judge, [best, *others], score if is_open else None),
+        trace=Trace(events), score=scores,
+        warnings=warnings_of(problem, chosen, score, [best, *others], scores if is_open else None),
     )  # fmt: skip

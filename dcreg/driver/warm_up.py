@@ -17,7 +17,7 @@ from dcreg.driver.modes import MODES, Mode
 from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.matches.bound import MatchBound
 from dcreg.families.matches.problem import MatchProblem
-from dcreg.families.matches.start import coinciding_poses, promising_poses
+from dcreg.families.matches.start import promising_poses, surface_consistent_poses
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.jit import forget_old_kernels, when_compiling
 from dcreg.names import BOUND_NAMES
@@ -125,8 +125,8 @@ def warm_up_matches() -> None:
     problem = MatchProblem(points, points, np.column_stack([rows, rows]), 0.5)
     with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
         promising_poses(problem, Budget())
-        coinciding_poses(problem, Budget())
-        worst = problem.reach**2 * problem.most
+        surface_consistent_poses(problem, Budget())
+        worst = problem.inlier_threshold**2 * problem.max_cardinality
         bound = MatchBound(problem, worst, 0.0)
         bound.search(Budget(nodes=8), 0.0, (np.eye(3, 4).ravel(), worst))
 

@@ -87,7 +87,8 @@ def test_cost_is_that_of_the_best_one_to_one_choice():
             for some in itertools.combinations(range(len(pairs)), size):
                 i, j = pairs[list(some)].T if some else (np.array([], int),) * 2
                 if len(set(i)) == len(set(j)) == size:
-                    cost = ((source[i] - target[j]) ** 2).sum() + REACH**2 * (problem.most - size)
+                    unmatched = problem.max_cardinality - size
+                    cost = ((source[i] - target[j]) ** 2).sum() + REACH**2 * unmatched
                     best = min(best, cost)
         assert value == pytest.approx(best)
         assert len(chosen) == len(set(pairs[chosen, 0])) == len(set(pairs[chosen, 1]))
@@ -116,8 +117,8 @@ def test_no_pose_of_a_box_scores_above_its_bound(seed, half):
         shift = T[:3, 3] + T[:3, :3] @ problem.centre + rng.normal(0, 0.02, 3)
         pose = np.column_stack([R, shift])
         cost, _ = problem.cost(pose)
-        assert problem.most - cost / REACH**2 <= bounds[0] + 1e-9
-    assert bounds[0] <= problem.most + 1e-9
+        assert problem.max_cardinality - cost / REACH**2 <= bounds[0] + 1e-9
+    assert bounds[0] <= problem.max_cardinality + 1e-9
 
 
 def test_bounds_get_tight_as_boxes_shrink():
@@ -128,7 +129,7 @@ def test_bounds_get_tight_as_boxes_shrink():
     axis = int(np.argmax(np.abs(q)))
     start = np.column_stack([T[:3, :3], T[:3, 3] + T[:3, :3] @ problem.centre])
     _, cost = descend(problem, start)
-    score = problem.most - cost / REACH**2
+    score = problem.max_cardinality - cost / REACH**2
     gaps = []
     for half in (0.1, 0.02, 0.004):
         lower, upper = q - half, q + half
@@ -152,7 +153,7 @@ def test_caps_hold_for_every_pose_that_agrees_with_the_match():
         pose = np.column_stack([R, T[:3, 3] + T[:3, :3] @ problem.centre + rng.normal(0, 0.03, 3)])
         agrees = problem.residuals(pose) < REACH**2
         cost, _ = problem.cost(pose)
-        assert (highest[agrees] >= problem.most - cost / REACH**2 - 1e-9).all()
+        assert (highest[agrees] >= problem.max_cardinality - cost / REACH**2 - 1e-9).all()
         checked += agrees.sum()
     assert checked > 500
 
@@ -183,7 +184,7 @@ def test_optimum_chooses_among_the_cheapest_matchings_of_its_size():
 def test_useless_matches_are_left_out_of_the_bound():
     source, target, matches, _ = planted(60, 100, 1, noise=0.01)
     problem = MatchProblem.checked(source, target, matches, REACH)
-    bound = MatchBound(problem, (problem.most - 55) * REACH**2, 0.0)
+    bound = MatchBound(problem, (problem.max_cardinality - 55) * REACH**2, 0.0)
     assert 60 <= bound.n_left < 160
 
 

@@ -72,7 +72,7 @@ def test_surfaces_tell_the_right_pose_where_more_matches_agree_on_a_wrong_one(sc
     source, target, pairs, T, wrong = scene
     by_matches = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, certify=False)
     assert error(by_matches, wrong) < (2.0, 0.1)
-    found = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, judge="surfaces")
+    found = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, score="surfaces")
     degrees, shift = error(found, T)
     assert degrees < 1.5
     assert shift < 0.05
@@ -83,7 +83,7 @@ def test_surfaces_tell_the_right_pose_where_more_matches_agree_on_a_wrong_one(sc
 
 def test_the_result_states_the_matches_of_its_pose(scene):
     source, target, pairs, *_ = scene
-    found = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, judge="surfaces")
+    found = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, score="surfaces")
     rows, columns = found.assignment.T
     assert len(set(rows)) == len(set(columns)) == found.n_inliers
     residuals = source[rows] @ found.rotation.T + found.translation - target[columns]
@@ -138,7 +138,7 @@ def test_few_points_and_no_agreement_give_an_answer_all_the_same():
     source, target = rng.random((4, 3)), 10.0 * rng.random((4, 3))
     rows = np.arange(4)
     found = dcreg.register_matches(
-        source, target, np.column_stack([rows, rows]), inlier_distance=1e-3, judge="surfaces"
+        source, target, np.column_stack([rows, rows]), inlier_distance=1e-3, score="surfaces"
     )
     assert np.isfinite(found.T_target_source).all()
     assert found.warnings
@@ -147,8 +147,8 @@ def test_few_points_and_no_agreement_give_an_answer_all_the_same():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"judge": "surface"}, "judge: 'surface' is unknown.*surfaces"),
-        ({"judge": "surfaces", "certify": True}, "certify: bounds speak of the cost of matches"),
+        ({"score": "surface"}, "score: 'surface' is unknown.*surfaces"),
+        ({"score": "surfaces", "certify": True}, "certify: bounds refer to the cost of matches"),
     ],
 )
 def test_what_cannot_be_is_refused(options, message):
@@ -178,11 +178,11 @@ def test_normals_are_those_of_all_points_where_some_are_drawn(monkeypatch):
 @pytest.mark.parametrize(
     "options",
     [
-        {"front_end": "shared-mutual", "judge": "nonsense"},
-        {"front_end": "shared-mutual", "judge": "surfaces", "certify": True},
-        {"judge": "surfaces"},
+        {"front_end": "shared-mutual", "score": "nonsense"},
+        {"front_end": "shared-mutual", "score": "surfaces", "certify": True},
+        {"score": "surfaces"},
     ],
 )
 def test_the_method_refuses_what_it_would_ignore(options):
-    with pytest.raises(ValueError, match="option judge"):
+    with pytest.raises(ValueError, match="option score"):
         load("dcreg", **options)

@@ -71,7 +71,7 @@ class MatchBound:
         best = int(np.argmax(highest))
         if self.n_left:
             values[best], _ = self._problem.cost(poses[best])
-        bounds = (self._problem.most - highest) * self._problem.reach**2
+        bounds = (self._problem.max_cardinality - highest) * self._problem.inlier_threshold**2
         return Evaluation(bounds, poses.reshape(count, 12), values)
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:

@@ -1,4 +1,4 @@
-"""The problem over given matches, checked before anything long starts."""
+"""The problem over given matches, and the checks of its input."""
 
 from __future__ import annotations
 
@@ -13,40 +13,46 @@ from dcreg.families.matches.kernels.lists import MatchList, scores
 from dcreg.problem import InputError
 from dcreg.problem.problem import check_points
 
-LEAST = 3  # matches that fix a rigid pose
+MIN_MATCHES = 3  # that determine a rigid pose
 
 
 @dataclass(frozen=True)
 class MatchProblem:
-    """Minimise, over rigid poses T and one-to-one choices P among the matches, what P costs.
+    """Minimise a cost over rigid poses T and one-to-one choices P among the matches.
 
-    ``sum over P of |T(x_i) - y_j|^2 + reach^2 (most - |P|)``: a match beyond the reach is dearer than
-    none. `most` is how many could be chosen at best. An optimum that chooses k matches is one of the k
-    cheapest as well, the objective of `dcreg.register` with ``n_inliers = k`` over these feasible pairs.
+    The cost is ``sum over P of |T(x_i) - y_j|^2 + inlier_threshold^2 (max_cardinality - |P|)``. A match
+    whose residual exceeds the threshold costs more than no match. An optimum that chooses k matches also
+    minimises the objective of `dcreg.register` with ``n_inliers = k`` over these feasible pairs.
 
     Attributes
     ----------
     source, target : (n, 3), (m, 3) arrays
     pairs : (N, 2) int array
         The matches, each once: source row and target row.
-    reach : float
+    inlier_threshold : float
+        Residual from which a match counts as wrong.
     """
 
     source: np.ndarray
     target: np.ndarray
     pairs: np.ndarray
-    reach: float
+    inlier_threshold: float
 
     @classmethod
     def checked(
         cls, source: np.ndarray, target: np.ndarray, matches: np.ndarray, inlier_distance: float
     ) -> MatchProblem:
-        """The problem, or an `InputError` naming field, value and remedy."""
+        """Check the input and return the problem.
+
+        Raises
+        ------
+        InputError
+        """
         source = check_points("source", source, 3, "rigid3d")
         target = check_points("target", target, 3, "rigid3d")
         if not np.isfinite(inlier_distance) or inlier_distance <= 0:
             raise InputError(
-                f"inlier_distance: {inlier_distance} is no distance; give a positive length, about "
+                f"inlier_distance: {inlier_distance} is not a positive number; give a length of about "
                 "three times the noise"
             )
         return cls(
@@ -55,7 +61,7 @@ class MatchProblem:
 
     @cached_property
     def list(self) -> MatchList:
-        """The matches as the kernels see them, the source about the mean of its matched points."""
+        """The matches as the kernels take them, the source centred at its matched points' mean."""
         return self.part(np.arange(len(self.pairs)))
 
     @cached_property
@@ -64,52 +70,54 @@ class MatchProblem:
         return self.source[self.pairs[:, 0]].mean(axis=0)
 
     def part(self, chosen: np.ndarray) -> MatchList:
-        """Some of the matches, numbered anew; with the same centre."""
+        """Return some of the matches, renumbered, with the same centre."""
         rows, columns = self.pairs[chosen].T
         row_names, row_numbers = np.unique(rows, return_inverse=True)
         column_names, column_numbers = np.unique(columns, return_inverse=True)
         return MatchList(
             self.source[rows] - self.centre, self.target[columns], row_numbers, column_numbers,
-            len(row_names), len(column_names), self.reach,
+            len(row_names), len(column_names), self.inlier_threshold,
         )  # fmt: skip
 
     @property
-    def most(self) -> int:
-        """Matches that a one-to-one choice can have, at most."""
+    def max_cardinality(self) -> int:
+        """Maximum number of matches in a one-to-one choice."""
         return min(self.list.n_rows, self.list.n_columns)
 
     def pose(self, centred: np.ndarray) -> np.ndarray:
-        """The (4, 4) matrix of a (3, 4) pose of the centred source."""
+        """Return the (4, 4) matrix of a (3, 4) pose of the centred source."""
         T = np.vstack([centred, [0.0, 0.0, 0.0, 1.0]])
         T[:3, 3] -= T[:3, :3] @ self.centre
         return T
 
     def scores(self, poses: np.ndarray) -> np.ndarray:
-        """Upper bounds on the scores of (P, 3, 4) centred poses; quick."""
+        """Return quick upper bounds on the scores of (P, 3, 4) centred poses."""
         out = np.empty(len(poses))
         scores(self.list, np.ascontiguousarray(poses), out)
         return out
 
     def residuals(self, centred: np.ndarray) -> np.ndarray:
-        """Squared, of all matches."""
+        """Return the squared residuals of all matches."""
         moved = self.list.source @ centred[:, :3].T + centred[:, 3]
         return ((moved - self.list.target) ** 2).sum(axis=1)
 
     def score(self, cost: float) -> float:
-        """A cost in numbers of matches: the chosen ones count 1 - (residual / reach)^2 each."""
-        return self.most - cost / self.reach**2
+        """Return a cost as a score: a chosen match counts 1 - (residual / inlier_threshold)^2."""
+        return self.max_cardinality - cost / self.inlier_threshold**2
 
     def cost(self, centred: np.ndarray) -> tuple[float, np.ndarray]:
-        """The least cost at a centred pose, and which matches are chosen for it."""
+        """Return the minimum cost at a centred pose, and the matches chosen for it."""
         square = self.residuals(centred)
-        near = np.flatnonzero(square < self.reach**2)
+        near = np.flatnonzero(square < self.inlier_threshold**2)
         chosen = near[_one_to_one(self.list, near, square[near])]
-        value = square[chosen].sum() + self.reach**2 * (self.most - len(chosen))
+        value = square[chosen].sum() + self.inlier_threshold**2 * (
+            self.max_cardinality - len(chosen)
+        )
         return float(value), chosen
 
 
 def check_matches(matches: np.ndarray, n: int, m: int) -> np.ndarray:
-    """(N, 2) distinct rows of both clouds, in the order given, or an `InputError`."""
+    """Return (N, 2) distinct rows of both clouds, in the given order; raise `InputError` if invalid."""
     try:
         pairs = np.asarray(matches, dtype=np.float64)
     except (TypeError, ValueError):
@@ -126,21 +134,21 @@ def check_matches(matches: np.ndarray, n: int, m: int) -> np.ndarray:
             f"{n - 1} and from 0 to {m - 1}"
         )
     _, first = np.unique(pairs, axis=0, return_index=True)
-    if len(first) < LEAST:
-        raise InputError(f"matches: {len(first)} different ones; a rigid pose needs {LEAST}")
+    if len(first) < MIN_MATCHES:
+        raise InputError(f"matches: {len(first)} different ones; a rigid pose needs {MIN_MATCHES}")
     return pairs[np.sort(first)].astype(np.int64)
 
 
 def _one_to_one(matches: MatchList, near: np.ndarray, square: np.ndarray) -> np.ndarray:
-    """Places among `near` of the choice that saves most, each saving ``reach^2 - square``."""
+    """Return the choice among `near` that saves most; each match saves ``reach^2 - square``."""
     rows, row_of = np.unique(matches.rows[near], return_inverse=True)
     columns, column_of = np.unique(matches.columns[near], return_inverse=True)
     if len(rows) == len(near) and len(columns) == len(near):
         return np.arange(len(near))
     n, m = len(rows), len(columns)
     price = matches.reach**2
-    own = np.arange(n)  # a column of its own for every row that stays unmatched
-    shift = price  # the same for every row; the solver takes a zero for no edge
+    own = np.arange(n)  # a separate column for every row that stays unmatched
+    shift = price  # the same for every row; the solver reads zero as a missing edge
     graph = csr_array(
         (
             np.concatenate([square, np.full(n, price)]) + shift,

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from dcreg.assignment.polish import alternate
 from dcreg.families.matches.kernels.compatible import closest_allies, compatible_matches
-from dcreg.families.matches.problem import LEAST, MatchProblem
+from dcreg.families.matches.problem import MIN_MATCHES, MatchProblem
 from dcreg.families.matches.surfaces import Surfaces
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
@@ -36,27 +36,29 @@ def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, 
     """
     poses = _agreed_poses(problem)
     order = np.argsort(-problem.scores(poses), kind="stable")
-    best = problem.most * problem.reach**2  # of choosing nothing
+    best = problem.max_cardinality * problem.inlier_threshold**2  # of choosing nothing
     ends: list[tuple[float, np.ndarray]] = []
     seen: list[np.ndarray] = []  # where descents began and ended
     for pose in poses[order]:
         if len(ends) == MAX_DESCENTS or (ends and budget.is_over):
             break
-        if not any(is_near(pose, other, problem.reach) for other in seen):
+        if not any(is_near(pose, other, problem.inlier_threshold) for other in seen):
             end, value = descend(problem, pose)
             ends.append((value, end))
             seen += [pose, end]
             if value < best:
                 best = value
                 budget.report_incumbent(value)
-    if best == problem.most * problem.reach**2:
+    if best == problem.max_cardinality * problem.inlier_threshold**2:
         first = problem.list.target[0] - problem.list.source[0]
         end, value = descend(problem, np.column_stack([np.eye(3), first]))
         ends.append((value, end))
     return sorted(ends, key=lambda end: end[0])
 
 
-def coinciding_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, np.ndarray]]:
+def surface_consistent_poses(
+    problem: MatchProblem, budget: Budget
+) -> list[tuple[float, np.ndarray]]:
     """Evidence for, and centred poses of, descents from distinct poses, the best first.
 
     The poses are those that matches agree on. The evidence is the score over the matches times that of
@@ -66,14 +68,14 @@ def coinciding_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float,
     poses = _agreed_poses(problem)
     if not len(poses):
         return [(0.0, promising_poses(problem, budget)[0][1])]
-    surfaces = Surfaces(problem.source - problem.centre, problem.target, problem.reach)
+    surfaces = Surfaces(problem.source - problem.centre, problem.target, problem.inlier_threshold)
     seen: list[np.ndarray] = []
     ends: list[np.ndarray] = []
     evidence = surfaces.scores(poses, quick=True) * problem.scores(poses)
     for pose in poses[np.argsort(-evidence, kind="stable")]:
         if len(ends) == MAX_DESCENTS or (ends and budget.is_over):
             break
-        if not any(is_near(pose, other, problem.reach) for other in seen):
+        if not any(is_near(pose, other, problem.inlier_threshold) for other in seen):
             ends.append(surfaces.descend(pose))
             seen += [pose, ends[-1]]
     found = np.array(ends)
@@ -88,11 +90,11 @@ def descend(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, flo
     least-squares pose alternate.
     """
     x, y = problem.list.source, problem.list.target
-    around = problem.residuals(centred) < (WIDE * problem.reach) ** 2
+    around = problem.residuals(centred) < (WIDE * problem.inlier_threshold) ** 2
     around_x, around_y = x[around], y[around]
     for _ in range(PULLING_STEPS):
         moved = around_x @ centred[:, :3].T + centred[:, 3]
-        square = ((moved - around_y) ** 2).sum(axis=1) / problem.reach**2
+        square = ((moved - around_y) ** 2).sum(axis=1) / problem.inlier_threshold**2
         near = square < 1.0
         if near.sum() < 3:
             break
@@ -101,7 +103,7 @@ def descend(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, flo
     value, chosen = problem.cost(centred)
 
     def fit(_: np.ndarray, chosen: np.ndarray) -> np.ndarray | None:
-        return None if len(chosen) < LEAST else fit_pose(x[chosen], y[chosen], (1.0, 1.0))[:3]
+        return None if len(chosen) < MIN_MATCHES else fit_pose(x[chosen], y[chosen], (1.0, 1.0))[:3]
 
     return alternate(centred, value, chosen, fit, problem.cost, MIN_GAIN, EXACT_STEPS)[:2]
 

@@ -16,7 +16,7 @@ from dcreg.families.matches.kernels.surfaces import (
     surface_pulls,
     surface_scores,
 )
-from dcreg.families.matches.problem import LEAST
+from dcreg.families.matches.problem import MIN_MATCHES
 from dcreg.problem.geometry import fit_pose
 
 NEIGHBOURS = 16  # of a point, the plane through which has its normal
@@ -75,7 +75,7 @@ class Surfaces:
             for _ in range(steps):
                 pose = np.ascontiguousarray(pose)
                 surface_pulls(points, normals, self._grid, reach, pose, columns, weights)
-                if (weights > 0.0).sum() < LEAST:
+                if (weights > 0.0).sum() < MIN_MATCHES:
                     return pose
                 near = weights > 0.0
                 x, y = points[near], self._grid.points[columns[near]]

@@ -1,0 +1,89 @@
+"""Warnings about a registration over matches, each with what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dcreg.families.matches.problem import MIN_MATCHES, MatchProblem
+
+RUNNER_UP_RATIO = (
+    0.8  # score of another pose, relative to the best one's, from which it is reported
+)
+_REMEDY = "Inspect both clouds, or give better matches"
+_FLAT = 1e-9  # extent across a line, relative to that along it, that is rounding
+
+
+def warnings_of(
+    problem: MatchProblem,
+    chosen: np.ndarray,
+    score: str,
+    evidence: list[float],
+    unproven: tuple[float, float] | None,
+) -> list[str]:
+    """Return the warnings, one line each.
+
+    Parameters
+    ----------
+    problem : MatchProblem
+    chosen : int array
+        The matches that the pose chooses.
+    score : {"correspondences", "surfaces"}
+    evidence : list of float
+        For the pose, then for distinct ones, best first: scores, or those of
+        `surface_consistent_poses`.
+    unproven : (float, float), optional
+        If bounds were requested and did not meet: the score of the pose, and the proven upper bound on
+        that of any pose.
+    """
+    best, other = [*evidence, 0.0][:2]
+    by_chance = _few(chosen) if score == "surfaces" else _chance(best, other)
+    lines = [_undetermined(problem, chosen), _runner_up(score, best, other) or by_chance]
+    if unproven is not None:
+        lines.append(
+            f"the search ended early: a pose with a score of up to {unproven[1]:.4g} is not ruled out, "
+            f"this one has {unproven[0]:.4g}. Give more time, or fewer matches, the likely ones"
+        )
+    return [line for line in lines if line is not None]
+
+
+def _undetermined(problem: MatchProblem, chosen: np.ndarray) -> str | None:
+    """Warn if several poses fit the chosen matches equally well."""
+    if len(chosen) >= MIN_MATCHES:
+        matched = problem.list.source[chosen]
+        spread = np.linalg.svd(matched - matched.mean(axis=0), compute_uv=False)
+        if spread[1] > _FLAT * spread[0]:
+            return None
+    return (
+        f"the source points of the {len(chosen)} chosen matches do not determine the pose; at least "
+        "three that are not collinear are needed. Check inlier_distance, in the unit of the clouds, and "
+        "the matches"
+    )
+
+
+def _runner_up(score: str, best: float, other: float) -> str | None:
+    """Warn if another pose is nearly as good."""
+    if other < RUNNER_UP_RATIO * best:
+        return None
+    share = f", {other / best:.0%} of this one" if best > 0.0 else ""
+    agrees = "agrees with the matches" + (" and the surfaces" if score == "surfaces" else "")
+    return (
+        f"another pose {agrees} nearly as well{share}: either may be right. {_REMEDY}, or several for "
+        "each point"
+    )
+
+
+def _chance(best: float, other: float) -> str | None:
+    """Warn if the pose is hardly better than the next one, which is right by chance only."""
+    if best - other >= MIN_MATCHES:
+        return None
+    return (
+        f"the pose agrees with the matches hardly better than others do (score {best:.3g}, next best "
+        f"{other:.3g}); any three matches can agree by chance. {_REMEDY}"
+    )
+
+
+def _few(chosen: np.ndarray) -> str | None:
+    """Warn if no more matches agree with the pose than often agree by chance."""
+    if len(chosen) >= 2 * MIN_MATCHES:
+        return None
+    return f"only {len(chosen)} matches agree with the pose, and that many often do by chance. {_REMEDY}"
