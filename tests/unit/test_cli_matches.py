@@ -90,7 +90,7 @@ def test_bad_matches_exit_2_and_name_the_file(call, content, words):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--inlier-distance", "-1"], "--inlier-distance: -1.0 is no distance; give a positive"),
+        (["--inlier-distance", "-1"], "--inlier-distance: -1.0 is not a positive number"),
         (["--inlier-distance", "wide"], "'wide' is not a number"),
         (["--time-limit", "0"], "--time-limit: 0.0"),
         (["--json", "absent/o.json"], "no folder 'absent'; create it first"),
