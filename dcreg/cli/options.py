@@ -266,13 +266,15 @@ class MatchSearch:
         str,
         typer.Option(
             metavar="NAME",
-            help="What the pose optimises: 'correspondences', the cost of the matches; or 'surfaces', the "
-            "overlap of dense scans near the poses that the matches suggest, without bounds.",
+            help="What the pose optimises: 'correspondences', the cost of the matches; or 'surfaces', "
+            "the overlap of dense scans near the poses that the matches suggest, without bounds.",
         ),
     ] = SCORES[0]
     certify: Annotated[
         bool | None,
-        typer.Option(help="Prove bounds by branch and bound. Default: only with --score correspondences."),
+        typer.Option(
+            help="Prove bounds by branch and bound. Default: only with --score correspondences."
+        ),
     ] = None
     gap_tol: Annotated[
         float | None,
