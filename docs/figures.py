@@ -1,7 +1,7 @@
-"""The pictures and the table of the README, from one real run: ``python -m docs.figures``.
+"""Make the figures and the table of the README from one run: ``python -m docs.figures``.
 
-An embedded shape is disturbed as in the benchmark and registered with several bounds. Written to
-`docs/images`: the clouds before and after, the bounds against time (each for light and dark pages), and
+The run disturbs an embedded shape as in the benchmark and registers it with several bounds. It writes to
+`docs/images`: the clouds before and after, the bounds against time (both for light and dark pages), and
 the table of the runs, which the README repeats.
 """
 
@@ -51,14 +51,14 @@ THEMES = {
 
 
 def instance(n_points: int, level: float):
-    """The embedded fish with outliers all over both sets, and a random pose."""
+    """Return the embedded fish with mixed outliers and a random pose."""
     return make_instance(
         dataset("embedded"), "fish", "mixed_outliers", level, trial=0, n_points=n_points
     )
 
 
 def solve(problem, time_limit: float) -> dict[str, dcreg.Result]:
-    """One result per bound; all close to a third of the residual that is tolerated by default."""
+    """Solve with each bound, to a third of the residual that the default tolerance allows."""
     count = len(problem.pairs)
     gap_tol = dcreg.default_gap_tol(problem.source, problem.target, count, factor=0.01)
     results = {
@@ -74,12 +74,12 @@ def solve(problem, time_limit: float) -> dict[str, dcreg.Result]:
         for bound in ("tight", "dc")
     }
     posed = dcreg.Problem(problem.source, problem.target, count, "similarity2d")
-    rival = registry.load("rpm_htb")
-    return results | {"termwise": rival.result(posed, gap_tol, Limits(time_limit))}
+    rpm_htb = registry.load("rpm_htb")
+    return results | {"termwise": rpm_htb.result(posed, gap_tol, Limits(time_limit))}
 
 
 def table(results: dict[str, dcreg.Result]) -> str:
-    """Markdown, one row per bound."""
+    """Return a Markdown table with one row per bound."""
     lines = [
         "| bound | status | lower bound | upper bound | boxes | assignments | time |",
         "|---|---|---:|---:|---:|---:|---:|",
@@ -94,7 +94,7 @@ def table(results: dict[str, dcreg.Result]) -> str:
 
 
 def registration_figure(problem, result: dcreg.Result, theme: Theme) -> plt.Figure:
-    """Both clouds as given, and the source moved with its matched pairs."""
+    """Draw both clouds, and then the moved source with its matched pairs."""
     figure, (before, after) = plt.subplots(1, 2, figsize=(8.4, 3.4), layout="constrained")
     moved = transform(result.T_target_source, problem.source)
     for axes, source, title in ((before, problem.source, "before"), (after, moved, "after")):
@@ -113,9 +113,9 @@ def registration_figure(problem, result: dcreg.Result, theme: Theme) -> plt.Figu
 
 
 def bounds_figure(results: dict[str, dcreg.Result], theme: Theme) -> plt.Figure:
-    """Lower (solid) and upper (dashed) bound of every search against time.
+    """Draw the lower (solid) and upper (dashed) bound of each search against time.
 
-    A dot ends what was proven, a cross what met the time limit.
+    Dots mark certified optima, crosses mark time-outs.
     """
     figure, axes = plt.subplots(figsize=(8.4, 3.4), layout="constrained")
     for (bound, result), color in zip(results.items(), theme.bounds, strict=True):
@@ -139,7 +139,7 @@ def bounds_figure(results: dict[str, dcreg.Result], theme: Theme) -> plt.Figure:
 
 
 def write(folder: Path, n_points: int, level: float, time_limit: float) -> None:
-    """Solve, and write all pictures and the table to `folder`."""
+    """Solve, and write all figures and the table to `folder`."""
     problem = instance(n_points, level)
     results = solve(problem, time_limit)
     folder.mkdir(parents=True, exist_ok=True)
@@ -156,7 +156,7 @@ def write(folder: Path, n_points: int, level: float, time_limit: float) -> None:
 
 
 def show_in_readme(runs: Path, readme: Path) -> None:
-    """Replace the table of an earlier run."""
+    """Replace the table of an earlier run in the README."""
     new, text = runs.read_text(encoding="utf-8"), readme.read_text(encoding="utf-8")
     readme.write_text(
         re.sub(r"^\| bound \|(?:.*\n)+?(?=\n)", lambda _: new, text, flags=re.M), "utf-8"
