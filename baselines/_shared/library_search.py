@@ -1,22 +1,17 @@
-"""Methods that run the library's branch and bound with a part of their own.
-
-All use of the library's driver by such methods is in this module.
-"""
+"""Methods that run the library's branch and bound with their own bound."""
 
 from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from baselines._shared.single_boxes import bound_of_box, box_space
 from baselines.contract import Baseline, Instance, Limits, Solution, tiny
-from dcreg.driver import normalised, options
+from dcreg.driver import options
 from dcreg.driver.modes import Mode, find_mode
-from dcreg.driver.normalised import NormalisedProblem
-from dcreg.driver.options import SolveOptions
 from dcreg.driver.solve import register_problem
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.problem import Problem, default_gap_tol
@@ -34,23 +29,35 @@ class LibraryMethod(Baseline):
         )
 
 
-class OwnMode(LibraryMethod):
-    """A method with a search mode of its own; problem, normalisation and polish are the library's.
+class OwnBound(LibraryMethod):
+    """A method that differs from mode `paper` of the library in the bound.
+
+    Normalisation, start box, first incumbent, branching, tolerance and polish are those of DC-Reg.
 
     Attributes
     ----------
     own_bound : str
         Name of the bound in results.
-    bounds_norms : bool
-        Whether the bounds of the 3D search refer to point norms, not to a rigid pose.
+    bounds : tuple of str
+        Names of its bounds, values of the option `bound`; comparisons show each of them. Empty for a
+        method with one bound.
     """
 
     own_bound: str
-    bounds_norms = False
+    bounds: tuple[str, ...] = ()
 
     @abc.abstractmethod
-    def run(self, problem: NormalisedProblem) -> normalised.Solution:
-        """Solve the normalised problem."""
+    def make_bound(
+        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> Bound:
+        """Return the method's bound over the boxes that bisection makes of `roots`."""
+
+    def mode(self, model: str) -> Mode:
+        """Return mode `paper` with the bound of the method."""
+        return replace(
+            find_mode(model, "paper"), name=self.card.display_name, make_bound=self.make_bound,
+            own_bound=self.own_bound, certifies="",
+        )  # fmt: skip
 
     def warm_up(self, instance: Instance) -> None:
         self.solve(tiny(instance), Limits(time_s=30.0, nodes=100))
@@ -63,50 +70,13 @@ class OwnMode(LibraryMethod):
         return solution_of(self.result(problem, self.gap_tol(instance), limits))
 
     def result(self, problem: Problem, gap_tol: float, limits: Limits) -> Result:
-        """Return what `dcreg.register` would return if this were a mode of the library."""
-        mode = MethodMode(
-            self.card.display_name, problem.model, self.card.summary, own_bound=self.own_bound,
-            in_norm_space=self.bounds_norms and problem.dim == 3, method=self,
-        )  # fmt: skip
-        settings = options.Limits(gap_tol, None, limits.time_s, limits.nodes, limits.memory_mb)
-        how = SolveOptions(threads=limits.threads, polish=self.options["polish"])
-        return register_problem(problem, settings, how, mode)
-
-
-@dataclass(frozen=True)
-class MethodMode(Mode):
-    """The mode of a method, which runs in place of the library's search."""
-
-    method: OwnMode | None = None
-
-    def run(self, problem: NormalisedProblem) -> normalised.Solution:
-        assert self.method is not None
-        return self.method.run(problem)
-
-
-class OwnBound(OwnMode):
-    """A method that differs from mode `paper` of the library in the bound.
-
-    Start box, first incumbent, descents, branching, tolerance and polish are those of DC-Reg.
-
-    Attributes
-    ----------
-    bounds : tuple of str
-        Names of its bounds, values of the option `bound`; comparisons show each of them. Empty for a
-        method with one bound.
-    """
-
-    bounds: tuple[str, ...] = ()
-
-    @abc.abstractmethod
-    def make_bound(
-        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
-    ) -> Bound:
-        """Return the method's bound over the boxes that bisection makes of `roots`."""
-
-    def run(self, problem: NormalisedProblem) -> normalised.Solution:
-        model = "similarity2d" if problem.dim == 2 else "rigid3d"
-        return replace(find_mode(model, "paper"), make_bound=self.make_bound).run(problem)
+        """Return what `dcreg.register` would return if the method were a mode of the library."""
+        return register_problem(
+            problem,
+            options.Limits(gap_tol, None, limits.time_s, limits.nodes, limits.memory_mb),
+            options.SolveOptions(threads=limits.threads, polish=self.options["polish"]),
+            self.mode(problem.model),
+        )
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
         """Return the bound over one box; see `baselines.contract.BoxBounding`."""

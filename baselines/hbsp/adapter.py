@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -11,9 +12,10 @@ from baselines._shared.library_search import OwnBound
 from baselines.contract import Instance
 from baselines.hbsp.rotation import SemidefiniteRotationBound
 from baselines.hbsp.similarity import SemidefiniteBound
-from dcreg.driver.modes import find_mode
+from dcreg.driver.modes import Mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.families.dc.space import FeatureSpace
+from dcreg.families.registry import make_bound
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Bound, Box, Budget, Outcome, minimise
 
@@ -21,7 +23,7 @@ SCOPE_3D = "rotation about the translation found in norm space"
 
 
 class Adapter(OwnBound):
-    """2D: branch and bound over theta. 3D: DC-Reg's translation, then HBSP's search of the rotation."""
+    """2D: branch and bound over theta. 3D: DC-Reg's translation search, then HBSP's rotation search."""
 
     own_bound = "hbsp"
 
@@ -30,25 +32,34 @@ class Adapter(OwnBound):
     ) -> Bound:
         return SemidefiniteBound(space, roots, threads)
 
-    def run(self, problem: NormalisedProblem) -> Solution:
-        return super().run(problem) if problem.dim == 2 else translate_and_rotate(problem)
+    def mode(self, model: str) -> Mode:
+        mode = super().mode(model)
+        if model == "similarity2d":
+            return mode
+        parts = vars(mode) | {
+            "make_bound": partial(make_bound, "tight"),
+            "rotation": search_rotation,
+            "in_norm_space": False,
+        }
+        return TranslateThenRotate(**parts)
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
-        """Over a box of theta in 2D; translations are not what this method bounds in 3D."""
+        """Return the bound over a box of theta in 2D; in 3D the method bounds no translations."""
         return super().box_bound(instance, lower, upper) if instance.dim == 2 else np.nan
 
 
-def translate_and_rotate(problem: NormalisedProblem) -> Solution:
-    """Search the translation in norm space by DC-Reg's tight bound, then the rotation by HBSP's."""
-    mode = replace(find_mode("rigid3d", "paper"), rotation=search_rotation)
-    solution = mode.run(replace(problem, bound="tight"))
-    rotation = solution.stages[-1]
-    assert rotation.lower_bound is not None
-    assert rotation.upper_bound is not None
-    return replace(
-        solution, lower_bound=rotation.lower_bound, upper_bound=rotation.upper_bound,
-        scope=SCOPE_3D, certified=None,
-    )  # fmt: skip
+class TranslateThenRotate(Mode):
+    """Mode `paper` in 3D with another rotation search, which provides the bounds of the solution."""
+
+    def run(self, problem: NormalisedProblem) -> Solution:
+        solution = super().run(problem)
+        rotation = solution.stages[-1]
+        assert rotation.lower_bound is not None
+        assert rotation.upper_bound is not None
+        return replace(
+            solution, lower_bound=rotation.lower_bound, upper_bound=rotation.upper_bound,
+            scope=SCOPE_3D, certified=None,
+        )  # fmt: skip
 
 
 def search_rotation(problem: NormalisedProblem, shifted: np.ndarray, budget: Budget) -> Outcome:

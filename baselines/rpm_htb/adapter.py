@@ -26,7 +26,6 @@ class Adapter(OwnBound):
     """Search, box, tolerance, assignment and polish of DC-Reg in mode `paper`; only the bound differs."""
 
     bounds = tuple(BOUNDS)
-    bounds_norms = True
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)

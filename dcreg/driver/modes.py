@@ -118,6 +118,7 @@ class Mode:
     def _is_matrix_free(self, problem: Problem, bound: str | None) -> bool:
         return (
             self.in_norm_space
+            and self.make_bound is None
             and problem.candidates is None
             and MATRIX_FREE_BOUNDS.issuperset(bound_parts(bound or self.own_bound))
         )

@@ -96,6 +96,7 @@ class Setup:
         began = time.perf_counter()
         bound, certificate = options.bound, options.certificate
         name = None if options.mode == AUTO else options.mode
+        name = name if mode is None else mode.name  # a mode of its own searches all points
         searched = to_search(problems, options.downsample, name, bound, certificate)
         largest = searched[-1]
         chosen = mode or find_mode(largest.model, name or choose_mode(largest, bound, certificate))

@@ -15,7 +15,7 @@ from baselines.hbsp.rotation import SemidefiniteRotationBound
 from dcreg.assignment.polish import objective
 from dcreg.driver import modes as table
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.problem import InputError
+from dcreg.problem import InputError, Problem
 from dcreg.search import LongestEdge
 from workflows import config
 
@@ -87,11 +87,23 @@ def test_a_solution_tells_the_mode_and_bound_that_ran(name, dim, bound):
     assert solution.message == bound
 
 
-@pytest.mark.parametrize("name", ["dcreg", "rpm_htb", "rpm_bp", "hbsp"])
-def test_clouds_too_large_for_a_cost_matrix_are_refused(name, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "dim"),
+    [("dcreg", 2), ("rpm_htb", 2), ("rpm_htb", 3), ("rpm_bp", 2), ("hbsp", 2), ("hbsp", 3)],
+)
+def test_clouds_too_large_for_a_cost_matrix_are_refused(name, dim, monkeypatch):
     monkeypatch.setattr(table, "MAX_PAIRS", 60)
     with pytest.raises(InputError, match="8 x 8 pairs exceed 60"):
-        registry.load(name).solve(instance(2), Limits(10.0))
+        registry.load(name).solve(instance(dim), Limits(10.0))
+
+
+def test_a_method_with_its_own_bound_searches_all_points(monkeypatch):
+    monkeypatch.setattr(table, "LARGE_PAIRS", {2: 60, 3: 60})
+    monkeypatch.setattr(table, "LARGE_SAMPLE", {2: 4, 3: 4})
+    points = instance(2).source
+    problem = Problem(points, points + 0.1, 6, "similarity2d", (0.5, 1.5))
+    result = registry.load("rpm_htb").result(problem, 0.1, Limits(10.0, nodes=20))
+    assert result.downsampled is None
 
 
 def test_hbsp_bounds_rotations_alike_with_any_threads(rng):
