@@ -1,9 +1,9 @@
-"""What a search asks of a lower bounding function: the part that the paper's comparison exchanges."""
+"""Boxes of parameters: bounds over them, the open ones, the leaves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class Box:
         return 0.5 * (self.upper - self.lower)
 
     def vertices(self) -> np.ndarray:
-        """(2**d, d) corners, repeated where an axis has zero width."""
+        """Return the (2**d, d) vertices, repeated if an axis has zero width."""
         choices = np.stack([self.lower, self.upper])
         bits = (np.arange(2**self.dim)[:, None] >> np.arange(self.dim)) & 1
         return choices[bits, np.arange(self.dim)]
@@ -44,9 +44,9 @@ class Box:
 
 
 class LongestEdge:
-    """Bisect the edge that is longest after weighting each axis by the residual it causes.
+    """Bisect the longest edge, with axes weighted by the residual that they cause.
 
-    `weights` make axes comparable: a unit step of a rotation entry moves the source by about its RMS
+    The weights make axes comparable: a unit step of a rotation entry moves the source by about its RMS
     radius, a unit step of a translation by one.
     """
 
@@ -54,33 +54,33 @@ class LongestEdge:
         self.weights = np.asarray(weights, dtype=np.float64)
 
     def __call__(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(2 B, d) children of B boxes; the two halves of a box lie next to each other."""
+        """Return the (2 B, d) children of B boxes; the halves of a box are adjacent."""
         axis = np.argmax((upper - lower) * self.weights, axis=1)
         rows = np.arange(len(lower))
-        middle = 0.5 * (lower[rows, axis] + upper[rows, axis])
+        centre = 0.5 * (lower[rows, axis] + upper[rows, axis])
         child_lower = np.repeat(lower, 2, axis=0)
         child_upper = np.repeat(upper, 2, axis=0)
-        child_upper[2 * rows, axis] = middle
-        child_lower[2 * rows + 1, axis] = middle
+        child_upper[2 * rows, axis] = centre
+        child_lower[2 * rows + 1, axis] = centre
         return child_lower, child_upper
 
 
 @dataclass
 class Evaluation:
-    """What a bound says of B boxes.
+    """Bounds of B boxes, and a candidate parameter in each.
 
     Attributes
     ----------
     lower_bounds : (B,) array
-        Valid for every admissible theta of the box, or at least for every global optimum in it, which is
-        all that a search needs; +inf when the box holds no admissible theta.
+        Valid for every admissible theta of the box, or at least for every global optimum in it, which
+        suffices for a search; +inf if the box contains no admissible theta.
     thetas : (B, d) array
-        One parameter per box worth knowing, admissible or not.
+        One candidate per box, admissible or not.
     values : (B,) array
-        Upper bounds on the objective at `thetas`; +inf where theta is not admissible.
+        Upper bounds on the objective at `thetas`; +inf if theta is not admissible.
     warm_start : (B, h) array, optional
-        What the bound is given again with the boxes made from these: a start for its work on them. The
-        validity of a bound does not depend on it.
+        Data from which the bound starts on the children of these boxes. The validity of a bound does not
+        depend on it.
     """
 
     lower_bounds: np.ndarray
@@ -94,17 +94,17 @@ class Bound(Protocol):
 
     @property
     def roots(self) -> list[Box]:
-        """Together they hold the region searched."""
+        """Boxes that together cover the search region."""
         ...
 
     @property
     def round_size(self) -> int:
-        """Boxes bounded between two readings of the clock, at most."""
+        """Maximum number of boxes bounded between two readings of the clock."""
         ...
 
     @property
     def n_assignments(self) -> int:
-        """Exact assignments solved so far."""
+        """Number of exact assignments solved so far."""
         ...
 
     def evaluate(
@@ -120,16 +120,30 @@ class Bound(Protocol):
         ----------
         lower, upper : (B, d) arrays
         cutoff : float or None
-            A bound may stop early once it exceeds the cutoff, or once the cutoff is out of reach, because
-            the box is then divided in any case. None: no early stop; every bound is at full strength.
+            A bound may stop early when it exceeds the cutoff, or when the cutoff is out of reach, because
+            the box is then divided in any case. None: no early stop.
         warm_start : (B, h) array, optional
-            `Evaluation.warm_start` of the boxes that these were made from.
+            `Evaluation.warm_start` of the parents of these boxes.
         """
         ...
 
 
+class Boxes(NamedTuple):
+    """B boxes with their lower bounds and warm starts."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    bounds: np.ndarray
+    warm_start: np.ndarray | None = None
+
+    def where(self, chosen: np.ndarray) -> Boxes:
+        """Return some of the boxes."""
+        warm_start = None if self.warm_start is None else self.warm_start[chosen]
+        return Boxes(self.lower[chosen], self.upper[chosen], self.bounds[chosen], warm_start)
+
+
 class OpenNodes:
-    """Open boxes, best lower bound first; among equals the larger box, then the older."""
+    """Priority queue of open boxes: lowest bound first, then the larger box, then the older one."""
 
     def __init__(self, dim: int, capacity: int = 64) -> None:
         self._lower, self._upper = np.empty((capacity, dim)), np.empty((capacity, dim))
@@ -146,7 +160,7 @@ class OpenNodes:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the boxes held."""
+        """Memory of the open boxes."""
         extra = self._warm_starts.itemsize * self._warm_starts.shape[1]
         return self._length * (16 * self._lower.shape[1] + 40 + extra)
 
@@ -161,7 +175,7 @@ class OpenNodes:
         bounds: np.ndarray,
         warm_start: np.ndarray | None = None,
     ) -> None:
-        """Add boxes; with warm starts, all boxes of a search or none of them."""
+        """Add boxes; either all boxes of a search have warm starts or none has."""
         count = len(bounds)
         if (
             warm_start is not None
@@ -182,10 +196,8 @@ class OpenNodes:
             self._heap, self._length, slots, self._bounds, self._sizes, self._serials
         )
 
-    def pop(
-        self, count: int, cutoff: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Up to `count` best boxes whose bound lies below `cutoff`: vertices, bounds, warm starts."""
+    def pop(self, count: int, cutoff: float) -> Boxes:
+        """Remove and return up to `count` best boxes with bounds below `cutoff`."""
         slots = np.empty(count, np.int64)
         taken = heap.pop(
             self._heap, self._length, cutoff, self._bounds, self._sizes, self._serials, slots
@@ -194,7 +206,7 @@ class OpenNodes:
         self._length -= taken
         self._free[self._length : self._length + taken] = slots
         warm_start = self._warm_starts[slots] if self._warm_starts.shape[1] else None
-        return self._lower[slots], self._upper[slots], self._bounds[slots], warm_start
+        return Boxes(self._lower[slots], self._upper[slots], self._bounds[slots], warm_start)
 
     def _double(self) -> None:
         capacity = len(self._heap)
@@ -205,14 +217,14 @@ class OpenNodes:
         self._free[capacity:] = np.arange(capacity, 2 * capacity)
 
 
-PRUNED, EMPTY, OPEN = 0, 1, 2  # why a leaf was not divided further
+PRUNED, EMPTY, OPEN = 0, 1, 2  # reasons why a leaf was not divided
 
 
 class Leaves:
-    """The undivided boxes at the end of a search: together they cover the roots exactly.
+    """The undivided boxes at the end of a search; together they cover the roots exactly.
 
     ``reason`` is PRUNED (bound at least upper_bound - gap_tol), EMPTY (no admissible parameter) or
-    OPEN (a limit came first).
+    OPEN (a limit was hit first).
     """
 
     def __init__(self) -> None:
@@ -225,6 +237,6 @@ class Leaves:
         self._parts.append((lower.copy(), upper.copy(), bounds.copy(), reason.astype(np.int8)))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """``lower`` (L, d), ``upper`` (L, d), ``bounds`` (L,) and ``reason`` (L,)."""
+        """Return ``lower`` (L, d), ``upper`` (L, d), ``bounds`` (L,) and ``reason`` (L,)."""
         names = ("lower", "upper", "bounds", "reason")
         return dict(zip(names, map(np.concatenate, zip(*self._parts, strict=True)), strict=True))

@@ -1,9 +1,9 @@
-"""Best-first branch and bound: Algorithm 1 of the DC-Reg paper, in rounds. Knows no geometry.
+"""Best-first branch and bound: Algorithm 1 of the DC-Reg paper, in rounds, without geometry.
 
-A bound maps boxes to lower bounds and offers parameters whose objective is known. Each round takes
-the best open boxes, divides them, bounds the children and prunes those that cannot improve the
-incumbent by more than ``gap_tol``. A round's size is fixed by the problem and its boxes are
-independent, so the result does not depend on how many threads evaluate them.
+A bound maps boxes to lower bounds and offers candidate parameters with their objective. Each round
+divides the best open boxes, bounds the children and prunes those that cannot improve the incumbent by
+more than ``gap_tol``. The problem fixes the size of a round, and its boxes are independent. The result
+therefore does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from dcreg.search.boxes import Bound, Evaluation, Leaves, LongestEdge, OpenNodes
+from dcreg.search.boxes import Bound, Boxes, Evaluation, Leaves, LongestEdge, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted
 from dcreg.status import Status
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The best parameter found, with bounds that hold whatever the status.
+    """The best parameter found, with bounds that hold for every status.
 
     Attributes
     ----------
@@ -30,10 +30,10 @@ class Outcome:
     lower_bound, upper_bound : float
         ``lower_bound <= minimum <= upper_bound``; the latter is the objective at `theta`.
     n_nodes, n_assignments : int
-        Boxes bounded, exact assignments solved (descents included).
+        Boxes bounded, and exact assignments solved, those of descents included.
     time_s : float
     events : list of Event
-        One per change of a bound, and a closing one.
+        One for each change of a bound, and one at the end.
     leaves : Leaves, optional
         The undivided boxes, if they were kept.
     """
@@ -49,15 +49,15 @@ class Outcome:
     leaves: Leaves | None = None
 
 
-# A descent starts where the round's best value is no worse than the last start's times this factor per
-# round since: often while the search finds better and better places, seldom when it only closes the gap.
+# A descent starts if the round's best value is at most that at the last descent's start, times this
+# factor for every round since. Descents are frequent while the search improves and rare afterwards.
 REFINING_PATIENCE = 1.01
 
-MIN_ROUND = 16  # boxes a round divides at least, if the search allows as many
+MIN_ROUND = 16  # minimum number of boxes divided in a round, if the bound allows it
 
 
 class Start(NamedTuple):
-    """A known parameter with its objective, and what it took to find it."""
+    """A known parameter with its objective, and the work spent on finding it."""
 
     theta: np.ndarray
     value: float = np.inf
@@ -86,19 +86,19 @@ def branch_and_bound(
     Parameters
     ----------
     bound : Bound
-        The function is known through it alone, and must be non-negative. ``bound.roots`` are searched,
-        a round dividing at most ``bound.round_size`` boxes: a share of those there are, so that while few
-        are open the next ones are chosen with care.
+        The function enters only through its bound and must be non-negative. ``bound.roots`` are
+        searched. A round divides a share of the open boxes, at most ``bound.round_size``, so that boxes
+        are chosen carefully while few are open.
     budget : Budget
-        Its listener is told of every round; what is left of it ends the search.
+        Its listener receives an event for every round; the search ends when the budget is spent.
     branching : callable
-        Divides every box into equally many, those of a box next to each other.
+        Divides every box into the same number of children, adjacent in the output.
     gap_tol : float
         Stop when ``upper_bound - lower_bound <= gap_tol`` (the paper's epsilon).
     refine : callable, optional
-        Local descent, tried from the most promising parameter of each round.
+        Local descent from the best candidate of a round.
     start : Start or (theta, value), optional
-        A known admissible parameter and its objective: the first incumbent.
+        The first incumbent: an admissible parameter and its objective.
     stage : str
         Name of this search in its events.
     keep_leaves : bool
@@ -107,32 +107,34 @@ def branch_and_bound(
     Returns
     -------
     Outcome
-        ``lower_bound <= min <= upper_bound`` whatever the status.
+        ``lower_bound <= minimum <= upper_bound`` for every status.
     """
     began = budget.elapsed()
     first = Start(bound.roots[0].centre) if start is None else Start(*start)
     search = _Search(bound, budget, gap_tol, stage, Leaves() if keep_leaves else None, first)
-    lower = np.array([box.lower for box in bound.roots])
-    upper = np.array([box.upper for box in bound.roots])
-    inherited = np.zeros(len(lower))  # the objective is a sum of squares
-    warm_start: np.ndarray | None = None
+    boxes = search.roots()
     while search.status is None:
         try:
-            found = bound.evaluate(lower, upper, search.cutoff, warm_start)
+            found = bound.evaluate(boxes.lower, boxes.upper, search.cutoff, boxes.warm_start)
         except Interrupted:
-            search.put_back(lower, upper, inherited, warm_start)
+            search.put_back(boxes)
             break
-        bounds = np.maximum(_settled(found.lower_bounds, gap_tol), inherited)
-        search.update(found, refine)
-        search.prune(lower, upper, bounds, found.warm_start)
+        search.update_incumbent(found, refine)
+        search.prune(boxes, found)
         search.terminate()
         if search.status is None:
-            lower, upper, inherited, kept = search.select()
-            lower, upper = branching(lower, upper)
-            parts = len(lower) // len(inherited)
-            inherited = np.repeat(inherited, parts)
-            warm_start = None if kept is None else np.repeat(kept, parts, axis=0)
+            boxes = _divide(search.select(), branching)
     return search.outcome(first.time_s + budget.elapsed() - began)
+
+
+def _divide(parents: Boxes, branching: Branching) -> Boxes:
+    """Return the children; they inherit bounds and warm starts."""
+    lower, upper = branching(parents.lower, parents.upper)
+    parts = len(lower) // len(parents.lower)
+    warm_start = parents.warm_start
+    if warm_start is not None:
+        warm_start = np.repeat(warm_start, parts, axis=0)
+    return Boxes(lower, upper, np.repeat(parents.bounds, parts), warm_start)
 
 
 class _Search:
@@ -151,7 +153,7 @@ class _Search:
         self.stage, self.leaves = stage, leaves
         self.theta, self.upper_bound = start.theta, start.value
         self.nodes = OpenNodes(bound.roots[0].dim)
-        self.pruned_bound = np.inf  # least bound among pruned boxes: part of the certificate
+        self.pruned_bound = np.inf  # minimum over the pruned boxes: part of the certificate
         self.n_nodes, self.n_refining = 0, start.n_assignments
         self.worth_refining = np.inf
         self.is_over = False
@@ -160,15 +162,21 @@ class _Search:
 
     @property
     def cutoff(self) -> float:
-        """Boxes whose bound reaches this cannot improve the incumbent by more than the tolerance."""
+        """Boxes with this bound or more cannot improve the incumbent by more than the tolerance."""
         return self.upper_bound - self.gap_tol
 
     @property
     def lower_bound(self) -> float:
         return min(self.nodes.lower_bound, self.pruned_bound, self.upper_bound)
 
-    def update(self, found: Evaluation, refine: Refine | None) -> None:
-        """Take the round's best parameter for the incumbent, if it is one, and descend from it."""
+    def roots(self) -> Boxes:
+        """Return the root boxes; the objective is a sum of squares, so 0 is a lower bound."""
+        lower = np.array([box.lower for box in self.bound.roots])
+        upper = np.array([box.upper for box in self.bound.roots])
+        return Boxes(lower, upper, np.zeros(len(lower)))
+
+    def update_incumbent(self, found: Evaluation, refine: Refine | None) -> None:
+        """Update the incumbent by the round's best candidate and a descent from it."""
         best = int(np.argmin(_settled(found.values, self.gap_tol)))
         value = float(found.values[best])
         self._take(found.thetas[best], value)
@@ -188,38 +196,26 @@ class _Search:
         if value < self.upper_bound:
             self.theta, self.upper_bound = theta.copy(), value
 
-    def prune(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        bounds: np.ndarray,
-        warm_start: np.ndarray | None,
-    ) -> None:
-        """Keep the boxes that may still hold something better."""
+    def prune(self, boxes: Boxes, found: Evaluation) -> None:
+        """Keep the boxes that may contain a better parameter; no bound is below that of the parent."""
+        bounds = np.maximum(_settled(found.lower_bounds, self.gap_tol), boxes.bounds)
+        boxes = Boxes(boxes.lower, boxes.upper, bounds, found.warm_start)
         self.n_nodes += len(bounds)
         keep = bounds < self.cutoff
         if not keep.all():
             self.pruned_bound = min(self.pruned_bound, float(bounds[~keep].min()))
             if self.leaves is not None:
-                self.leaves.add(lower[~keep], upper[~keep], bounds[~keep])
-        self.nodes.push(
-            lower[keep], upper[keep], bounds[keep], None if warm_start is None else warm_start[keep]
-        )
+                self.leaves.add(*boxes.where(~keep)[:3])
+        self.nodes.push(*boxes.where(keep))
 
-    def put_back(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        bounds: np.ndarray,
-        warm_start: np.ndarray | None = None,
-    ) -> None:
-        """End with boxes open that there was no time to bound."""
-        self.nodes.push(lower, upper, bounds, warm_start)
+    def put_back(self, boxes: Boxes) -> None:
+        """End the search with boxes that could not be bounded in time."""
+        self.nodes.push(*boxes)
         self.is_over = True
         self.terminate()
 
     def terminate(self) -> None:
-        """Set the status if the search has come to an end, and tell of the round."""
+        """Set the status if the search is over, and report the round."""
         budget = self.budget
         if self.lower_bound >= self.cutoff:
             self.status = Status.OPTIMAL
@@ -234,8 +230,8 @@ class _Search:
             self.status = Status.STOPPED
             self._report("end")
 
-    def select(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """The best open boxes, to be divided next, with their bounds and warm_start."""
+    def select(self) -> Boxes:
+        """Return the best open boxes, which are divided next."""
         count = min(self.bound.round_size, max(MIN_ROUND, len(self.nodes) // 4))
         return self.nodes.pop(count, self.cutoff)
 
@@ -270,17 +266,17 @@ class _Search:
             self.status.value if self.status is not None else "",
         )
         if kind == "bound" and self.events and _same_bounds(self.events[-1], event):
-            event = replace(event, kind="heartbeat")  # told to the listener, not kept
+            event = replace(event, kind="heartbeat")  # passed to the listener, not kept
         else:
             self.events.append(event)
-        self.budget.tell(event)
+        self.budget.report(event)
 
 
 def _settled(values: np.ndarray, gap_tol: float) -> np.ndarray:
-    """The values lowered to a grid far below the tolerance.
+    """Return the values lowered to a grid much finer than the tolerance.
 
     Boxes that share a vertex often have equal bounds up to rounding. On the grid they are equal, so that
-    the order of the search, and with it all counters, does not hang on the last bits of a machine.
+    the order of the search, and with it every counter, does not depend on the last bits of a machine.
     """
     step = 1e-6 * gap_tol
     return step * (np.round(values / step) - 1.0) if step > 0.0 else values
@@ -291,16 +287,16 @@ def _same_bounds(a: Event, b: Event) -> bool:
 
 
 class Searchable(Protocol):
-    """What a search asks of a parameter space."""
+    """What a search needs from a parameter space."""
 
     axis_weights: np.ndarray
 
     def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
-        """A first incumbent: theta, objective, assignments spent. None below `enough` is sought."""
+        """Return a first incumbent: theta, objective, assignments spent; `enough` is good enough."""
         ...
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Descent from `theta`: a better theta, its objective, assignments spent."""
+        """Descend from `theta`: return a better theta, its objective, assignments spent."""
         ...
 
 
@@ -314,18 +310,18 @@ def minimise(
     stage: str = "search",
     keep_leaves: bool = False,
 ) -> Outcome:
-    """Least objective over the roots of `bound`, to within `gap_tol`.
+    """Minimise the objective of a space over the roots of `bound`, to within `gap_tol`.
 
     Parameters
     ----------
     space : Searchable
-        Gives the first incumbent, the descents, and the weights by which boxes are divided.
+        Provides the first incumbent, the descents, and the weights for dividing boxes.
     bound : Bound
     budget : Budget
     gap_tol : float
         Absolute, in the units of the objective.
     start : (theta, value), optional
-        A known parameter and its objective; default: what ``space.start`` finds.
+        A known parameter and its objective; default: the result of ``space.start``.
     stage : str
         Name of this search in its events.
     keep_leaves : bool

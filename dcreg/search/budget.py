@@ -1,4 +1,4 @@
-"""Independent slices of work, run by a few threads; kernels hold no lock, so they run side by side."""
+"""Limits of a solve, the clock that enforces them, and the events that report progress."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ class Event:
     Attributes
     ----------
     kind : {"bound", "heartbeat", "end"}
-        A bound moved; a regular report; the search is over.
+        A bound changed; a periodic report; the search is over.
     stage : str
-        The search that speaks (``search``, ``rotation``, ``k=40`` …).
+        The reporting search (``search``, ``rotation``, ``k=40`` …).
     time_s : float
-        Seconds since the solve began; one clock for all stages.
+        Seconds since the solve began, the same clock for all stages.
     n_nodes, n_assignments, n_open : int
-        Of this stage: boxes bounded, exact assignments, boxes still to be divided.
+        Of this stage: boxes bounded, exact assignments, open boxes.
     lower_bound, upper_bound : float
     status : str
-        How the search ended; empty before.
+        How the search ended; empty until then.
     """
 
     kind: str
@@ -50,7 +50,7 @@ class Event:
         return max(0.0, self.upper_bound - self.lower_bound)
 
     def scaled(self, factor: float) -> Event:
-        """The same moment with its bounds in other units."""
+        """Return the same event with its bounds in other units."""
         return replace(
             self, lower_bound=factor * self.lower_bound, upper_bound=factor * self.upper_bound
         )
@@ -58,7 +58,7 @@ class Event:
 
 @dataclass
 class Trace:
-    """Bound history of one run; iterating gives its events in order.
+    """Bound history of one run; iteration yields its events in order.
 
     Attributes
     ----------
@@ -74,11 +74,11 @@ class Trace:
         return len(self.events)
 
     def rows(self) -> list[dict[str, object]]:
-        """One dictionary of plain values per event, for tables and figures."""
+        """Return one dictionary of plain values per event, for tables and figures."""
         return [dict(vars(event)) for event in self.events]
 
     def write_jsonl(self, path: str | Path) -> None:
-        """One JSON object per line; the last one has kind ``end`` and the status.
+        """Write one JSON object per line; the last one has kind ``end`` and the status.
 
         An infinite bound becomes null.
         """
@@ -88,43 +88,43 @@ class Trace:
 # Called with every event; returning True asks the solve to stop (status "stopped").
 Listener = Callable[[Event], bool | None]
 
-_GLANCE_S = 0.05  # between two looks at the clock while a kernel runs
-_SILENCE_S = 0.25  # without an event, before the last one is told once more
-# What follows a limit: the objective of the pose that was found, exactly or else roughly.
+_GLANCE_S = 0.05  # interval at which the clock is read while a kernel runs
+_SILENCE_S = 0.25  # time without an event after which the last one is repeated
+# Time after a limit for the objective of the final pose: a share of the limit, and a constant.
 _CLOSING_SHARE, _CLOSING_S = 0.05, 0.2
 
 
 class Interrupted(Exception):  # noqa: N818 (no error: nobody outside sees it)
-    """A kernel was told to stop before its end. Raised and caught within the library."""
+    """A kernel was stopped before its end. Raised and caught within the library."""
 
 
 class Budget:
-    """Clock, boxes and memory of a solve, handed down from stage to stage.
+    """Limits on time, boxes and memory of a solve, handed down from stage to stage.
 
-    As a context it also keeps watch while kernels run, which look at no clock: at the limit it sets
-    `stop`, and where no event was told for a quarter of a second it tells the last one again, so that
-    a caller sees progress and can stop at any time. The listener is then called from another thread as
-    well, never twice at once.
+    As a context it runs a thread that watches the clock, because kernels do not: at the limit it sets
+    `stop`. It also repeats the last event after a quarter of a second of silence, so that a caller sees
+    progress and can stop at any time. The listener is then called from this thread as well, but never
+    concurrently.
 
     Parameters
     ----------
     time_s : float, optional
         Seconds from now on; None or inf: no limit.
     nodes : int, optional
-        Boxes bounded by every search.
+        Maximum number of boxes bounded by each search.
     memory_mb : float, optional
         Memory of the open boxes of a search.
     listener : callable, optional
-        Told of every event; what it returns decides about `stopped`.
+        Receives every event; returning True sets `stopped`.
 
     Attributes
     ----------
     stop : (1,) uint8 array
-        For kernels: set when the solve is over, wherever it stands. Only within the context.
+        Set when the solve is over; kernels then return at once. Only within the context.
     hard_stop : (1,) uint8 array
-        The same for what completes the result, which may take a little longer.
+        The same for the steps that complete the result, which may take slightly longer.
     history : list of Event
-        What all stages told, but for ticks.
+        Events of all stages except heartbeats.
     """
 
     def __init__(
@@ -138,19 +138,21 @@ class Budget:
         self.history: list[Event] = []
         self.stop, self.hard_stop = np.zeros(1, np.uint8), np.zeros(1, np.uint8)
         self._listener = listener
-        self._began = self._told = time.perf_counter()
+        self._began = self._reported_at = time.perf_counter()
         time_s = None if time_s == np.inf else time_s
         self._deadline = None if time_s is None else self._began + time_s
         closing_s = _CLOSING_S + _CLOSING_SHARE * (time_s or 0.0)
         self._closing = None if self._deadline is None else self._deadline + closing_s
-        self._root = self  # of all parts: the one that knows whether the caller asked to stop
+        self._root = (
+            self  # the budget that all parts derive from; it knows if the caller asked to stop
+        )
         self._stopped = False
         self._stage = "start"
         self._event = Event("heartbeat", "start", 0.0, 0, 0, 0, 0.0, np.inf)
         self._lock = threading.RLock()
         self._ended = threading.Event()
         self._watch: threading.Thread | None = None
-        self._stages: list[Budget] = []  # parts whose kernels are stopped too
+        self._stages: list[Budget] = []  # isolated parts, with stop flags of their own
         self._error: BaseException | None = None
 
     def __enter__(self) -> Self:
@@ -171,11 +173,11 @@ class Budget:
         while not self._ended.wait(_GLANCE_S):
             now = time.perf_counter()
             try:
-                if now - self._told >= _SILENCE_S and over_s is None:
-                    self.tell(
+                if now - self._reported_at >= _SILENCE_S and over_s is None:
+                    self.report(
                         replace(self._event, kind="heartbeat", time_s=self.elapsed(), status="")
                     )
-            except BaseException as error:  # of the listener: raised where the solve was called
+            except BaseException as error:  # from the listener: raised again in the calling thread
                 self._error, self._stopped = error, True
             for stage in self._stages:
                 stage.stop[0] |= stage.is_over
@@ -189,33 +191,33 @@ class Budget:
         return self._closing is not None and now >= self._closing
 
     def elapsed(self) -> float:
-        """Seconds since the solve began; the same clock in all parts."""
+        """Return the seconds since the solve began; all parts share this clock."""
         return time.perf_counter() - self._began
 
     def left(self) -> float | None:
-        """Seconds left, never negative; None without a limit."""
+        """Return the seconds left, never negative; None without a limit."""
         if self._deadline is None:
             return None
         return max(0.0, self._deadline - time.perf_counter())
 
     @property
     def stopped(self) -> bool:
-        """Whether the listener asked to stop, in whatever part."""
+        """Whether the listener asked to stop, in any part."""
         return self._root._stopped
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing new should begin: the time is up, or the caller asked to stop."""
+        """Whether the time is up or the caller asked to stop, so that nothing new should begin."""
         late = self._deadline is not None and time.perf_counter() > self._deadline
         return late or self.stopped
 
     @property
     def ended_by(self) -> Status:
-        """How a search ends that this budget ended."""
+        """Status of a search that this budget ended."""
         return Status.STOPPED if self.stopped else Status.TIME_LIMIT
 
     def sub_budget(self, share: float) -> Budget:
-        """A budget for one stage: the same limits, but only this share of the time left."""
+        """Return a budget with the same limits but only this share of the remaining time."""
         part = object.__new__(Budget)
         part.__dict__.update(self.__dict__)
         left = self.left()
@@ -223,7 +225,7 @@ class Budget:
         return part
 
     def isolated_sub_budget(self, share: float) -> Budget:
-        """A part with a `stop` and a `hard_stop` of its own: its kernels take no time of the next stage."""
+        """Return a sub-budget with its own stop flags, so that it takes no time from the next stage."""
         part, now = self.sub_budget(share), time.perf_counter()
         if self._closing is not None:
             part._closing = now + share * max(0.0, self._closing - now)
@@ -232,23 +234,23 @@ class Budget:
         return part
 
     def named(self, stage: str) -> Budget:
-        """The same budget, with a name of its own for the incumbents reported under it."""
+        """Return the same budget with another stage name for reported incumbents."""
         part = self.sub_budget(1.0)
         part._stage = stage
         return part
 
     def report_incumbent(self, value: float) -> None:
-        """Tell of a better pose outside of a search; its objective bounds the optimum from above."""
-        self.tell(Event("bound", self._stage, self.elapsed(), 0, 0, 0, 0.0, value))
+        """Report the objective of a better pose found outside a search."""
+        self.report(Event("bound", self._stage, self.elapsed(), 0, 0, 0, 0.0, value))
 
-    def tell(self, event: Event) -> None:
-        """Pass an event on to the listener."""
+    def report(self, event: Event) -> None:
+        """Pass an event to the listener."""
         root = self._root
         with root._lock:
-            root._told, root._event = time.perf_counter(), event
+            root._reported_at, root._event = time.perf_counter(), event
             if event.kind != "heartbeat":
                 root.history.append(event)
             if self._listener is not None and self._listener(event):
                 root._stopped = True
                 for part in (root, *root._stages) if root._watch is not None else ():
-                    part.stop[0] = 1  # at once, not at the next glance
+                    part.stop[0] = 1  # at once, not at the next reading of the clock

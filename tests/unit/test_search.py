@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcreg.search import Box, Budget, Evaluation, Leaves, LongestEdge, branch_and_bound
+from dcreg.search import Box, Budget, Evaluation, LongestEdge, branch_and_bound
 from dcreg.search.boxes import OPEN
 from dcreg.status import Status
 
@@ -32,10 +32,10 @@ class Ripples:
         return Evaluation(values - self.lipschitz * radius, centres, values)
 
 
-def solve(round_size=16, leaves=None, **limits):
+def solve(round_size=16, keep_leaves=False, **limits):
     return branch_and_bound(
         Ripples(round_size), Budget(**limits), gap_tol=1e-2, branching=LongestEdge(np.ones(2)),
-        leaves=leaves,
+        keep_leaves=keep_leaves,
     )  # fmt: skip
 
 
@@ -126,9 +126,8 @@ def test_listener_stops_the_search_and_sees_its_end():
 
 @pytest.mark.parametrize("limits", [{}, {"nodes": 50}])
 def test_leaves_cover_the_root_exactly(limits):
-    leaves = Leaves()
-    found = solve(leaves=leaves, **limits)
-    parts = leaves.arrays()
+    found = solve(keep_leaves=True, **limits)
+    parts = found.leaves.arrays()
     assert (parts["upper"] - parts["lower"]).prod(axis=1).sum() == pytest.approx(4.0, abs=1e-12)
     assert found.lower_bound == min(parts["bounds"].min(), found.upper_bound)
     assert (OPEN in parts["reason"]) == bool(limits)

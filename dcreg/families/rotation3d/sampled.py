@@ -90,7 +90,7 @@ def search_sampled_rotation(
         status = budget.ended_by
     value, spent, now = matching.value, matching.n_assignments, budget.elapsed()
     lower = min(float(lower), value)
-    budget.tell(Event("end", "rotation", now, 0, spent, 0, lower, value, status.value))
+    budget.report(Event("end", "rotation", now, 0, spent, 0, lower, value, status.value))
     return Outcome(status, theta, lower, value, 0, spent, now - began)
 
 
