@@ -11,7 +11,6 @@ from dcreg.api import register, register_matches
 from dcreg.driver.modes import MODES, find_mode
 from dcreg.driver.options import SolveOptions
 from dcreg.driver.warm_up import warm_up_matches, warm_up_mode
-from dcreg.families.registry import bound_parts
 from dcreg.names import AUTO, SCORES, mode_names
 from dcreg.problem import InputError, suggestion
 from dcreg.status import Status
@@ -41,21 +40,15 @@ class Adapter(LibraryMethod):
 
     def _check_mode_and_bound(self) -> None:
         mode, bound = self.options["mode"], self.options["bound"]
-        known = {AUTO, *(name for model in self.card.models for name in mode_names(model))}
+        known = {AUTO, *(entry.name for entry in MODES)}
         if mode is not None and mode not in known:
             raise ValueError(f"option mode = {mode!r}{suggestion(str(mode), known)}")
-        if bound is None:
-            return
         try:
-            bound_parts(str(bound))
+            for entry in MODES:
+                if entry.name == mode or (mode in (None, AUTO) and entry.name == "paper"):
+                    entry.check_bound(None if bound is None else str(bound))
         except InputError as error:
             raise ValueError(f"option {error}") from error
-        chosen = [entry for entry in MODES if entry.name == mode]
-        if chosen and not any(entry.make_bound is None for entry in chosen):
-            raise ValueError(
-                f"option bound = {bound!r}, but mode {mode!r} has bounds of its own; leave one of "
-                "them out"
-            )
 
     def idle_options(self) -> dict[str, str]:
         if self.options["front_end"] is None:
@@ -76,13 +69,9 @@ class Adapter(LibraryMethod):
             warm_up_matches()
             return
         mode, bound = self.options["mode"], self.options["bound"]
-        names = (
-            {mode}
-            if mode not in (None, AUTO)
-            else set(mode_names(instance.model) if bound is None else ["paper"])
-        )
         for name in mode_names(instance.model):
-            if name in names:
+            chosen_by_library = mode in (None, AUTO) and (bound is None or name == "paper")
+            if chosen_by_library or name == mode:
                 warm_up_mode(find_mode(instance.model, name), bound)
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:

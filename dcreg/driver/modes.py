@@ -95,13 +95,7 @@ class Mode:
         ------
         InputError
         """
-        if bound is not None:
-            bound_parts(bound)  # refuses unknown names
-            if self.make_bound is not None:
-                raise InputError(
-                    f"bound: mode {self.name!r} has its own bounds and does not accept {bound!r}; leave "
-                    "the bound out, or choose mode 'paper'"
-                )
+        self.check_bound(bound)
         if certificate and not self.certifies:
             raise InputError(
                 f"certificate: mode {self.name!r} keeps no leaf boxes; use mode 'paper'"
@@ -114,6 +108,17 @@ class Mode:
                     f", or use mode 'paper' with bound {DEFAULT_BOUND!r} and without candidates"
                 )
             raise InputError(f"source, target: {n} x {m} pairs exceed {MAX_PAIRS:,}; {remedy}")
+
+    def check_bound(self, bound: str | None) -> None:
+        """Refuse an unknown bound, and any bound if the mode has its own."""
+        if bound is None:
+            return
+        bound_parts(bound)  # refuses unknown names
+        if self.make_bound is not None:
+            raise InputError(
+                f"bound: mode {self.name!r} has its own bounds and does not accept {bound!r}; leave "
+                "the bound out, or choose mode 'paper'"
+            )
 
     def _is_matrix_free(self, problem: Problem, bound: str | None) -> bool:
         return (

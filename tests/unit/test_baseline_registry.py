@@ -55,7 +55,7 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("dcreg", {"bound": "tihgt"}, r"bound: 'tihgt' is unknown; did you mean 'tight'\?"),
         ("dcreg", {"bound": 3}, r"bound: '3' is unknown"),
         ("dcreg", {"mode": "quick"}, r"mode = 'quick'; known: auto, full, paper"),
-        ("dcreg", {"mode": "full", "bound": "dc"}, r"mode 'full' has bounds of its own"),
+        ("dcreg", {"mode": "full", "bound": "dc"}, r"mode 'full' has its own bounds"),
         ("rpm_htb", {"bound": "dc"}, r"known: termwise, termwise-r1"),
         (
             "rpm_htb",
