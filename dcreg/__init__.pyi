@@ -2,7 +2,7 @@
 
 from . import certificate, search
 from .api import register, register_matches, sweep
-from .assignment.polish import objective
+from .assignment.objective import objective
 from .certificate import Certificate, Report, verify
 from .diagnostics import advice
 from .driver.options import SolveOptions

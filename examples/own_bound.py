@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dcreg.assignment.k_assignment import k_assignment
+from dcreg.assignment.objective import k_assignment
 from dcreg.families.protocol import SpaceBound
 from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.space import Similarity2D

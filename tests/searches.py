@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from dcreg.assignment.k_assignment import pairs_of
+from dcreg.assignment.objective import pairs_of
 from dcreg.driver.modes import find_mode
 from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.rotation3d.bound import RotationBound

@@ -215,7 +215,7 @@ def _rms(residuals: np.ndarray) -> float:
 
 def _objective(case: Case, T: np.ndarray) -> float:
     import dcreg
-    from dcreg.assignment.sparse import is_large
+    from dcreg.assignment.objective import is_large
 
     if case.is_thinned or is_large(len(case.source), len(case.target)):
         return float("nan")  # of large clouds it takes seconds, for every run

@@ -27,8 +27,8 @@ import numpy as np
 from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.kernels.statistics import N_STATISTICS, concave, least_linear, statistics
 from baselines.contract import Instance, Solution
-from dcreg.assignment.k_assignment import pairs_of
-from dcreg.assignment.polish import polish
+from dcreg.assignment.descent import polish
+from dcreg.assignment.objective import pairs_of
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.problem.geometry import fit_pose

@@ -13,7 +13,7 @@ from baselines._shared.kernels.statistics import N_STATISTICS, least_linear
 from baselines.contract import Instance
 from baselines.rpm_cav.kernels import bound_simplex
 from baselines.rpm_cav.search import root_simplex
-from dcreg.assignment.polish import objective
+from dcreg.assignment.objective import objective
 from dcreg.search import Budget
 
 _ASCENTS = 30  # of the Lagrangian: one simplex must do for the whole box

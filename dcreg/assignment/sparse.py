@@ -46,11 +46,6 @@ class Matching:
     n_assignments: int
 
 
-def is_large(n: int, m: int) -> bool:
-    """Whether the pairs of n and m points are too many for a dense matrix."""
-    return n * m > DENSE_PAIRS
-
-
 def sparse_matching(
     points: np.ndarray,
     target: np.ndarray,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.assignment.sparse import is_large
+from dcreg.assignment.objective import is_large
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.families.registry import bound_parts, make_bound
 from dcreg.families.rigid3d.bound import RigidBound

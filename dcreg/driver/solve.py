@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dcreg.assignment.polish import is_greedy, objective, polish
-from dcreg.assignment.reuse import Matched, quick_objective
+from dcreg.assignment.descent import polish
+from dcreg.assignment.objective import Matched, is_greedy, objective, quick_objective
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, find_runner_up, warnings_for

@@ -28,7 +28,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dcreg.assignment.reuse import Matched
+from dcreg.assignment.objective import Matched
 from dcreg.driver.downsample import SEARCH_SHARE
 from dcreg.driver.modes import shifted_rotation
 from dcreg.driver.normalised import Solution

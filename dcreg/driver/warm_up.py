@@ -11,8 +11,9 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
-from dcreg.assignment.polish import objective, polish
-from dcreg.assignment.sparse import is_large, sparse_matching
+from dcreg.assignment.descent import polish
+from dcreg.assignment.objective import is_large, objective
+from dcreg.assignment.sparse import sparse_matching
 from dcreg.driver.modes import MODES, Mode
 from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.matches.bound import MatchBound

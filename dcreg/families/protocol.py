@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from dcreg.assignment.descent import alternate
 from dcreg.jit import NEVER
 from dcreg.search import Bound, Box, Budget, Evaluation, Interrupted
 
@@ -28,6 +29,8 @@ class Space(abc.ABC):
         Whether a parameter determines the pose; if not, a rotation search has to follow.
     n_descents : int
         Descents made for the first incumbent: enough for a good upper bound, cheap next to a search.
+    min_gain : float
+        Relative decrease of the objective below which a descent ends.
     stop_flag : (1,) uint8 array
         Kernels return at once when it is set, and `check` then raises; see `Budget.stop`.
     ends : sequence of (theta, value)
@@ -39,6 +42,7 @@ class Space(abc.ABC):
     scope: str
     fixes_rotation: bool = True
     n_descents: int
+    min_gain: float
     stop_flag: np.ndarray = NEVER
     ends: Sequence[tuple[np.ndarray, float]] = ()
 
@@ -71,14 +75,26 @@ class Space(abc.ABC):
         """
 
     @abc.abstractmethod
+    def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
+        """Return the best parameter for a matching, from the parameter `theta`."""
+
+    def normalised(self, theta: np.ndarray) -> np.ndarray:
+        """Return the parameter of the same pose that lies in a root."""
+        return theta
+
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Alternate matching and closed-form fit from `theta`.
+        """Alternate matching and fit from `theta`.
 
         Returns
         -------
         theta, value, n_assignments
             Of an admissible parameter.
         """
+        value, col_of = self.objective(theta)
+        theta, value, _, spent = alternate(
+            theta, value, col_of, self.fit_matching, self.objective, self.min_gain
+        )
+        return self.normalised(theta), value, spent + 1
 
     @abc.abstractmethod
     def pose(self, theta: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dcreg.assignment.k_assignment import k_assignment, pairs_of
 from dcreg.assignment.kernels import dense as kernels
 from dcreg.assignment.kernels.selection import (
     kth_smallest,
@@ -15,6 +14,7 @@ from dcreg.assignment.kernels.selection import (
     smallest_sum,
     sum_of_smallest,
 )
+from dcreg.assignment.objective import k_assignment, pairs_of
 from dcreg.jit import NEVER
 from tests.oracles import kernels as reference
 

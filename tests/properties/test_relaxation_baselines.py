@@ -22,7 +22,7 @@ from baselines.hbsp.similarity import SemidefiniteBound
 from baselines.rpm_bp.bound import BilinearBound, best_multipliers, separable
 from baselines.rpm_htb.bounds import TermwiseR1, TermwiseR2
 from baselines.rpm_htb.lp import TermwiseR3
-from dcreg.assignment.polish import objective
+from dcreg.assignment.objective import objective
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dcreg.assignment.k_assignment import k_assignment
-from dcreg.assignment.polish import objective
+from dcreg.assignment.objective import k_assignment, objective
 from dcreg.families.protocol import Strongest
 from dcreg.families.rigid3d import corner_values
 from dcreg.families.rigid3d.bound import RigidBound

@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from dcreg.assignment import sparse
-from dcreg.assignment.k_assignment import k_assignment
+from dcreg.assignment.objective import k_assignment
 from dcreg.driver.modes import find_mode
 from dcreg.driver.warm_up import warm_up_mode
 from dcreg.families.rotation3d.sampled import search_sampled_rotation

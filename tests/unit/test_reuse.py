@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.assignment.polish import objective
-from dcreg.assignment.reuse import Matched, quick_objective
+from dcreg.assignment.objective import Matched, objective, quick_objective
 from dcreg.driver.downsample import refined
 from dcreg.problem import Problem
 from dcreg.result import RunnerUp

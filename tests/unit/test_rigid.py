@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from data import registry
-from dcreg.assignment.polish import objective
+from dcreg.assignment.objective import objective
 from dcreg.driver.modes import find_mode
 from dcreg.families.rigid3d import corner_values
 from dcreg.families.rigid3d.kernels.corners import price_corners

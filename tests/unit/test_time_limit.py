@@ -13,8 +13,8 @@ import psutil
 import pytest
 
 import dcreg
+from dcreg.assignment.descent import polish
 from dcreg.assignment.kernels.sorting import COLUMNS
-from dcreg.assignment.polish import polish
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.jit import NEVER

@@ -12,8 +12,6 @@ from dcreg.families.dc.kernels.motion import pair_costs
 from dcreg.families.kernels import Points
 from dcreg.families.protocol import Space
 
-MIN_GAIN = 1e-9  # share of the objective by which a step of a descent has to lower it
-
 
 class FeatureSpace(Space):
     """A space over which every bound is written once, in terms of features of the moved source.
@@ -29,6 +27,7 @@ class FeatureSpace(Space):
     points: Points
     identity: np.ndarray
     n_descents = 6
+    min_gain = 1e-9
 
     @property
     def source(self) -> np.ndarray:

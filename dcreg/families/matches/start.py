@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dcreg.assignment.polish import alternate
+from dcreg.assignment.descent import alternate
 from dcreg.families.matches.kernels.compatible import closest_allies, compatible_matches
 from dcreg.families.matches.problem import MIN_MATCHES, MatchProblem
 from dcreg.families.matches.surfaces import Surfaces

@@ -25,7 +25,7 @@ from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.families.protocol import means_of_subsets, radius
 from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
 from dcreg.families.rigid3d.starts import SCALES, best_descents, congruent_poses, rounds_for
-from dcreg.families.rotation3d.kernels.geometry import best_rotation
+from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
 from dcreg.jit import NEVER
 from dcreg.problem.geometry import apply_pose
@@ -155,7 +155,7 @@ class Rigid3D(CloudSpace):
         """Quaternion and translation (Horn 1987, centred)."""
         x, y = source.mean(axis=1), target.mean(axis=1)
         turn = best_rotation(source - x[:, None], target - y[:, None])
-        return np.append(turn, y - Rotation3D.matrix(turn) @ x)
+        return np.append(turn, y - rotation_matrix(turn) @ x)
 
     def normalised(self, theta: np.ndarray) -> np.ndarray:
         theta = theta.copy()
@@ -210,7 +210,7 @@ class Rigid3D(CloudSpace):
     def pose(self, theta: np.ndarray) -> np.ndarray:
         """Return the (4, 4) matrix that maps the given source onto the target."""
         T: np.ndarray = np.eye(4)
-        T[:3, :3] = Rotation3D.matrix(theta[:4])
+        T[:3, :3] = rotation_matrix(np.asarray(theta[:4], dtype=np.float64))
         T[:3, 3] = theta[4:]
         T[:3, 3] += self._centres[1] - T[:3, :3] @ self._centres[0]
         return np.linalg.inv(T) if self._swapped else T

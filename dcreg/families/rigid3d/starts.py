@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dcreg.assignment.polish import follow_nearest
+from dcreg.assignment.descent import follow_nearest
 from dcreg.families.protocol import distinct
 from dcreg.families.rigid3d.kernels import congruent as kernels
 from dcreg.jit import NEVER

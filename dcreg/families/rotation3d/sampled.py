@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dcreg.assignment.polish import alternate
+from dcreg.assignment.descent import alternate
 from dcreg.assignment.sparse import nearest_pairs, sparse_matching
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import Rotation3D

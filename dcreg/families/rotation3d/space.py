@@ -23,15 +23,12 @@ import abc
 import numpy as np
 
 from dcreg.assignment.kernels.dense import cheapest_pairs
-from dcreg.assignment.polish import alternate
 from dcreg.families.kernels import Clouds
 from dcreg.families.protocol import Space, infeasibility_penalty, radius
 from dcreg.families.rotation3d.kernels import rotation as kernels
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.jit import NEVER
 from dcreg.search import Box
-
-_MIN_GAIN = 1e-12
 
 
 class CloudSpace(Space):
@@ -51,6 +48,8 @@ class CloudSpace(Space):
     clouds : Clouds
         The problem as the kernels take it.
     """
+
+    min_gain = 1e-12
 
     def __init__(
         self,
@@ -85,23 +84,13 @@ class CloudSpace(Space):
     def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
         """The best parameter for paired points, (3, k) each."""
 
-    @abc.abstractmethod
-    def normalised(self, theta: np.ndarray) -> np.ndarray:
-        """The same pose with the parameter that lies in a root."""
-
     def matched(self, col_of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The matched points of both clouds, (3, k) each."""
         rows = np.flatnonzero(col_of >= 0)
         return self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]]
 
-    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Alternate matching and best pose from `theta`: theta, objective, assignments."""
-        value, col_of = self.objective(theta)
-        theta, value, _, spent = alternate(
-            theta, value, col_of, lambda _, matching: self.fit(*self.matched(matching)),
-            self.objective, _MIN_GAIN,
-        )  # fmt: skip
-        return self.normalised(theta), value, spent + 1
+    def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
+        return self.fit(*self.matched(col_of))
 
 
 _START_CELLS_PER_AXIS = 4  # of the regular grid of seeds

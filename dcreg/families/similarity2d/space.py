@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from dcreg.assignment.descent import alternate
 from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
-from dcreg.assignment.polish import alternate
 from dcreg.families.dc.kernels.bounds import objectives
-from dcreg.families.dc.space import MIN_GAIN, FeatureSpace
+from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.kernels import Points
 from dcreg.families.protocol import infeasibility_penalty, means_of_subsets, radius
 from dcreg.families.similarity2d.starts import similar_poses
@@ -172,13 +172,13 @@ class Similarity2D(FeatureSpace):
             theta.copy(),
             np.inf,
             col_of,
-            lambda _, matching: self._fit(matching),
+            self.fit_matching,
             evaluate,
-            MIN_GAIN,
+            self.min_gain,
         )
         return found, value, spent + 1
 
-    def _fit(self, col_of: np.ndarray) -> np.ndarray:
+    def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
         """Least-squares similarity of the matched pairs, its scale clipped to the range.
 
         The best rotation does not depend on the scale and the objective is a parabola in the scale, so

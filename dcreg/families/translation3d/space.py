@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.assignment.kernels.sorting import COLUMNS
-from dcreg.assignment.polish import alternate
 from dcreg.families.dc.kernels.bounds import objectives
-from dcreg.families.dc.space import MIN_GAIN, FeatureSpace
+from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.kernels import Points
 from dcreg.families.protocol import (
     infeasibility_penalty,
@@ -114,14 +113,7 @@ class Translation3D(FeatureSpace):
         values = np.empty(len(seeds))
         return values, self.objectives(seeds, values)
 
-    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        value, col_of = self.objective(theta)
-        found, value, _, spent = alternate(
-            theta.copy(), value, col_of, self._fit, self.objective, MIN_GAIN
-        )
-        return found, value, spent + 1
-
-    def _fit(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
+    def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
         """A few steps from `theta` towards the translation that fits the norms of the pairs best."""
         rows = np.flatnonzero(col_of >= 0)
         trial = theta.copy()

@@ -12,7 +12,7 @@ import pytest
 from baselines import registry
 from baselines.contract import Instance, Limits
 from baselines.hbsp.rotation import SemidefiniteRotationBound
-from dcreg.assignment.polish import objective
+from dcreg.assignment.objective import objective
 from dcreg.driver import modes as table
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.problem import InputError, Problem

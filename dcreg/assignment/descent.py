@@ -1,4 +1,4 @@
-"""The joint polish: the last, switchable, local step on the full objective."""
+"""Descents that alternate matching and pose: of the searches, and the polish of the final pose."""
 
 from __future__ import annotations
 
@@ -6,18 +6,13 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.spatial import cKDTree
 
-from dcreg.assignment.k_assignment import k_assignment, pairs_of
-from dcreg.assignment.sparse import is_large, nearest_pairs, sparse_matching
-from dcreg.jit import NEVER
+from dcreg.assignment.objective import is_large, objective
+from dcreg.assignment.sparse import nearest_pairs
 from dcreg.problem.geometry import apply_pose, fit_pose
 from dcreg.search import Budget
 
-# So few pairs are matched to the end in a quarter of a second, whatever the clock says.
-AT_ONCE_PAIRS = 1_200_000
 _MAX_ROUNDS = 100
 _MAX_LARGE_ROUNDS = 10
 # Relative decrease of the objective below which a descent ends.
@@ -65,67 +60,6 @@ def alternate(
             break
         theta, value, matching = trial, trial_value, trial_matching
     return theta, value, matching, spent
-
-
-def objective(
-    source: np.ndarray,
-    target: np.ndarray,
-    T_target_source: np.ndarray,
-    n_inliers: int,
-    candidates: np.ndarray | None = None,
-    *,
-    prove: bool = True,
-    stop: np.ndarray = NEVER,
-    at_once: int = AT_ONCE_PAIRS,
-) -> tuple[float, np.ndarray]:
-    """Least sum of squared residuals of `n_inliers` one-to-one pairs at a pose.
-
-    Clouds too large for a dense matrix are matched over nearest neighbours, which is exact where it can
-    be proved and else an upper bound, see ``dcreg.assignment.sparse.sparse_matching``.
-
-    Parameters
-    ----------
-    source, target : (n, d), (m, d) arrays
-    T_target_source : (d+1, d+1) array
-    n_inliers : int
-    candidates : (n, m) bool array, optional
-        The feasible pairs.
-    prove : bool
-        For large clouds: False takes a quick upper bound instead.
-    stop : (1,) uint8 array
-        Set from another thread, it asks for an upper bound at once: near pairs, chosen greedily.
-    at_once : int
-        Clouds of so many pairs of points are matched to the end all the same.
-
-    Returns
-    -------
-    value : float, in squared units of the target
-    assignment : (n_inliers, 2) int array
-    """
-    moved = apply_pose(T_target_source, source)
-    if len(source) * len(target) <= at_once:
-        stop = NEVER
-    if candidates is None and (stop[0] or is_large(len(source), len(target))):
-        found = sparse_matching(moved, target, n_inliers, prove=prove, stop=stop)
-        return found.value, found.pairs
-    cost = ((moved[:, None] - target[None]) ** 2).sum(axis=-1)
-    if candidates is not None:
-        cost[~candidates] = 1.0 + n_inliers * cost.max()
-    value, col_of = k_assignment(cost, n_inliers, stop)
-    if not stop[0]:
-        return value, pairs_of(col_of)
-    if candidates is None:
-        found = sparse_matching(moved, target, n_inliers, prove=False, stop=stop)
-        return found.value, found.pairs
-    pairs = pairs_of(maximum_bipartite_matching(csr_array(candidates), perm_type="column"))
-    own = cost[pairs[:, 0], pairs[:, 1]]
-    kept = np.sort(np.argsort(own, kind="stable")[:n_inliers])
-    return float(own[kept].sum()), pairs[kept]
-
-
-def is_greedy(n: int, m: int, stop: np.ndarray) -> bool:
-    """Whether `objective` chooses pairs of n and m points greedily by now."""
-    return bool(stop[0]) and n * m > AT_ONCE_PAIRS
 
 
 def polish(

@@ -1,0 +1,188 @@
+"""The objective at a pose: the exact k-cardinality assignment, or a quick upper bound on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
+
+from dcreg.assignment import sparse
+from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.jit import NEVER
+from dcreg.problem.geometry import apply_pose
+
+# So few pairs are matched exactly in a quarter of a second, even after the time limit.
+AT_ONCE_PAIRS = 1_200_000
+
+
+def k_assignment(cost: np.ndarray, k: int, stop: np.ndarray = NEVER) -> tuple[float, np.ndarray]:
+    """Cheapest one-to-one choice of exactly k pairs in a dense cost matrix.
+
+    Minimises ``sum_ij p_ij cost_ij`` over binary P with row and column sums at most one and total k.
+    The LP relaxation is integral, so this is also its optimum.
+
+    Parameters
+    ----------
+    cost : (n, m) array of finite numbers, of any sign
+    k : int, 1 <= k <= min(n, m)
+    stop : (1,) uint8 array
+        Set from another thread, it ends the call early; what is returned is then of no use.
+
+    Returns
+    -------
+    value : float
+    col_of : (n,) int array
+        Column matched to each row, -1 where a row is unmatched.
+
+    Raises
+    ------
+    ValueError
+        When `cost` is not a finite matrix or k is out of range.
+    """
+    cost = np.ascontiguousarray(cost, dtype=np.float64)
+    if cost.ndim != 2 or not np.isfinite(cost).all():
+        raise ValueError("cost must be a matrix of finite numbers")
+    if not 1 <= k <= min(cost.shape):
+        raise ValueError(f"k={k} pairs asked of a {cost.shape[0]} x {cost.shape[1]} cost matrix")
+    value, col_of, _ = cheapest_pairs(cost, int(k), stop)
+    return float(value), col_of
+
+
+def pairs_of(col_of: np.ndarray) -> np.ndarray:
+    """(k, 2) matched pairs (row, column) of a `col_of` vector."""
+    rows = np.flatnonzero(col_of >= 0)
+    return np.stack([rows, col_of[rows]], axis=1).astype(np.int64)
+
+
+def is_large(n: int, m: int) -> bool:
+    """Tell whether the pairs of n and m points are too many for a dense matrix."""
+    return n * m > sparse.DENSE_PAIRS
+
+
+def objective(
+    source: np.ndarray,
+    target: np.ndarray,
+    T_target_source: np.ndarray,
+    n_inliers: int,
+    candidates: np.ndarray | None = None,
+    *,
+    prove: bool = True,
+    stop: np.ndarray = NEVER,
+    at_once: int = AT_ONCE_PAIRS,
+) -> tuple[float, np.ndarray]:
+    """Least sum of squared residuals of `n_inliers` one-to-one pairs at a pose.
+
+    Clouds too large for a dense matrix are matched over nearest neighbours, which is exact where it can
+    be proved and else an upper bound, see ``dcreg.assignment.sparse.sparse_matching``.
+
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) arrays
+    T_target_source : (d+1, d+1) array
+    n_inliers : int
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+    prove : bool
+        For large clouds: False takes a quick upper bound instead.
+    stop : (1,) uint8 array
+        Set from another thread, it asks for an upper bound at once: near pairs, chosen greedily.
+    at_once : int
+        Clouds of so many pairs of points are matched to the end all the same.
+
+    Returns
+    -------
+    value : float, in squared units of the target
+    assignment : (n_inliers, 2) int array
+    """
+    moved = apply_pose(T_target_source, source)
+    if len(source) * len(target) <= at_once:
+        stop = NEVER
+    if candidates is None and (stop[0] or is_large(len(source), len(target))):
+        found = sparse.sparse_matching(moved, target, n_inliers, prove=prove, stop=stop)
+        return found.value, found.pairs
+    cost = ((moved[:, None] - target[None]) ** 2).sum(axis=-1)
+    if candidates is not None:
+        cost[~candidates] = 1.0 + n_inliers * cost.max()
+    value, col_of = k_assignment(cost, n_inliers, stop)
+    if not stop[0]:
+        return value, pairs_of(col_of)
+    if candidates is None:
+        found = sparse.sparse_matching(moved, target, n_inliers, prove=False, stop=stop)
+        return found.value, found.pairs
+    pairs = pairs_of(maximum_bipartite_matching(csr_array(candidates), perm_type="column"))
+    own = cost[pairs[:, 0], pairs[:, 1]]
+    kept = np.sort(np.argsort(own, kind="stable")[:n_inliers])
+    return float(own[kept].sum()), pairs[kept]
+
+
+def is_greedy(n: int, m: int, stop: np.ndarray) -> bool:
+    """Whether `objective` chooses pairs of n and m points greedily by now."""
+    return bool(stop[0]) and n * m > AT_ONCE_PAIRS
+
+
+@dataclass(frozen=True)
+class Matched:
+    """One-to-one pairs, and the pose they were matched at.
+
+    Attributes
+    ----------
+    T_target_source : (d+1, d+1) array
+    pairs : (K, 2) int array
+    greedy : bool
+        Whether near pairs were taken one after another, the nearest first.
+    """
+
+    T_target_source: np.ndarray
+    pairs: np.ndarray
+    greedy: bool = False
+
+    def cheapest(
+        self, source: np.ndarray, target: np.ndarray, T: np.ndarray, k: int
+    ) -> tuple[float, np.ndarray]:
+        """The k of the pairs that cost least at the pose `T`, and the sum of their squared residuals."""
+        moved = apply_pose(T, source[self.pairs[:, 0]])
+        moved -= target[self.pairs[:, 1]]
+        costs = np.einsum("ij,ij->i", moved, moved)
+        kept = np.sort(np.argpartition(costs, k - 1)[:k])
+        return float(costs[kept].sum()), self.pairs[kept]
+
+
+def quick_objective(
+    source: np.ndarray,
+    target: np.ndarray,
+    T_target_source: np.ndarray,
+    n_inliers: int,
+    candidates: np.ndarray | None = None,
+    *,
+    known: Matched | None,
+    prove: bool = True,
+    stop: np.ndarray = NEVER,
+) -> tuple[float, np.ndarray]:
+    """`objective`, but that once `stop` is set the better of its pairs and of known ones is taken.
+
+    Parameters
+    ----------
+    source, target, T_target_source, n_inliers, candidates, prove, stop
+        As in `objective`.
+    known : Matched, optional
+        Feasible pairs, at least `n_inliers`.
+
+    Returns
+    -------
+    value, assignment
+        As in `objective`: the true value of these pairs, which bounds the least one from above.
+    """
+
+    def own() -> tuple[float, np.ndarray]:
+        return objective(
+            source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop
+        )
+
+    if known is None or not stop[0]:
+        return own()
+    given = known.cheapest(source, target, T_target_source, n_inliers)
+    if known.greedy and np.array_equal(known.T_target_source, T_target_source):
+        return given  # the k nearest pairs come first, however many follow
+    return min(own(), given, key=lambda matched: matched[0])
