@@ -214,9 +214,9 @@ class Baseline(abc.ABC):
             )
         self.card = card
         self.options = {**card.parameters, **options}
-        threshold = self.options.get("threshold", "told")
-        if threshold not in ("told", "paper"):
-            raise ValueError(f"option threshold = {threshold!r}; choose one of told, paper")
+        threshold = self.options.get("threshold", "given")
+        if threshold not in ("given", "paper"):
+            raise ValueError(f"option threshold = {threshold!r}; choose one of given, paper")
         idle = self.idle_options()
         for option in options:
             if option in idle:

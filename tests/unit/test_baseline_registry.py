@@ -118,7 +118,7 @@ def test_unknown_option_suggests_the_nearest() -> None:
         ("icp_open3d", {"coarse_distances": [1.0, -1]}, "give a finite number, above 0$"),
         ("rpm_pa", {"epsilon0": -0.1}, "epsilon0 = -0.1; give"),
         ("rpm_cav", {"ascents": -1}, "ascents = -1; give"),
-        ("teaser", {"threshold": "mine"}, "threshold = 'mine'; choose one of told, paper"),
+        ("teaser", {"threshold": "mine"}, "threshold = 'mine'; choose one of given, paper"),
         ("gore", {"threshold": "paper"}, "gore: unknown option 'threshold'"),
         ("kiss_matcher", {"front_end": "sift"}, "fpfh-mutual, norm-signature, all-pairs, oracle"),
     ],

@@ -400,7 +400,7 @@ def test_a_method_may_be_called_nan(folder, tmp_path):
 
 def test_parameters_that_do_nothing_are_not_printed():
     card = {
-        "parameters": {"noise_factor": 1.0, "threshold": "told"},
+        "parameters": {"noise_factor": 1.0, "threshold": "given"},
         "options": {"threshold": "paper"},
     }
     assert "noise_factor" in {name for name, *_ in parameters(card)}
