@@ -83,13 +83,13 @@ bench: dev
 
 ## modes: how often each 3D mode finds the right pose (ARGS="--points 300 --limit 5"), tables in results/modes
 .PHONY: modes
-modes: dev
-	@$(BIN)/python -m tests.bench.modes results/modes $(ARGS)
+modes: setup
+	@$(BIN)/python -m workflows.studies.modes results/modes $(ARGS)
 
 ## walk: dcreg with its defaults on real clouds of many sizes, table in results/walk (ARGS="--size 300")
 .PHONY: walk
-walk: dev
-	@$(BIN)/python -m tests.bench.walk results/walk $(ARGS)
+walk: setup
+	@$(BIN)/python -m workflows.studies.walk results/walk $(ARGS)
 
 ## profile: where solves spend their time, as shares of CPU time
 .PHONY: profile

@@ -1,4 +1,4 @@
-"""``python -m tests.bench.modes OUT``: how often each 3D mode finds the right pose, and how soon.
+"""``python -m workflows.studies.modes OUT``: how often each 3D mode finds the right pose, and how soon.
 
 What `dcreg.modes.choose_mode` is chosen by. OUT gets ``modes.csv``, a row per solve, and the table that
 is printed: a row per size, share of the true pairs asked for, limit and mode.
@@ -7,6 +7,7 @@ is printed: a row per size, share of the true pairs asked for, limit and mode.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +16,7 @@ import pandas as pd
 import typer
 
 import dcreg
+from data.contract import RawInstance
 from data.registry import dataset
 from workflows.disturb import make_instance
 from workflows.metrics import Case, rmse_excess
@@ -80,7 +82,9 @@ def summary(solves: pd.DataFrame) -> pd.DataFrame:
     return table.round(2).reset_index()
 
 
-def _problems(names: list[str], n_points: int, part: float, trials: int):
+def _problems(
+    names: list[str], n_points: int, part: float, trials: int
+) -> Iterator[tuple[str, RawInstance, float]]:
     """Labelled instances of every shape, test and level."""
     for name in names:
         source = dataset(name)
@@ -93,7 +97,9 @@ def _problems(names: list[str], n_points: int, part: float, trials: int):
                     yield label, instance, part
 
 
-def _solved(label: str, instance, part: float, mode: str, limit: float) -> dict[str, object]:
+def _solved(
+    label: str, instance: RawInstance, part: float, mode: str, limit: float
+) -> dict[str, object]:
     pairs = instance.pairs
     k = max(3, int(part * len(pairs)))
     trace: list[dcreg.Event] = []

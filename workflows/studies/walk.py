@@ -1,4 +1,4 @@
-"""``python -m tests.bench.walk OUT``: what a new user meets on real clouds with default options.
+"""``python -m workflows.studies.walk OUT``: what a new user meets on real clouds with default options.
 
 Every pair of clouds is written to files at several sizes and given to ``dcreg register`` with nothing but
 the model, a share of pairs and a time limit. OUT gets ``walk.csv``: pose error, status, time against
@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 import pandas as pd
@@ -22,6 +22,7 @@ import typer
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from data.contract import PrototypeDataset, RecordedDataset
 from data.registry import dataset
 from data.sampling import farthest_points, transform
 from data.threedmatch.loader import fragment
@@ -67,11 +68,11 @@ def main(
 def cloud_pairs() -> Iterator[CloudPair]:
     """Scans with published poses, and scans of one object turned by a drawn pose."""
     rng = np.random.default_rng(7)
-    bunny = dataset("bunny")
+    bunny = cast(PrototypeDataset, dataset("bunny"))
     model, data = bunny.points("goicp_model", 35_947), bunny.points("goicp_data", 30_379)
     yield CloudPair("go-icp bunny", data, model, 0.8, None)
     for name in ("horse", "dino"):
-        shapes = dataset(name)
+        shapes = cast(PrototypeDataset, dataset(name))
         cloud = shapes.points(shapes.shapes()[0], 2_000)
         yield _turned(name, cloud, rng)
     scenes = dataset("threedmatch").shapes()
@@ -94,7 +95,7 @@ def _turned(name: str, cloud: np.ndarray, rng: np.random.Generator) -> CloudPair
 
 
 def _scans(name: str, shape: str, test: str, level: float) -> CloudPair:
-    scans = dataset(name)
+    scans = cast(RecordedDataset, dataset(name))
     raw = scans.load(shape, test, level, 0, 100)
     files = scans.files(shape, test, level, 0)
     source, target = (
