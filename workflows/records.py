@@ -157,7 +157,7 @@ def conform(table: pd.DataFrame, columns: Mapping[str, Column], where: str) -> p
             if column.kind is float:
                 out[name] = pd.to_numeric(values).astype(float)
             elif column.kind is str:
-                out[name] = values.fillna("").astype(str)
+                out[name] = values.astype(object).fillna("").astype(str)
             else:
                 out[name] = values.astype(column.kind)
         except (ValueError, TypeError) as error:
