@@ -1,8 +1,8 @@
 """The one contract between the harness and every registration method.
 
-A method is one folder ``baselines/<name>/`` with ``card.yaml`` (facts) and ``adapter.py`` (a class
-``Adapter(Baseline)``). Nothing else is edited to add one. An adapter sees an `Instance` only: the
-truth lives elsewhere. It never times itself for the record and never computes a metric.
+A method is a folder ``baselines/<name>/`` with ``card.yaml`` (facts) and ``adapter.py`` (a class
+``Adapter(Baseline)``). No other file is edited to add one. An adapter receives an `Instance`, without the
+true pose. The harness measures its time and computes all metrics.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 ModelName = Literal["similarity2d", "rigid3d"]
 
-# `Instance.noise_bound` in root mean square residuals of the true pairs at the reference pose: within
-# it lie 98 % (2D) or 99 % (3D) of pairs with Gaussian noise.
+# `Instance.noise_bound` in RMS residuals of the true pairs at the reference pose. With Gaussian noise it
+# contains 98 % (2D) or 99 % (3D) of the pairs.
 NOISE_FACTOR = 2.0
 
 
 class ThresholdRule(BaseModel):
-    """How a method's paper chooses its threshold: the quantile of the length of Gaussian noise."""
+    """How the paper of a method chooses its threshold: a quantile of the length of Gaussian noise."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -36,14 +36,14 @@ class ThresholdRule(BaseModel):
     confidence: float = Field(gt=0, lt=1)  # share of true pairs within the threshold
 
     def sigmas(self, dim: int) -> float:
-        """The threshold in standard deviations per axis."""
+        """Return the threshold in standard deviations per axis."""
         from scipy.stats import chi2
 
         return float(np.sqrt(chi2.ppf(self.confidence, dim)))
 
 
 class Range(BaseModel):
-    """Which numbers an option admits, each of them where it is a list."""
+    """The numbers that an option admits; for a list, each entry."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -62,7 +62,7 @@ class Range(BaseModel):
         return f"{number}, or null" if self.or_null else number
 
     def admits(self, value: Any) -> bool:
-        """Whether `value`, a number, a list of numbers or null, is in the range."""
+        """Return whether `value`, a number, a list of numbers or null, is in the range."""
         if value is None:
             return self.or_null
         if isinstance(value, list):
@@ -77,16 +77,17 @@ class Range(BaseModel):
 
 
 class Card(BaseModel):
-    """What a reader of a report must know of a method. Validated ``card.yaml``."""
+    """The facts about a method that a report shows. Validated ``card.yaml``."""
 
     model_config = ConfigDict(extra="forbid")
 
     display_name: str
     summary: str
     models: list[ModelName]
-    # official: the authors' own code; port: our code, same published algorithm;
-    # reconstruction: body of the paper not read, a faithful member of the described family.
-    provenance: Literal["official", "library", "port", "reconstruction"]
+    # official: the authors' own code; library: code of a general package; port: our code for a published
+    # algorithm; reconstruction: our code for a paper whose body was not read, a member of the described
+    # family; own: a new method, by its own author.
+    provenance: Literal["official", "library", "port", "reconstruction", "own"]
     input: str = "raw point sets"  # e.g. "FPFH correspondences"
     provides_bounds: bool = False
     certifies: str = "nothing"  # scope of the certificate
@@ -104,14 +105,14 @@ class Card(BaseModel):
     # Parameters with their stated defaults, shown in the report.
     parameters: dict[str, Any] = {}
     ranges: dict[str, Range] = {}  # of the parameters that are numbers
-    # Behind the option ``threshold: paper``, which only cards with a rule have.
+    # Used by the option ``threshold: paper``.
     threshold_rule: ThresholdRule | None = None
 
     @model_validator(mode="after")
     def _defaults_lie_in_their_ranges(self) -> Card:
         for option, admitted in self.ranges.items():
             if option not in self.parameters:
-                raise ValueError(f"ranges.{option} is of no parameter; correct the name")
+                raise ValueError(f"ranges.{option}: no such parameter; correct the name")
             default = self.parameters[option]
             if default is not None and not admitted.admits(default):
                 raise ValueError(f"parameters.{option}: {default!r} is not {admitted}")
@@ -120,27 +121,27 @@ class Card(BaseModel):
 
 @dataclass(frozen=True)
 class Instance:
-    """One registration problem as a solver may see it.
+    """One registration problem, as a method receives it.
 
     Attributes
     ----------
     source, target : (n, d), (m, d) arrays
     model : "similarity2d" or "rigid3d"
     n_inliers : int
-        The number of pairs the solver is told (not necessarily the true one).
+        The number of pairs given to the method; not always the true one.
     scale_range : (low, high)
         Admissible scale; (1, 1) in 3D.
     noise_bound : float
-        `NOISE_FACTOR` times the root mean square residual of the true pairs at the reference pose, in
-        target units, and not below 0.01 of the target's longest side. Methods that need an inlier
-        threshold use it, so that all get the same prior.
+        `NOISE_FACTOR` times the RMS residual of the true pairs at the reference pose, in target units,
+        and at least 0.01 of the target's longest side. Methods that need an inlier threshold use it, so
+        that all receive the same prior.
     seed : int
         For methods that draw random numbers.
     oracle_pairs : (k, 2) array, optional
-        True pairs and random ones, unmarked: only for methods with the option
-        ``front_end: oracle``, whose results are labelled as favoured by it.
+        True pairs and random pairs, unmarked. Only for methods with the option ``front_end: oracle``,
+        whose results are labelled accordingly.
     matches : dict of (k, 2) arrays
-        Putative pairs that all methods share, by the name of their front end; none for most data sets.
+        Putative pairs shared by all methods, by the name of their front end. Most data sets have none.
     """
 
     instance_id: str
@@ -161,15 +162,15 @@ class Instance:
 
 @dataclass(frozen=True)
 class Limits:
-    """What one run may use. The harness kills a worker well after these; a good method obeys itself."""
+    """Limits of one run. A method stops by itself; the harness kills a worker well after them."""
 
     time_s: float
-    nodes: int | None = None  # boxes; starts of a method that tries many
+    nodes: int | None = None  # boxes; for a multi-start method, initial poses
     memory_mb: int | None = None
     threads: int = 1
 
     def budget(self) -> Budget:
-        """The clock, boxes and memory of a run that begins now."""
+        """Return the budget of time, boxes and memory of a run that starts now."""
         from dcreg.search import Budget
 
         return Budget(self.time_s, self.nodes, self.memory_mb)
@@ -177,7 +178,7 @@ class Limits:
 
 @dataclass
 class Solution:
-    """What an adapter returns. The pose is required unless the method failed."""
+    """The result of an adapter. The pose is required unless the method failed."""
 
     status: Status
     T_target_source: np.ndarray | None
@@ -193,12 +194,12 @@ class Solution:
 
 
 class Baseline(abc.ABC):
-    """A registration method behind the harness's contract.
+    """A registration method.
 
     Parameters
     ----------
     **options
-        Overrides of the card's ``parameters``; an unknown name is an error, and so is one of
+        Overrides of the card's ``parameters``. An unknown name is an error, and so is a name in
         `idle_options`.
     """
 
@@ -221,42 +222,42 @@ class Baseline(abc.ABC):
         for option in options:
             if option in idle:
                 raise ValueError(
-                    f"option {option} = {options[option]!r} does nothing {idle[option]}; leave it out"
+                    f"option {option} = {options[option]!r} has no effect {idle[option]}; leave it out"
                 )
 
     def idle_options(self) -> dict[str, str]:
-        """Options that nothing comes of beside the others, each with what makes it so.
+        """Return the options without effect under the other options, each with the reason.
 
-        A method that is given one of them is refused: reports would tell of a value that had no
-        effect. Looks at ``self.options`` only, as it is asked before a subclass has checked these.
+        A method that receives one of them is refused, since reports would show a value that had no effect.
+        Overrides read ``self.options`` only: the call precedes the checks of a subclass.
         """
         if self.options.get("threshold") == "paper":
             return {"noise_factor": "with threshold: paper"}
         return {}
 
     def available(self) -> str | None:
-        """None when the method can run here, otherwise the reason with how to get it."""
+        """Return None if the method can run here, otherwise the reason and how to get it."""
         from importlib import import_module
 
         if not self.card.requires:
             return None
         try:
             import_module(self.card.requires)
-        except Exception as error:  # a broken binary import raises anything
+        except Exception as error:  # the import of a broken binary raises any type
             return f"{self.card.requires}: {error}. {self.card.how_to_get}".strip()
         return None
 
     def supports(self, instance: Instance) -> str | None:
-        """None when the method can treat this instance, otherwise the reason."""
+        """Return None if the method can treat this instance, otherwise the reason."""
         if instance.model not in self.card.models:
             return f"{self.card.display_name} does not treat {instance.model}"
         return None
 
     def inlier_distance(self, instance: Instance) -> float:
-        """Largest residual of a pair that counts as true, in target units.
+        """Return the maximum residual of an inlier, in target units.
 
-        The instance's noise bound times the option ``noise_factor``; with ``threshold: paper`` what the
-        card's rule makes of the standard deviation behind that bound.
+        It is the noise bound of the instance times the option ``noise_factor``. With ``threshold: paper``
+        the rule of the card computes it from the standard deviation behind the noise bound.
         """
         rule = self.card.threshold_rule
         if rule is not None and self.options["threshold"] == "paper":
@@ -265,12 +266,12 @@ class Baseline(abc.ABC):
         return float(self.options["noise_factor"] * instance.noise_bound)
 
     def warm_up(self, instance: Instance) -> None:
-        """Imports and JIT compilation for instances of this kind; timed apart from `solve`."""
+        """Import and compile what instances of this kind need; timed separately from `solve`."""
         self.solve(tiny(instance), Limits(time_s=30.0))
 
     @abc.abstractmethod
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        """Register `instance` within `limits` and return the best pose found."""
+        """Return the best pose found for `instance` within `limits`."""
 
 
 @runtime_checkable
@@ -282,23 +283,23 @@ class BoxBounding(Protocol):
     """
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
-        """Lower bound of the method over one box, in squared units of the instance.
+        """Return the lower bound of the method over one box, in squared units of the instance.
 
-        The clouds are taken as they are, neither centred nor scaled, and the box is of
+        The clouds are neither centred nor scaled. The box is of
 
         - ``similarity2d``: theta = (s cos a, s sin a, t_x, t_y), so that y = s R x + t; the objective is
           the sum of squared residuals of the best matching of ``n_inliers`` pairs;
-        - ``rigid3d``: the translation t before the rotation, y = R (x + t), whatever R; the objective is
-          that of point norms, ``sum p_ij (|x_i + t| - |y_j|)^2``, or what the method has in its place.
+        - ``rigid3d``: the translation t before the rotation, y = R (x + t), for any R; the objective is
+          that of point norms, ``sum p_ij (|x_i + t| - |y_j|)^2``, or the method's counterpart.
 
-        The bound holds for every admissible pose of the box. Nothing is cut at zero or taken over from
-        another box. NaN where the method has no bound over such boxes.
+        The bound holds for every admissible pose of the box. It is neither cut at zero nor inherited from
+        another box. NaN if the method has no bound over such boxes.
         """
         ...
 
 
 def tiny(instance: Instance) -> Instance:
-    """A small problem with the same shape of arrays, for warm-up."""
+    """Return a small problem with the same types of arrays, for warm-up."""
     generator = np.random.default_rng(0)
     points = generator.standard_normal((12, instance.dim))
     return Instance(

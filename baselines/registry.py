@@ -189,6 +189,17 @@ def new_baseline(name: str, root: Path = ROOT) -> Path:
     return folder
 
 
+def next_steps(name: str) -> str:
+    """Return what a user does after `new_baseline`, one step per line."""
+    return (
+        f"created baselines/{name} from the template; next:\n"
+        f"  1. write the method in baselines/{name}/adapter.py (Adapter.solve)\n"
+        f"  2. fill in baselines/{name}/card.yaml: name, summary, options and their ranges\n"
+        f"  3. test it: .venv/bin/python -m pytest tests/contract/test_baselines.py -k {name}\n"
+        f"  4. compare it: add '- {{name: {name}}}' to the methods of an experiment, see docs/benchmark.md"
+    )
+
+
 def _import_adapter(name: str, root: Path) -> ModuleType:
     path = root / name / "adapter.py"
     if not path.is_file():

@@ -238,7 +238,8 @@ def new_baseline(name: str) -> None:
     """Create ``baselines/NAME`` from the template."""
     from baselines import registry
 
-    print(f"created {registry.new_baseline(name).relative_to(CHECKOUT)}")
+    registry.new_baseline(name)
+    print(registry.next_steps(name))
 
 
 # --- the stages, as the rules call them --------------------------------------------------------

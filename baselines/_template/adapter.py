@@ -1,4 +1,4 @@
-"""METHOD_NAME: say in one line what the method is."""
+"""METHOD_NAME: describe the method in one line."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from dcreg.status import Status
 
 
 class Adapter(Baseline):
-    """Replace this by your method; it moves the source's centroid onto the target's.
+    """Replace this class body by your method. The example aligns the centroids.
 
-    Rules the contract tests check: import heavy packages inside `solve`, never change the arrays of
-    the instance, stop when ``limits.budget()`` is over with the best pose so far, draw random
-    numbers from ``instance.seed`` only, report OPTIMAL and bounds only when they are proven.
+    The contract tests check that an adapter
+
+    - imports heavy packages inside `solve`,
+    - does not change the arrays of the instance,
+    - stops with the best pose so far once ``limits.budget()`` is over,
+    - draws random numbers from ``instance.seed`` only,
+    - reports OPTIMAL and bounds only if they are proven.
     """
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:

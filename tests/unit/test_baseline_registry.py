@@ -66,7 +66,7 @@ def test_unknown_option_suggests_the_nearest() -> None:
         (
             "teaser",
             {"threshold": "paper", "noise_factor": 2.0},
-            r"noise_factor = 2\.0 does nothing with threshold: paper; leave it out",
+            r"noise_factor = 2\.0 has no effect with threshold: paper; leave it out",
         ),
         ("dcreg", {"front_end": "shared-mutual", "bound": "tight"}, "nothing with a front_end"),
         ("dcreg", {"front_end": "shared-mutual", "mode": "full"}, "nothing with a front_end"),
@@ -76,9 +76,9 @@ def test_unknown_option_suggests_the_nearest() -> None:
             {"front_end": "shared-mutual", "gap_tol_factor": 0.1},
             "gap_tol_factor = 0.1 does",
         ),
-        ("dcreg", {"certify": True}, "certify = True does nothing without a front_end; leave it"),
-        ("dcreg", {"max_pairs": 500}, "max_pairs = 500 does nothing without a front_end"),
-        ("dcreg", {"score": "surfaces"}, "score = 'surfaces' does nothing without a front_end"),
+        ("dcreg", {"certify": True}, "certify = True has no effect without a front_end; leave it"),
+        ("dcreg", {"max_pairs": 500}, "max_pairs = 500 has no effect without a front_end"),
+        ("dcreg", {"score": "surfaces"}, "score = 'surfaces' has no effect without a front_end"),
         (
             "dcreg",
             {"front_end": "shared-mutual", "score": "surfaces", "certify": True},
@@ -241,6 +241,19 @@ def test_new_baseline_refuses_bad_names(tmp_path: Path, name: str) -> None:
     with pytest.raises(BaselineError, match="cannot name a method"):
         registry.new_baseline(name, root=tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_new_baseline_is_the_users_own_method_and_the_next_steps_name_its_files(
+    root: Path,
+) -> None:
+    assert registry.read_card("mine", root).provenance == "own"
+    for step in (
+        "baselines/mine/adapter.py",
+        "baselines/mine/card.yaml",
+        "-k mine",
+        "{name: mine}",
+    ):
+        assert step in registry.next_steps("mine")
 
 
 def test_new_baselines_get_colours_of_their_own(tmp_path: Path) -> None:
