@@ -37,8 +37,12 @@ def normalised(
 
 
 def search_rigid(source, target, k, **settings):
-    """Mode `full`, with the work of its one search."""
-    return _with_work(find_mode("rigid3d", "full").run(normalised(source, target, k, **settings)))
+    """Mode `full` over the centred clouds, with the work of its one search."""
+    x, y = source.mean(axis=0), target.mean(axis=0)
+    problem = normalised(source - x, target - y, k, **settings)
+    solution = find_mode("rigid3d", "full").run(problem)
+    solution.T[:3, 3] += y - solution.T[:3, :3] @ x
+    return _with_work(solution)
 
 
 def _with_work(solution):

@@ -59,7 +59,7 @@ class Rigid3D(CloudSpace):
     Parameters
     ----------
     source, target : (n, 3), (m, 3) arrays
-        n <= m is best: nearest distances are taken from the source. See `between`.
+        Both centred, for the smallest start box; n <= m is best, see `between`.
     n_inliers : int
     stationary_box : bool
         Start from the translations that an optimum can have, or from the plain safe box.
@@ -86,7 +86,6 @@ class Rigid3D(CloudSpace):
         super().__init__(source, target, n_inliers, candidates, stop_flag)
         self.stationary_box = stationary_box
         self._candidates = candidates
-        self._centres = np.zeros(3), np.zeros(3)  # of the clouds given to `between`
         self._swapped = False
 
     @classmethod
@@ -99,21 +98,18 @@ class Rigid3D(CloudSpace):
         candidates: np.ndarray | None = None,
         stop_flag: np.ndarray = NEVER,
     ) -> Rigid3D:
-        """Return the space that is searched best for two clouds in any frame, of any sizes.
+        """Return the space in which the smaller cloud moves; `pose` still returns poses of `source`.
 
-        Both clouds are centred, which gives the smallest start box. The smaller one is moved, because
-        nearest distances are taken from the moved cloud; the inverse pose has the same residuals. `pose`
-        and `theta` convert from and to poses of `source`.
+        Nearest distances are taken from the moving cloud, so the smaller one is the better choice. The
+        inverse pose has the same residuals.
         """
         swapped = len(source) > len(target)
         if swapped:
             source, target = target, source
             if candidates is not None:  # in C order: kernels are compiled for no other
                 candidates = np.ascontiguousarray(candidates.T)
-        centres = source.mean(axis=0), target.mean(axis=0)
-        clouds = source - centres[0], target - centres[1]
-        space = cls(*clouds, n_inliers, stationary_box, candidates, stop_flag)
-        space._centres, space._swapped = centres, swapped
+        space = cls(source, target, n_inliers, stationary_box, candidates, stop_flag)
+        space._swapped = swapped
         return space
 
     def translations(self) -> Box:
@@ -208,18 +204,11 @@ class Rigid3D(CloudSpace):
         return scores, 0
 
     def pose(self, theta: np.ndarray) -> np.ndarray:
-        """Return the (4, 4) matrix that maps the given source onto the target."""
+        """Return the (4, 4) pose of the source; see `between`."""
         T: np.ndarray = np.eye(4)
         T[:3, :3] = rotation_matrix(np.asarray(theta[:4], dtype=np.float64))
         T[:3, 3] = theta[4:]
-        T[:3, 3] += self._centres[1] - T[:3, :3] @ self._centres[0]
         return np.linalg.inv(T) if self._swapped else T
-
-    def theta(self, T: np.ndarray) -> np.ndarray:
-        """Return the parameter of a pose: the inverse of `pose`."""
-        T = np.linalg.inv(T) if self._swapped else T.copy()
-        T[:3, 3] -= self._centres[1] - T[:3, :3] @ self._centres[0]
-        return self._parameter(T)
 
     def _parameter(self, T: np.ndarray) -> np.ndarray:
         """Quaternion and translation of a pose, by the fit to four moved points."""
