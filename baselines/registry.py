@@ -196,7 +196,8 @@ def next_steps(name: str) -> str:
         f"  1. write the method in baselines/{name}/adapter.py (Adapter.solve)\n"
         f"  2. fill in baselines/{name}/card.yaml: name, summary, options and their ranges\n"
         f"  3. test it: .venv/bin/python -m pytest tests/contract/test_baselines.py -k {name}\n"
-        f"  4. compare it: add '- {{name: {name}}}' to the methods of an experiment, see docs/benchmark.md"
+        f"  4. compare it: add '- {{name: {name}, baseline: {name}}}' to the methods of "
+        "an experiment, see docs/benchmark.md"
     )
 
 

@@ -68,13 +68,13 @@ def test_unknown_option_suggests_the_nearest() -> None:
             {"threshold": "paper", "noise_factor": 2.0},
             r"noise_factor = 2\.0 has no effect with threshold: paper; leave it out",
         ),
-        ("dcreg", {"front_end": "shared-mutual", "bound": "tight"}, "nothing with a front_end"),
-        ("dcreg", {"front_end": "shared-mutual", "mode": "full"}, "nothing with a front_end"),
-        ("dcreg", {"front_end": "shared-mutual", "polish": False}, "nothing with a front_end"),
+        ("dcreg", {"front_end": "shared-mutual", "bound": "tight"}, "no effect with a front_end"),
+        ("dcreg", {"front_end": "shared-mutual", "mode": "full"}, "no effect with a front_end"),
+        ("dcreg", {"front_end": "shared-mutual", "polish": False}, "no effect with a front_end"),
         (
             "dcreg",
             {"front_end": "shared-mutual", "gap_tol_factor": 0.1},
-            "gap_tol_factor = 0.1 does",
+            "gap_tol_factor = 0.1 has",
         ),
         ("dcreg", {"certify": True}, "certify = True has no effect without a front_end; leave it"),
         ("dcreg", {"max_pairs": 500}, "max_pairs = 500 has no effect without a front_end"),
@@ -84,11 +84,11 @@ def test_unknown_option_suggests_the_nearest() -> None:
             {"front_end": "shared-mutual", "score": "surfaces", "certify": True},
             "score = 'surfaces' has no bounds: leave certify out",
         ),
-        ("teaser", {"normal_radius": 2.0}, "nothing with front_end: norm-signature"),
+        ("teaser", {"normal_radius": 2.0}, "no effect with front_end: norm-signature"),
         ("teaser", {"front_end": "oracle", "signature_neighbours": 2}, "with front_end: oracle"),
-        ("mac", {"compatibility_threshold": 0.9}, "nothing without a compatibility_width"),
-        ("fpfh_fgr", {"tuple_test": False, "max_tuples": 5}, "nothing without the tuple_test"),
-        ("small_gicp", {"variant": "ICP", "neighbours": 5}, "nothing with variant: ICP"),
+        ("mac", {"compatibility_threshold": 0.9}, "no effect without a compatibility_width"),
+        ("fpfh_fgr", {"tuple_test": False, "max_tuples": 5}, "no effect without the tuple_test"),
+        ("small_gicp", {"variant": "ICP", "neighbours": 5}, "no effect with variant: ICP"),
         (
             "teaser",
             {"noise_factor": -1},
@@ -178,7 +178,7 @@ def test_an_int_serves_as_a_float() -> None:
         ({"models": ["rigid2d"]}, r"field models\.0"),
         ({"licence": None}, "field licence"),
         ({"colour": "#123456"}, "field colour.*did you mean 'color'"),
-        ({"ranges": {"moves": {"least": 0}}}, r"ranges\.moves is of no parameter"),
+        ({"ranges": {"moves": {"least": 0}}}, r"ranges\.moves: no such parameter"),
         ({"ranges": {"move": {"from": 0}}}, r"field ranges\.move\.from"),
         (
             {"parameters": {"step": 0}, "ranges": {"step": {"above": 0}}},
@@ -251,7 +251,7 @@ def test_a_new_baseline_is_the_users_own_method_and_the_next_steps_name_its_file
         "baselines/mine/adapter.py",
         "baselines/mine/card.yaml",
         "-k mine",
-        "{name: mine}",
+        "{name: mine, baseline: mine}",
     ):
         assert step in registry.next_steps("mine")
 
