@@ -1,4 +1,4 @@
-"""NumPy arrays and archives of named arrays: `.npy`, `.npz`, `.mat`. Pickles are never loaded."""
+"""NumPy arrays and archives of named arrays: `.npy`, `.npz`, `.mat`; pickles are never loaded."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from dcreg.io.common import DIMENSIONS, fail, listing
+from dcreg.io.text import DIMENSIONS, fail, listing
 
-# Named arrays of an archive; None stands for what is no plain array (or was not asked for).
+# Named arrays of an archive; None stands for an entry that is not a plain array or was not requested.
 Arrays = dict[str, np.ndarray | None]
 
 
 def read_npy(path: Path, _: str | None) -> np.ndarray:
-    """The array of an ``.npy`` file."""
+    """Read the array of an ``.npy`` file."""
     array = _loaded(path, partial(np.load, allow_pickle=False))
     if not isinstance(array, np.ndarray):
         fail(path, "holds several arrays", "rename it to .npz")
@@ -24,7 +24,7 @@ def read_npy(path: Path, _: str | None) -> np.ndarray:
 
 
 def read_npz(path: Path, key: str | None) -> np.ndarray:
-    """The array `key` of an ``.npz`` file, or its only point cloud."""
+    """Read the array `key` of an ``.npz`` file, or its only point cloud."""
     arrays = _loaded(path, partial(_npz_arrays, key=key))
     if arrays is None:
         fail(path, "holds a single array", "rename it to .npy")
@@ -32,7 +32,7 @@ def read_npz(path: Path, key: str | None) -> np.ndarray:
 
 
 def _npz_arrays(stream: BinaryIO, key: str | None) -> Arrays | None:
-    """All names, but only the array `key` if one is given: archives can be large."""
+    """Return all names, but load only the array `key` if one is given: archives can be large."""
     archive = np.load(stream, allow_pickle=False)
     if isinstance(archive, np.ndarray):
         return None
@@ -49,7 +49,7 @@ def _member(archive: np.lib.npyio.NpzFile, name: str) -> np.ndarray | None:
 
 
 def read_mat(path: Path, key: str | None) -> np.ndarray:
-    """The array `key` of a MATLAB file up to v7, or its only point cloud."""
+    """Read the array `key` of a MATLAB file up to v7, or its only point cloud."""
     from scipy.io import loadmat
 
     content = _loaded(path, loadmat)
@@ -62,7 +62,7 @@ def read_mat(path: Path, key: str | None) -> np.ndarray:
 
 
 def _loaded(path: Path, load: Callable[[BinaryIO], Any]) -> Any:
-    """What a reader of another library makes of a file; on damage these raise almost anything."""
+    """Load a file with a reader of another library, which may raise anything on damage."""
     with path.open("rb") as stream:
         try:
             return load(stream)
@@ -74,7 +74,7 @@ def _loaded(path: Path, load: Callable[[BinaryIO], Any]) -> Any:
 
 
 def _pick(path: Path, arrays: Arrays, key: str | None) -> np.ndarray:
-    """The array called `key`, or the only one that can be a point cloud."""
+    """Return the array called `key`, or the only one that can be a point cloud."""
     names = listing(list(arrays))
     if key is not None:
         if key not in arrays:

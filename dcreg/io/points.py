@@ -1,4 +1,4 @@
-"""`read_points`: one reader per file format, and what must hold whatever the format."""
+"""Point clouds, feasible pairs and matches from files of every format."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from dcreg.io.arrays import read_mat, read_npy, read_npz
-from dcreg.io.common import DIMENSIONS, fail
-from dcreg.io.off import read_off
-from dcreg.io.pcd import read_pcd
-from dcreg.io.ply import read_ply
-from dcreg.io.text import read_text, read_xyz
+from dcreg.io.mesh import read_off, read_pcd, read_ply
+from dcreg.io.text import DIMENSIONS, fail, read_text, read_xyz
 
-# Every reader takes the path and the name of an array, which only archives of arrays have.
+# Every reader takes the path and the name of an array; only archives have named arrays.
 READERS: dict[str, Callable[[Path, str | None], np.ndarray]] = {
     ".txt": read_text,
     ".csv": read_text,
@@ -27,6 +24,7 @@ READERS: dict[str, Callable[[Path, str | None], np.ndarray]] = {
     ".off": read_off,
 }
 KEYED_SUFFIXES = (".npz", ".mat")
+MAX_ROWS = 2**31  # of a cloud
 
 
 def read_points(path: str | Path, *, key: str | None = None) -> np.ndarray:
@@ -48,7 +46,7 @@ def read_points(path: str | Path, *, key: str | None = None) -> np.ndarray:
     Raises
     ------
     InputError
-        If the file is missing, damaged, empty, not finite, of another dimension or ambiguous.
+        If the file is missing, damaged, empty, not finite, ambiguous or of the wrong dimension.
     """
     path, key = _split_key(path, key)
     suffix = path.suffix.lower()
@@ -68,7 +66,7 @@ def read_points(path: str | Path, *, key: str | None = None) -> np.ndarray:
 
 
 def _split_key(path: str | Path, key: str | None) -> tuple[Path, str | None]:
-    """Take ``file.npz:key`` apart; an explicit `key` and a file of that very name win."""
+    """Split ``file.npz:key``, unless `key` is given or a file of this full name exists."""
     text = str(path)
     stem, _, name = text.rpartition(":")
     if key is None and Path(stem).suffix.lower() in READERS and not Path(text).exists():
@@ -77,7 +75,7 @@ def _split_key(path: str | Path, key: str | None) -> tuple[Path, str | None]:
 
 
 def _checked(path: Path, points: np.ndarray) -> np.ndarray:
-    """What must hold for every format, whatever its reader has checked."""
+    """Return the points as floats; check what every format requires."""
     if points.ndim != 2 or points.shape[1] not in DIMENSIONS:
         remedy = "points go in rows, with 2 or 3 columns"
         if points.ndim == 2 and points.shape[0] in DIMENSIONS:
@@ -95,3 +93,73 @@ def _checked(path: Path, points: np.ndarray) -> np.ndarray:
             "remove these points",
         )
     return points
+
+
+def read_candidates(path: str | Path, n_source: int) -> list[list[int]]:
+    """Read feasible pairs for the argument `candidates` of `dcreg.register`.
+
+    Parameters
+    ----------
+    path : str or Path
+        Two columns, source row and target row, from 0; any format of `read_points`.
+    n_source : int
+        Number of source points.
+
+    Returns
+    -------
+    list of list of int
+        The target rows of every source point.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds other values than pairs, or names a row that does not exist.
+    """
+    path = Path(path)
+    pairs = _read_table(path)
+    feasible: list[list[int]] = [[] for _ in range(n_source)]
+    for i, j in pairs.tolist():
+        if not 0 <= i < n_source:
+            fail(path, f"{i:g} is not a source row", f"use rows from 0 to {n_source - 1}")
+        if not 0 <= j < MAX_ROWS:
+            fail(path, f"{j:g} is not a target row", "use row numbers, from 0")
+        feasible[int(i)].append(int(j))
+    return feasible
+
+
+def read_matches(path: str | Path, n_source: int, n_target: int) -> np.ndarray:
+    """Read a list of matches for the argument `matches` of `dcreg.register_matches`.
+
+    Parameters
+    ----------
+    path : str or Path
+        Two columns, source row and target row, from 0; any format of `read_points`.
+    n_source, n_target : int
+        Numbers of points.
+
+    Returns
+    -------
+    (N, 2) int array
+        In the order of the file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds other values than pairs, or names a row that does not exist.
+    """
+    path = Path(path)
+    pairs = _read_table(path)
+    for column, (cloud, count) in enumerate((("source", n_source), ("target", n_target))):
+        beyond = (pairs[:, column] < 0) | (pairs[:, column] >= count)
+        if beyond.any():
+            row = pairs[np.argmax(beyond), column]
+            fail(path, f"{row:g} is not a {cloud} row", f"use rows from 0 to {count - 1}")
+    return pairs.astype(np.int64)
+
+
+def _read_table(path: Path) -> np.ndarray:
+    """Read an (N, 2) table of whole numbers."""
+    pairs = read_points(path)
+    if pairs.shape[1] != 2 or (pairs != np.round(pairs)).any():
+        fail(path, "not a table of pairs", "give two columns of row numbers, from 0")
+    return pairs

@@ -1,4 +1,4 @@
-"""Text tables of points: `.txt`, `.csv`, `.xyz`; and the rows of numbers other formats hold."""
+"""Text tables of points (`.txt`, `.csv`, `.xyz`), and what all readers share."""
 
 from __future__ import annotations
 
@@ -6,28 +6,43 @@ import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
-from dcreg.io.common import DIMENSIONS, fail
+from dcreg.problem import InputError
+
+DIMENSIONS = (2, 3)
+EXPORT = "export the file again"  # the remedy for damage that cannot be edited
 
 # One text row: its line number in the file (from 1) and its fields.
 Row = tuple[int, list[str]]
 _DECIMAL_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 
 
+def fail(path: Path, problem: str, remedy: str) -> NoReturn:
+    """Refuse a file, with the remedy."""
+    raise InputError(f"{path}: {problem}; {remedy}")
+
+
+def listing(names: Sequence[str], maximum: int = 12) -> str:
+    """Return names for a message, at most `maximum` of them."""
+    rest = f", ... ({len(names)} in all)" if len(names) > maximum else ""
+    return ", ".join(names[:maximum]) + rest if names else "none"
+
+
 def read_text(path: Path, _: str | None) -> np.ndarray:
-    """Rows of 2 or 3 numbers, or the columns that a header row names x, y and z."""
+    """Read rows of 2 or 3 numbers, or the columns that a header row calls x, y and z."""
     return _table(path, any_width=False)
 
 
 def read_xyz(path: Path, _: str | None) -> np.ndarray:
-    """The same; columns after the third (normals, colours, intensities) are ignored."""
+    """Read the same, without the columns after the third (normals, colours, intensities)."""
     return _table(path, any_width=True)
 
 
 def _table(path: Path, *, any_width: bool) -> np.ndarray:
-    """Rows of numbers, optionally after a line with the number of points and a header row."""
+    """Read rows of numbers, which a line with the number of points and a header row may precede."""
     rows = list(rows_of(lines_of(path, path.read_bytes())))
     if not rows:
         fail(path, "is empty", "give one point per line")
@@ -39,7 +54,7 @@ def _table(path: Path, *, any_width: bool) -> np.ndarray:
         fail(
             path,
             f"the first line announces {announced} points, {len(rows)} follow",
-            "the file may be cut off; mend it or correct that line",
+            "the file may be cut off; export it again or correct that line",
         )
     if not rows:
         fail(path, "holds no points", "give one point per line")
@@ -48,7 +63,7 @@ def _table(path: Path, *, any_width: bool) -> np.ndarray:
 
 
 def _columns(path: Path, names: list[str] | None, width: int, any_width: bool) -> list[int]:
-    """Which columns are coordinates: those the header names x, y(, z), else all of 2 or 3."""
+    """Return the columns of coordinates: those called x, y and z in the header, else all 2 or 3."""
     lowered = [name.strip("\"' ").lower() for name in names or []]
     if "x" in lowered and "y" in lowered:
         return [lowered.index(axis) for axis in "xyz" if axis in lowered]
@@ -56,13 +71,13 @@ def _columns(path: Path, names: list[str] | None, width: int, any_width: bool) -
         fail(
             path,
             f"wrong dimension: {width} column{'s' * (width != 1)}",
-            "keep 2 or 3 columns, or add a header row that names x, y (and z); decimals need a point",
+            "keep 2 or 3 columns, or add a header row with x, y (and z); decimals need a point",
         )
     return list(range(min(width, 3)))
 
 
 def lines_of(path: Path, content: bytes) -> list[str]:
-    """Lines of a text file of any system, without their ends."""
+    """Return the lines of a text file of any system, without line ends."""
     if b"\0" in content[:4096]:
         fail(path, "is not plain text (zero bytes found)", "save it as UTF-8 text")
     text = content.decode("utf-8-sig", errors="replace")
@@ -70,7 +85,7 @@ def lines_of(path: Path, content: bytes) -> list[str]:
 
 
 def rows_of(lines: Iterable[str], first_line: int = 1) -> Iterator[Row]:
-    """Lines split into fields; blank lines and comments (``#``, ``%``, ``//``) are left out."""
+    """Yield the fields of each line, except blank lines and comments (``#``, ``%``, ``//``)."""
     for number, line in enumerate(lines, first_line):
         content = re.split(r"#|%|//", line, maxsplit=1)[0].strip()
         if content:
@@ -78,9 +93,10 @@ def rows_of(lines: Iterable[str], first_line: int = 1) -> Iterator[Row]:
 
 
 def _fields(content: str) -> list[str]:
-    """Fields of one line. An empty field between separators stays: the reader of numbers refuses it.
+    """Return the fields of one line.
 
-    Where ``;`` separates, a comma within a number is a decimal comma.
+    An empty field between separators stays, and `numbers_of` refuses it. If ``;`` separates the fields,
+    a comma within a number is a decimal comma.
     """
     content = content.rstrip(";").rstrip()
     separator = ";" if ";" in content else "," if "," in content else None
@@ -93,7 +109,7 @@ def _fields(content: str) -> list[str]:
 
 
 def _number(field: str) -> float:
-    if "_" in field:  # Python's own way of writing numbers
+    if "_" in field:  # float() accepts underscores between digits
         raise ValueError(field)
     return float(field)
 
@@ -107,12 +123,12 @@ def _is_number(field: str) -> bool:
 
 
 def _looks_decimal(field: str) -> bool:
-    """Whether a field is what a decimal comma leaves over beside blanks, as ``5 2`` of ``1,5 2,5``."""
+    """Whether a field results from a decimal comma between blanks, as ``5 2`` does from ``1,5 2,5``."""
     return "," in field or bool(re.fullmatch(r"-?\d+\s+-?\d+", field))
 
 
 def numbers_of(path: Path, rows: Sequence[Row], columns: Sequence[int], width: int) -> np.ndarray:
-    """The given columns of text rows as floats; errors name the line."""
+    """Return the given columns of text rows as floats; errors name the line."""
     points = np.empty((len(rows), len(columns)))
     for i, (line, fields) in enumerate(rows):
         if len(fields) != width:

@@ -243,7 +243,7 @@ def test_bad_file_exits_2_and_names_it(call, tmp_path, fake, which):
     ("pairs", "words"),
     [
         ([[0.5, 1]], "not a table of pairs"),
-        ([[12, 0]], "12 is no source row"),
+        ([[12, 0]], "12 is not a source row"),
         ([[0, 12]], "12 for source point 0 is no target index"),
         ([[0, 0]], "at most 1 pairs can be matched"),
     ],

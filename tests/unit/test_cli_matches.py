@@ -71,8 +71,8 @@ def test_a_limit_has_its_exit_code(call):
     [
         ("0 0 0\n1 1 1\n", "m.txt: not a table of pairs; give two columns"),
         ("0 0.5\n1 1\n2 2\n", "m.txt: not a table of pairs; give two columns"),
-        ("0 0\n1 1\n40 2\n", "m.txt: 40 is no source row; use rows from 0 to 39"),
-        ("0 0\n1 1\n2 -1\n", "m.txt: -1 is no target row; use rows from 0 to 39"),
+        ("0 0\n1 1\n40 2\n", "m.txt: 40 is not a source row; use rows from 0 to 39"),
+        ("0 0\n1 1\n2 -1\n", "m.txt: -1 is not a target row; use rows from 0 to 39"),
         ("0 0\n1 1\n1 1\n", "matches: 2 different ones; a rigid pose needs 3"),
         ("", "m.txt: "),
         (None, "m.txt: no such file; check the path"),

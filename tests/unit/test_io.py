@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from dcreg.io import read_points
-from dcreg.io.pcd import lzf_decompress
+from dcreg.io.mesh import lzf_decompress
 from dcreg.problem import InputError
 
 POINTS3 = np.array([[0.5, -1.0, 2.0], [3.25, 4.0, -5.5], [1e-3, 0.0, 7.0], [8.0, 9.0, 10.0]])

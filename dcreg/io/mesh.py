@@ -1,0 +1,316 @@
+"""PLY, PCD and OFF files: a header, then points as text or in binary form."""
+
+from __future__ import annotations
+
+import re
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dcreg.io.text import EXPORT, Row, fail, lines_of, listing, numbers_of, rows_of
+
+
+def _read_header(path: Path, content: bytes, last: str, magic: str = "") -> tuple[list[Row], int]:
+    """Return the lines up to the one that starts with `last`, and the offset of the body."""
+    rows: list[Row] = []
+    start = 0
+    while (end := content.find(b"\n", start)) >= 0:
+        fields = content[start:end].decode("utf-8", errors="replace").split()
+        start = end + 1
+        if magic and not rows and fields != [magic]:
+            break
+        rows.append((len(rows) + 1, fields or ["#"]))
+        if fields and fields[0] == last:
+            return rows, start
+    kind = path.suffix.lower()
+    fail(path, f"has no complete {kind} header (no line '{last}')", "it may be cut off; " + EXPORT)
+
+
+def _axis_columns(path: Path, names: list[str]) -> list[int]:
+    """Return the positions of x, y and, if present, z."""
+    if "x" not in names or "y" not in names:
+        fail(path, f"points have no x and y (properties: {listing(names)})", EXPORT)
+    return [names.index(axis) for axis in "xyz" if axis in names]
+
+
+def _text_body(
+    path: Path, content: bytes, start: int, skip: int, count: int, after: int = 0
+) -> list[Row]:
+    """Return `count` text rows of the body, which follow `skip` rows and precede `after` rows."""
+    lines = lines_of(path, content[start:])
+    rows = list(rows_of(lines, content[:start].count(b"\n") + 1))
+    _check_count(path, count, max(0, len(rows) - skip), max(0, len(rows) - skip - after))
+    return rows[skip : skip + count]
+
+
+def _binary_body(
+    path: Path,
+    content: bytes,
+    start: int,
+    record: np.dtype,
+    count: int,
+    columns: list[int],
+    after: int | None = 0,
+) -> np.ndarray:
+    """Return the given columns of `count` binary records at `start`, which precede `after` bytes."""
+    size = max(0, len(content) - start)
+    own = None if after is None else max(0, size - after) // record.itemsize
+    _check_count(path, count, size // record.itemsize, own)
+    table = np.frombuffer(content, record, count, start)
+    return np.column_stack([table[f"{column}"].reshape(count) for column in columns])
+
+
+def _check_count(path: Path, announced: int, available: int, own: int | None = None) -> None:
+    """Refuse a file with fewer points than its header announces, or with more `own` ones."""
+    if available < announced:
+        fail(
+            path,
+            f"is truncated: the header announces {announced} points, the file holds {available}",
+            "copy or export the file again",
+        )
+    if own is not None and own > announced:
+        fail(
+            path,
+            f"the header announces {announced} points, the file holds {own}",
+            "correct the header or " + EXPORT,
+        )
+
+
+# --- PLY ------------------------------------------------------------------------------------------------
+
+_TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
+    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
+}
+# Byte order of each format, as NumPy writes it; the text format has none.
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+class _Property(NamedTuple):
+    name: str
+    type: str
+    length_type: str = ""  # of the length of a list
+
+
+class _Element(NamedTuple):
+    name: str
+    count: int
+    properties: list[_Property]
+
+    @property
+    def has_list(self) -> bool:
+        return any(prop.length_type for prop in self.properties)
+
+    def record(self, order: str) -> np.dtype:
+        """Return the type of one binary entry without lists; its fields are called "0", "1", ..."""
+        return np.dtype([(f"{i}", order + p.type) for i, p in enumerate(self.properties)])
+
+
+def read_ply(path: Path, _: str | None) -> np.ndarray:
+    """Read the element ``vertex`` of a PLY file."""
+    content = path.read_bytes()
+    header, start = _read_header(path, content, "end_header", magic="ply")
+    order, elements = _parsed(path, header)
+    vertex = next((element for element in elements if element.name == "vertex"), None)
+    if vertex is None:
+        fail(path, "declares no element 'vertex'", "export the file with its points")
+    if vertex.has_list:
+        fail(path, "its vertices have list properties", "export the points alone")
+    columns = _axis_columns(path, [prop.name for prop in vertex.properties])
+    at = elements.index(vertex)
+    before, behind = elements[:at], elements[at + 1 :]
+    if not order:
+        skip, rest = (sum(e.count for e in part) for part in (before, behind))
+        body = _text_body(path, content, start, skip, vertex.count, rest)
+        return numbers_of(path, body, columns, len(vertex.properties))
+    for element in before:
+        start = _skip_element(path, content, start, element, order)
+    after = (
+        None
+        if any(element.has_list for element in behind)
+        else sum(element.record(order).itemsize * element.count for element in behind)
+    )
+    return _binary_body(path, content, start, vertex.record(order), vertex.count, columns, after)
+
+
+def _parsed(path: Path, header: list[Row]) -> tuple[str, list[_Element]]:
+    """Return the byte order and the elements that the header declares."""
+    order: str | None = None
+    elements: list[_Element] = []
+    for line, fields in header:
+        match fields:
+            case ["format", name, "1.0"] if name in _ORDERS:
+                order = _ORDERS[name]
+            case ["element", name, count] if count.isdigit():
+                elements.append(_Element(name, int(count), []))
+            case ["property", "list", length, kind, name] if (
+                elements and {length, kind} <= _TYPES.keys()
+            ):
+                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[length]))
+            case ["property", kind, name] if elements and kind in _TYPES:
+                elements[-1].properties.append(_Property(name, _TYPES[kind]))
+            case ["comment" | "obj_info" | "#", *_] | ["ply"] | ["end_header"]:
+                pass
+            case _:
+                fail(path, f"header line {line} is not valid PLY: '{' '.join(fields)}'", EXPORT)
+    if order is None:
+        fail(path, "the header states no format", EXPORT)
+    return order, elements
+
+
+def _skip_element(path: Path, content: bytes, start: int, element: _Element, order: str) -> int:
+    """Return the offset after a binary element that precedes the vertices."""
+    if not element.has_list:
+        return start + element.record(order).itemsize * element.count
+    try:
+        for _ in range(element.count):
+            for prop in element.properties:
+                length = 1
+                if prop.length_type:
+                    head = np.dtype(order + prop.length_type)
+                    length = int(np.frombuffer(content, head, 1, start)[0])
+                    start += head.itemsize
+                start += length * np.dtype(prop.type).itemsize
+    except ValueError:  # frombuffer ran past the end
+        fail(path, f"is truncated within element '{element.name}'", EXPORT)
+    return start
+
+
+# --- PCD ------------------------------------------------------------------------------------------------
+
+
+def read_pcd(path: Path, _: str | None) -> np.ndarray:
+    """Read the points of a PCD file (Point Cloud Library): ascii, binary or compressed."""
+    content = path.read_bytes()
+    rows, start = _read_header(path, content, "DATA")
+    header = {values[0].upper(): values[1:] for _, values in rows}
+    types, n_points = _types(path, header), _count(path, header)
+    columns = _axis_columns(path, header["FIELDS"])
+    counts = [dtype.shape[0] for dtype in types]
+    if any(counts[column] != 1 for column in columns):
+        fail(path, "its x, y or z hold several values per point", EXPORT)
+    match header["DATA"]:
+        case ["ascii"]:
+            body = _text_body(path, content, start, 0, n_points)
+            # a field with a count above one fills several text columns
+            first = np.cumsum([0, *counts]).tolist()
+            return numbers_of(path, body, [first[column] for column in columns], first[-1])
+        case ["binary"]:
+            record = np.dtype([(f"{i}", dtype) for i, dtype in enumerate(types)])
+            return _binary_body(path, content, start, record, n_points, columns)
+        case ["binary_compressed"]:
+            return _unpacked(path, content, start, types, n_points, columns)
+        case other:
+            remedy = "use ascii, binary or binary_compressed"
+            fail(path, f"unknown DATA kind '{' '.join(other)}'", remedy)
+
+
+def _types(path: Path, header: dict[str, list[str]]) -> list[np.dtype]:
+    """Return the type of each field: an array of as many numbers as the field holds."""
+    codes = {"F": "f", "I": "i", "U": "u"}
+    try:
+        counts = header.get("COUNT", ["1"] * len(header["FIELDS"]))
+        columns = zip(header["FIELDS"], header["TYPE"], header["SIZE"], counts, strict=True)
+        return [
+            np.dtype((f"<{codes[kind]}{int(size)}", (int(count),)))
+            for _, kind, size, count in columns
+        ]
+    except (KeyError, ValueError, TypeError):
+        fail(path, "FIELDS, SIZE, TYPE and COUNT of the header do not fit together", EXPORT)
+
+
+def _count(path: Path, header: dict[str, list[str]]) -> int:
+    try:
+        stated = _natural(header["POINTS"][0]) if "POINTS" in header else None
+        if stated is not None and "WIDTH" not in header:
+            return stated
+        width, height = _natural(header["WIDTH"][0]), _natural(header.get("HEIGHT", ["1"])[0])
+    except (KeyError, IndexError, ValueError):
+        fail(path, "the header states no valid number of points", EXPORT)
+    if stated not in (None, width * height):
+        fail(
+            path,
+            f"the header states POINTS {stated}, but WIDTH x HEIGHT = {width} x {height}",
+            "correct the header or " + EXPORT,
+        )
+    return width * height
+
+
+def _natural(text: str) -> int:
+    if not text.isdecimal():
+        raise ValueError(text)
+    return int(text)
+
+
+def _unpacked(
+    path: Path,
+    content: bytes,
+    start: int,
+    types: list[np.dtype],
+    n_points: int,
+    columns: list[int],
+) -> np.ndarray:
+    """Return the coordinates from compressed data, which hold one field after the other."""
+    ends = np.cumsum([0] + [dtype.itemsize * n_points for dtype in types]).tolist()
+    try:
+        packed_size, size = struct.unpack_from("<II", content, start)
+        packed = content[start + 8 : start + 8 + packed_size]
+        data = lzf_decompress(packed, size) if size else b""
+        if (len(packed), len(data), size) != (packed_size, size, ends[-1]):
+            raise IndexError
+    except (struct.error, IndexError):
+        fail(path, "the compressed data are damaged or cut off", EXPORT)
+    axes = [np.frombuffer(data, types[c].base, n_points, ends[c]) for c in columns]
+    return np.column_stack(axes)
+
+
+def lzf_decompress(packed: bytes, size: int) -> bytes:
+    """Unpack LZF: literal runs, and copies of earlier output that may overlap their own end."""
+    out = bytearray()
+    i = 0
+    while i < len(packed) and len(out) <= size:
+        control = packed[i]
+        i += 1
+        if control < 32:
+            out += packed[i : i + control + 1]
+            i += control + 1
+            continue
+        length = control >> 5
+        if length == 7:
+            length += packed[i]
+            i += 1
+        distance = ((control & 31) << 8) + packed[i] + 1
+        i += 1
+        if distance > len(out):
+            raise IndexError("reference before the start")
+        chunk = bytes(out[-distance:])
+        repeats = -(-(length + 2) // distance)
+        out += (chunk * repeats)[: length + 2]
+    return bytes(out)
+
+
+# --- OFF ------------------------------------------------------------------------------------------------
+
+
+def read_off(path: Path, _: str | None) -> np.ndarray:
+    """Read the vertices of a 3D OFF file."""
+    rows = list(rows_of(lines_of(path, path.read_bytes())))
+    if not rows:
+        fail(path, "is empty", EXPORT)
+    line, (magic, *counts) = rows.pop(0)
+    # letters before OFF announce colours, normals or texture, which follow the coordinates
+    if not re.fullmatch(r"(ST)?C?N?OFF", magic):
+        fail(path, f"line {line}: '{magic[:40]}' is not the start of a 3D OFF file", EXPORT)
+    if not counts and rows:
+        line, counts = rows.pop(0)
+    if not counts or not counts[0].isdecimal():
+        fail(path, f"line {line} states no number of vertices", EXPORT)
+    n_points = int(counts[0])
+    has_faces = len(counts) > 1 and counts[1].isdecimal()
+    _check_count(path, n_points, len(rows), len(rows) - int(counts[1]) if has_faces else None)
+    vertices = rows[:n_points]
+    width = max(len(vertices[0][1]), 3) if vertices else 3
+    return numbers_of(path, vertices, [0, 1, 2], width)
