@@ -1,4 +1,4 @@
-"""Certificates: what a finished search proves, on disk, and its check apart from the search."""
+"""Certificates: what a finished search proves, saved to disk, and an independent check of it."""
 
 from dcreg.certificate.format import Certificate, CertificateError, read, write
 from dcreg.certificate.verification import Report, verify

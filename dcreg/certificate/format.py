@@ -1,10 +1,10 @@
-"""Certificates on disk: the leaves of a finished search, with all that is needed to check them.
+"""Certificates on disk: the leaf boxes of a finished search, with everything needed to check them.
 
-A certificate is an .npz of plain arrays (never a pickle), sealed with a checksum over all of them. It
-states: over the start box, the objective of one family of poses is nowhere less than `lower_bound`,
-and at `theta` it is `upper_bound`. The proof is a leaf cover: boxes that tile the start box, each with
-its own lower bound and the reason why it was not divided further. `dcreg.certificate.verify` checks it
-without the code that made it. Lengths are in the unit of the frame, objectives in its square.
+A certificate is an .npz file of plain arrays (never a pickle) with a checksum over all of them. It
+states that the objective of one family of poses is at least `lower_bound` everywhere in the start box,
+and equals `upper_bound` at `theta`. Its leaf boxes are a partition of the start box. Each has a lower
+bound and the reason why it was not divided further. `dcreg.certificate.verify` checks all this without
+the code of the search. Lengths are in normalised units, objectives in their squares.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MODELS = ("similarity2d", "translation3d")
 
 # Why a leaf was not divided further.
 PRUNED = 0  # its bound reached upper_bound - gap_tol
-INADMISSIBLE = 1  # it holds no admissible parameter
+INADMISSIBLE = 1  # it contains no admissible parameter
 OPEN = 2  # a limit ended the search first
 
 
@@ -38,7 +38,7 @@ class CertificateError(ValueError):
 
 
 class NoCertificateError(CertificateError):
-    """What is no certificate at all, rather than a false or damaged one."""
+    """A file that is not a certificate, rather than a false or damaged one."""
 
     def __init__(self, path: Path, problem: str) -> None:
         super().__init__(f"{path}: {problem}; `dcreg register --certificate` writes a certificate")
@@ -46,7 +46,7 @@ class NoCertificateError(CertificateError):
 
 @dataclass(frozen=True)
 class Certificate:
-    """Everything a certificate states; `dcreg.verify` checks it, `dcreg.certificate.write` keeps it.
+    """Everything that a certificate states; `dcreg.verify` checks it, `dcreg.certificate.write` saves it.
 
     Attributes
     ----------
@@ -55,8 +55,8 @@ class Certificate:
     model : {"similarity2d", "translation3d"}
         2D similarity poses, or translations in norm space about `target_centre`.
     mode, bound, status : str
-        How the leaves came about; information only, nothing is concluded from it but that
-        ``status == "optimal"`` claims a closed gap.
+        How the leaves were found, for information only, except that ``status == "optimal"`` claims a
+        closed gap.
     n_inliers : int
     scale_range : (2,) array
     source_centre, target_centre : (dim,) arrays
@@ -65,15 +65,15 @@ class Certificate:
     start_lower, start_upper : (d,) arrays
     leaf_lower, leaf_upper : (L, d) arrays
     leaf_bounds : (L,) array
-        +inf only where the leaf is inadmissible.
+        +inf only for inadmissible leaves.
     leaf_reasons : (L,) int8 array
         PRUNED, INADMISSIBLE or OPEN.
     theta : (d,) array
     lower_bound, upper_bound, gap_tol : float
     candidates : (c, 2) int array
-        The feasible pairs, source and target index; none: every pair is feasible.
+        The feasible pairs, source and target index; if empty, every pair is feasible.
     dcreg_version : str
-        Of the library that made it.
+        Version of the library that wrote it.
     """
 
     source_digest: str
@@ -101,7 +101,7 @@ class Certificate:
     dcreg_version: str = field(default=__version__)
 
     def __post_init__(self) -> None:
-        """Coerce every field to its one plain type, so that files differ in content alone."""
+        """Convert every field to its plain type, so that equal certificates give equal files."""
         for entry in fields(self):
             value: np.ndarray = np.array(
                 getattr(self, entry.name), dtype=_dtype(entry.name), order="C"
@@ -110,13 +110,13 @@ class Certificate:
 
 
 def digest(points: np.ndarray) -> str:
-    """SHA-256 of a cloud: its shape and its coordinates as little-endian doubles."""
+    """Return the SHA-256 of a cloud: its shape and its coordinates as little-endian doubles."""
     points = np.ascontiguousarray(points, dtype="<f8")
     return hashlib.sha256(repr(points.shape).encode() + points.tobytes()).hexdigest()
 
 
 def write(path: str | Path, certificate: Certificate) -> None:
-    """Write `certificate` to an .npz file, whole or not at all; `read` and `dcreg.verify` take it.
+    """Write `certificate` to an .npz file, completely or not at all.
 
     Raises
     ------
@@ -134,13 +134,13 @@ def write(path: str | Path, certificate: Certificate) -> None:
 
 
 def read(path: str | Path) -> Certificate:
-    """The certificate in a file, complete and with the right checksum; its statement is not checked.
+    """Read a complete certificate with the right checksum; its statement is not checked.
 
     Raises
     ------
     CertificateError
-        With the reason, if the file is unreadable, truncated, changed or of another version;
-        a `NoCertificateError` if it never was one.
+        If the file is unreadable, truncated, changed or of another version, with the reason;
+        a `NoCertificateError` if the file is not a certificate.
     """
     path = Path(path)
     if path.is_dir():
@@ -150,7 +150,7 @@ def read(path: str | Path) -> Certificate:
     try:
         with path.open("rb") as file:
             if file.read(len(_MAGIC)) != _MAGIC:
-                raise NoCertificateError(path, "not a readable certificate (no .npz file)")
+                raise NoCertificateError(path, "not a readable certificate (not an .npz file)")
             file.seek(0)
             loaded = np.load(file, allow_pickle=False)
             arrays = dict(loaded) if isinstance(loaded, Mapping) else {}
@@ -158,7 +158,7 @@ def read(path: str | Path) -> Certificate:
         raise
     except OSError as error:
         raise NoCertificateError(path, f"cannot be read ({error.strerror or error})") from None
-    except Exception as error:  # whatever numpy, zipfile and zlib raise on broken or hostile bytes
+    except Exception as error:  # whatever numpy, zipfile and zlib raise for damaged files
         raise CertificateError(f"{path}: not a readable certificate ({error})") from None
     stated = str(arrays.pop("checksum", ""))
     if str(arrays.get("format")) != FORMAT:
@@ -194,7 +194,7 @@ def _dtype(name: str) -> type:
 
 
 def _checksum(arrays: dict[str, np.ndarray]) -> str:
-    """SHA-256 over names, types, shapes and bytes."""
+    """Return the SHA-256 of names, types, shapes and bytes."""
     sha = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -204,7 +204,7 @@ def _checksum(arrays: dict[str, np.ndarray]) -> str:
 
 
 def check_shapes(c: Certificate) -> None:
-    """Sizes fit each other and numbers are numbers, so that later checks can rely on it.
+    """Check that sizes fit each other and numbers are finite, so that later checks can rely on it.
 
     Raises
     ------
@@ -212,7 +212,9 @@ def check_shapes(c: Certificate) -> None:
         Naming the entry.
     """
     if c.model not in MODELS:
-        raise CertificateError(f"model {c.model!r} is unknown; a certificate speaks of {MODELS}")
+        raise CertificateError(
+            f"model {c.model!r} is unknown; a certificate refers to one of {MODELS}"
+        )
     dim, d = (2, 4) if c.model == "similarity2d" else (3, 3)
     count = len(np.atleast_1d(c.leaf_bounds))
     shapes = {
@@ -251,4 +253,4 @@ def check_shapes(c: Certificate) -> None:
     if (c.candidates < 0).any():
         raise CertificateError("candidates: a negative index")
     if not 0 < c.scale_range[0] <= c.scale_range[1]:
-        raise CertificateError(f"scale_range: {c.scale_range} needs 0 < low <= high")
+        raise CertificateError(f"scale_range: {c.scale_range}, but 0 < low <= high is needed")

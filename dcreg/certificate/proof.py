@@ -1,73 +1,190 @@
-"""Lower bounds over boxes, proven anew by dividing a box until plain bounds reach what is stated."""
+"""The proof of a certificate: its leaves are a partition, and the stated lower bound holds on each."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.certificate.families import Family
 from dcreg.certificate.format import INADMISSIBLE, Certificate, CertificateError
+from dcreg.certificate.objectives import Objective
 
-TANGENT_STEPS = 10  # attempts to find a better point for the tangent
+TANGENT_STEPS = 10  # attempts to find a better tangent point
+# Coordinates are equal if they differ by less than this fraction of the start box, or of the clouds if
+# those are smaller.
+SAME = 1e-12
 
-# (boxes treated, boxes known to be needed so far)
+# Called with the boxes bounded and those known to be needed so far.
 Progress = Callable[[int, int], None]
 
 
-class Proof:
-    """Proves the lower bound of a certificate on all its leaves.
+# --- the partition --------------------------------------------------------------------------------
+
+
+def check_partition(
+    start_lower: np.ndarray, start_upper: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> None:
+    """Check that the leaves are a partition of the start box: no gap, no overlap, nothing outside.
+
+    The box is cut between leaves, and its parts again, until each part is one leaf. This works for every
+    partition made by bisection. If no plane divides a part, its leaves overlap; if a single leaf does not
+    fill its part, there is a gap.
 
     Parameters
     ----------
-    family : Family
+    start_lower, start_upper : (d,) arrays
+        Start box, in normalised units.
+    lower, upper : (L, d) arrays
+        Leaf boxes.
+
+    Raises
+    ------
+    CertificateError
+        Naming a leaf next to the gap or in the overlap.
+    """
+    if not (lower <= upper).all():
+        raise CertificateError(f"leaf {np.argmin((lower <= upper).all(axis=1))} is not a box")
+    grid = _Grid.of(start_lower, start_upper, lower, upper)
+    wide = np.flatnonzero(grid.first < grid.last)  # a flat axis cannot be divided
+    parts = [(grid.first, grid.last, np.arange(len(lower)))]
+    while parts:
+        first, last, leaves = parts.pop()
+        if len(leaves) == 1:
+            leaf = leaves[0]
+            if (grid.low[leaf] != first).any() or (grid.high[leaf] != last).any():
+                raise CertificateError(
+                    f"leaves: a gap or a part outside of the start box next to leaf {leaf}"
+                )
+            continue
+        axis, cut, left, right = _cut(grid, leaves, wide)
+        cut_last, cut_first = last.copy(), first.copy()
+        cut_last[axis] = cut_first[axis] = cut
+        parts += [(first, cut_last, left), (cut_first, last, right)]
+
+
+class _Grid(NamedTuple):
+    """Coordinates as ranks among the distinct values of their axis, so that rounding does not matter.
+
+    Attributes
+    ----------
+    low, high : (L, d) int arrays
+        Leaf boxes.
+    first, last : (d,) int arrays
+        Start box.
+    values : list of d arrays
+        The coordinate of each rank.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    values: list[np.ndarray]
+
+    @classmethod
+    def of(
+        cls, start_lower: np.ndarray, start_upper: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> _Grid:
+        low, high = np.empty(lower.shape, np.int64), np.empty(lower.shape, np.int64)
+        first, last = np.empty(len(start_lower), np.int64), np.empty(len(start_lower), np.int64)
+        distinct = []
+        for axis in range(len(start_lower)):
+            ends = np.array([start_lower[axis], start_upper[axis]])
+            values = np.unique(np.concatenate([lower[:, axis], upper[:, axis], ends]))
+            tolerance = SAME * (min(ends[1] - ends[0], 1.0) or max(1.0, abs(ends[0])))
+            rank = np.concatenate([[0], np.cumsum(np.diff(values) > tolerance)])
+            low[:, axis] = rank[np.searchsorted(values, lower[:, axis])]
+            high[:, axis] = rank[np.searchsorted(values, upper[:, axis])]
+            first[axis], last[axis] = rank[np.searchsorted(values, ends)]
+            distinct.append(values[np.concatenate([[True], np.diff(rank) > 0])])
+        return cls(low, high, first, last, distinct)
+
+
+def _cut(
+    grid: _Grid, leaves: np.ndarray, axes: np.ndarray
+) -> tuple[int, int, np.ndarray, np.ndarray]:
+    """Return a plane that crosses none of `leaves`: its axis and rank, and the leaves on either side.
+
+    Of all such planes it is the one nearest to the centre of its axis, where bisection would cut.
+    """
+    best: tuple | None = None
+    for axis in axes:
+        low, high, values = grid.low[:, axis], grid.high[:, axis], grid.values[axis]
+        order = leaves[np.argsort(low[leaves], kind="stable")]
+        reach = np.maximum.accumulate(high[order])
+        free = np.flatnonzero(low[order[1:]] >= reach[:-1])
+        if not free.size:
+            continue
+        begin, end = values[low[order[0]]], values[reach[-1]]
+        off = np.abs(values[reach[free]] - 0.5 * (begin + end)) / (end - begin or 1.0)
+        at = int(np.argmin(off))
+        if best is None or off[at] < best[0]:
+            split = free[at] + 1
+            best = (off[at], axis, reach[free[at]], order[:split], order[split:])
+        if best[0] == 0.0:
+            break
+    if best is None:
+        raise CertificateError(f"leaves: {leaves[0]} and {leaves[1]} or others near them overlap")
+    return best[1:]
+
+
+# --- the lower bound ------------------------------------------------------------------------------
+
+
+class Proof:
+    """A proof of the lower bound of a certificate on all its leaves, by dividing them further.
+
+    Parameters
+    ----------
+    objective : Objective
     slack : float
-        Rounding that a bound may fall short by.
+        Tolerance of a bound for rounding errors.
     max_boxes : int
-        Boxes to be bounded before the proof counts as failed.
+        The proof fails after this number of boxes.
     progress : callable, optional
-        Told of the boxes treated and of those known to be needed.
+        Receives the boxes bounded and those known to be needed.
     """
 
     def __init__(
-        self, family: Family, slack: float, max_boxes: int, progress: Progress | None = None
+        self, objective: Objective, slack: float, max_boxes: int, progress: Progress | None = None
     ) -> None:
-        self.family = family
+        self.objective = objective
         self.slack = slack
         self.max_boxes = max_boxes
         self.progress = progress
-        self._bounds = [family.nearest_bound, family.interval_bound, self.tangent_bound]
-        if family.is_sorted_order:  # tangents need no assignments there, and are enough
-            self._bounds.remove(family.interval_bound)
+        self._bounds = [objective.nearest_bound, objective.interval_bound, self.tangent_bound]
+        if objective.is_sorted_order:  # there the tangent bound needs no assignments and suffices
+            self._bounds.remove(objective.interval_bound)
 
     def run(self, c: Certificate) -> int:
-        """Prove the stated lower bound on every leaf; the number of boxes that took.
+        """Prove the stated lower bound on every leaf; return the number of boxes needed.
 
-        A leaf may state a higher bound of its own: the claim does not rest on it, so it is not proven,
-        but refuted where the middle of the leaf shows it to be false.
+        A leaf may state a larger bound. The claim does not depend on it, so it is not proven. It is
+        refuted if the objective at the centre of the leaf is smaller.
 
         Raises
         ------
         CertificateError
-            Where a bound is false, or cannot be confirmed with `max_boxes` boxes.
+            If a bound is false or cannot be proven with `max_boxes` boxes.
         """
         leaves = np.arange(len(c.leaf_bounds))
         lower, upper = c.leaf_lower, c.leaf_upper
         needed = c.lower_bound - self.slack
-        # boxes that state more than is proven
+        # leaves whose stated bound exceeds the one to be proven
         doubtful = c.leaf_bounds > c.lower_bound + self.slack
         n_boxes = 0
         while len(leaves):
             if n_boxes + len(leaves) > self.max_boxes:
                 raise CertificateError(
-                    f"leaf {leaves[0]}: that its objective is at least {c.lower_bound:.9g} could not "
-                    f"be confirmed within {self.max_boxes} boxes"
+                    f"leaf {leaves[0]}: the lower bound {c.lower_bound:.9g} could not be confirmed "
+                    f"within {self.max_boxes} boxes"
                 )
             is_unproven = np.zeros(len(leaves), dtype=bool)
-            size = self.family.n_at_once
+            size = self.objective.n_at_once
             for at in range(0, len(leaves), size):
                 part = slice(at, at + size)
-                outside = self.family.outside(lower[part], upper[part])
+                outside = self.objective.outside(lower[part], upper[part])
                 self._check_inadmissible(leaves[part][~outside], c)
                 is_unproven[part] = self._unproven(lower[part], upper[part], outside, needed)
                 suspect = at + np.flatnonzero((is_unproven | doubtful)[part] & ~outside)
@@ -78,68 +195,70 @@ class Proof:
             n_boxes += len(leaves)
             leaves = np.repeat(leaves[is_unproven], 2)
             lower, upper = self._halves(lower[is_unproven], upper[is_unproven])
-            doubtful = np.zeros(len(leaves), dtype=bool)  # a leaf is looked at once
+            doubtful = np.zeros(len(leaves), dtype=bool)  # each leaf is checked once
         return n_boxes
 
     @staticmethod
     def _check_inadmissible(leaves: np.ndarray, c: Certificate) -> None:
-        """None of `leaves`, which hold admissible parameters, is stated to hold none."""
+        """Check that none of these leaves, which may contain admissible poses, is stated to be empty."""
         stuck = leaves[c.leaf_reasons[leaves] == INADMISSIBLE]
         if stuck.size:
             raise CertificateError(
-                f"leaf {stuck[0]} is stated to hold no admissible parameter, but may"
+                f"leaf {stuck[0]} is stated to contain no admissible parameter, but may contain one"
             )
 
     def _unproven(
         self, lower: np.ndarray, upper: np.ndarray, outside: np.ndarray, needed: float
     ) -> np.ndarray:
-        """Mask of the boxes where the objective is not known to reach `needed`; cheap bounds first."""
+        """Return a mask of the boxes whose lower bound does not reach `needed`, by cheap bounds first."""
         # a sum of squares is never negative
         unproven = np.flatnonzero(~outside) if needed > 0 else np.empty(0, np.int64)
         for bound in self._bounds:
             if unproven.size:
                 found = bound(lower[unproven], upper[unproven], needed)
-                unproven = unproven[~(found >= needed)]  # what is no number proves nothing
+                unproven = unproven[~(found >= needed)]  # NaN proves nothing
         return np.isin(np.arange(len(lower)), unproven)
 
     def _refute(
         self, lower: np.ndarray, upper: np.ndarray, leaves: np.ndarray, c: Certificate
     ) -> None:
-        """Refuse the certificate if the middle of a box, or else an end, beats its leaf's own bound."""
+        """Refuse the certificate if the objective at the centre or an end of a box is below its bound."""
         points = np.stack([0.5 * (lower + upper), lower, upper])
-        admissible = np.array([self.family.admissible(some) for some in points])
+        admissible = np.array([self.objective.admissible(some) for some in points])
         boxes = np.flatnonzero(admissible.any(axis=0))
         thetas = points[admissible.argmax(axis=0)[boxes], boxes]
-        self.family.refute(thetas, (c.leaf_bounds - self.slack)[leaves[boxes]], leaves[boxes])
+        self.objective.refute(thetas, (c.leaf_bounds - self.slack)[leaves[boxes]], leaves[boxes])
 
     def tangent_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """max over theta0 of min over vertices v of the tangent's value there, for each of B boxes.
+        """Return the maximum over theta0 of the minimum over vertices v of the linearised objective.
 
-        The objective of one matching is convex minus convex. With its convex part replaced by the
-        tangent at any theta0 it is concave, and so least at a vertex v, where it falls short of E by
-        ``sum p_ij R_i(v - theta0)``, the family's `rebates`.
+        The objective of one matching is a difference of convex functions. With its first part replaced
+        by the tangent at theta0 it is concave, so that its minimum is at a vertex v. There it is below E
+        by ``sum p_ij R_i(v - theta0)``, the `linearisation_gaps` of the objective.
         """
-        family = self.family
+        objective = self.objective
         vertices = _vertices(lower, upper)
-        profiles = family.known(vertices.reshape(-1, vertices.shape[2]))
+        profiles = objective.profiles(vertices.reshape(-1, vertices.shape[2]))
         shape = vertices.shape[:2]
         rows = np.array([profile.rows for profile in profiles]).reshape(*shape, -1)
         totals = np.array([profile.total for profile in profiles]).reshape(shape)
         exact = np.array([profile.is_exact for profile in profiles]).reshape(shape)
-        curvature = family.curvature(lower, upper, needed)
+        curvature = objective.curvature(lower, upper, needed)
         best = np.full(len(lower), -np.inf)
         bases = vertices.mean(axis=1)
-        left = np.arange(len(lower))  # boxes that may be proven yet
+        left = np.arange(len(lower))  # boxes that can still be proven
         while left.size:
             best[left], terms, bases[left] = self._best_base(
                 vertices[left], rows[left], totals[left], curvature[left], needed, bases[left]
             )
-            # only vertices that hold a box back need their exact profile
+            # only vertices that limit the bound need their exact profile
             binding = np.where(exact[left], np.inf, terms).argmin(axis=1)
-            holds_back = ~exact[left, binding] & (best[left] < needed)
-            left, binding = left[holds_back], binding[holds_back]
+            is_limited = ~exact[left, binding] & (best[left] < needed)
+            left, binding = left[is_limited], binding[is_limited]
             for box, at in zip(left, binding, strict=True):
-                rows[box, at], totals[box, at], exact[box, at] = family.solved(vertices[box, at])
+                rows[box, at], totals[box, at], exact[box, at] = objective.solved_profile(
+                    vertices[box, at]
+                )
         return np.minimum(best, needed)
 
     def _best_base(
@@ -151,42 +270,43 @@ class Proof:
         needed: float,
         base: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The best bound found, the values at the vertices, and the theta0 that gave them.
+        """Return the best bound found, its values at the vertices, and its theta0.
 
-        From `base` theta0 moves, in ever smaller steps, towards the vertex whose term is the least at
-        present.
+        From `base`, theta0 moves in decreasing steps towards the vertex with the smallest value.
         """
         best, best_base = np.full(len(vertices), -np.inf), base.copy()
         best_terms = np.empty(vertices.shape[:2])
-        left = np.arange(len(vertices))  # boxes not proven yet
+        left = np.arange(len(vertices))  # boxes not yet proven
         for step in range(TANGENT_STEPS):
-            rebates = self.family.rebates(vertices[left] - base[left, None], curvature[left])
-            terms = self.family.tangent_terms(rows[left], totals[left], rebates)
-            least = terms.argmin(axis=1)
-            found = terms[np.arange(len(left)), least]
+            gaps = self.objective.linearisation_gaps(
+                vertices[left] - base[left, None], curvature[left]
+            )
+            terms = self.objective.tangent_terms(rows[left], totals[left], gaps)
+            lowest = terms.argmin(axis=1)
+            found = terms[np.arange(len(left)), lowest]
             better = found > best[left]
             improved = left[better]
             best[improved], best_terms[improved] = found[better], terms[better]
             best_base[improved] = base[improved]
-            base[left] += (vertices[left, least] - base[left]) / (step + 2)
+            base[left] += (vertices[left, lowest] - base[left]) / (step + 2)
             left = left[best[left] < needed]
             if not left.size:
                 break
         return best, best_terms, best_base
 
     def _halves(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bisect every box along its longest edge, measured by how far it moves the source."""
-        axis = np.argmax((upper - lower) * self.family.weights, axis=1)
+        """Bisect each box along the edge that moves the source most."""
+        axis = np.argmax((upper - lower) * self.objective.weights, axis=1)
         lower, upper = np.repeat(lower, 2, axis=0), np.repeat(upper, 2, axis=0)
         rows = np.arange(len(axis))
-        middle = 0.5 * (lower[2 * rows, axis] + upper[2 * rows, axis])
-        upper[2 * rows, axis] = middle
-        lower[2 * rows + 1, axis] = middle
+        centre = 0.5 * (lower[2 * rows, axis] + upper[2 * rows, axis])
+        upper[2 * rows, axis] = centre
+        lower[2 * rows + 1, axis] = centre
         return lower, upper
 
 
 def _vertices(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """(B, V, d) corners, without repeating those of axes that are flat in all boxes."""
+    """Return (B, V, d) vertices, without duplicates along axes that are flat in all boxes."""
     wide = np.flatnonzero((upper > lower).any(axis=0))
     bits = (np.arange(2 ** len(wide))[:, None] >> np.arange(len(wide))) & 1
     out = np.repeat(lower[:, None, :], len(bits), axis=1)

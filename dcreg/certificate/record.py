@@ -1,22 +1,20 @@
-"""The certificate of one search: its leaves, put down in the terms of the file format.
+"""The certificate of one search: its leaves in the terms of the file format.
 
-The only module that knows both the search and the format.
+This is the only module that knows both the search and the format.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from dcreg.certificate import format
-from dcreg.certificate.format import Certificate, digest
+from dcreg.certificate.format import INADMISSIBLE, OPEN, PRUNED, Certificate, digest
 from dcreg.problem import Frame, Problem
 from dcreg.search import Box, Leaves, Outcome
-from dcreg.search import boxes as leaves
 
 
 def record(
     found: Outcome,
-    cover: Leaves,
+    leaves: Leaves,
     start: Box,
     problem: Problem,
     *,
@@ -25,26 +23,26 @@ def record(
     bound: str,
     gap_tol: float,
 ) -> Certificate:
-    """What the search `found` over `start` proves; all lengths are in the unit of the frame.
+    """Return what the search `found` over `start` proves, in normalised units.
 
     Parameters
     ----------
     found : Outcome
-    cover : Leaves
+    leaves : Leaves
         Of this search.
     start : Box
         Its only root.
     problem : Problem
-        As it was given, in its own units.
+        As given, in its own units.
     family : str
         One of `dcreg.certificate.format.MODELS`.
     mode, bound : str
     gap_tol : float
         In normalised units.
     """
-    arrays, frame = cover.arrays(), Frame.of(problem)
+    boxes, frame = leaves.arrays(), Frame.of(problem)
     needed = max(found.lower_bound, found.upper_bound - gap_tol)
-    pairs = problem.candidates
+    pairs, is_empty = problem.candidates, np.isinf(boxes["bounds"])
     return Certificate(
         source_digest=digest(problem.source),
         target_digest=digest(problem.target),
@@ -59,26 +57,14 @@ def record(
         unit=frame.unit,
         start_lower=start.lower,
         start_upper=start.upper,
-        leaf_lower=arrays["lower"],
-        leaf_upper=arrays["upper"],
-        # no more than the statement needs: what a search finds beyond that is costly to prove anew
-        leaf_bounds=np.where(
-            np.isinf(arrays["bounds"]), arrays["bounds"], np.minimum(arrays["bounds"], needed)
-        ),
-        leaf_reasons=_format_codes(arrays["reason"]),
+        leaf_lower=boxes["lower"],
+        leaf_upper=boxes["upper"],
+        # no more than the statement needs: larger bounds are expensive to prove again
+        leaf_bounds=np.where(is_empty, np.inf, np.minimum(boxes["bounds"], needed)),
+        leaf_reasons=np.select([is_empty, boxes["is_open"]], [INADMISSIBLE, OPEN], PRUNED),
         theta=found.theta,
         lower_bound=found.lower_bound,
         upper_bound=found.upper_bound,
         gap_tol=gap_tol,
         candidates=np.empty((0, 2)) if pairs is None else np.argwhere(pairs),
     )
-
-
-def _format_codes(reasons: np.ndarray) -> np.ndarray:
-    """The search's reasons as codes of the file format, each numbered on its own."""
-    code_of = {
-        leaves.PRUNED: format.PRUNED,
-        leaves.EMPTY: format.INADMISSIBLE,
-        leaves.OPEN: format.OPEN,
-    }
-    return np.array([code_of[reason] for reason in reasons.tolist()], dtype=np.int8)

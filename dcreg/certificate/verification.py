@@ -1,10 +1,10 @@
-"""Check a certificate in plain NumPy and SciPy, without the code that searched for it.
+"""Check a certificate with NumPy and SciPy only, without the code of the search.
 
-Neither this module nor what it imports uses the library's search, bounds, spaces or kernels, so that a
-mistake there cannot hide itself. The checks, in order: the certificate is whole and speaks of these
-clouds; its entries agree with each other; its start box holds every optimum; its leaves tile the start
-box (`cover`); the stated optimum is attained; no sampled parameter beats its leaf; and on every leaf the
-stated lower bound is proven anew (`proof`, by the plain bounds of `families`).
+Neither this module nor its imports use the library's search, bounds, spaces or kernels, so that an error
+there cannot remain hidden. The checks, in order: the certificate is complete and refers to these clouds;
+its entries are consistent; its start box contains every optimum; its leaves are a partition of the start
+box; the stated optimum is attained; no sampled parameter is below the bound of its leaf; and the stated
+lower bound is proven again on every leaf (`proof`, with the simple bounds of `objectives`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from dcreg.certificate.cover import check_cover
-from dcreg.certificate.families import FAMILIES, Family
 from dcreg.certificate.format import (
     PRUNED,
     Certificate,
@@ -28,35 +26,36 @@ from dcreg.certificate.format import (
     digest,
     read,
 )
-from dcreg.certificate.proof import Progress, Proof
+from dcreg.certificate.objectives import OBJECTIVES, Objective
+from dcreg.certificate.proof import Progress, Proof, check_partition
 
-MAX_DENSE = 4_000_000  # pairs of which cost matrices are formed
+MAX_DENSE = 4_000_000  # pairs of points up to which cost matrices are formed
 
 
 @dataclass
 class Report:
-    """What `verify` found. Bounds are in squared units of the target, as in `dcreg.Result`.
+    """The outcome of `verify`. Bounds are in squared units of the target, as in `dcreg.Result`.
 
     Attributes
     ----------
     accepted : bool
     is_certificate : bool
-        Whether there was a certificate to be checked: neither another file nor none.
+        False if there was nothing to check: no file, or a file that is not a certificate.
     reason : str
         Why the certificate was refused; empty if it was accepted.
     statement : str
-        What is now known to hold; empty if refused.
+        What is proven; empty if refused.
     is_trivial : bool
-        Whether the lower bound is 0, as of any sum of squares, and the upper one is not.
+        Whether the lower bound is 0, which holds for any sum of squares, and the upper one is not.
     checks : list of str
-        One line per check that was passed.
+        One line for each check passed.
     model : str
-        Family of poses that the certificate speaks of.
+        Family of poses that the certificate refers to.
     n_inliers : int
     lower_bound, upper_bound, gap_tol : float
         As stated by the certificate; proven only if it was accepted.
     n_leaves, n_boxes, n_assignments : int
-        Leaves of the certificate, boxes they were cut into for the proof, assignments solved.
+        Leaves of the certificate, boxes bounded for the proof, assignments solved.
     time_s : float
         Wall time of the check.
     """
@@ -87,28 +86,28 @@ def verify(
     n_samples: int = 500,
     progress: Progress | None = None,
 ) -> Report:
-    """Check a certificate against the clouds it should speak of, without trusting the search.
+    """Check a certificate against its clouds, without trust in the search.
 
-    Whoever trusts this function, NumPy and SciPy need not trust `dcreg.register`: an accepted
-    certificate encloses the global optimum of its objective between ``lower_bound`` and ``upper_bound``.
+    An accepted certificate proves that the global optimum of its objective lies between ``lower_bound``
+    and ``upper_bound``. The proof relies on this function, NumPy and SciPy, not on `dcreg.register`.
 
     Parameters
     ----------
     certificate : path or Certificate
         A file written by `dcreg.certificate.write`, or `Result.certificate` of a run.
     source, target : (n, d), (m, d) arrays
-        As they were given to `dcreg.register`, to the last bit.
+        Exactly as given to `dcreg.register`.
     max_boxes : int, optional
-        Boxes to be bounded before the proof counts as failed; default 1000 plus 20 per leaf.
+        The proof fails after this number of boxes; default 1000 plus 20 per leaf.
     n_samples : int
-        Random parameters tried against the leaf bounds.
+        Number of random parameters that are compared with the bounds of their leaves.
     progress : callable, optional
-        Called with the number of boxes bounded and of those known to be needed, which may grow.
+        Called with the number of boxes bounded and of those known to be needed, which may increase.
 
     Returns
     -------
     Report
-        A bad certificate raises nothing: it is refused, with the reason.
+        A bad certificate raises no exception; it is refused with the reason.
 
     Examples
     --------
@@ -125,7 +124,9 @@ def verify(
     report = Report()
     try:
         if certificate is None:
-            raise CertificateError("certificate: None; register with certificate=True to have one")
+            raise CertificateError(
+                "certificate: None; register with SolveOptions(certificate=True) to record one"
+            )
         if isinstance(certificate, Certificate):
             check_shapes(certificate)
             report.checks.append(f"complete: {len(certificate.leaf_bounds)} leaves")
@@ -154,7 +155,7 @@ def _check(
     n_samples: int,
     progress: Progress | None,
 ) -> None:
-    """All checks but that of the file; each passed one is noted in `report`."""
+    """Run all checks except that of the file; list each check passed in `report`."""
     check_clouds(c, source, target)
     report.checks.append(f"made for these clouds: {len(source)} and {len(target)} points")
 
@@ -163,52 +164,52 @@ def _check(
     report.lower_bound, report.upper_bound = c.lower_bound * area, c.upper_bound * area
     report.gap_tol = c.gap_tol * area
 
-    family = family_of(c, source, target)
+    objective = objective_of(c, source, target)
     # rounding: relative to the claim, and to a residual of the size of the cloud
     slack = 1e-9 * abs(c.lower_bound) + 1e-12 * c.n_inliers
     check_claim(c, slack)
-    report.checks.append("stated bounds, reasons and tolerance agree with each other")
-    check_start_box(family, c.start_lower, c.start_upper)
-    report.checks.append("the start box holds every optimum")
-    check_cover(c.start_lower, c.start_upper, c.leaf_lower, c.leaf_upper)
-    report.checks.append("the leaves tile the start box")
+    report.checks.append("the stated bounds, reasons and tolerance are consistent")
+    check_start_box(objective, c.start_lower, c.start_upper)
+    report.checks.append("the start box contains every optimum")
+    check_partition(c.start_lower, c.start_upper, c.leaf_lower, c.leaf_upper)
+    report.checks.append("the leaves are a partition of the start box")
     try:
-        check_optimum(family, c, slack)
+        check_optimum(objective, c, slack)
         report.checks.append(f"the stated parameter attains {report.upper_bound:.9g}")
-        tried = check_samples(family, c, slack, n_samples)
-        report.checks.append(f"none of {tried} sampled parameters beats its leaf")
-        proof = Proof(family, slack, max_boxes or 1000 + 20 * len(c.leaf_bounds), progress)
+        tried = check_samples(objective, c, slack, n_samples)
+        report.checks.append(f"none of {tried} sampled parameters is below the bound of its leaf")
+        proof = Proof(objective, slack, max_boxes or 1000 + 20 * len(c.leaf_bounds), progress)
         report.n_boxes = proof.run(c)
     finally:
-        report.n_assignments = family.n_assignments
+        report.n_assignments = objective.n_assignments
     report.checks.append(
         f"on every leaf the objective is at least {report.lower_bound:.9g}, "
         f"proven on {report.n_boxes} boxes"
     )
     among = f" among {len(c.candidates)} candidates" if len(c.candidates) else ""
     report.statement = (
-        f"{family.scope}: the least sum over {c.n_inliers} one-to-one pairs{among} of squared "
+        f"{objective.scope}: the minimum sum over {c.n_inliers} one-to-one pairs{among} of squared "
         f"residuals lies in [{report.lower_bound:.9g}, {report.upper_bound:.9g}]"
     )
     report.is_trivial = c.lower_bound <= 0.0 and c.upper_bound > slack
 
 
-# --- the clouds -------------------------------------------------------------------------------
+# --- the clouds -----------------------------------------------------------------------------------
 
 
 def check_clouds(c: Certificate, source: np.ndarray, target: np.ndarray) -> None:
-    """The certificate was made for these very clouds, in the frame of their centres and size."""
+    """Check that the certificate was made for exactly these clouds, with their centres and size."""
     for name, points, stated in (
         ("source", source, c.source_digest),
         ("target", target, c.target_digest),
     ):
         if digest(points) != stated:
-            raise CertificateError(f"{name}: other data than the certificate was made for")
+            raise CertificateError(f"{name}: differs from the cloud of the certificate")
         if points.ndim != 2 or points.shape[1] != len(c.source_centre):
             raise CertificateError(f"{name}: shape {points.shape} does not fit model {c.model!r}")
     if c.n_inliers > min(len(source), len(target)):
         raise CertificateError(f"n_inliers: {c.n_inliers} exceeds the smaller cloud")
-    # in another unit, rounding would be of another size than the claims
+    # in another unit, the tolerances for rounding would not fit
     unit = _extent(target) or _extent(source) or 1.0
     if not abs(c.unit - unit) <= 1e-6 * unit:
         raise CertificateError(f"unit: {c.unit:.9g} stated, but the clouds measure {unit:.9g}")
@@ -222,54 +223,54 @@ def check_clouds(c: Certificate, source: np.ndarray, target: np.ndarray) -> None
 
 
 def _extent(points: np.ndarray) -> float:
-    """RMS distance to the centre; 0 where it is rounding."""
+    """Return the RMS distance to the centre; 0 if it is only rounding."""
     extent = float(np.sqrt(points.var(axis=0).sum()))
     return extent if extent > 1e-13 * np.abs(points).max() else 0.0
 
 
-def family_of(c: Certificate, source: np.ndarray, target: np.ndarray) -> Family:
-    """The objective that the certificate speaks of, over normalised clouds."""
+def objective_of(c: Certificate, source: np.ndarray, target: np.ndarray) -> Objective:
+    """Return the objective of the certificate over the normalised clouds."""
     n, m = len(source), len(target)
     is_dense = n * m <= MAX_DENSE
-    family = FAMILIES[c.model](
+    objective = OBJECTIVES[c.model](
         (source - c.source_centre) / c.unit,
         (target - c.target_centre) / c.unit,
         c.n_inliers,
         tuple(c.scale_range),
         feasible_pairs(c, n, m) if is_dense else None,
     )
-    if not is_dense and (len(c.candidates) or not family.is_sorted_order):
+    if not is_dense and (len(c.candidates) or not objective.is_sorted_order):
         raise CertificateError(f"cannot be checked: {n} x {m} pairs exceed {MAX_DENSE:,}")
-    return family
+    return objective
 
 
 def feasible_pairs(c: Certificate, n: int, m: int) -> np.ndarray | None:
-    """(n, m) mask of the candidates, None where every pair is feasible."""
+    """Return an (n, m) mask of the candidates, None if every pair is feasible."""
     if not len(c.candidates):
         return None
     if (c.candidates >= (n, m)).any():
-        raise CertificateError("candidates: an index beyond the clouds")
+        raise CertificateError("candidates: an index exceeds the clouds")
     mask = np.zeros((n, m), dtype=bool)
     mask[tuple(c.candidates.T)] = True
     if (maximum_bipartite_matching(csr_array(mask)) >= 0).sum() < c.n_inliers:
-        raise CertificateError(f"candidates: no {c.n_inliers} of them are one to one")
+        raise CertificateError(f"candidates: fewer than {c.n_inliers} can be matched one-to-one")
     return mask
 
 
-# --- the statement ----------------------------------------------------------------------------
+# --- the statement --------------------------------------------------------------------------------
 
 
 def check_claim(c: Certificate, slack: float) -> None:
-    """The leaves' bounds, if true, imply the stated lower bound, and the status follows."""
+    """Check that the bounds of the leaves, if true, imply the stated lower bound and status."""
     if not 0 <= c.lower_bound <= c.upper_bound + slack:
         raise CertificateError(
             f"lower_bound {c.lower_bound:.9g} does not lie in [0, upper_bound {c.upper_bound:.9g}]"
         )
-    least = c.leaf_bounds.min()
-    if c.lower_bound > least + slack:
+    minimum = c.leaf_bounds.min()
+    if c.lower_bound > minimum + slack:
         raise CertificateError(
             f"lower_bound {c.lower_bound:.9g} does not follow: leaf {int(c.leaf_bounds.argmin())} "
-            f"has the bound {least:.9g}"
+            f"has the bound {minimum:.9g}"
         )
     threshold = c.upper_bound * (1.0 - 1e-9) - c.gap_tol - slack
     if c.status == "optimal" and c.lower_bound < threshold:
@@ -282,9 +283,9 @@ def check_claim(c: Certificate, slack: float) -> None:
         )
 
 
-def check_start_box(family: Family, lower: np.ndarray, upper: np.ndarray) -> None:
-    """No optimum lies outside of the start box, by a region computed here."""
-    need_lower, need_upper = family.region()
+def check_start_box(objective: Objective, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Check that the start box contains a region, computed here, that contains every optimum."""
+    need_lower, need_upper = objective.region()
     tolerance = 1e-9 * (1.0 + np.abs(need_upper) + np.abs(need_lower))
     short = np.flatnonzero((lower > need_lower + tolerance) | (upper < need_upper - tolerance))
     if short.size:
@@ -295,33 +296,33 @@ def check_start_box(family: Family, lower: np.ndarray, upper: np.ndarray) -> Non
         )
 
 
-# --- the values -------------------------------------------------------------------------------
+# --- the values -----------------------------------------------------------------------------------
 
 
-def check_optimum(family: Family, c: Certificate, slack: float) -> None:
-    """`theta` is a pose of the family, attains the stated upper bound, and beats no leaf around it."""
-    if not family.admissible(c.theta[None])[0]:
+def check_optimum(objective: Objective, c: Certificate, slack: float) -> None:
+    """Check that `theta` is admissible, attains the upper bound, and is not below its leaves' bounds."""
+    if not objective.admissible(c.theta[None])[0]:
         raise CertificateError("theta: not an admissible parameter")
-    value = family.objective(c.theta)
+    value = objective.value(c.theta)
     if not abs(value - c.upper_bound) <= 1e-9 * c.upper_bound + slack:
         raise CertificateError(
             f"upper_bound: {c.upper_bound:.9g} stated, but the objective at theta is {value:.9g}"
         )
     holds_it = ((c.leaf_lower <= c.theta) & (c.theta <= c.leaf_upper)).all(axis=1)
     around = np.flatnonzero(holds_it)
-    # at its exact value, computed once
+    # compared by its exact value, which is computed once
     false = around[value < c.leaf_bounds[around] - slack]
-    family.refute(np.tile(c.theta, (len(false), 1)), c.leaf_bounds[false] - slack, false)
+    objective.refute(np.tile(c.theta, (len(false), 1)), c.leaf_bounds[false] - slack, false)
 
 
-def check_samples(family: Family, c: Certificate, slack: float, n_samples: int) -> int:
-    """No random parameter of a random leaf has an objective below the leaf's bound; how many."""
+def check_samples(objective: Objective, c: Certificate, slack: float, n_samples: int) -> int:
+    """Check that no random parameter is below the bound of its leaf; return how many were tried."""
     generator = np.random.default_rng(0)
     leaves = generator.integers(len(c.leaf_bounds), size=n_samples)
     share = generator.random((n_samples, c.leaf_lower.shape[1]))
     thetas = c.leaf_lower[leaves] + share * (c.leaf_upper - c.leaf_lower)[leaves]
-    admissible = np.flatnonzero(family.admissible(thetas))
-    # a sum of squares beats no bound of 0
+    admissible = np.flatnonzero(objective.admissible(thetas))
+    # a sum of squares is never below a bound of 0
     tried = admissible[c.leaf_bounds[leaves[admissible]] > slack]
-    family.refute(thetas[tried], c.leaf_bounds[leaves[tried]] - slack, leaves[tried])
+    objective.refute(thetas[tried], c.leaf_bounds[leaves[tried]] - slack, leaves[tried])
     return len(admissible)

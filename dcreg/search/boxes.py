@@ -217,14 +217,11 @@ class OpenNodes:
         self._free[capacity:] = np.arange(capacity, 2 * capacity)
 
 
-PRUNED, EMPTY, OPEN = 0, 1, 2  # reasons why a leaf was not divided
-
-
 class Leaves:
-    """The undivided boxes at the end of a search; together they cover the roots exactly.
+    """The undivided boxes at the end of a search, a partition of the roots.
 
-    ``reason`` is PRUNED (bound at least upper_bound - gap_tol), EMPTY (no admissible parameter) or
-    OPEN (a limit was hit first).
+    An infinite bound means that the box contains no admissible parameter. Other boxes were pruned, with a
+    bound of at least upper_bound - gap_tol, unless ``is_open``: then a limit ended the search first.
     """
 
     def __init__(self) -> None:
@@ -233,10 +230,10 @@ class Leaves:
     def add(
         self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray, is_open: bool = False
     ) -> None:
-        reason = np.where(np.isinf(bounds), EMPTY, OPEN if is_open else PRUNED)
-        self._parts.append((lower.copy(), upper.copy(), bounds.copy(), reason.astype(np.int8)))
+        state = np.full(len(bounds), is_open)
+        self._parts.append((lower.copy(), upper.copy(), bounds.copy(), state))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return ``lower`` (L, d), ``upper`` (L, d), ``bounds`` (L,) and ``reason`` (L,)."""
-        names = ("lower", "upper", "bounds", "reason")
+        """Return ``lower`` (L, d), ``upper`` (L, d), ``bounds`` (L,) and ``is_open`` (L,)."""
+        names = ("lower", "upper", "bounds", "is_open")
         return dict(zip(names, map(np.concatenate, zip(*self._parts, strict=True)), strict=True))

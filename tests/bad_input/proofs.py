@@ -63,11 +63,11 @@ def _certificates() -> Iterator[Case]:
     no_arrays = npz(x=np.zeros(3))
     for name, content, words in (
         ("folder", None, "is a folder"),
-        ("text", b"1 2\n3 4\n", "no .npz file"),
-        ("nothing", b"", "no .npz file"),
-        ("JSON", b'{"status": "optimal"}', "no .npz file"),
-        ("picture", b"\x89PNG\r\n\x1a\n" + bytes(50), "no .npz file"),
-        ("pickle", b"\x80\x04\x95\x00", "no .npz file"),
+        ("text", b"1 2\n3 4\n", "not an .npz file"),
+        ("nothing", b"", "not an .npz file"),
+        ("JSON", b'{"status": "optimal"}', "not an .npz file"),
+        ("picture", b"\x89PNG\r\n\x1a\n" + bytes(50), "not an .npz file"),
+        ("pickle", b"\x80\x04\x95\x00", "not an .npz file"),
         ("other arrays", no_arrays, "not a dcreg leaf cover"),
         ("no arrays", npz(), "not a dcreg leaf cover"),
     ):
@@ -109,14 +109,14 @@ def _certificates() -> Iterator[Case]:
         ("unknown reasons", {"leaf_reasons": c.leaf_reasons + 7}, "unknown reason"),
         ("negative candidates", {"candidates": [[-1, 0]]}, "candidates: a negative index"),
         ("candidates beyond", {"candidates": [[99, 0]]}, "candidates: an index beyond"),
-        ("another source", {"source_digest": "0"}, "source: other data"),
+        ("another source", {"source_digest": "0"}, "source: differs from"),
     ):
         case = [words, again]
         files = {"c.npz": _sealed(**changes)}
         yield Case("certificates", f"forged: {name}", verify, case, files, code=5)
     for name, run, words in (
-        ("clouds exchanged", ["b2.txt", "a2.txt"], ["source: other data", again]),
-        ("clouds of space", ["a3.txt", "b3.txt"], ["source: other data", again]),
+        ("clouds exchanged", ["b2.txt", "a2.txt"], ["source: differs from", again]),
+        ("clouds of space", ["a3.txt", "b3.txt"], ["source: differs from", again]),
     ):
         yield Case("certificates", name, ["verify", "c.npz", *run], words, {"c.npz": good}, code=5)
     yield Case("certificates", "no source", ["verify", "c.npz", "x.txt", "b2.txt"],

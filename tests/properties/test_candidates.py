@@ -380,9 +380,9 @@ def test_a_certificate_does_not_hold_for_more_candidates(dim, tmp_path):
 @pytest.mark.parametrize(
     ("pairs", "reason"),
     [
-        ([[0, 99]], "candidates: an index beyond the clouds"),
+        ([[0, 99]], "candidates: an index exceeds the clouds"),
         ([[-1, 0]], "candidates: a negative index"),
-        ([[0, 0]], "candidates: no . of them are one to one"),
+        ([[0, 0]], "candidates: fewer than . can be matched"),
     ],
 )
 def test_certificates_with_broken_candidates_are_refused(pairs, reason, tmp_path):

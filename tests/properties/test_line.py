@@ -5,8 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from dcreg.certificate.line import Line
-from dcreg.certificate.prices import cheapest_pairs
+from dcreg.certificate.assignment import Line, cheapest_pairs
 
 
 @st.composite

@@ -1,8 +1,7 @@
-"""The objectives that certificates speak of, with plain bounds on them: NumPy and SciPy alone.
+"""The objectives that certificates refer to, with simple bounds on them, in NumPy and SciPy only.
 
-For each family of poses: the objective E(theta), a region that holds all its minimisers, and three
-lower bounds over boxes of parameters. In all of them `needed` is the bound that a box has to reach; a
-method may stop when it is reached.
+Each family of poses has an objective E(theta), a region that contains all its minimisers, and three lower
+bounds over boxes of parameters. `needed` is the bound that a box has to reach; a method may stop there.
 """
 
 from __future__ import annotations
@@ -11,17 +10,23 @@ import abc
 
 import numpy as np
 
+from dcreg.certificate.assignment import (
+    DualCache,
+    Line,
+    Profile,
+    cheapest_pairs,
+    duals_of,
+    sum_of_smallest,
+)
 from dcreg.certificate.format import CertificateError
-from dcreg.certificate.line import Line
-from dcreg.certificate.prices import Prices, Profile, cheapest_pairs, prices_of, sum_of_smallest
 
 
 def _sum_of(cost: np.ndarray, columns: np.ndarray) -> float:
     return float(cost[np.arange(len(cost)), columns].sum())
 
 
-class Family(abc.ABC):
-    """An objective ``E(theta)``: the k cheapest pairs of squared feature distances.
+class Objective(abc.ABC):
+    """An objective ``E(theta)``: the sum of the k cheapest one-to-one squared distances.
 
     Parameters
     ----------
@@ -36,15 +41,15 @@ class Family(abc.ABC):
     Attributes
     ----------
     scope : str
-        What a proof over this family speaks of.
+        What a proof refers to.
     weights : (dim,) array
-        RMS motion of the source per unit step along each axis of theta.
+        RMS displacement of the source per unit step along each axis of theta.
     is_sorted_order : bool
         Whether matching in sorted order is optimal, so that no cost matrix is needed.
     is_uniform : bool
-        Whether a tangent misses the same of every matching, so that a `Profile` is one number.
+        Whether the linearisation gap is equal for every matching, so that a `Profile` is one number.
     n_at_once : int
-        Boxes to be treated at once: more share NumPy's overhead, fewer share prices sooner.
+        Boxes bounded at once: more boxes share NumPy's overhead, fewer boxes share duals earlier.
     n_assignments : int
         Assignments solved so far.
     """
@@ -71,89 +76,87 @@ class Family(abc.ABC):
         self.n_assignments = 0
         self._profiles: dict[bytes, Profile] = {}
         self.prepare()
-        self._prices = Prices(self.weights, len(target))
+        self._duals = DualCache(self.weights, len(target))
 
     @abc.abstractmethod
     def prepare(self) -> None:
-        """Set `weights` and whatever else is computed once."""
+        """Set `weights` and compute everything that does not depend on theta."""
 
     # --- the objective and where to look for its minimum
 
     @abc.abstractmethod
     def costs(self, theta: np.ndarray) -> np.ndarray:
-        """(n, m) squared distances."""
+        """Return the (n, m) squared distances."""
 
-    def objective(self, theta: np.ndarray) -> float:
-        """E(theta), exactly."""
+    def value(self, theta: np.ndarray) -> float:
+        """Return E(theta), exactly."""
         return self.match(self.costs(theta))
 
     @abc.abstractmethod
     def region(self) -> tuple[np.ndarray, np.ndarray]:
-        """Corners of a box outside of which no minimiser lies."""
+        """Return the lower and upper ends of a box that contains every minimiser."""
 
     def admissible(self, thetas: np.ndarray) -> np.ndarray:
-        """Which of (B, dim) parameters are poses of the family."""
+        """Return which of (B, dim) parameters are admissible poses."""
         return np.ones(len(thetas), dtype=bool)
 
     def outside(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """Which of B boxes surely hold no admissible parameter."""
+        """Return which of B boxes certainly contain no admissible parameter."""
         return np.zeros(len(lower), dtype=bool)
 
     # --- bounds over B boxes
 
     @abc.abstractmethod
     def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """The k least distances of a point to its nearest target, each at its own best theta."""
+        """Bound by the k smallest distances to the nearest target, each at its best theta of the box."""
 
     @abc.abstractmethod
     def interval_costs(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """(n, m) least squared distances over one box."""
+        """Return the (n, m) minimum squared distances over one box."""
 
     def interval_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """The k cheapest one-to-one pairs, the distance of each at its own best theta of the box."""
+        """Bound by the k cheapest one-to-one pairs, each at its best theta of the box."""
         return np.array(
             [self.match(self.interval_costs(*box)) for box in zip(lower, upper, strict=True)]
         )
 
     def curvature(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """(B, ...) what rebates in B boxes depend on; they need only hold where E is below `needed`."""
+        """Return (B, ...) curvatures for `linearisation_gaps`, valid where E is below `needed`."""
         return np.zeros(len(lower))
 
     @abc.abstractmethod
-    def rebates(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """(B, V, n) what a tangent at theta0 misses of the objective at ``theta0 + step``, (B, V, d).
+    def linearisation_gaps(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Return (B, V, n) gaps between the objective and its linearisation at (B, V, d) steps.
 
         A squared distance is a quadratic in theta less a convex function. The tangent of the quadratic
-        at theta0 misses ``R_i(step)`` of it, the same for every target. Where the family is uniform:
-        (B, V, 1), the sum over k points.
+        at theta0 is ``R_i(step)`` below it at ``theta0 + step``, for every target. If `is_uniform`, the
+        result is (B, V, 1), the sum over k points.
         """
 
-    def tangent_terms(
-        self, rows: np.ndarray, totals: np.ndarray, rebates: np.ndarray
-    ) -> np.ndarray:
-        """(...) lower bounds on the objective less its rebates, by profiles (..., r) and (...)."""
-        return sum_of_smallest(rows - rebates, 1 if self.is_uniform else self.k) - totals
+    def tangent_terms(self, rows: np.ndarray, totals: np.ndarray, gaps: np.ndarray) -> np.ndarray:
+        """Return (...) lower bounds on the objective less its gaps, from profiles (..., r) and (...)."""
+        return sum_of_smallest(rows - gaps, 1 if self.is_uniform else self.k) - totals
 
     # --- the objective at parameters that several boxes share
 
-    def least(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
-        """Lower bounds on E at (B, dim) parameters without assignments; no higher than `needed` helps."""
+    def lower_bounds(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
+        """Return lower bounds on E at (B, dim) parameters without assignments, up to about `needed`."""
         return np.zeros(len(thetas))
 
     def match(self, cost: np.ndarray) -> float:
-        """The k cheapest feasible pairs; costs are not negative."""
+        """Return the cost of the k cheapest feasible pairs; costs are non-negative."""
         self.n_assignments += 1
         cost, columns = cheapest_pairs(self._allowed(cost), self.k)
         return _sum_of(cost, columns)
 
     def _allowed(self, cost: np.ndarray) -> np.ndarray:
-        """Costs at which one other pair costs more than k feasible ones."""
+        """Return costs at which one infeasible pair costs more than k feasible ones."""
         if self.feasible is None:
             return cost
         return np.where(self.feasible, cost, 1.0 + self.k * cost.max())
 
-    def known(self, thetas: np.ndarray) -> list[Profile]:
-        """The best profiles so far at (B, dim) parameters; new ones by the prices of neighbours."""
+    def profiles(self, thetas: np.ndarray) -> list[Profile]:
+        """Return the best profiles so far at (B, dim) parameters, new ones by the duals of neighbours."""
         keys = [theta.tobytes() for theta in thetas]
         new = {
             key: theta for key, theta in zip(keys, thetas, strict=True) if key not in self._profiles
@@ -163,8 +166,8 @@ class Family(abc.ABC):
             self._profiles.update(zip(new, estimates, strict=True))
         return [self._profiles[key] for key in keys]
 
-    def solved(self, theta: np.ndarray) -> Profile:
-        """The exact profile, computed once; its prices serve the neighbours."""
+    def solved_profile(self, theta: np.ndarray) -> Profile:
+        """Return the exact profile, computed once; its duals serve the neighbours."""
         key = theta.tobytes()
         if key not in self._profiles or not self._profiles[key].is_exact:
             self._profiles[key] = self._solve(theta)
@@ -172,7 +175,7 @@ class Family(abc.ABC):
 
     def _estimates(self, thetas: np.ndarray) -> list[Profile]:
         return [
-            self._profile(self._allowed(self.costs(theta)), self._prices.near(theta), False)
+            self._profile(self._allowed(self.costs(theta)), self._duals.near(theta), False)
             for theta in thetas
         ]
 
@@ -180,25 +183,25 @@ class Family(abc.ABC):
         self.n_assignments += 1
         cost = self._allowed(self.costs(theta))
         wide, columns = cheapest_pairs(cost, self.k)
-        prices = prices_of(wide, columns)[: cost.shape[1]]
-        self._prices.add(theta, prices)
+        duals = duals_of(wide, columns)[: cost.shape[1]]
+        self._duals.add(theta, duals)
         if self.is_uniform:
             return Profile(np.array([_sum_of(wide, columns)]), 0.0, True)
-        return self._profile(cost, prices, True)
+        return self._profile(cost, duals, True)
 
-    def _profile(self, cost: np.ndarray, prices: np.ndarray, is_exact: bool) -> Profile:
-        rows = (cost + prices).min(axis=1)
+    def _profile(self, cost: np.ndarray, duals: np.ndarray, is_exact: bool) -> Profile:
+        rows = (cost + duals).min(axis=1)
         if self.is_uniform:
             rows = sum_of_smallest(rows, self.k)[None]
-        return Profile(rows, float(np.broadcast_to(prices, cost.shape[1:]).sum()), is_exact)
+        return Profile(rows, float(np.broadcast_to(duals, cost.shape[1:]).sum()), is_exact)
 
     def refute(self, thetas: np.ndarray, bounds: np.ndarray, leaves: np.ndarray) -> None:
         """Refuse the certificate if E at one of B parameters lies below the bound of its leaf."""
         if not len(thetas):
             return
-        for at in np.flatnonzero(~(self.least(thetas, bounds.max()) >= bounds)):
+        for at in np.flatnonzero(~(self.lower_bounds(thetas, bounds.max()) >= bounds)):
             theta, bound = thetas[at], bounds[at]
-            value = self.objective(theta)
+            value = self.value(theta)
             if value < bound:
                 raise CertificateError(
                     f"leaf {leaves[at]}: its bound is false: "
@@ -207,7 +210,7 @@ class Family(abc.ABC):
                 )
 
 
-class Similarity2D(Family):
+class Similarity2D(Objective):
     """theta = (a, b, u, v) moves x, as a complex number, to ``(a + ib) x + (u + iv)``."""
 
     scope = "over all similarity poses of the stated scales"
@@ -218,9 +221,9 @@ class Similarity2D(Family):
         self.weights = np.array([spread, spread, 1.0, 1.0])
         self.is_uniform = self.k == len(self.z)
         ones = np.ones((len(self.z), 1))
-        # |turn x + shift|^2 is linear in these numbers of a point
+        # |(a + ib) x + (u + iv)|^2 is linear in these moments of a point
         self.moments = np.hstack([(self.source**2).sum(axis=1, keepdims=True), self.source, ones]).T
-        if self.is_uniform:  # the sum over all points
+        if self.is_uniform:  # their sum over all points
             self.moments = self.moments.sum(axis=1, keepdims=True)
 
     def costs(self, theta: np.ndarray) -> np.ndarray:
@@ -230,7 +233,7 @@ class Similarity2D(Family):
         return dx * dx + dy * dy
 
     def region(self) -> tuple[np.ndarray, np.ndarray]:
-        """The best translation is (mean of matched y) - s R (mean of matched x)."""
+        """Return the region; the optimal translation is (mean of matched y) - s R (mean of matched x)."""
         high = self.scale_range[1]
         # |mean of k points| is at most the mean of the k largest norms, and at most its largest
         # projection on N directions / cos(pi / N), for any N
@@ -269,7 +272,7 @@ class Similarity2D(Family):
         return np.maximum(dx, 0.0) ** 2 + np.maximum(dy, 0.0) ** 2
 
     def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """The nearest target of each source point or, where that is not enough, the other way round."""
+        """Bound by the nearest target of each source point or, if necessary, the nearest source point."""
         out = np.empty(len(lower))
         for box in range(len(lower)):
             cost = self.interval_costs(lower[box], upper[box])
@@ -278,15 +281,15 @@ class Similarity2D(Family):
                 out[box] = max(out[box], sum_of_smallest(cost.min(axis=0), self.k))
         return out
 
-    def rebates(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """R_i = |turn x_i + shift|^2."""
+    def linearisation_gaps(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Return ``R_i = |(a + ib) x_i + (u + iv)|^2`` of each step (a, b, u, v)."""
         a, b, u, v = np.moveaxis(step, -1, 0)
         factors = [a * a + b * b, 2 * (u * a + v * b), 2 * (v * a - u * b), u * u + v * v]
         return np.stack(factors, axis=-1) @ self.moments
 
 
-class Translation3D(Family):
-    """theta = t; matched are the norms ``|x + t|`` and ``|y|``."""
+class Translation3D(Objective):
+    """theta = t; the norms ``|x + t|`` and ``|y|`` are matched."""
 
     scope = "over all translations, between norms about the target's centre"
 
@@ -295,10 +298,10 @@ class Translation3D(Family):
         self.sorted_norms = np.sort(self.norms)
         self.weights = np.ones(3)
         n, m = len(self.source), len(self.target)
-        # numbers on a line, all of them matched
+        # all numbers on a line match: sorting is optimal
         self.is_sorted_order = self.feasible is None and n == m == self.k
         self.is_uniform = True
-        # or some: no assignments either, and so no prices
+        # some of them match: no assignments either, and so no duals
         is_on_line = self.feasible is None and not self.is_sorted_order
         self._line = Line(self.sorted_norms, n, self.k) if is_on_line else None
         if self.feasible is None:
@@ -307,14 +310,16 @@ class Translation3D(Family):
     def costs(self, theta: np.ndarray) -> np.ndarray:
         return (np.linalg.norm(self.source + theta, axis=1)[:, None] - self.norms) ** 2
 
-    def objective(self, theta: np.ndarray) -> float:
+    def value(self, theta: np.ndarray) -> float:
         return (
-            float(self.least(theta[None])[0]) if self.is_sorted_order else super().objective(theta)
+            float(self.lower_bounds(theta[None])[0])
+            if self.is_sorted_order
+            else super().value(theta)
         )
 
-    def least(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
+    def lower_bounds(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
         if self.feasible is not None:
-            return super().least(thetas)
+            return super().lower_bounds(thetas)
         moved = np.sort(self._norm_ranges(thetas, thetas)[0], axis=-1)
         if self._line is not None:
             return self._line.bounds(moved, moved, needed)
@@ -323,17 +328,17 @@ class Translation3D(Family):
     def _estimates(self, thetas: np.ndarray) -> list[Profile]:
         if self.feasible is not None:
             return super()._estimates(thetas)
-        return [Profile(value, 0.0, True) for value in self.least(thetas)[:, None]]
+        return [Profile(value, 0.0, True) for value in self.lower_bounds(thetas)[:, None]]
 
     def region(self) -> tuple[np.ndarray, np.ndarray]:
-        """A minimiser is stationary: t is the mean of |y| u - x over the pairs, u unit vectors."""
+        """Return the region; a minimiser t is a mean of |y| u - x over the pairs, with unit vectors u."""
         reach = -sum_of_smallest(-self.norms, self.k) / self.k
         low_x = sum_of_smallest(self.source.T, self.k) / self.k
         high_x = -sum_of_smallest(-self.source.T, self.k) / self.k
         return -reach - high_x, reach - low_x
 
     def _norm_ranges(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(..., n) least and greatest |x + t| over boxes (..., 3)."""
+        """Return the (..., n) minima and maxima of |x + t| over boxes (..., 3)."""
         near = far = np.zeros(1)
         for axis, x in enumerate(self.source.T):
             low, high = x + lower[..., axis, None], x + upper[..., axis, None]
@@ -347,7 +352,7 @@ class Translation3D(Family):
         return np.maximum(outside, 0.0) ** 2
 
     def interval_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """On a line the i-th norm in order lies between the i-th ends in order."""
+        """Bound by pairs on a line: the i-th smallest norm lies between the i-th smallest ends."""
         if self._line is None:
             return super().interval_bound(lower, upper, needed)
         near, far = self._norm_ranges(lower, upper)
@@ -356,18 +361,18 @@ class Translation3D(Family):
     def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         near, far = self._norm_ranges(lower, upper)
         edges = np.concatenate([[-np.inf], self.sorted_norms, [np.inf]])
-        # the first norm not below the range's near end, and the last one before it
+        # the first norm not below the near end of the range, and the last one before it
         at = np.searchsorted(self.sorted_norms, near)
         distance = np.minimum(near - edges[at], np.maximum(edges[at + 1] - far, 0.0))
         return sum_of_smallest(distance**2, self.k)
 
     def curvature(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """(B, 3, 3) matrices M: E of every matching that counts is concave in the box less |t|_M^2.
+        """Return (B, 3, 3) matrices M such that E - |t|_M^2 is concave in the box for relevant matchings.
 
-        Half the Hessian of (z - r)^2, with z = |x + t| and u its direction, is ``u u' + (z - r) / z
-        (I - u u')``, at most I. In a ball of radius h about a box, u u' changes by h / z at most, and
-        z - r by 2 h. What is left of z - r are the residuals somewhere in the box: for a matching that
-        counts their squares add up to less than `needed`. Points too near for this to help take I.
+        With z = |x + t| and its direction u, half the Hessian of (z - r)^2 is ``u u' + (z - r) / z
+        (I - u u')``, at most I. In a ball of radius h around a box, u u' changes by at most h / z and
+        z - r by 2 h. The rest of z - r is the residual at some point of the box. A matching is relevant
+        if its squared residuals there sum to less than `needed`. Points near the ball take I.
         """
         centre = 0.5 * (lower + upper)
         radius = 0.5 * np.linalg.norm(upper - lower, axis=1, keepdims=True)
@@ -375,19 +380,24 @@ class Translation3D(Family):
         z = np.linalg.norm(moved, axis=-1)
         is_far = z > 4.0 * radius
         inverse = np.divide(1.0, z, out=np.zeros_like(z), where=is_far)
-        most = np.divide(1.0, z - radius, out=np.zeros_like(z), where=is_far)  # 1 / z in the ball
-        turned = radius[:, 0] * (inverse + 2.0 * most).sum(axis=1)
-        misfit = np.sqrt(np.nan_to_num(needed)) * np.linalg.norm(most, axis=1)
+        largest_inverse = np.divide(
+            1.0, z - radius, out=np.zeros_like(z), where=is_far
+        )  # maximum of 1 / z in the ball
+        rotation = radius[:, 0] * (inverse + 2.0 * largest_inverse).sum(axis=1)
+        misfit = np.sqrt(np.nan_to_num(needed)) * np.linalg.norm(largest_inverse, axis=1)
         directions = moved * inverse[..., None]
         found = directions.swapaxes(1, 2) @ directions
-        least = (~is_far).sum(axis=1) + turned + misfit
-        found += least[:, None, None] * np.eye(3)
+        isotropic = (~is_far).sum(axis=1) + rotation + misfit
+        found += isotropic[:, None, None] * np.eye(3)
         anywhere = self.k * np.eye(3)  # I for every pair
         helps = np.trace(found, axis1=1, axis2=2) < 3.0 * self.k
         return np.where(helps[:, None, None], found, anywhere)
 
-    def rebates(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+    def linearisation_gaps(self, step: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         return ((step @ curvature) * step).sum(axis=-1, keepdims=True)
 
 
-FAMILIES: dict[str, type[Family]] = {"similarity2d": Similarity2D, "translation3d": Translation3D}
+OBJECTIVES: dict[str, type[Objective]] = {
+    "similarity2d": Similarity2D,
+    "translation3d": Translation3D,
+}
