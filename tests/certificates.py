@@ -11,7 +11,7 @@ from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import Frame, Problem
-from dcreg.search import Budget, Leaves, minimise
+from dcreg.search import Budget, minimise
 
 DIM = {"similarity2d": 2, "translation3d": 3}
 
@@ -43,12 +43,17 @@ def certify(
         else Similarity2D(*points, problem.scale_range, reduced)
     )
     theta, value, _ = space.refine(space.identity)
-    searched, cover, gap_tol = make_bound(bound, space), Leaves(), n_inliers * tau**2
+    searched, gap_tol = make_bound(bound, space), n_inliers * tau**2
     found = minimise(
-        space, searched, Budget(nodes=nodes), gap_tol=gap_tol, start=(theta, value), leaves=cover
+        space,
+        searched,
+        Budget(nodes=nodes),
+        gap_tol=gap_tol,
+        start=(theta, value),
+        keep_leaves=True,
     )
     return record(
-        found, cover, searched.roots[0], problem,
+        found, searched.roots[0], problem,
         family=model, mode="paper", bound=bound, gap_tol=gap_tol,
     )  # fmt: skip
 

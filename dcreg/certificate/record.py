@@ -9,12 +9,11 @@ import numpy as np
 
 from dcreg.certificate.format import INADMISSIBLE, OPEN, PRUNED, Certificate, digest
 from dcreg.problem import Frame, Problem
-from dcreg.search import Box, Leaves, Outcome
+from dcreg.search import Box, Outcome
 
 
 def record(
     found: Outcome,
-    leaves: Leaves,
     start: Box,
     problem: Problem,
     *,
@@ -28,8 +27,7 @@ def record(
     Parameters
     ----------
     found : Outcome
-    leaves : Leaves
-        Of this search.
+        With its leaves.
     start : Box
         Its only root.
     problem : Problem
@@ -40,7 +38,8 @@ def record(
     gap_tol : float
         In normalised units.
     """
-    boxes, frame = leaves.arrays(), Frame.of(problem)
+    assert found.leaves is not None
+    boxes, frame = found.leaves.arrays(), Frame.of(problem)
     needed = max(found.lower_bound, found.upper_bound - gap_tol)
     pairs, is_empty = problem.candidates, np.isinf(boxes["bounds"])
     return Certificate(

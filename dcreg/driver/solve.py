@@ -260,9 +260,8 @@ class Finish:
         if not self.normalised.keep_leaves or solution.certified is None:
             return None
         root, found = solution.certified
-        assert found.leaves is not None
         return record(
-            found, found.leaves, root, self.setup.searched[self.at],
+            found, root, self.setup.searched[self.at],
             family=self.setup.mode.certifies, mode=self.setup.mode.name,
             bound=self.normalised.bound, gap_tol=self.normalised.gap_tol,
         )  # fmt: skip
