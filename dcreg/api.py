@@ -190,7 +190,7 @@ def register_matches(
     Chooses matches one to one and the rigid pose that minimise the sum of squared residuals of the
     chosen matches plus `inlier_distance` squared for every match that could have been chosen and was not.
     This is the objective of `register` over these feasible pairs, with a price in place of ``n_inliers``.
-    The result gives the number of chosen matches; for that number it also solves the problem of `register`.
+    The result gives the number of chosen matches, for which it also solves the problem of `register`.
 
     Poses on which many compatible matches agree are refined first. Branch and bound over the rotation,
     with the translation inside, then certifies the best one as far as the limits allow. Time and memory

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dcreg.driver.modes import default_sample
+from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE
 from dcreg.problem import InputError, Problem, representative_points
 
 # Share of the time for the search of a sample; the rest is for refining its pose on all points.
@@ -71,3 +71,17 @@ def _check(count: int, problem: Problem, certificate: bool) -> None:
     ):
         if given:
             raise InputError(f"downsample: {name} refers to all points; leave one of the two out")
+
+
+def default_sample(problem: Problem, bound: str | None, certificate: bool) -> int | None:
+    """Return the number of points to search with; None: all.
+
+    A sample of large clouds gives a better pose than all points. This does not hold in 3D if all points
+    match: then norms suffice.
+    """
+    n, m = len(problem.source), len(problem.target)
+    free = bound is None and not certificate and problem.candidates is None
+    by_norms = problem.dim == 3 and problem.n_inliers == n == m
+    if not free or by_norms or n * m <= LARGE_PAIRS[problem.dim]:
+        return None
+    return LARGE_SAMPLE[problem.dim]

@@ -265,17 +265,3 @@ def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = 
     if problem.model == "similarity2d" or only_paper or pairs > LARGE_PAIRS[3]:
         return "paper"
     return "full"
-
-
-def default_sample(problem: Problem, bound: str | None, certificate: bool) -> int | None:
-    """Return the number of points to search with; None: all.
-
-    A sample of large clouds gives a better pose than all points. This does not hold in 3D if all points
-    match: then norms suffice.
-    """
-    n, m = len(problem.source), len(problem.target)
-    free = bound is None and not certificate and problem.candidates is None
-    by_norms = problem.dim == 3 and problem.n_inliers == n == m
-    if not free or by_norms or n * m <= LARGE_PAIRS[problem.dim]:
-        return None
-    return LARGE_SAMPLE[problem.dim]

@@ -1,22 +1,24 @@
-"""`sweep`: the optimum for several cardinalities, to choose from when `n_inliers` is not known.
+"""Several cardinalities: the optimum for each, to choose from if `n_inliers` is unknown.
 
-Let E_k(theta) be the least sum of squared residuals of k one-to-one pairs at a pose. Of an optimal
-matching of k' > k pairs the k cheapest cost at most the share k / k', and they are a k-matching, so
+Let E_k(theta) be the minimum sum of squared residuals of k one-to-one pairs at a pose. The k cheapest
+pairs of an optimal matching of k' > k pairs cost at most the fraction k / k' of it, and they are a
+matching of k pairs. Hence
 
-    E_k(theta) / k <= E_k'(theta) / k'   for every theta, and so for the minima over theta.
+    E_k(theta) / k <= E_k'(theta) / k'   for every theta, and therefore for the minima over theta.
 
-A lower bound for k, times k' / k, is thus one for k' (*transfer*). A search for k that ends a little
-below its own tolerance often proves a whole run of larger cardinalities: with U and eps their upper
-bounds and tolerances, it is enough that
+A lower bound for k, multiplied by k' / k, is thus a lower bound for k' (*transfer*). A search for k that
+ends slightly below its own tolerance often proves a whole run of larger cardinalities. With their upper
+bounds U and tolerances eps it suffices that
 
-    lower_bound_k >= (k / k') (U_k' - eps_k')   for every k' of the run,
+    lower_bound_k >= (k / k') (U_k' - eps_k')   for every k' of the run.
 
-which asks of the search only a gap of U_k less the greatest right side. While the points added fit
-as well as those before, the bounds per pair hardly move and one search serves many cardinalities;
-where outliers come in, every cardinality has its own search, over its own (smaller) start box.
+The search then needs a gap of U_k minus the maximum of the right sides. As long as the additional points
+fit as well as the others, the bounds per pair hardly change and one search serves many cardinalities.
+Once outliers enter, every cardinality needs its own search, over its own, smaller start box.
 
-Poses travel both ways: the best one for k, refined, is tried for the neighbours of k; as it is where
-the time is over. Results are made from the most pairs down: their pairs and poses are tried for fewer.
+Poses are exchanged in both directions: the best pose for k is refined and tried for the neighbours of k;
+when the time is up it is tried without refinement. Results are completed from the largest cardinality
+down, because their pairs and poses are candidates for fewer pairs.
 """
 
 from __future__ import annotations
@@ -24,30 +26,30 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from dcreg.assignment.objective import Matched
 from dcreg.driver.downsample import SEARCH_SHARE
 from dcreg.driver.modes import shifted_rotation
-from dcreg.driver.normalised import Solution
+from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Finish, Setup
-from dcreg.driver.sweep_level import Level
 from dcreg.problem import InputError, Problem
 from dcreg.result import Result, Stage
-from dcreg.search import Budget, Interrupted, minimise
+from dcreg.search import Budget, Event, Interrupted, minimise
 from dcreg.status import Status
 from dcreg.sweep_result import SweepResult
 
-# A search may be asked for this share of its own tolerance to prove larger cardinalities as well;
-# with less, the one search costs more than those it saves.
+# To prove larger cardinalities as well, a search may get this fraction of its own tolerance. With less,
+# the search costs more than those it saves.
 TIGHTEST_SHARE = 0.5
-# Of the time, for the descents of all cardinalities together: none goes without.
+# Share of the time for the descents of all cardinalities together.
 STARTING_SHARE = 0.5
-# What it takes to match all points at a pose, roughly: kept free for every cardinality, though no
-# more than this share of the time.
+# Approximate time for matching all points at a pose. It is reserved for every cardinality, up to this
+# share of the time.
 _ENDING_S_PER_POINT = 5e-6
 _LARGEST_ENDING = 0.75
 
@@ -67,17 +69,78 @@ def sweep_problems(
     return SweepResult(results, [level.proven_by for level in solve.levels])
 
 
+@dataclass
+class Level:
+    """One cardinality: its problem, its space and its bounds, in normalised units."""
+
+    at: int
+    name: int  # the cardinality as given
+    normalised: NormalisedProblem
+    space: Any
+    theta: np.ndarray = field(default_factory=lambda: np.empty(0))
+    lower_bound: float = 0.0
+    upper_bound: float = np.inf
+    proven_by: int | None = None
+    stopped_by: Status | None = None
+    n_descending: int = 0
+    descending_s: float = 0.0
+    tried: list[np.ndarray] = field(default_factory=list)  # poses of other cardinalities
+    events: list[Event] = field(default_factory=list)
+    searches: list[Stage] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, setup: Setup, at: int, budget: Budget) -> Level:
+        """Prepare the search for ``setup.problems[at]``."""
+        normalised = setup.normalised(at, budget)
+        name = setup.problems[at].n_inliers
+        return cls(at, name, normalised, setup.mode.space(normalised))
+
+    @property
+    def k(self) -> int:
+        """Number of pairs in the search."""
+        return self.normalised.n_inliers
+
+    @property
+    def gap_tol(self) -> float:
+        return self.normalised.gap_tol
+
+    @property
+    def closed(self) -> bool:
+        return self.lower_bound >= self.upper_bound - self.gap_tol
+
+    def take(self, theta: np.ndarray, value: float, spent: int = 0) -> None:
+        """Keep the pose if it is better than the present one."""
+        self.n_descending += spent
+        if value < self.upper_bound or not self.theta.size:
+            self.theta, self.upper_bound = theta, value
+
+    def inherit(self, smaller: Level) -> None:
+        """Transfer the lower bound of a smaller cardinality."""
+        bound = self.k / smaller.k * smaller.lower_bound
+        if bound > self.lower_bound:
+            self.lower_bound, self.proven_by = bound, smaller.proven_by
+
+    def solution(self) -> Solution:
+        """Return all that is known except the pose."""
+        status = Status.OPTIMAL if self.closed else self.stopped_by or Status.STOPPED
+        descents = Stage("descents", self.descending_s, n_assignments=self.n_descending)
+        return Solution(
+            np.empty(0), status, self.lower_bound, self.upper_bound, self.space.scope,
+            [descents, *self.searches], list(self.events),
+        )  # fmt: skip
+
+
 class _Sweep:
-    """The state of one sweep; its methods are the stages, in the order in which they are called."""
+    """The state of one sweep; its methods are the stages, in the order of their calls."""
 
     def __init__(self, setup: Setup, budget: Budget) -> None:
         self.setup, self.mode, self.budget = setup, setup.mode, budget
         self.searching = budget.isolated_sub_budget(self._searching_share())
         self.levels = [Level.of(setup, at, self.searching) for at in range(len(setup.problems))]
-        self.rotation: np.ndarray | None = None  # that of the last translation
+        self.rotation: np.ndarray | None = None  # of the last translation
 
     def _searching_share(self) -> float:
-        """Share of the time that is searched: the rest is for placing and matching what was found."""
+        """Share of the time for the search; the rest is for recovering and matching the poses."""
         share = self.mode.search_share
         if self.setup.is_sampled:
             share *= SEARCH_SHARE
@@ -90,7 +153,7 @@ class _Sweep:
         return min(share, 1.0 - min(ending, _LARGEST_ENDING))
 
     def incumbents(self) -> None:
-        """A pose for every cardinality, from descents of its own and from its neighbours'."""
+        """Find a pose for every cardinality, by its own descents and from its neighbours."""
         starting = self.searching.sub_budget(STARTING_SHARE)
         for at, level in enumerate(self.levels):
             if at and starting.is_over:
@@ -104,14 +167,14 @@ class _Sweep:
         self._exchange()
 
     def _exchange(self) -> None:
-        """Every pose is tried by its neighbours, last by the smaller ones: U_k / k then ascends."""
+        """Try every pose at its neighbours, smaller ones last: U_k / k is then ascending."""
         upward = list(itertools.pairwise(self.levels))
         downward = [(b, a) for a, b in reversed(upward)]
         for giver, taker in upward + downward:
             self._offer(giver.theta, taker)
 
     def _offer(self, theta: np.ndarray, taker: Level) -> None:
-        """A pose of another cardinality, refined; as it is where the time for searching is over."""
+        """Try a pose of another cardinality, refined if there is time for it."""
         if any(theta is known for known in (taker.theta, *taker.tried)):
             return
         began = self.budget.elapsed()
@@ -128,7 +191,7 @@ class _Sweep:
         taker.descending_s += self.budget.elapsed() - began
 
     def bounds(self) -> None:
-        """Prove the cardinalities in ascending order, each by transfer if that is enough."""
+        """Prove the cardinalities in ascending order, each by transfer if that suffices."""
         for at, level in enumerate(self.levels):
             if at:
                 level.inherit(self.levels[at - 1])
@@ -142,12 +205,12 @@ class _Sweep:
             self._search(level, gap_tol, self.searching.sub_budget(run / n_open))
 
     def _run(self, at: int) -> tuple[int, float]:
-        """How many levels from `at` on one search can prove, and the gap it needs for that."""
+        """Return how many levels from `at` on one search can prove, and the gap it needs."""
         level = self.levels[at]
         count, gap_tol = 1, level.gap_tol
         for other in self.levels[at + 1 :]:
             needed = level.k / other.k * (other.upper_bound - other.gap_tol)
-            # the last digits of the division must not keep the transfer from closing the gap
+            # rounding of the division must not prevent the transfer from closing the gap
             wanted = min(gap_tol, (level.upper_bound - needed) * (1.0 - 1e-6))
             if wanted < TIGHTEST_SHARE * level.gap_tol:
                 break
@@ -170,9 +233,9 @@ class _Sweep:
             self._exchange()
 
     def results(self) -> list[Result]:
-        """Return the results, each with an equal share of the time that is left.
+        """Return the results, each with an equal share of the remaining time.
 
-        The most pairs come first: the cheapest of them may serve for fewer.
+        The largest cardinality comes first: its cheapest pairs are candidates for the others.
         """
         found: list[Result] = []
         known: Matched | None = None
