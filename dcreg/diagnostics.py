@@ -1,7 +1,7 @@
-"""What of a result should not be trusted without a second look, and what to do about it.
+"""Advice before a search, warnings about its result, and the runner-up pose.
 
-Every rule is one small function from what is known to a line of text, or to nothing. The line names what
-looks odd and the remedy. `RULES` is the table of them; `warnings_for` asks each.
+Each rule is a function from a solved problem to one line of text, or None. The line names the problem and
+the remedy. `warnings_for` applies all `RULES`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _OPERATIONS_PER_SECOND = 1e9
 
 
 def advice(problem: Problem) -> Iterator[str]:
-    """Warnings and hints, one line each; none where nothing looks odd.
+    """Yield warnings and hints about a problem before it is solved, one line each.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def advice(problem: Problem) -> Iterator[str]:
     Yields
     ------
     str
-        Beginning with ``warning:`` or ``hint:``.
+        Starts with ``warning:`` or ``hint:``.
 
     Examples
     --------
@@ -54,9 +54,8 @@ def advice(problem: Problem) -> Iterator[str]:
         yield (
             f"warning: {n} x {m} points. Each exact assignment takes {_bytes(8.0 * n * m)} and up "
             f"to K n m = {work:.0e} operations (at worst about "
-            f"{_duration(work / _OPERATIONS_PER_SECOND)}), and a "
-            "search takes hundreds of them. Search with some of the points: downsample=200, "
-            "--downsample 200."
+            f"{_duration(work / _OPERATIONS_PER_SECOND)}), and a search needs hundreds of them. "
+            "Downsample: downsample=200, --downsample 200."
         )
     radii = rms_radius(problem.source), rms_radius(problem.target)
     ratio = radii[0] / radii[1] if radii[1] > 0 else math.inf
@@ -88,13 +87,12 @@ _MANY_POINTS = 1000
 DISTINCT = 0.2
 _MUCH_LARGER = 100.0
 _OTHER_SIZE = 10.0
-TOO_MANY_PAIRS = "pairs are probably too many"  # in the line of `loose_pairs`
-_ROUGH = 1.01  # times the upper bound: more than rounding
-# Of 180 problems of four shapes, all 45 wrong poses and 18 of 135 right ones have a runner-up below.
+TOO_MANY_PAIRS = "pairs are probably too many"  # part of the line of `loose_pairs`
+_ROUGH = 1.01  # objective in units of the upper bound; more than rounding
+# Of 180 problems of four shapes, all 45 wrong poses and 18 of 135 right ones had a runner-up below this.
 _CLOSE = 1.5
-_LOOSE = (
-    2.0  # RMSE in spacings of the target; scans of one object stay below where n_inliers is right
-)
+# RMSE in units of the target's spacing. Scans of one object stay below it if n_inliers is right.
+_LOOSE = 2.0
 
 
 @dataclass(frozen=True)
@@ -104,10 +102,10 @@ class Case:
     Attributes
     ----------
     problem : Problem
-        As it was given, before any downsampling.
+        As given, before any downsampling.
     result : Result
     in_norm_space : bool
-        Whether the bounds speak of norms, not of residuals.
+        Whether the bounds refer to norms, not to residuals.
     """
 
     problem: Problem
@@ -116,7 +114,7 @@ class Case:
 
 
 def _is_rounding(value: float, case: Case) -> bool:
-    """Whether a sum over the pairs is no more than rounding leaves of a perfect fit."""
+    """Tell whether a sum over the pairs is only the rounding error of a perfect fit."""
     source, target = case.problem.source, case.problem.target
     unit = unit_length(source, target)
     last_bits = 16.0 * np.finfo(float).eps * max(np.abs(source).max(), np.abs(target).max())
@@ -124,7 +122,7 @@ def _is_rounding(value: float, case: Case) -> bool:
 
 
 def nothing_proven(case: Case) -> str | None:
-    """The lower bound is that of any sum of squares."""
+    """The lower bound is 0, as for any sum of squares."""
     result = case.result
     if result.lower_bound > 0.0 or _is_rounding(result.upper_bound, case):
         return None
@@ -132,16 +130,18 @@ def nothing_proven(case: Case) -> str | None:
     if result.gap_tol >= result.upper_bound:
         what, other = ("norms fit", "translation") if case.in_norm_space else ("pose fits", "pose")
         return (
-            f"{known}: the {what} to within the tolerance ({result.upper_bound:.3g} of "
-            f"{result.gap_tol:.3g}), so that no {other} is better by more, and nothing is proven beyond "
-            "that. Give a smaller gap_tol"
+            f"{known}. The {what} within the tolerance ({result.upper_bound:.3g} of "
+            f"{result.gap_tol:.3g}), so no {other} is better by more than that; nothing else is proven. "
+            "Set a smaller gap_tol"
         )
-    known += ": nothing is proven"
-    return f"{known}. Give more time, fewer points, or a mode that closes (see the manual on modes)"
+    return (
+        f"{known}: nothing is proven. Allow more time, use fewer points, or choose a mode that closes "
+        "the gap (see the manual on modes)"
+    )
 
 
-def misled(case: Case) -> str | None:
-    """The pose does not do what the bounds in norm space promise."""
+def surrogate_mismatch(case: Case) -> str | None:
+    """The pose fits much worse than the bounds in norm space suggest."""
     result = case.result
     found, promised = result.objective / result.n_inliers, result.upper_bound / result.n_bounded
     ratio = float(found) / float(max(promised, np.finfo(float).tiny))
@@ -154,50 +154,50 @@ def misled(case: Case) -> str | None:
         return None
     times = f"{ratio:.3g}" if ratio < 1e6 else "over a million"
     return (
-        f"a pair costs {found:.3g} at the pose on average, {times} times the upper bound "
-        f"{promised:.3g} in norm space: the norms do not determine the pose, which may be wrong. Use "
-        "mode 'full', for clouds too large for it with downsample=200, or another n_inliers"
+        f"the mean cost of a pair at this pose is {found:.3g}, {times} times the upper bound "
+        f"{promised:.3g} in norm space. The norms do not determine the pose, which may be wrong. Use "
+        "mode 'full' (with downsample=200 for large clouds), or another n_inliers"
     )
 
 
 def rough_pairs(case: Case) -> str | None:
-    """The pairs cost more than the best ones at their pose are known to, or may."""
+    """The pairs cost more than the best pairs at the pose, or may do so."""
     result = case.result
     if _is_rounding(result.objective, case):
         return None
     of_other = case.in_norm_space or result.downsampled is not None
     if not of_other and result.objective > _ROUGH * result.upper_bound:
         what = (
-            f"those listed cost {result.objective:.3g}, the best ones at this pose at most "
+            f"the listed pairs cost {result.objective:.3g}, the best pairs at this pose at most "
             f"{result.upper_bound:.3g}"
         )
     elif of_other and result.is_greedy:
         what = (
-            "near ones were taken one after another, and the best at this pose can cost much less than "
-            f"the {result.objective:.3g} that they do"
+            f"the pairs were chosen greedily and cost {result.objective:.3g}; the best pairs at this "
+            "pose can cost much less"
         )
     else:
         return None
     return (
-        f"the search ended before all pairs were matched: {what}. Give more time, or use downsample=200 "
-        "(--downsample 200)"
+        f"the time limit was hit before all pairs were matched: {what}. Allow more time, or use "
+        "downsample=200 (--downsample 200)"
     )
 
 
 def scale_at_limit(case: Case) -> str | None:
-    """A wider range would give another scale."""
+    """The scale is an end of its range."""
     low, high = case.problem.scale_range
     scale = case.result.scale
     if low == high or not (scale <= low * (1.0 + 1e-6) or scale >= high * (1.0 - 1e-6)):
         return None
     return (
-        f"the scale {scale:.4g} is an end of scale_range ({low:g}, {high:g}): a better fit may lie "
+        f"the scale {scale:.4g} is an end of scale_range ({low:g}, {high:g}); a better fit may lie "
         "outside. Widen the range, or rescale one cloud"
     )
 
 
 def undetermined(case: Case) -> str | None:
-    """More than one pose fits the pairs equally well."""
+    """Several poses fit the pairs equally well."""
     matched = case.problem.source[case.result.assignment[:, 0]]
     spread = np.linalg.svd(matched - matched.mean(axis=0), compute_uv=False)
     spread = np.append(spread, np.zeros(case.problem.dim))
@@ -207,66 +207,65 @@ def undetermined(case: Case) -> str | None:
     is_point = case.problem.dim == 2 or spread[0] <= 1e-9 * extent
     where = "coincide" if is_point else "lie on one line"
     return (
-        f"the {case.result.n_inliers} matched source points {where}, so that they do not determine "
-        "the pose. Match more pairs (n_inliers), of distinct points"
+        f"the {case.result.n_inliers} matched source points {where} and do not determine the pose. "
+        "Match more pairs (n_inliers), of distinct points"
     )
 
 
 def other_size(case: Case) -> str | None:
     """One cloud is much larger than the other."""
     source, target = rms_radius(case.problem.source), rms_radius(case.problem.target)
-    least, most = min(source, target), max(source, target)
-    if most < _OTHER_SIZE * least or most == 0.0:
+    smaller, larger = sorted((source, target))
+    if larger < _OTHER_SIZE * smaller or larger == 0.0:
         return None
     return (
         f"the sizes of the clouds differ by a factor of 10 or more (RMS radii: source {source:.3g}, "
-        f"target {target:.3g}). If their units differ, rescale one of them; else crop the larger one"
+        f"target {target:.3g}). If their units differ, rescale one cloud; otherwise crop the larger one"
     )
 
 
 def loose_pairs(case: Case) -> str | None:
-    """Matched points lie farther apart than neighbours do: some of the pairs can hardly be true."""
+    """Matched points are farther apart than neighbours, so some pairs are probably wrong."""
     problem, result = case.problem, case.result
     spacing = median_spacing(problem.target)
     if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_greedy:
         return None
     return (
-        f"matched points lie {result.rmse_matched:.3g} apart (RMS), neighbours in the target "
+        f"matched points are {result.rmse_matched:.3g} apart (RMS), neighbours in the target "
         f"{spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. Try "
-        "a smaller n_inliers (`dcreg sweep` tries several), or remove stray points first"
+        "a smaller n_inliers (`dcreg sweep` tries several), or remove outliers first"
     )
 
 
 def ambiguous(case: Case) -> str | None:
-    """Another pose does nearly as well."""
+    """Another pose fits nearly as well."""
     other = case.result.runner_up
     if other is None or other.objective_ratio >= _CLOSE:
         return None
     percent = 100.0 * (other.objective_ratio - 1.0)
     more = f"only {percent:.2g} % more" if percent >= 0.1 else "no more"
     return (
-        f"another pose, {other.difference} against this one, costs {more}: these pairs "
-        "hardly tell them apart. The shape may be symmetric, noise large, or "
-        f"{case.result.n_inliers} the wrong number of pairs (`dcreg sweep` tries several); look at both "
-        "(`runner_up` of the result)"
+        f"another pose, {other.difference} relative to this one, costs {more}: {case.result.n_inliers} "
+        "pairs hardly distinguish the two. The shape may be symmetric, the noise large, or the number of "
+        "pairs wrong (`dcreg sweep` tries several). Look at both poses (`runner_up` of the result)"
     )
 
 
 def too_many_points(case: Case) -> str | None:
-    """A smaller sample would have been solved."""
+    """The points are too many for the time limit."""
     n, m = len(case.problem.source), len(case.problem.target)
     solved = case.result.status in (Status.OPTIMAL, Status.CONVERGED)
     if max(n, m) < _MANY_POINTS or solved or case.result.downsampled is not None:
         return None
     return (
-        f"{n} x {m} points are too many to be solved in this time. Use downsample=200 "
-        "(--downsample 200), which solves for some of the points and refines the pose on all"
+        f"{n} x {m} points are too many for this time limit. Use downsample=200 (--downsample 200), "
+        "which searches with a sample of the points and refines the pose on all of them"
     )
 
 
 RULES: tuple[Callable[[Case], str | None], ...] = (
     nothing_proven,
-    misled,
+    surrogate_mismatch,
     rough_pairs,
     scale_at_limit,
     undetermined,
@@ -278,7 +277,7 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
 
 
 def warnings_for(case: Case) -> list[str]:
-    """One line for each rule that applies."""
+    """Return one line for each rule that applies."""
     return [line for rule in RULES if (line := rule(case)) is not None]
 
 

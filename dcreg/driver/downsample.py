@@ -70,7 +70,9 @@ def _check(count: int, problem: Problem, certificate: bool) -> None:
         ("certificate", certificate),
     ):
         if given:
-            raise InputError(f"downsample: {name} refers to all points; leave one of the two out")
+            raise InputError(
+                f"downsample: {name} would not be used with a sample; omit one of the two"
+            )
 
 
 def default_sample(problem: Problem, bound: str | None, certificate: bool) -> int | None:

@@ -103,7 +103,9 @@ class Limits:
         if self.time_s != np.inf:
             check_positive("time_limit", self.time_s)
             if self.time_s == 0:
-                raise InputError("time_limit: 0 is not a usable value; give a positive number")
+                raise InputError(
+                    f"time_limit: {self.time_s} is not a usable value; give a positive number"
+                )
         check_positive("node_limit", self.nodes, minimum=1)
         check_positive("memory_limit_mb", self.memory_mb)
 

@@ -1,4 +1,4 @@
-"""What is to be solved: clouds, pairs and tolerance, checked before anything long starts."""
+"""The problem to solve, checked before any search, and the geometry that it needs."""
 
 from dcreg.names import MODEL_DIM
 from dcreg.problem.geometry import (

@@ -1,4 +1,4 @@
-"""What a homogeneous matrix says of its linear part: the scale, the rotation nearest to it, its angle."""
+"""Poses, the normalised frame, sampling, the unit of length, and tolerances."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dcreg.problem.problem import InputError, Problem
 
 
 def scale_of(pose: np.ndarray) -> float:
-    """Scale of a (d+1, d+1) pose: the d-th root of its linear part's determinant, without the sign."""
+    """Return the scale of a (d+1, d+1) pose: the d-th root of the absolute determinant."""
     d = len(pose) - 1
     return float(abs(np.linalg.det(pose[:d, :d])) ** (1.0 / d))
 
@@ -24,9 +24,9 @@ def apply_pose(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation (determinant +1) nearest to a (d, d) matrix, and of largest inner product with it.
+    """Return the rotation (determinant +1) nearest to a (d, d) matrix.
 
-    Removes rounding and a scale, and solves Wahba's problem for ``sum target_i source_i^T``.
+    Removes rounding and scale, and solves Wahba's problem for ``sum target_i source_i^T``.
     """
     u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=float))
     sign = np.ones(len(u))
@@ -35,9 +35,9 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
 
 
 def rotation_angle_deg(rotation: np.ndarray) -> float:
-    """Angle of a (d, d) rotation in degrees: signed in the plane, about the axis in space.
+    """Return the angle of a (d, d) rotation in degrees: signed in 2D, about the axis in 3D.
 
-    The arc tangent of sine and cosine keeps digits where the arc cosine has none, near 0 and 180 degrees.
+    The arc tangent of sine and cosine is accurate near 0 and 180 degrees, where the arc cosine is not.
     """
     if len(rotation) == 2:
         return math.degrees(math.atan2(rotation[1, 0], rotation[0, 0]))
@@ -48,7 +48,7 @@ def rotation_angle_deg(rotation: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Frame:
-    """The normalised coordinates of a solve: both sets centred, one common unit of length."""
+    """Normalised coordinates: both clouds centred, with a common unit of length."""
 
     source_centre: np.ndarray
     target_centre: np.ndarray
@@ -61,7 +61,7 @@ class Frame:
 
     @property
     def area(self) -> float:
-        """Squared units of the files in one squared unit of the frame: the factor of objectives."""
+        """Factor from normalised objectives to squared units of the input."""
         return self.unit**2
 
     def source(self, points: np.ndarray) -> np.ndarray:
@@ -71,7 +71,7 @@ class Frame:
         return np.ascontiguousarray((points - self.target_centre) / self.unit)
 
     def pose(self, T: np.ndarray) -> np.ndarray:
-        """The pose `T` between normalised clouds, in the coordinates of the files."""
+        """Convert a pose between normalised clouds to the coordinates of the input."""
         d = len(self.source_centre)
         out = np.eye(d + 1)
         out[:d, :d] = T[:d, :d]
@@ -85,7 +85,7 @@ _ISOLATED = 6.0  # times the median distance to the third neighbour
 
 
 def median_spacing(points: np.ndarray) -> float:
-    """Median distance of a point to the next one, of at most `_LOOKED_AT` points; 0 for a single one."""
+    """Return the median nearest-neighbour distance of up to `_LOOKED_AT` points; 0 for one point."""
     if len(points) < 2:
         return 0.0
     some = points[:: -(-len(points) // _LOOKED_AT)]
@@ -93,10 +93,10 @@ def median_spacing(points: np.ndarray) -> float:
 
 
 def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
-    """Rows of `count` points, each as far as possible from those before it (farthest-point sampling).
+    """Return the rows of `count` points by farthest-point sampling.
 
-    The first is the point nearest to the centroid, so that the choice does not depend on the order of
-    the points but for ties.
+    Each point is as far as possible from those before it. The first is the point nearest to the
+    centroid. Except for ties the choice does not depend on the order of the points.
 
     Parameters
     ----------
@@ -106,13 +106,13 @@ def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
     Returns
     -------
     (min(count, n),) int array
-        Ascending; all rows where there are no more than `count`.
+        Ascending; all rows if there are at most `count`.
     """
     if count >= len(points):
         return np.arange(len(points))
     chosen = np.empty(count, np.int64)
     chosen[0] = np.argmin(((points - points.mean(axis=0)) ** 2).sum(axis=1))
-    axes = np.ascontiguousarray(points.T)  # summed axis by axis, in a sixth of the time
+    axes = np.ascontiguousarray(points.T)  # summing axis by axis takes a sixth of the time
     nearest = np.full(len(points), np.inf)
     for at in range(1, count):
         gaps = axes - axes[:, chosen[at - 1], None]
@@ -122,9 +122,9 @@ def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
 
 
 def isolated(points: np.ndarray) -> np.ndarray:
-    """Which points lie far from all others, as stray ones of a scan do: less than half of them.
+    """Return a mask of the outliers, points far from all others; always fewer than half of the points.
 
-    Farthest points would be made of them.
+    Farthest-point sampling would select them first.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def isolated(points: np.ndarray) -> np.ndarray:
 
 
 def representative_points(points: np.ndarray, count: int) -> np.ndarray:
-    """Rows of `count` farthest points among those that are not `isolated`.
+    """Return the rows of `count` farthest points among those that are not `isolated`.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def representative_points(points: np.ndarray, count: int) -> np.ndarray:
     Returns
     -------
     (C,) int array
-        Ascending; C is less than `count` only where there are no more, and all rows where n is no more.
+        Ascending. C is less than `count` only if fewer points remain; all rows if n is at most `count`.
     """
     if count >= len(points):
         return np.arange(len(points))
@@ -168,7 +168,7 @@ EXACT = 1e-9  # a squared residual this small, in squared RMS radii, is rounding
 
 
 def rms_radius(points: np.ndarray) -> float:
-    """Root mean square distance of the points from their centroid.
+    """Return the root mean square distance of the points from their centroid.
 
     0 where they differ by no more than the rounding of their coordinates: that is no unit of length.
     """
@@ -177,14 +177,14 @@ def rms_radius(points: np.ndarray) -> float:
 
 
 def unit_length(source: np.ndarray, target: np.ndarray) -> float:
-    """RMS radius of the target; of the source where the target has no extent; 0 if neither has."""
+    """Return the RMS radius of the target, of the source if the target has no extent, else 0."""
     return rms_radius(target) or rms_radius(source)
 
 
 def default_gap_tol(
     source: np.ndarray, target: np.ndarray, n_inliers: int, factor: float = TOLERATED_RESIDUAL
 ) -> float:
-    """Absolute tolerance on the gap of the objective, a sum over `n_inliers` squared residuals.
+    """Return the default absolute tolerance on the gap of the objective.
 
     ``n_inliers * (factor * r)^2``, where r is the RMS radius of the target, or of the source where
     the target has no extent.
@@ -205,7 +205,7 @@ def default_gap_tol(
 
 
 def gap_tol_of(tol: float | None, gap_tol: float | None, n_inliers: int) -> float | None:
-    """The absolute tolerance on the gap, where it may be given as a length per pair.
+    """Return the absolute tolerance on the gap, which may be given as a length per pair.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def fit_pose(
     scale_range: tuple[float, float],
     weights: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Least-squares pose of paired points (Umeyama 1991), scale clipped to `scale_range`.
+    """Return the least-squares pose of paired points (Umeyama 1991), with clipped scale.
 
     The rotation is proper (determinant +1) also for mirrored or degenerate data. It is the best one for
     every scale, and the cost a convex parabola in the scale: clipping gives the constrained optimum.

@@ -1,4 +1,4 @@
-"""Feasible pairs: which source point may be matched with which target point."""
+"""A registration problem: clouds, number of pairs, model and feasible pairs, all checked."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class InputError(ValueError):
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """``; did you mean 'x'? Known: …``, to be put behind a message about an unknown name."""
+    """Return ``; did you mean 'x'?`` or the known names, to end a message about an unknown name."""
     known = sorted(map(str, known))
     close = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
     hint = f"; did you mean {close[0]!r}?" if close else ";"
@@ -33,7 +33,7 @@ Candidates = np.ndarray | Sequence[Sequence[int]]
 
 
 def check_candidates(candidates: Candidates, n: int, m: int, n_inliers: int) -> np.ndarray | None:
-    """The feasible pairs as an (n, m) mask; None where every pair is feasible.
+    """Return the feasible pairs as an (n, m) mask; None if every pair is feasible.
 
     Raises
     ------
@@ -90,7 +90,7 @@ DEFAULT_SCALE_RANGE = {"similarity2d": (0.5, 1.5), "rigid3d": (1.0, 1.0)}
 
 @dataclass(frozen=True)
 class Problem:
-    """Match `n_inliers` source points one-to-one with target points under a model's best pose.
+    """Match `n_inliers` source points one-to-one with target points under the best pose of a model.
 
     Minimise over poses T and one-to-one matchings P of exactly `n_inliers` pairs the sum of squared
     residuals ``sum_ij p_ij |T(x_i) - y_j|^2`` (DC-Reg, arXiv 2603.25442, eq. 1).
@@ -163,7 +163,7 @@ class Problem:
 
 
 def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndarray:
-    """Finite contiguous (n, dim) float64 copy of `points`, or an `InputError`."""
+    """Return a finite contiguous (n, dim) float64 copy of `points`, or raise `InputError`."""
     try:
         points = np.array(points, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
@@ -198,7 +198,7 @@ def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndar
 
 
 def check_n_inliers(n_inliers: int | float, limit: int) -> int:
-    """The number of pairs: an integer as it is, a float in (0, 1] as a fraction of `limit`."""
+    """Return the number of pairs; a float in (0, 1] is a fraction of `limit`."""
     if isinstance(n_inliers, bool) or not isinstance(n_inliers, int | float | np.number):
         raise InputError(f"n_inliers: {n_inliers!r} is not a number; give a count or a fraction")
     if isinstance(n_inliers, float | np.floating):
@@ -218,7 +218,7 @@ def check_n_inliers(n_inliers: int | float, limit: int) -> int:
 
 
 def check_scale_range(scale_range: tuple[float, float] | None, model: str) -> tuple[float, float]:
-    """The admissible scales: those given or the model's own."""
+    """Return the admissible scales, by default those of the model."""
     if scale_range is None:
         return DEFAULT_SCALE_RANGE[model]
     try:

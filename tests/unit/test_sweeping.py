@@ -507,7 +507,7 @@ def test_a_rotation_search_leaves_time_for_all_points(rng):
 
 
 def test_a_sample_of_a_sweep_refuses_what_it_would_ignore(clouds):
-    with pytest.raises(InputError, match="downsample: candidates speak of all points"):
+    with pytest.raises(InputError, match="downsample: candidates would not be used"):
         sweep(*clouds, [18], model="similarity2d", candidates=half_of(18, 24, 24), downsample=10)
 
 
