@@ -27,40 +27,63 @@ def instance(n_points: int) -> Instance:
     return Instance("id", points, points, "similarity2d", 5, (0.5, 1.5), 0.1, 0)
 
 
-def three_runs(fault: str, log: Path) -> list[dict]:
-    """A good instance, the unlucky one, a good one."""
+def sandbox_with(fault: str, log: Path, time_s: float = LIMITS.time_s) -> Sandbox:
     method = MethodSettings(name="fault", baseline="fault", options={"fault": fault})
-    # Memory must run out before the time does, and code be compiled within it, also on a busy machine.
-    is_long = fault in ("grows", "always_compiles")
-    limits = LIMITS.model_copy(update={"time_s": 20.0}) if is_long else LIMITS
-    with Sandbox(method, limits, log) as sandbox:
+    return Sandbox(method, LIMITS.model_copy(update={"time_s": time_s}), log)
+
+
+def three_runs(fault: str, log: Path, time_s: float = LIMITS.time_s) -> list[dict]:
+    """A good instance, the unlucky one, a good one."""
+    with sandbox_with(fault, log, time_s) as sandbox:
         return [sandbox.solve(instance(n)) for n in (10, 13, 11)]
 
 
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory):
+    """A sandbox of a method that goes wrong by the number of points; it starts a worker when needed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DCREG_BASELINES_PATH", str(FAULTS))
+        with sandbox_with("any", tmp_path_factory.mktemp("sandbox") / "log") as sandbox:
+            yield sandbox
+
+
 @pytest.mark.parametrize(
-    ("fault", "status", "message"),
+    ("n_points", "status", "message"),
     [
-        ("none", "converged", ""),
-        ("is_late", "time_limit", "s, the limit is 0.3 s"),
-        ("raises", "failed", "ZeroDivisionError: planted (adapter.py:"),
-        ("hangs", "failed", "the limit is 0.3 s"),
-        ("grows", "failed", "the limit is 600 MB"),
-        ("bursts", "failed", "MemoryError"),
-        ("exits", "failed", "worker ended with exit code 3"),
-        ("is_killed", "failed", "worker died of SIGKILL"),
-        ("crashes", "failed", "worker died of SIGSEGV"),
-        ("gives_no_pose", "failed", "said optimal but gave no pose"),
-        ("crosses_bounds", "failed", "a lower bound of 5 above an upper one of 1"),
-        ("gives_up", "failed", "said time_limit but gave no pose"),
-        ("gives_nan", "failed", "not finite"),
+        pytest.param(20, "converged", "", id="none"),
+        pytest.param(21, "time_limit", "s, the limit is 0.3 s", id="is late"),
+        pytest.param(22, "failed", "ZeroDivisionError: planted (adapter.py:", id="raises"),
+        pytest.param(23, "failed", "the limit is 0.3 s", id="hangs"),
+        pytest.param(24, "failed", "MemoryError", id="bursts"),
+        pytest.param(25, "failed", "worker ended with exit code 3", id="exits"),
+        pytest.param(26, "failed", "worker died of SIGKILL", id="is killed"),
+        pytest.param(27, "failed", "worker died of SIGSEGV", id="crashes"),
+        pytest.param(28, "failed", "said optimal but gave no pose", id="gives no pose"),
+        pytest.param(
+            29, "failed", "a lower bound of 5 above an upper one of 1", id="crosses bounds"
+        ),
+        pytest.param(30, "failed", "said time_limit but gave no pose", id="gives up"),
+        pytest.param(31, "failed", "not finite", id="gives NaN"),
     ],
 )
-def test_a_fault_becomes_its_status_and_the_rest_completes(fault, status, message, tmp_path):
-    before, unlucky, after = three_runs(fault, tmp_path / "log")
+def test_a_fault_becomes_its_status_and_the_rest_completes(faulty, n_points, status, message):
+    unlucky, after = faulty.solve(instance(n_points)), faulty.solve(instance(11))
     assert unlucky["status"] == status
     assert message in unlucky["message"]
-    assert before["status"] == after["status"] == "converged"
+    assert after["status"] == "converged"
     assert (unlucky.get("T_target_source") is None) == (status == "failed")
+
+
+def test_a_worker_that_takes_too_much_memory_is_lost(tmp_path):
+    """With a limit that memory meets before the time, also on a busy machine."""
+    before, unlucky, after = three_runs("grows", tmp_path / "log", time_s=20.0)
+    assert [run["status"] for run in (before, unlucky, after)] == [
+        "converged",
+        "failed",
+        "converged",
+    ]
+    assert "the limit is 600 MB" in unlucky["message"]
+    assert unlucky.get("T_target_source") is None
 
 
 def test_a_run_that_compiled_is_repeated_and_not_timed(tmp_path):
@@ -73,7 +96,7 @@ def test_a_run_that_compiled_is_repeated_and_not_timed(tmp_path):
 
 
 def test_a_method_that_always_compiles_is_timed_in_the_end(tmp_path):
-    _, unlucky, _ = three_runs("always_compiles", tmp_path / "log")
+    _, unlucky, _ = three_runs("always_compiles", tmp_path / "log", time_s=20.0)
     assert unlucky["status"] == "converged"
     assert (tmp_path / "log").read_text().count("repeated") == MAX_REPEATS
 
