@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +22,7 @@ import pandas as pd
 import psutil
 import pytest
 
+import workflows.metrics
 from workflows.running import the_only_run
 
 CHECKOUT = Path(__file__).parents[2]
@@ -35,13 +39,13 @@ methods:
   - {name: dcreg, baseline: dcreg}
   - {name: icp, baseline: icp}
 """
-SLOW = """
-name: slow
-limits: {time_s: 5, memory_mb: 600}
+WAITING = """
+name: waiting
+limits: {time_s: 100, memory_mb: 600}
 datasets:
   - {dataset: embedded, shapes: [fish], n_points: 12, tests: {noise: [0, 0.01, 0.02, 0.03, 0.04, 0.05]}}
 methods:
-  - {name: naps, baseline: fault, options: {fault: naps}}
+  - {name: waits, baseline: fault, options: {fault: waits}}
 """
 # With limits so that memory runs out before the time does, also on a busy machine.
 FAULTS = {"raises": "", "hangs": "", "grows": "time_s: 20", "is_killed": ""}
@@ -61,7 +65,7 @@ def _weaker(self, lower, upper, cutoff, warm_start=None):
 SpaceBound.evaluate = _weaker
 """
 
-pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("workflow")]
+pytestmark = [pytest.mark.workflow, pytest.mark.timeout(1800)]
 
 
 class Checkout:
@@ -80,23 +84,24 @@ class Checkout:
     def write(self, config: str) -> None:
         (self.root / "workflows" / "configs" / "tiny.yaml").write_text(config)
 
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
+    def start(self, *arguments: str, module: str = "workflows") -> subprocess.Popen[str]:
         return subprocess.Popen(
-            [sys.executable, "-m", "workflows", *arguments],
+            [sys.executable, "-m", module, *arguments],
             cwd=self.root,
             env={
                 **os.environ,
                 "PYTHONPATH": str(self.root),
                 "DCREG_BASELINES_PATH": str(CHECKOUT / "tests" / "workflow" / "baselines"),
+                "FAULT_TOKENS": str(self.root / "tokens"),
             },
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
         )
 
-    def command(self, *arguments: str, ok: bool = True) -> str:
-        process = self.start(*arguments)
-        output, _ = process.communicate(timeout=300)
+    def command(self, *arguments: str, ok: bool = True, module: str = "workflows") -> str:
+        process = self.start(*arguments, module=module)
+        output, _ = process.communicate(timeout=1200)
         assert (process.returncode == 0) == ok, output
         return output
 
@@ -110,9 +115,27 @@ class Checkout:
             if line.startswith(known) and "…" not in line
         )
 
-    def append(self, file: str, text: str) -> None:
+    def planned(self) -> list[str]:
+        """The stages that the next run would repeat."""
+        stages = []
+        dry = ("--dry-run", "--nolock", "--config", "experiment=tiny")
+        for line in self.command(*dry, module="snakemake").splitlines():
+            if line.startswith("rule "):
+                stages.append(line[5:].rstrip(":"))
+            elif match := re.match(r" *wildcards: method=(\w+)", line):
+                stages[-1] += f" {match[1]}"
+        return sorted(set(stages) - {"all"})
+
+    @contextmanager
+    def edited(self, file: str, more: str = "\n# edited\n") -> Iterator[None]:
+        """A context in which `more` stands at the end of a file."""
         path = self.root / file
-        path.write_text(path.read_text() + text)
+        before = path.read_text()
+        path.write_text(before + more)
+        try:
+            yield
+        finally:
+            path.write_text(before)
 
     def runs(self) -> pd.DataFrame:
         return pd.read_parquet(self.root / "results/tiny/tables/runs.parquet")
@@ -139,7 +162,7 @@ def test_the_whole_path_leads_to_complete_tables(checkout):
     assert (runs["objective_regret"] >= 0).all()
     assert (runs["bound_violation"].dropna() == 0).all()
     assert (runs["bound_violation"].notna() == (runs["method"] == "dcreg")).all()
-    assert runs["time_overhead_s"].min() < 0.005  # of a machine that may be busy with other tests
+    assert runs["time_overhead_s"].min() < 0.1 * runs["time_warmup_s"].max()
     tables = checkout.root / "results/tiny/tables"
     counts = pd.read_csv(tables / "accounting.csv")
     assert list(counts["planned"]) == [3, 3]
@@ -157,26 +180,27 @@ def test_a_second_run_does_nothing(checkout):
     assert checkout.run() == []
 
 
-def test_an_edited_figure_reruns_only_the_report(checkout):
-    figure = next((checkout.root / "reports" / "figures").glob("[a-z]*.py"))
-    checkout.append(str(figure.relative_to(checkout.root)), "\n# edited\n")
-    assert checkout.run() == ["report"]
+FIGURE = next((CHECKOUT / "reports" / "figures").glob("[a-z]*.py"))
 
 
-def test_an_edited_method_reruns_only_its_solves(checkout):
-    checkout.append("baselines/icp/adapter.py", "\n# edited\n")
-    assert checkout.run() == [*AFTER_SOLVE, "solve icp"]
-
-
-def test_an_edited_metric_repeats_no_run(checkout):
-    checkout.append("workflows/metrics.py", "\n# edited\n")
-    assert set(checkout.run("--no-report")) <= {*TABLES}
+@pytest.mark.parametrize(
+    ("file", "repeated"),
+    [
+        (FIGURE, ["report"]),
+        (CHECKOUT / "baselines/icp/adapter.py", [*AFTER_SOLVE, "solve icp"]),
+        (Path(workflows.metrics.__file__), AFTER_SOLVE),
+    ],
+    ids=["figure", "method", "metric"],
+)
+def test_an_edit_repeats_only_what_depends_on_it(checkout, file, repeated):
+    with checkout.edited(str(file.relative_to(CHECKOUT))):
+        assert checkout.planned() == repeated
 
 
 def test_an_added_method_solves_only_its_own_runs(checkout):
-    checkout.write(CONFIG + "  - {name: half, baseline: icp, n_inliers_ratio: 0.5}\n")
-    assert checkout.run("--no-report") == [*TABLES, "solve half"]
-    checkout.write(CONFIG)
+    added = "  - {name: half, baseline: icp, n_inliers_ratio: 0.5}\n"
+    with checkout.edited("workflows/configs/tiny.yaml", added):
+        assert checkout.planned() == sorted([*AFTER_SOLVE, "plan", "solve half"])
 
 
 def test_an_interrupted_job_keeps_what_it_had(checkout):
@@ -205,17 +229,16 @@ def _lines(path: Path) -> list[str]:
     return path.read_text().splitlines()
 
 
-def test_a_planted_change_of_the_bound_is_found_and_a_rerun_is_not(checkout):
+def test_a_weaker_bound_is_found_and_a_repetition_is_not(checkout):
     checkout.command("record", "results/tiny", "--version", "v1")
-    shutil.rmtree(checkout.root / "results")
-    checkout.run("--no-report")
-    checkout.command("record", "results/tiny", "--version", "again")
-    assert "no regression" in checkout.command("compare", "v1", "again")
-
-    checkout.append("dcreg/families/protocol.py", WEAKER)
-    assert checkout.run("--no-report") == [*TABLES, "solve dcreg"]
-    checkout.command("record", "results/tiny", "--version", "weaker")
-    found = checkout.command("compare", "v1", "weaker", ok=False)
+    with checkout.edited("baselines/icp/adapter.py"), checkout.edited("baselines/dcreg/adapter.py"):
+        assert checkout.run("--no-report") == [*TABLES, "solve dcreg", "solve icp"]
+        checkout.command("record", "results/tiny", "--version", "again")
+        assert "no regression" in checkout.command("compare", "v1", "again")
+    with checkout.edited("dcreg/families/protocol.py", WEAKER):
+        assert "solve dcreg" in checkout.run("--no-report")
+        checkout.command("record", "results/tiny", "--version", "weaker")
+        found = checkout.command("compare", "v1", "weaker", ok=False)
     assert "worse" in found
     assert "n_nodes" in found
 
@@ -254,94 +277,88 @@ def test_a_part_has_tables_of_its_own_with_the_runs_of_the_whole(checkout):
     # The very same runs, with their times, not new ones.
     assert part["time_solve_s"].equals(before.loc[part.index, "time_solve_s"])
     assert checkout.runs().set_index("run_id").equals(before)
-    assert checkout.run("--no-report") == []  # the whole is untouched
+    assert checkout.planned() == ["report"]  # as before: the whole is untouched
     refused = checkout.command("record", str(folder), "--version", "x", ok=False)
     assert "selection" in refused
 
 
 def test_a_plan_is_printed_as_a_table_and_makes_nothing(checkout):
     files = sorted(checkout.root.glob("results/**/*"))
-    output = checkout.command("run", "tiny", "--dry-run", "--cores", "2", "--methods", "icp")
+    with checkout.edited(
+        "workflows/configs/tiny.yaml", "  - {name: more, baseline: icp, n_inliers_ratio: 0.7}\n"
+    ):
+        output = checkout.command(
+            "run", "tiny", "--dry-run", "--cores", "2", "--methods", "icp,more"
+        )
     assert "icp" in output
     assert "dcreg" not in output
-    assert "3 runs, 3 of them finished; the others take about 0 s on 2 cores" in output
-    checkout.write(CONFIG + "  - {name: more, baseline: icp, n_inliers_ratio: 0.7}\n")
-    output = checkout.command("run", "tiny", "--dry-run", "--cores", "2", "--methods", "more")
-    assert "3 runs, 0 of them finished; the others take at most about 2 s on 2 cores" in output
+    assert "6 runs, 3 of them finished; the others take at most about 2 s on 2 cores" in output
     assert sorted(checkout.root.glob("results/**/*")) == files
-    checkout.write(CONFIG)
 
 
-@pytest.fixture
-def slow(checkout) -> Path:
-    """A config elsewhere, of six runs of a second each, and without results."""
-    shutil.rmtree(checkout.root / "results/slow", ignore_errors=True)
-    path = checkout.root / "elsewhere" / "slow.yaml"
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(SLOW)
-    return path
+class Waiting:
+    """An experiment elsewhere of six runs, each of which waits until the test lets it go on."""
+
+    def __init__(self, root: Path) -> None:
+        self.root, self.allowed = root, 0
+        self.config = root / "elsewhere" / "waiting.yaml"
+        self.config.parent.mkdir()
+        self.config.write_text(WAITING)
+        (root / "tokens").mkdir()
+
+    def allow(self, count: int) -> list[str]:
+        """Let `count` more runs go on; lines of the journal once they are finished."""
+        for number in range(self.allowed, self.allowed + count):
+            (self.root / "tokens" / str(number)).touch()
+        self.allowed += count
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline:
+            journals = self.root.glob("results/waiting/runs/waits/*.journal.jsonl")
+            lines = [line for path in journals for line in _lines(path)]
+            if len(lines) >= self.allowed:
+                return lines
+            time.sleep(0.05)
+        raise AssertionError(f"no {self.allowed} runs within two minutes")
 
 
-def wait_for_runs(checkout: Checkout, count: int) -> list[str]:
-    """Lines of the journal of the slow experiment, once there are so many."""
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        journals = list(checkout.root.glob("results/slow/runs/naps/*.journal.jsonl"))
-        lines = [line for path in journals for line in _lines(path)]
-        if len(lines) >= count:
-            return lines
-        time.sleep(0.05)
-    raise AssertionError("no runs within a minute")
-
-
-def test_an_interrupted_run_ends_in_order_and_goes_on_from_there(checkout, slow):
-    run = ["run", str(slow), "--cores", "1", "--no-report"]
+def test_a_run_that_is_stopped_or_killed_goes_on_from_there(checkout):
+    waiting = Waiting(checkout.root)
+    run = ["run", str(waiting.config), "--cores", "1", "--no-report"]
     first = checkout.start(*run)
-    wait_for_runs(checkout, 2)
+    kept = waiting.allow(2)
+    refused = checkout.command(*run, ok=False)
+    assert f"another run works on these results, process {first.pid} " in refused
+
     family = psutil.Process(first.pid).children(recursive=True)
     assert len(family) >= 3  # Snakemake, the job, its worker
     first.send_signal(signal.SIGINT)
-    output, _ = first.communicate(timeout=30)
+    output, _ = first.communicate(timeout=60)
     assert first.returncode == 130
     assert "stopped. Runs that finished are kept" in output
     assert "Traceback" not in output
-    _, alive = psutil.wait_procs(family, timeout=5)
+    _, alive = psutil.wait_procs(family, timeout=30)
     assert not alive
-    kept = wait_for_runs(checkout, 2)
-    assert len(kept) < 6
-    checkout.command(*run)
-    assert wait_for_runs(checkout, 6)[: len(kept)] == kept
-    runs = pd.read_parquet(checkout.root / "results/slow/tables/runs.parquet")
+
+    second = checkout.start(*run)
+    assert waiting.allow(1)[:2] == kept
+    (snakemake, *_) = psutil.Process(second.pid).children()
+    second.kill()
+    assert f"its Snakemake is process {snakemake.pid}" in checkout.command(*run, ok=False)
+    assert waiting.allow(3)[:2] == kept
+    snakemake.wait(timeout=60)
+    with the_only_run(checkout.root, "waiting"):
+        pass
+    runs = pd.read_parquet(checkout.root / "results/waiting/tables/runs.parquet")
     assert list(runs["status"]) == ["converged"] * 6
 
 
-def test_a_second_run_at_once_names_the_first_and_leaves_it_alone(checkout, slow):
-    run = ["run", str(slow), "--cores", "1", "--no-report"]
-    first = checkout.start(*run)
-    wait_for_runs(checkout, 1)
-    refused = checkout.command(*run, ok=False)
-    assert f"another run works on these results, process {first.pid} " in refused
-    output, _ = first.communicate(timeout=60)
-    assert first.returncode == 0, output
-
-
-def test_a_run_whose_process_was_killed_is_named_until_its_snakemake_ends(checkout, slow):
-    run = ["run", str(slow), "--cores", "1", "--no-report"]
-    first = checkout.start(*run)
-    wait_for_runs(checkout, 1)
-    (snakemake, *_) = psutil.Process(first.pid).children()
-    first.kill()
-    assert f"its Snakemake is process {snakemake.pid}" in checkout.command(*run, ok=False)
-    snakemake.wait(timeout=60)
-    with the_only_run(checkout.root, "slow"):
-        pass
-
-
-def test_an_error_of_snakemake_itself_is_shown(checkout, slow):
-    (checkout.root / "results/slow").mkdir()
-    (checkout.root / "results/slow/plan").write_text("a file where a folder should be")
-    output = checkout.command("run", str(slow), "--cores", "1", ok=False)
-    assert "results/slow/plan" in output.partition("error:")[0]
+def test_an_error_of_snakemake_itself_is_shown(checkout):
+    (checkout.root / "results/other").mkdir()
+    (checkout.root / "results/other/plan").write_text("a file where a folder should be")
+    config = checkout.root / "other.yaml"
+    config.write_text(CONFIG.replace("name: tiny", "name: other"))
+    output = checkout.command("run", str(config), "--cores", "1", ok=False)
+    assert "results/other/plan" in output.partition("error:")[0]
 
 
 def test_pairs_of_clouds_of_ones_own_need_a_card_and_a_config_of_a_few_lines(checkout):
@@ -383,10 +400,6 @@ def test_pairs_of_clouds_of_ones_own_need_a_card_and_a_config_of_a_few_lines(che
         for line in path.read_text(encoding="utf-8").splitlines()
     ]
     assert sorted(solved) == [15, 15, 15, 15, 16, 16]
-    # A wrong pose is refused by name.
-    np.savetxt(checkout.root / "my clouds/one/pose.txt", np.eye(4))
-    failed = checkout.command("run", str(config), "--no-report", "--cores", "2", ok=False)
-    assert "one/pose.txt: only " in failed
 
 
 def test_a_wrong_config_stops_before_anything_runs(tmp_path):

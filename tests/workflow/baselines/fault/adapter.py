@@ -1,4 +1,7 @@
-"""A method that goes wrong in a chosen way, on instances of 13 points and no others."""
+"""A method that goes wrong in a chosen way, on instances of 13 points and no others.
+
+With the fault `any` it goes wrong on larger instances, each number of points in another way.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -15,8 +19,20 @@ from dcreg.status import Status
 
 UNLUCKY = 13
 LONG_S = 3.0
-NAP_S = 1.0
 LATE_S = 0.6
+# Number of points -> what goes wrong with the fault `any`.
+FAULTS = {
+    20: "none", 21: "is_late", 22: "raises", 23: "hangs", 24: "bursts", 25: "exits",
+    26: "is_killed", 27: "crashes", 28: "gives_no_pose", 29: "crosses_bounds", 30: "gives_up",
+    31: "gives_nan",
+}  # fmt: skip
+
+
+def take_token(folder: Path) -> None:
+    """Wait for a file in a folder and remove it: a test decides how many runs finish."""
+    while not (tokens := list(folder.iterdir())):
+        time.sleep(0.01)
+    tokens[0].unlink()
 
 
 class Adapter(Baseline):
@@ -27,12 +43,15 @@ class Adapter(Baseline):
             import numba  # noqa: F401
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        if self.options["fault"] == "naps":  # on every instance
-            time.sleep(NAP_S)
+        if self.options["fault"] == "waits":  # on every instance
+            take_token(Path(os.environ["FAULT_TOKENS"]))
         solution = Solution(Status.CONVERGED, np.eye(instance.dim + 1))
-        if len(instance.source) == UNLUCKY:
-            return getattr(self, f"_{self.options['fault']}")(solution) or solution
-        return solution
+        fault = "none"
+        if self.options["fault"] == "any":
+            fault = FAULTS.get(len(instance.source), fault)
+        elif len(instance.source) == UNLUCKY:
+            fault = self.options["fault"]
+        return getattr(self, f"_{fault}")(solution) or solution
 
     def _none(self, solution: Solution) -> None:
         """No fault."""
