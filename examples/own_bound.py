@@ -21,7 +21,7 @@ class BallBound(SpaceBound[Similarity2D]):
         space, k = self.space, self.space.n_inliers
         centres, halves = 0.5 * (lower + upper), 0.5 * (upper - lower)
         found = Evaluation(np.empty(len(lower)), centres, np.empty(len(lower)))
-        length, target = np.linalg.norm(space.source, axis=1), space.points.target.T
+        length, target = np.linalg.norm(space.source, axis=1), space.clouds.target.T
         for box, (centre, half) in enumerate(zip(centres, halves, strict=True)):
             T = space.pose(centre)
             moved = space.source @ T[:2, :2].T + T[:2, 2]

@@ -50,7 +50,7 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
     ) -> None:
         super().__init__(space, roots, threads)
         self.features = np.empty((N_FEATURES + 1, space.n_source, space.n_target))
-        pair_features(space.points.source, space.points.target, self.features)
+        pair_features(space.source, space.clouds.target, self.features)
         self.low, self.high = np.empty(N_FEATURES), np.empty(N_FEATURES)
         feature_ranges(self.features, space.n_inliers, space.stop_flag, self.low, self.high)
         self.n_assignments += 2 * N_FEATURES

@@ -29,7 +29,7 @@ class TermwiseBound(SpaceBound[FeatureSpace]):
         super().__init__(space, roots, threads)
         if isinstance(space, Similarity2D):
             self.features = np.empty((products.N_FEATURES + 1, space.n_source, space.n_target))
-            products.pair_features(space.points.source, space.points.target, self.features)
+            products.pair_features(space.source, space.clouds.target, self.features)
 
 
 class SeparableBound(TermwiseBound):
@@ -79,7 +79,7 @@ class SeparableBound(TermwiseBound):
         space, k = self.space, self.space.n_inliers
         if isinstance(space, Translation3D):
             return kernels.norm_bounds(
-                space.points, self.low, self.high, self.averaged, lower, upper, bounds, thetas
+                space.clouds, self.low, self.high, self.averaged, lower, upper, bounds, thetas
             )
         if self.averaged:
             return kernels.aggregated_bound(

@@ -126,12 +126,12 @@ def entry_bound(features, k, stop, lower, upper, bounds):
 
 
 @jit
-def norm_bounds(points, low, high, averaged, lower, upper, bounds, thetas):
+def norm_bounds(clouds, low, high, averaged, lower, upper, bounds, thetas):
     """R1 (`averaged`) or R2 in norm space; `low` and `high` are the ranges of the aggregates of x.
 
     One assignment a box. R1 writes the t that minimises its quadratic into `thetas`.
     """
-    source, norms, k = points.source, points.target, points.k
+    source, norms, k = clouds.source.T, clouds.target, clouds.k
     n, m = source.shape[0], norms.size
     cost, alpha, beta = np.empty((n, m)), np.empty(3), np.empty(3)
     length_low, length_high = np.empty(n), np.empty(n)
@@ -163,7 +163,7 @@ def norm_bounds(points, low, high, averaged, lower, upper, bounds, thetas):
                 constant += c0 + _add_length(source[i], lo, up, length_high[i], weight, beta)
             for j in range(m):
                 cost[i, j] = charge + norms[j] * (slope + norms[j])
-        value, _ = k_assignment(cost, k, points.stop)
+        value, _ = k_assignment(cost, k, clouds.stop)
         value += constant
         for a in range(3):
             t = min(max(-beta[a] / (2.0 * k), lo[a]), up[a])

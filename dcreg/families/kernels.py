@@ -1,4 +1,4 @@
-"""What kernels know of a problem: one tuple in place of its arrays one by one."""
+"""The tuple in which kernels receive a problem."""
 
 from __future__ import annotations
 
@@ -9,46 +9,20 @@ import numpy as np
 from dcreg.jit import jit
 
 
-class Points(NamedTuple):
-    """A problem over plane points, or over norms of points in space.
-
-    Attributes
-    ----------
-    source : (n, 2) or (n, 3) array
-    axes : (2, n) or (3, n) array
-        The source by axis: loops over the points run along memory.
-    target : (2, m) array, or (m,) array of norms
-        The number of dimensions tells the two problems apart when a kernel is compiled, so that each
-        compiles its own half only.
-    prices : (n, m) array, or (0, 0) where every pair is feasible
-        What a pair costs beyond its residual: 0, or prohibitive.
-    k : int
-        Pairs to be matched.
-    stop : (1,) uint8 array
-        Set from outside once a kernel shall return at once, whatever it then returns.
-    """
-
-    source: np.ndarray
-    axes: np.ndarray
-    target: np.ndarray
-    prices: np.ndarray
-    k: int
-    stop: np.ndarray
-
-
 class Clouds(NamedTuple):
-    """A problem over points in space.
+    """Both clouds of a problem, by axis, and what else its kernels need.
 
     Attributes
     ----------
-    source, target : (3, n), (3, m) arrays
-        By axis.
-    prices : (n, m) array, or (0, 0) where every pair is feasible
-        What a pair costs beyond its residual: 0, or prohibitive.
+    source : (d, n) array
+    target : (d, m) array, or (m,) array of norms
+        The number of dimensions tells norms from points when a kernel is compiled.
+    prices : (n, m) array, or (0, 0) if every pair is feasible
+        What a pair costs in addition to its residual: 0, or prohibitive.
     k : int
-        Pairs to be matched.
+        Number of pairs to match.
     stop : (1,) uint8 array
-        Set from outside once a kernel shall return at once, whatever it then returns.
+        Set from another thread; a kernel then returns at once, with incomplete output.
     """
 
     source: np.ndarray

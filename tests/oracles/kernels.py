@@ -47,7 +47,7 @@ def features(space: FeatureSpace, theta: np.ndarray) -> np.ndarray:
 def costs(space: FeatureSpace, theta: np.ndarray) -> np.ndarray:
     """(n, m) squared distances of features at `theta`."""
     moved = features(space, theta)
-    target = np.atleast_2d(space.points.target)  # points by axis, or norms
+    target = np.atleast_2d(space.clouds.target)  # points by axis, or norms
     return ((moved[:, None, :] - target.T[None]) ** 2).sum(axis=-1)
 
 

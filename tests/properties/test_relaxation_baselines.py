@@ -50,7 +50,7 @@ def value(bound, box):
 
 def slack(model):
     """Rounding and the solver's precision, beside the size of the objective's terms."""
-    return 1e-7 * model.n_inliers * (1 + (model.source**2).sum() + (model.points.target**2).sum())
+    return 1e-7 * model.n_inliers * (1 + (model.source**2).sum() + (model.clouds.target**2).sum())
 
 
 # --- bounds over boxes of similarities ----------------------------------------------------------

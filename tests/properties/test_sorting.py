@@ -73,7 +73,8 @@ def test_objectives_equal_the_general_assignment(n, m, rows, share, seed):
     target = generator.random(m)
     k = 1 + round(share * (min(n, m) - 1))
     values = np.empty(rows)
-    assert objectives_on_line(source, np.sort(target), k, thetas, values) == rows
+    by_axis = np.ascontiguousarray(source.T)
+    assert objectives_on_line(by_axis, np.sort(target), k, thetas, values) == rows
     for theta, value in zip(thetas, values, strict=True):
         cost = (np.linalg.norm(source + theta, axis=1)[:, None] - target) ** 2
         assert value == pytest.approx(k_assignment(cost, k, NEVER)[0], rel=1e-10, abs=1e-11)
@@ -81,7 +82,7 @@ def test_objectives_equal_the_general_assignment(n, m, rows, share, seed):
 
 @pytest.mark.parametrize("k", [30, 70])
 def test_values_do_not_depend_on_how_rows_are_sliced(k, rng):
-    source, target, thetas = rng.random((70, 3)), np.sort(rng.random(70)), rng.random((41, 3))
+    source, target, thetas = rng.random((3, 70)), np.sort(rng.random(70)), rng.random((41, 3))
     whole = np.empty(41)
     objectives_on_line(source, target, k, thetas, whole)
     for size in (1, 2, 7, COLUMNS, 9, 20):

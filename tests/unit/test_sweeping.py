@@ -407,7 +407,7 @@ def test_a_pose_reaches_all_cardinalities_though_the_time_is_over(monkeypatch, t
         if space.n_source != 24:  # in the warm-up
             return start(space, budget, enough)
         if space.n_inliers == COUNTS[0]:
-            clouds = space.source, space.points.target.T
+            clouds = space.source, space.clouds.target.T
             unlimited = Similarity2D(*clouds, space.n_inliers, space.scale_range)
             return start(unlimited, Budget(), enough)
         while not space.stop_flag[0]:  # until the end of all searches

@@ -56,7 +56,7 @@ class DCBound(SpaceBound[FeatureSpace]):
         self.map_slices(
             len(lower),
             lambda part: dc_bound(
-                self.space.points, lower[part], upper[part], found.lower_bounds[part],
+                self.space.clouds, lower[part], upper[part], found.lower_bounds[part],
                 found.thetas[part], found.values[part],
             ),
         )  # fmt: skip
@@ -85,7 +85,7 @@ class IntervalBound(SpaceBound[FeatureSpace]):
         bounds, values = np.empty(len(lower)), np.empty(len(lower))
 
         def work(part: slice) -> int:
-            spent = interval_bound(space.points, lower[part], upper[part], bounds[part])
+            spent = interval_bound(space.clouds, lower[part], upper[part], bounds[part])
             return spent + space.objectives(centres[part], values[part])
 
         self.map_slices(len(lower), work)

@@ -9,7 +9,7 @@ import numpy as np
 
 from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.families.dc.kernels.motion import pair_costs
-from dcreg.families.kernels import Points
+from dcreg.families.kernels import Clouds
 from dcreg.families.protocol import Space
 
 
@@ -18,13 +18,13 @@ class FeatureSpace(Space):
 
     Attributes
     ----------
-    points : Points
+    clouds : Clouds
         The normalised problem as the kernels take it.
     identity : (dim,) array
         The parameter that moves nothing.
     """
 
-    points: Points
+    clouds: Clouds
     identity: np.ndarray
     n_descents = 6
     min_gain = 1e-9
@@ -32,15 +32,15 @@ class FeatureSpace(Space):
     @property
     def source(self) -> np.ndarray:
         """(n, d) normalised source points."""
-        return self.points.source
+        return np.ascontiguousarray(self.clouds.source.T)
 
     @property
     def n_source(self) -> int:
-        return len(self.points.source)
+        return int(self.clouds.source.shape[1])
 
     @property
     def n_target(self) -> int:
-        return int(self.points.target.shape[-1])
+        return int(self.clouds.target.shape[-1])
 
     def objective(
         self, theta: np.ndarray, stop_flag: np.ndarray | None = None
@@ -53,7 +53,7 @@ class FeatureSpace(Space):
     def _costs(self, theta: np.ndarray) -> np.ndarray:
         """(n, m) squared residuals, and the prices of the pairs."""
         cost = np.empty((self.n_source, self.n_target))
-        pair_costs(self.points, theta, cost)
+        pair_costs(self.clouds, theta, cost)
         return cost
 
     @abc.abstractmethod

@@ -72,7 +72,7 @@ class SharedBound(SharedVertexBound[Similarity2D]):
         new, vertices = new[known], self.cache.vertices
 
         def work(part: slice) -> int:
-            estimate_vertices(self.space.points, vertices, new[part])
+            estimate_vertices(self.space.clouds, vertices, new[part])
             return 0
 
         self.map_slices(new.size, work)
@@ -96,19 +96,19 @@ class SharedBound(SharedVertexBound[Similarity2D]):
 
     def _solve(self, which: np.ndarray, warm: bool) -> None:
         """Compute the exact values at the vertices `which`."""
-        points, vertices = self.space.points, self.cache.vertices
+        clouds, vertices = self.space.clouds, self.cache.vertices
         self.map_slices(
-            which.size, lambda part: solve_vertices(points, vertices, warm, which[part])
+            which.size, lambda part: solve_vertices(clouds, vertices, warm, which[part])
         )
 
     def _bound(self, boxes: Boxes, rows: np.ndarray, effort: Effort) -> None:
         """Bound some of the boxes."""
         some = Boxes(*(array[rows] for array in boxes))
-        points, vertices = self.space.points, self.cache.vertices
+        clouds, vertices = self.space.clouds, self.cache.vertices
         self.map_slices(
             rows.size,
             lambda part: shared_bounds(
-                points, vertices, effort, Boxes(*(array[part] for array in some))
+                clouds, vertices, effort, Boxes(*(array[part] for array in some))
             ),
         )
         boxes.points[rows], boxes.bounds[rows] = some.points, some.bounds

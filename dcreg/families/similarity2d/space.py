@@ -11,7 +11,7 @@ from dcreg.assignment.descent import alternate
 from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
 from dcreg.families.dc.kernels.bounds import objectives
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.kernels import Points
+from dcreg.families.kernels import Clouds
 from dcreg.families.protocol import infeasibility_penalty, means_of_subsets, radius
 from dcreg.families.similarity2d.starts import similar_poses
 from dcreg.jit import NEVER
@@ -67,8 +67,7 @@ class Similarity2D(FeatureSpace):
         stop_flag: np.ndarray = NEVER,
     ) -> None:
         reach = scale_range[1] * radius(source) + radius(target)
-        self.points = Points(
-            np.ascontiguousarray(source),
+        self.clouds = Clouds(
             np.ascontiguousarray(source.T),
             np.ascontiguousarray(target.T),
             infeasibility_penalty(candidates, n_inliers, reach),
@@ -87,13 +86,13 @@ class Similarity2D(FeatureSpace):
         high = self.scale_range[1]
         if self.stationary_box:
             reach = high * largest_subset_mean(self.source, self.n_inliers)
-            low_y, high_y = means_of_subsets(self.points.target, self.n_inliers)
+            low_y, high_y = means_of_subsets(self.clouds.target, self.n_inliers)
             # rounding must not cut off the optimum, yet an exactly centred set keeps zero width
             reach = 0.0 if reach < 1e-12 else reach
             low_y, high_y = (np.where(np.abs(y) < 1e-12, 0.0, y) for y in (low_y, high_y))
             lower, upper = low_y - reach, high_y + reach
         else:
-            reach = high * radius(self.source) + radius(self.points.target.T)
+            reach = high * radius(self.source) + radius(self.clouds.target.T)
             lower, upper = np.full(2, -reach), np.full(2, reach)
         return [Box(np.array([-high, -high, *lower]), np.array([high, high, *upper]))]
 
@@ -110,7 +109,7 @@ class Similarity2D(FeatureSpace):
         return (np.hypot(*near.T) <= high) & (np.hypot(*far.T) >= low)
 
     def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
-        return objectives(self.points, thetas, values)
+        return objectives(self.clouds, thetas, values)
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
         """The objective itself."""
@@ -150,7 +149,7 @@ class Similarity2D(FeatureSpace):
         if self.n_inliers == max(self.n_source, self.n_target) or budget.is_over:
             return np.empty((0, 4))
         return similar_poses(
-            self.points.source, self.points.target.T, self.n_inliers, self.scale_range,
+            self.source, self.clouds.target.T, self.n_inliers, self.scale_range,
             self._candidates, stop=self.stop_flag,
         )  # fmt: skip
 
@@ -185,7 +184,7 @@ class Similarity2D(FeatureSpace):
         clipping is exact.
         """
         rows = np.flatnonzero(col_of >= 0)
-        both = np.concatenate([self.points.axes[:, rows], self.points.target[:, col_of[rows]]])
+        both = np.concatenate([self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]]])
         mx, my, mu, mv = middle = both.sum(axis=1) / rows.size
         both -= middle[:, None]
         products = both @ both.T  # of x, y of the source and u, v of the target
@@ -202,7 +201,7 @@ class Similarity2D(FeatureSpace):
         """Every 15 degrees, at the scale that gives both clouds the same spread."""
         spread = self.axis_weights[0]
         scale = np.clip(
-            np.sqrt((self.points.target**2).sum(axis=0).mean()) / spread, *self.scale_range
+            np.sqrt((self.clouds.target**2).sum(axis=0).mean()) / spread, *self.scale_range
         )
         angles = np.arange(24) * (np.pi / 12)
         centre = np.zeros((24, 2))

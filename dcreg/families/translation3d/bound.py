@@ -69,6 +69,6 @@ class TightBound(SharedBound):
     ) -> int:
         known, thorough = (self.cache.thetas, self.cache.values), cutoff is None
         return tight_bounds(
-            self.space.points, known, lower, upper, slots, np.inf if thorough else cutoff, thorough,
+            self.space.clouds, known, lower, upper, slots, np.inf if thorough else cutoff, thorough,
             bounds,
         )  # fmt: skip

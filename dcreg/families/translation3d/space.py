@@ -7,7 +7,7 @@ import numpy as np
 from dcreg.assignment.kernels.sorting import COLUMNS
 from dcreg.families.dc.kernels.bounds import objectives
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.kernels import Points
+from dcreg.families.kernels import Clouds
 from dcreg.families.protocol import (
     infeasibility_penalty,
     mean_of_largest,
@@ -59,8 +59,7 @@ class Translation3D(FeatureSpace):
         self._ordered = np.sort(self.norms)
         # where every pair is feasible, scalars are matched, which needs no matrix of costs
         self._on_line = candidates is None
-        self.points = Points(
-            np.ascontiguousarray(source),
+        self.clouds = Clouds(
             np.ascontiguousarray(source.T),
             self.norms,
             infeasibility_penalty(candidates, n_inliers, radius(source) + radius(target)),
@@ -92,19 +91,19 @@ class Translation3D(FeatureSpace):
         if not self._on_line:
             return super().objective(theta, stop_flag)
         self.check(stop_flag)
-        x, y, z = (axis + shift for axis, shift in zip(self.points.axes, theta, strict=True))
+        x, y, z = (axis + shift for axis, shift in zip(self.clouds.source, theta, strict=True))
         return match_on_line(np.sqrt(x * x + y * y + z * z), self.norms, self.n_inliers)
 
     def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
         if not self._on_line:
-            return objectives(self.points, thetas, values)
-        size = COLUMNS * max(1, _AT_ONCE // len(self.source))
+            return objectives(self.clouds, thetas, values)
+        size = COLUMNS * max(1, _AT_ONCE // self.n_source)
         for at in range(0, len(thetas), size):
             if self.stop_flag[0]:  # which the kernel does not look at
                 break
             part = slice(at, at + size)
             objectives_on_line(
-                self.source, self._ordered, self.n_inliers, thetas[part], values[part]
+                self.clouds.source, self._ordered, self.n_inliers, thetas[part], values[part]
             )
         return len(thetas)
 
@@ -117,7 +116,7 @@ class Translation3D(FeatureSpace):
         """A few steps from `theta` towards the translation that fits the norms of the pairs best."""
         rows = np.flatnonzero(col_of >= 0)
         trial = theta.copy()
-        axes = np.ascontiguousarray(self.points.axes[:, rows])
+        axes = np.ascontiguousarray(self.clouds.source[:, rows])
         fit_norm3d(axes, self.norms[col_of[rows]], _STEPS, trial)
         return trial
 

@@ -12,42 +12,42 @@ from dcreg.jit import jit
 
 
 @jit
-def objectives(points, thetas, values):
+def objectives(clouds, thetas, values):
     """E at every row of `thetas`. Returns the number of assignments."""
-    cost = np.empty((points.source.shape[0], points.target.shape[-1]))
+    cost = np.empty((clouds.source.shape[1], clouds.target.shape[-1]))
     for row in range(thetas.shape[0]):
-        if points.stop[0]:
+        if clouds.stop[0]:
             break
-        pair_costs(points, thetas[row], cost)
-        values[row], _ = k_assignment(cost, points.k, points.stop)
+        pair_costs(clouds, thetas[row], cost)
+        values[row], _ = k_assignment(cost, clouds.k, clouds.stop)
     return thetas.shape[0]
 
 
 @jit
-def dc_bound(points, lower, upper, bounds, thetas, values):
+def dc_bound(clouds, lower, upper, bounds, thetas, values):
     """DC bound as published: tangent at the box centre, one assignment at every vertex.
 
     Fills per box the bound, the minimising vertex and the objective of the matching found there (an
     upper bound on E at that vertex). Returns the number of assignments.
     """
-    n, m, dim = points.source.shape[0], points.target.shape[-1], lower.shape[1]
+    n, m, dim = clouds.source.shape[1], clouds.target.shape[-1], lower.shape[1]
     missed, cost = np.empty(n), np.empty((n, m))
     theta, delta = np.empty(dim), np.empty(dim)
     n_assignments = 0
     for box in range(lower.shape[0]):
         bounds[box] = np.inf
         for index in range(n_vertices(lower[box], upper[box])):
-            if points.stop[0]:
+            if clouds.stop[0]:
                 break
             vertex(lower[box], upper[box], index, theta)
             for a in range(dim):
                 delta[a] = theta[a] - 0.5 * (lower[box, a] + upper[box, a])
-            pair_costs(points, theta, cost)
-            curvature(points.target, points.axes, delta, missed)
+            pair_costs(clouds, theta, cost)
+            curvature(clouds.target, clouds.source, delta, missed)
             for i in range(n):
                 for j in range(m):
                     cost[i, j] -= missed[i]
-            value, col_of = k_assignment(cost, points.k, points.stop)
+            value, col_of = k_assignment(cost, clouds.k, clouds.stop)
             n_assignments += 1
             if value < bounds[box]:
                 bounds[box] = value
@@ -61,13 +61,13 @@ def dc_bound(points, lower, upper, bounds, thetas, values):
 
 
 @jit
-def interval_bound(points, lower, upper, bounds):
+def interval_bound(clouds, lower, upper, bounds):
     """Every pair at its own best place in the box: sum of k interval distances, never negative."""
-    cost = np.empty((points.source.shape[0], points.target.shape[-1]))
+    cost = np.empty((clouds.source.shape[1], clouds.target.shape[-1]))
     for box in range(lower.shape[0]):
-        if points.stop[0]:
+        if clouds.stop[0]:
             break
-        interval_costs(points.source, points.target, lower[box], upper[box], cost)
-        add_prices(points.prices, cost)
-        bounds[box], _ = k_assignment(cost, points.k, points.stop)
+        interval_costs(clouds.source, clouds.target, lower[box], upper[box], cost)
+        add_prices(clouds.prices, cost)
+        bounds[box], _ = k_assignment(cost, clouds.k, clouds.stop)
     return lower.shape[0]

@@ -14,25 +14,25 @@ from dcreg.jit import jit
 
 
 @jit
-def pair_costs(points, theta, cost):
+def pair_costs(clouds, theta, cost):
     """cost_ij = squared distance of the features at `theta`, and the price of the pair."""
-    squared_distances(points.source, points.target, theta, cost)
-    add_prices(points.prices, cost)
+    squared_distances(clouds.source, clouds.target, theta, cost)
+    add_prices(clouds.prices, cost)
 
 
 @jit
 def squared_distances(source, target, theta, cost):
     """Squared distances of the features of the moved source and the target."""
     if target.ndim == 1:
-        for i in range(source.shape[0]):
-            a, b, c = source[i, 0] + theta[0], source[i, 1] + theta[1], source[i, 2] + theta[2]
+        for i in range(source.shape[1]):
+            a, b, c = source[0, i] + theta[0], source[1, i] + theta[1], source[2, i] + theta[2]
             x = math.sqrt(a * a + b * b + c * c)
             for j in range(target.size):
                 dx = x - target[j]
                 cost[i, j] = dx * dx
     else:
-        for i in range(source.shape[0]):
-            a, b = source[i, 0], source[i, 1]
+        for i in range(source.shape[1]):
+            a, b = source[0, i], source[1, i]
             x = theta[0] * a - theta[1] * b + theta[2]
             y = theta[1] * a + theta[0] * b + theta[3]
             for j in range(target.shape[1]):
@@ -66,10 +66,10 @@ def plane_curvature(axes, delta, out):
 def interval_costs(source, target, lower, upper, cost):
     """cost_ij = squared distance of the target's feature from all those that x_i has over the box."""
     if target.ndim == 1:
-        for i in range(source.shape[0]):
+        for i in range(source.shape[1]):
             near = far = 0.0
             for a in range(3):
-                low, high = source[i, a] + lower[a], source[i, a] + upper[a]
+                low, high = source[a, i] + lower[a], source[a, i] + upper[a]
                 gap, reach = max(low, -high, 0.0), max(-low, high)
                 near += gap * gap
                 far += reach * reach
@@ -83,8 +83,8 @@ def interval_costs(source, target, lower, upper, cost):
         c2, c3 = 0.5 * (lower[2] + upper[2]), 0.5 * (lower[3] + upper[3])
         h0, h1 = 0.5 * (upper[0] - lower[0]), 0.5 * (upper[1] - lower[1])
         h2, h3 = 0.5 * (upper[2] - lower[2]), 0.5 * (upper[3] - lower[3])
-        for i in range(source.shape[0]):
-            a, b = source[i, 0], source[i, 1]
+        for i in range(source.shape[1]):
+            a, b = source[0, i], source[1, i]
             x, y = c0 * a - c1 * b + c2, c1 * a + c0 * b + c3
             wide, high = abs(a) * h0 + abs(b) * h1 + h2, abs(b) * h0 + abs(a) * h1 + h3
             for j in range(target.shape[1]):

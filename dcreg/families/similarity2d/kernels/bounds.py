@@ -68,14 +68,14 @@ def charged_value(axes, k, low, level, profile, delta, charged):
 
 
 @jit
-def shared_bounds(points, known, effort, boxes):
+def shared_bounds(clouds, known, effort, boxes):
     """``max_theta0 min_v min_P sum p_ij [E_ij(v) - R_i(v - theta0)]`` per box, from shared values.
 
     Starts with theta0 at ``boxes.points`` and moves it to the best place of a quadratic model of the
     loss; the bound itself is always evaluated with the true R_i.
     """
     dim, weights = boxes.lower.shape[1], effort.weights
-    charges = np.empty(points.source.shape[0])
+    charges = np.empty(clouds.source.shape[1])
     corner, charged = np.empty((16, dim)), np.empty(16)
     delta, point = np.empty(dim), np.empty(dim)
     for box in range(boxes.lower.shape[0]):
@@ -92,7 +92,7 @@ def shared_bounds(points, known, effort, boxes):
                     delta[a] = corner[v, a] - point[a]
                 slot = boxes.slots[box, v]
                 charged[v] = charged_value(
-                    points.axes, points.k, known.lows[slot], known.levels[slot],
+                    clouds.source, clouds.k, known.lows[slot], known.levels[slot],
                     known.profiles[slot], delta, charges,
                 )  # fmt: skip
                 if charged[v] < bound:

@@ -19,41 +19,41 @@ _UNSOLVED = 1e6
 
 
 @jit
-def solve_vertices(points, known, warm, slots):
+def solve_vertices(clouds, known, warm, slots):
     """E at the vertices `slots`, with optimal duals and profile. Returns the assignments spent.
 
     With `warm` the duals already there are the start.
     """
-    n, m = points.source.shape[0], points.target.shape[1]
+    n, m = clouds.source.shape[1], clouds.target.shape[1]
     cost = np.empty((n, m))
     for at in range(slots.size):
-        if points.stop[0]:
+        if clouds.stop[0]:
             break
         slot = slots[at]
         duals = known.duals[slot]
-        pair_costs(points, known.thetas[slot], cost)
+        pair_costs(clouds, known.thetas[slot], cost)
         if not warm:
-            first = first_prices(cost, points.k)
+            first = first_prices(cost, clouds.k)
             for j in range(m):
                 duals[j] = first[j]
-        known.values[slot], _ = improve_assignment(cost, points.k, duals, points.stop)
+        known.values[slot], _ = improve_assignment(cost, clouds.k, duals, clouds.stop)
         known.lows[slot] = known.values[slot]
-        _, known.levels[slot] = _dual_profile(cost, points.k, duals, known.profiles[slot])
+        _, known.levels[slot] = _dual_profile(cost, clouds.k, duals, known.profiles[slot])
     return slots.size
 
 
 @jit
-def estimate_vertices(points, known, slots):
+def estimate_vertices(clouds, known, slots):
     """Lower bounds on E and profiles at the vertices `slots` from the prices blended there.
 
     One pass over the costs instead of an assignment. `values` stays infinite: no upper bound is known.
     """
-    cost = np.empty((points.source.shape[0], points.target.shape[1]))
+    cost = np.empty((clouds.source.shape[1], clouds.target.shape[1]))
     for at in range(slots.size):
         slot = slots[at]
-        pair_costs(points, known.thetas[slot], cost)
+        pair_costs(clouds, known.thetas[slot], cost)
         known.lows[slot], known.levels[slot] = _dual_profile(
-            cost, points.k, known.duals[slot], known.profiles[slot]
+            cost, clouds.k, known.duals[slot], known.profiles[slot]
         )
         known.values[slot] = np.inf
 

@@ -29,7 +29,7 @@ def centre_bounds(values, k, lower, upper, slots, bounds):
 
 
 @jit
-def tight_bounds(points, vertices, lower, upper, slots, cutoff, thorough, bounds):
+def tight_bounds(clouds, vertices, lower, upper, slots, cutoff, thorough, bounds):
     """The bound at the best theta0, with k |.|^2 and then with the curvature of E in the box.
 
     The latter asks for a `reach` that E does not exceed at the box's minimiser, where that matters:
@@ -38,7 +38,7 @@ def tight_bounds(points, vertices, lower, upper, slots, cutoff, thorough, bounds
     Returns 0.
     """
     thetas, values = vertices
-    k, dim = points.k, lower.shape[1]
+    k, dim = clouds.k, lower.shape[1]
     corner, known = np.empty((8, dim)), np.empty(8)
     point, centre, weights, own = np.empty(dim), np.empty(dim), np.empty(dim), np.empty(dim)
     for a in range(dim):
@@ -64,7 +64,7 @@ def tight_bounds(points, vertices, lower, upper, slots, cutoff, thorough, bounds
         for a in range(dim):
             square += 0.25 * (upper[box, a] - lower[box, a]) ** 2
             centre[a] = 0.5 * (lower[box, a] + upper[box, a])
-        norm_curvature(points.axes, k, centre, math.sqrt(square), math.sqrt(reach), own)
+        norm_curvature(clouds.source, k, centre, math.sqrt(square), math.sqrt(reach), own)
         bound = best_linearisation(corner[:count], known[:count], own, floor, enough, point)
         bounds[box] = max(bounds[box], min(bound, reach))
     return 0

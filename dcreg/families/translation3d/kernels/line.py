@@ -23,12 +23,12 @@ def match_on_line(a, b, k):
 
 @jit
 def objectives_on_line(source, ordered, k, thetas, values):
-    """E at every row of `thetas` from the sorted norms of the target. Returns the rows.
+    """E at every row of `thetas` from the (3, n) source and the sorted norms of the target.
 
     Several rows at once: sorting is most of the work. Every value is the same to the last bit whichever
     rows share a table, so that threads may cut `thetas` anywhere.
     """
-    n, rows = source.shape[0], thetas.shape[0]
+    n, rows = source.shape[1], thetas.shape[0]
     norms, table, shifts = np.empty(n), np.empty((n, COLUMNS)), np.empty((3, COLUMNS))
     for first in range(0, rows, COLUMNS):
         for column in range(COLUMNS):  # beyond the last row: that row again
@@ -46,8 +46,8 @@ def objectives_on_line(source, ordered, k, thetas, values):
 @jit_part
 def _norm_columns(source, shifts, table):
     """``|x_i + t|`` for several t at once, the `COLUMNS` columns of `shifts` and of `table`."""
-    for i in range(source.shape[0]):
-        x, y, z = source[i, 0], source[i, 1], source[i, 2]
+    for i in range(source.shape[1]):
+        x, y, z = source[0, i], source[1, i], source[2, i]
         for column in range(COLUMNS):
             a, b, c = x + shifts[0, column], y + shifts[1, column], z + shifts[2, column]
             table[i, column] = a * a + b * b + c * c
