@@ -96,30 +96,43 @@ def objective(
     value : float, in squared units of the target
     assignment : (n_inliers, 2) int array
     """
+    return match_at(
+        source, target, T_target_source, n_inliers, candidates,
+        prove=prove, stop=stop, at_once=at_once,
+    )[:2]  # fmt: skip
+
+
+def match_at(
+    source: np.ndarray,
+    target: np.ndarray,
+    T_target_source: np.ndarray,
+    n_inliers: int,
+    candidates: np.ndarray | None = None,
+    *,
+    prove: bool = True,
+    stop: np.ndarray = NEVER,
+    at_once: int = AT_ONCE_PAIRS,
+) -> tuple[float, np.ndarray, bool]:
+    """Return value and pairs of `objective`, and whether the pairs were chosen greedily."""
     moved = apply_pose(T_target_source, source)
     if len(source) * len(target) <= at_once:
         stop = NEVER
     if candidates is None and (stop[0] or is_large(len(source), len(target))):
         found = sparse.sparse_matching(moved, target, n_inliers, prove=prove, stop=stop)
-        return found.value, found.pairs
+        return found.value, found.pairs, bool(stop[0])
     cost = ((moved[:, None] - target[None]) ** 2).sum(axis=-1)
     if candidates is not None:
         cost[~candidates] = 1.0 + n_inliers * cost.max()
     value, col_of = k_assignment(cost, n_inliers, stop)
     if not stop[0]:
-        return value, pairs_of(col_of)
+        return value, pairs_of(col_of), False
     if candidates is None:
         found = sparse.sparse_matching(moved, target, n_inliers, prove=False, stop=stop)
-        return found.value, found.pairs
+        return found.value, found.pairs, True
     pairs = pairs_of(maximum_bipartite_matching(csr_array(candidates), perm_type="column"))
     own = cost[pairs[:, 0], pairs[:, 1]]
     kept = np.sort(np.argsort(own, kind="stable")[:n_inliers])
-    return float(own[kept].sum()), pairs[kept]
-
-
-def is_greedy(n: int, m: int, stop: np.ndarray) -> bool:
-    """Whether `objective` chooses pairs of n and m points greedily by now."""
-    return bool(stop[0]) and n * m > AT_ONCE_PAIRS
+    return float(own[kept].sum()), pairs[kept], True
 
 
 @dataclass(frozen=True)
@@ -159,30 +172,33 @@ def quick_objective(
     known: Matched | None,
     prove: bool = True,
     stop: np.ndarray = NEVER,
-) -> tuple[float, np.ndarray]:
-    """`objective`, but that once `stop` is set the better of its pairs and of known ones is taken.
+    at_once: int = AT_ONCE_PAIRS,
+) -> tuple[float, np.ndarray, bool]:
+    """Match at a pose; once `stop` is set, take the better of the new pairs and of known ones.
 
     Parameters
     ----------
-    source, target, T_target_source, n_inliers, candidates, prove, stop
+    source, target, T_target_source, n_inliers, candidates, prove, stop, at_once
         As in `objective`.
     known : Matched, optional
         Feasible pairs, at least `n_inliers`.
 
     Returns
     -------
-    value, assignment
-        As in `objective`: the true value of these pairs, which bounds the least one from above.
+    value, assignment, greedy
+        As in `match_at`. The value is that of these pairs, an upper bound on the minimum.
     """
 
-    def own() -> tuple[float, np.ndarray]:
-        return objective(
-            source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop
-        )
+    def own() -> tuple[float, np.ndarray, bool]:
+        return match_at(
+            source, target, T_target_source, n_inliers, candidates,
+            prove=prove, stop=stop, at_once=at_once,
+        )  # fmt: skip
 
     if known is None or not stop[0]:
         return own()
-    given = known.cheapest(source, target, T_target_source, n_inliers)
+    value, pairs = known.cheapest(source, target, T_target_source, n_inliers)
+    given = value, pairs, True
     if known.greedy and np.array_equal(known.T_target_source, T_target_source):
-        return given  # the k nearest pairs come first, however many follow
+        return given  # greedy pairs for fewer points are the first of these
     return min(own(), given, key=lambda matched: matched[0])

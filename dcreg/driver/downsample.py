@@ -1,14 +1,22 @@
-"""Choose the points that are searched."""
+"""Choose the points that are searched, and refine the pose on all points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from dcreg.assignment.descent import polish
+from dcreg.assignment.objective import Matched, objective, quick_objective
+from dcreg.diagnostics import find_runner_up
 from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE
 from dcreg.problem import InputError, Problem, representative_points
+from dcreg.result import Result, Sample, Stage
+from dcreg.search import Budget
+from dcreg.status import Status
 
+HOPELESS = 4.0  # poses with more than this many times the best objective are not refined
 # Share of the time for the search of a sample; the rest is for refining its pose on all points.
 SEARCH_SHARE = 0.8
 
@@ -87,3 +95,81 @@ def default_sample(problem: Problem, bound: str | None, certificate: bool) -> in
     if not free or by_norms or n * m <= LARGE_PAIRS[problem.dim]:
         return None
     return LARGE_SAMPLE[problem.dim]
+
+
+# A pose with its objective and its pairs.
+Pose = tuple[float, np.ndarray, np.ndarray]
+
+
+def refined(
+    result: Result,
+    problem: Problem,
+    searched: Problem,
+    budget: Budget,
+    known: Matched | None = None,
+) -> Result:
+    """Return the result for all points from that of a sample.
+
+    The pose, the runner-up and the pose of the `known` pairs are refined, the best of them first. The
+    runner-up of the result then refers to all points.
+    """
+    began = budget.elapsed()
+    clouds, k = (problem.source, problem.target), problem.n_inliers
+    T = result.T_target_source
+    before, pairs, greedy = quick_objective(
+        *clouds, T, k, known=known, prove=False, stop=budget.hard_stop
+    )
+    poses, tried = [(before, T, pairs)], 1
+    if result.runner_up is not None and not budget.is_over:
+        T, tried = result.runner_up.T_target_source, tried + 1
+        value, pairs = objective(*clouds, T, k, prove=False, stop=budget.hard_stop)
+        poses.append((value, T, pairs))
+    if known is not None:
+        value, pairs = known.cheapest(*clouds, known.T_target_source, k)
+        poses.append((value, known.T_target_source, pairs))
+    poses, spent = refine_poses(problem, poses, budget)
+    value, T, pairs = min(poses, key=_value)
+    stage = Stage(
+        "all points", budget.elapsed() - began, n_assignments=tried + spent,
+        objective_before=before, objective_after=value, greedy_assignment=greedy or None,
+    )  # fmt: skip
+    ended = result.status in (Status.OPTIMAL, Status.CONVERGED)
+    return replace(
+        result,
+        status=budget.ended_by if ended and budget.is_over else result.status,
+        T_target_source=T,
+        assignment=pairs,
+        n_inliers=k,
+        objective=value,
+        objective_certified=before,
+        runner_up=find_runner_up(problem, T, value, [(other, cost) for cost, other, _ in poses]),
+        stages=[*result.stages, stage],
+        downsampled=Sample(len(searched.source), len(searched.target), searched.n_inliers),
+    )
+
+
+def refine_poses(problem: Problem, poses: Sequence[Pose], budget: Budget) -> tuple[list[Pose], int]:
+    """Polish the poses in ascending order of their objective, as far as the budget allows.
+
+    Returns
+    -------
+    poses : list of Pose
+        None is worse than before.
+    n_assignments : int
+    """
+    refined, spent = sorted(poses, key=_value), 0
+    for at, (value, T, _) in enumerate(refined):
+        if budget.is_over or value > HOPELESS * min(map(_value, refined)):
+            break
+        T, better, pairs, more = polish(
+            problem.source, problem.target, T, problem.n_inliers, problem.scale_range,
+            problem.candidates, budget,
+        )  # fmt: skip
+        spent += more
+        if better < value:
+            refined[at] = better, T, pairs
+    return refined, spent
+
+
+def _value(pose: Pose) -> float:
+    return pose[0]

@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dcreg.assignment.descent import polish
-from dcreg.assignment.objective import Matched, is_greedy, objective, quick_objective
+from dcreg.assignment.objective import AT_ONCE_PAIRS, Matched, quick_objective
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, find_runner_up, warnings_for
-from dcreg.driver.downsample import SEARCH_SHARE, to_search
+from dcreg.driver.downsample import SEARCH_SHARE, Pose, refine_poses, refined, to_search
 from dcreg.driver.modes import Mode, choose_mode, find_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
@@ -22,15 +21,11 @@ from dcreg.driver.warm_up import special, warm_up_mode
 from dcreg.names import AUTO, START_BOXES
 from dcreg.problem import Problem
 from dcreg.problem.geometry import EXACT, Frame, default_gap_tol, gap_tol_of
-from dcreg.result import Result, Sample, Stage
+from dcreg.result import Result, Stage
 from dcreg.search import Budget, Listener, Trace
 from dcreg.status import Status
 
-HOPELESS = 4.0  # poses with more than this many times the best objective are not refined
 _LOGGER = logging.getLogger("dcreg")
-
-# A pose with its objective and its pairs.
-Pose = tuple[float, np.ndarray, np.ndarray]
 
 
 def register_problem(
@@ -175,7 +170,8 @@ class Finish:
         result = self._of_search(solution)
         problem, mode = self.setup.problems[self.at], self.setup.mode
         if self.setup.is_sampled:
-            result = self._of_all_points(result)
+            searched = self.setup.searched[self.at]
+            result = refined(result, problem, searched, self.budget, self.known)
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
 
     def _of_search(self, solution: Solution) -> Result:
@@ -184,8 +180,7 @@ class Finish:
         normalised, frame = self.normalised, self.normalised.frame
         certificate = self._certificate(solution)
         solution = solution.to_input(frame)
-        before = self._matched(solution.T)
-        greedy = is_greedy(len(problem.source), len(problem.target), self.placing.hard_stop)
+        before, greedy = self._matched(solution.T)
         # no descent may have ended; norms differ by no more than the points do
         upper_bound = before[0] if np.isinf(solution.upper_bound) else solution.upper_bound
         (final, T, pairs), stages = before, list(solution.stages)
@@ -230,19 +225,19 @@ class Finish:
             ),
         )
 
-    def _matched(self, T: np.ndarray) -> Pose:
-        """Return the pose with its pairs. The pairs of a sample are not returned and may be rough."""
+    def _matched(self, T: np.ndarray) -> tuple[Pose, bool]:
+        """Return the pose with its pairs, and whether these were chosen greedily.
+
+        The pairs of a sample are not returned to the user and may be rough.
+        """
         problem, budget = self.setup.searched[self.at], self.placing
-        prove = not (self.setup.options.polish or budget.is_over)
-        clouds, k = (problem.source, problem.target), problem.n_inliers
-        if self.setup.is_sampled:
-            value, pairs = objective(*clouds, T, k, prove=prove, stop=budget.hard_stop, at_once=0)
-        else:
-            value, pairs = quick_objective(
-                *clouds, T, k, problem.candidates,
-                known=self.known, prove=prove, stop=budget.hard_stop,
-            )  # fmt: skip
-        return value, T, pairs
+        value, pairs, greedy = quick_objective(
+            problem.source, problem.target, T, problem.n_inliers, problem.candidates,
+            known=None if self.setup.is_sampled else self.known,
+            prove=not (self.setup.options.polish or budget.is_over), stop=budget.hard_stop,
+            at_once=0 if self.setup.is_sampled else AT_ONCE_PAIRS,
+        )  # fmt: skip
+        return (value, T, pairs), greedy
 
     def _status(self, solution: Solution, upper_bound: float) -> Status:
         """Return `optimal` only if the bounds say more than that squares are not negative.
@@ -266,81 +261,9 @@ class Finish:
             bound=self.normalised.bound, gap_tol=self.normalised.gap_tol,
         )  # fmt: skip
 
-    def _of_all_points(self, result: Result) -> Result:
-        """Refine the pose of a sample on all points.
-
-        The runner-up and the pose of the `known` pairs are refined as well, the best of them first. The
-        runner-up of the result then refers to all points.
-        """
-        problem, searched = self.setup.problems[self.at], self.setup.searched[self.at]
-        budget, known = self.budget, self.known
-        began = budget.elapsed()
-        clouds, k = (problem.source, problem.target), problem.n_inliers
-        T = result.T_target_source
-        before, pairs = quick_objective(
-            *clouds, T, k, known=known, prove=False, stop=budget.hard_stop
-        )
-        greedy = is_greedy(len(problem.source), len(problem.target), budget.hard_stop)
-        poses, tried = [(before, T, pairs)], 1
-        if result.runner_up is not None and not budget.is_over:
-            T, tried = result.runner_up.T_target_source, tried + 1
-            value, pairs = objective(*clouds, T, k, prove=False, stop=budget.hard_stop)
-            poses.append((value, T, pairs))
-        if known is not None:
-            value, pairs = known.cheapest(*clouds, known.T_target_source, k)
-            poses.append((value, known.T_target_source, pairs))
-        poses, spent = refine_poses(problem, poses, budget)
-        value, T, pairs = min(poses, key=_value)
-        stage = Stage(
-            "all points", budget.elapsed() - began, n_assignments=tried + spent,
-            objective_before=before, objective_after=value, greedy_assignment=greedy or None,
-        )  # fmt: skip
-        ended = result.status in (Status.OPTIMAL, Status.CONVERGED)
-        return replace(
-            result,
-            status=budget.ended_by if ended and budget.is_over else result.status,
-            T_target_source=T,
-            assignment=pairs,
-            n_inliers=k,
-            objective=value,
-            objective_certified=before,
-            runner_up=find_runner_up(
-                problem, T, value, [(other, cost) for cost, other, _ in poses]
-            ),
-            stages=[*result.stages, stage],
-            downsampled=Sample(len(searched.source), len(searched.target), searched.n_inliers),
-        )
-
 
 def in_input_units(listener: Listener | None, area: float) -> Listener | None:
     """Return the listener for events in normalised units."""
     if listener is None:
         return None
     return lambda event: listener(event.scaled(area))
-
-
-def refine_poses(problem: Problem, poses: Sequence[Pose], budget: Budget) -> tuple[list[Pose], int]:
-    """Polish the poses in ascending order of their objective, as far as the budget allows.
-
-    Returns
-    -------
-    poses : list of Pose
-        None is worse than before.
-    n_assignments : int
-    """
-    refined, spent = sorted(poses, key=_value), 0
-    for at, (value, T, _) in enumerate(refined):
-        if budget.is_over or value > HOPELESS * min(map(_value, refined)):
-            break
-        T, better, pairs, more = polish(
-            problem.source, problem.target, T, problem.n_inliers, problem.scale_range,
-            problem.candidates, budget,
-        )  # fmt: skip
-        spent += more
-        if better < value:
-            refined[at] = better, T, pairs
-    return refined, spent
-
-
-def _value(pose: Pose) -> float:
-    return pose[0]
