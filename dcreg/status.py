@@ -1,4 +1,4 @@
-"""How a run ended: one vocabulary for the library, every baseline and every report."""
+"""How a run ended, in the same terms for the library, every baseline and every report."""
 
 from __future__ import annotations
 
@@ -6,27 +6,27 @@ import enum
 
 
 class Status(enum.StrEnum):
-    """How a run ended; a string, so that it compares with and prints as its value."""
+    """How a run ended: a string, which compares and prints as its value."""
 
-    #: The bounds closed to `gap_tol`: certified within the stated scope.
+    #: The gap closed to `gap_tol`: certified within the stated scope.
     OPTIMAL = "optimal"
-    #: A local or heuristic method came to its own end; nothing is proven.
+    #: A local or heuristic method finished; nothing is proven.
     CONVERGED = "converged"
-    #: The caller asked to stop.
+    #: The caller stopped the run.
     STOPPED = "stopped"
-    #: The time was up; the best pose is kept.
+    #: It hit the time limit; the best pose is kept.
     TIME_LIMIT = "time_limit"
-    #: So many boxes were bounded; the best pose is kept.
+    #: It hit the node limit; the best pose is kept.
     NODE_LIMIT = "node_limit"
-    #: The open boxes filled the memory they may use; the best pose is kept.
+    #: Its open boxes hit the memory limit; the best pose is kept.
     MEMORY_LIMIT = "memory_limit"
-    #: Raised, crashed, was killed from outside, or gave no pose.
+    #: It raised an error, crashed, was killed, or returned no pose.
     FAILED = "failed"
-    #: The method cannot treat this kind of problem.
+    #: The method does not support this kind of problem.
     UNSUPPORTED = "unsupported"
-    #: The method is not installed here.
+    #: The method is not installed.
     UNAVAILABLE = "unavailable"
-    #: Planned, but not run.
+    #: The run is planned, but was not executed.
     NOT_RUN = "not_run"
 
     @property

@@ -1,4 +1,4 @@
-"""Plain text in columns, for results that print themselves."""
+"""Plain text in columns, for printed results."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def count(number: int, thing: str) -> str:
-    """A number of things.
+    """Return a number and its noun.
 
     Examples
     --------
@@ -17,7 +17,7 @@ def count(number: int, thing: str) -> str:
 
 
 def listing(entries: Sequence[tuple[str, str]]) -> str:
-    """Names and values in two columns; a value may have several lines.
+    """Return names and values in two columns; a value may have several lines.
 
     Examples
     --------
@@ -35,7 +35,7 @@ def listing(entries: Sequence[tuple[str, str]]) -> str:
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[str] = ()) -> str:
-    """Rows under headings, right-aligned but for the columns named in `left`.
+    """Return rows under headings, right-aligned except the columns named in `left`.
 
     Examples
     --------

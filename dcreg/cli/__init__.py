@@ -1,4 +1,4 @@
-"""The command line. What it does is done by the public names of `dcreg`; nothing here computes."""
+"""The command line, which uses only public names of `dcreg` and computes nothing itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dcreg.cli import interrupts
 
 
 def main() -> None:
-    """Run the command ``dcreg``; where its packages are missing, say what to install."""
+    """Run the command ``dcreg``; if a package is missing, say what to install."""
     interrupts.end_at_once()
     try:
         from dcreg.cli.commands import app
@@ -19,7 +19,7 @@ def main() -> None:
         if missing not in ("typer", "rich"):
             raise
         sys.exit(
-            f"error: the command dcreg needs the package {missing}, which is missing here; install "
-            "what it needs with: pip install typer rich plotly\n"
-            "In Python the library works without: import dcreg"
+            f"error: the command dcreg needs the package {missing}, which is not installed; install "
+            "its packages with: pip install typer rich plotly\n"
+            "The Python library (import dcreg) works without them"
         )

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM where no search runs; during one `dcreg.cli.progress.Progress` treats them."""
+"""Ctrl-C and SIGTERM outside of a search; `dcreg.cli.progress.Progress` handles them during a search."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from types import FrameType
 from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_NOTHING = "interrupted: there is no result, and nothing is written"
-_NOT_ALL = "interrupted: the result is printed above, its files are not all written"
+_NOTHING = "interrupted: no result, and nothing is written"
+_NOT_ALL = "interrupted: the result is printed above, but not all of its files are written"
 
 
 class Interrupt(KeyboardInterrupt):
@@ -20,9 +20,9 @@ class Interrupt(KeyboardInterrupt):
     Parameters
     ----------
     number : int
-        Of the signal.
+        Number of the signal.
     message : str
-        What the user should know.
+        Text for the user.
     """
 
     def __init__(self, number: int = signal.SIGINT, message: str = _NOTHING) -> None:
@@ -31,18 +31,18 @@ class Interrupt(KeyboardInterrupt):
 
 
 def end_at_once() -> None:
-    """From now on a signal ends the process: while packages are loaded an exception surfaces anywhere."""
+    """Let signals end the process: while packages are loaded, an exception could surface anywhere."""
     _handle(lambda number, _: leave(Interrupt(number)))
 
 
 def raise_again() -> None:
-    """From now on a signal raises `Interrupt`, so that a half-written file is removed."""
+    """Let signals raise `Interrupt`, so that a partial file is removed."""
     _handle(_raise)
 
 
 def leave(interrupt: Interrupt) -> NoReturn:
-    """End the process at once, whatever its threads do, with 128 and the number of the signal."""
-    # printing may be what was interrupted, or nobody reads
+    """End the process and its threads at once with exit code 128 plus the number of the signal."""
+    # the signal may have interrupted a print, or the reader may be gone
     with suppress(RuntimeError, OSError):
         sys.stdout.flush()
     os.write(2, f"{interrupt.message}\n".encode())

@@ -1,4 +1,4 @@
-"""Live progress of a search: one line on a terminal, plain lines elsewhere, and a clean Ctrl-C."""
+"""Progress of a search: one live line on a terminal, plain lines elsewhere, and a clean Ctrl-C."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from rich.text import Text
 import dcreg
 from dcreg.cli.interrupts import SIGNALS, Interrupt
 
-# Tells what the library does beside its searches, such as compiling, in records of level INFO.
+# Its INFO records report the work outside of searches, such as compilation.
 _LIBRARY = logging.getLogger("dcreg")
 T = TypeVar("T")
-_GLANCE_S = 0.1  # between two chances to handle a signal
+_GLANCE_S = 0.1  # between two checks for a signal
 _WAITING_S = 5.0  # between two plain lines before a search
 _PREPARING = "preparing the search"
 _HEADER = (
@@ -32,22 +32,21 @@ _HEADER = (
 
 
 class Progress:
-    """A `dcreg.Listener` that shows where a search stands, and stops it on Ctrl-C.
+    """A `dcreg.Listener` that shows the state of a search and stops it on Ctrl-C.
 
-    Used as a context manager around the search. The first interrupt (SIGINT or SIGTERM) asks the
-    search to stop, which it does at once, so that the best pose is kept; a second one, or one before the
-    search has begun, raises `Interrupt`.
+    It is a context manager around the search. The first signal (SIGINT or SIGTERM) stops the search and
+    keeps the best pose. A second one, or one before the search has begun, raises `Interrupt`.
 
     Parameters
     ----------
     console : rich.console.Console, optional
         Where to write; default: standard error.
     gap_tol : float, optional
-        Shown in the legend, so that one sees how far the gap has to fall.
+        Shown in the header, as the value that the gap has to reach.
     interval_s : float
-        Least time between two plain lines.
+        Minimum time between two plain lines.
     quiet : bool
-        Show nothing, but still stop on an interrupt.
+        Show nothing, but still stop on a signal.
     """
 
     def __init__(
@@ -110,7 +109,7 @@ class Progress:
         return self.stop_requested
 
     def run(self, solve: Callable[[], T]) -> T:
-        """What `solve` returns, run in a thread of its own: so signals are handled while kernels run."""
+        """Call `solve` in a separate thread, so that signals are handled while kernels run."""
         outcome: list[T] = []
         errors: list[BaseException] = []
 
@@ -134,11 +133,11 @@ class Progress:
         if self.stop_requested or not self._heard:
             raise Interrupt(number)
         self.stop_requested = True
-        # Printing from a handler may interrupt a print half-way; a bare write may not.
-        os.write(2, b"\nstopping, best pose is kept (again: quit at once)\n")
+        # print() is not safe in a signal handler; os.write is
+        os.write(2, b"\nstopping, the best pose is kept (repeat to quit at once)\n")
 
     def _show_waiting(self) -> None:
-        """That the library is still preparing: checking, sampling, compiling."""
+        """Show that the library still prepares the search: checks, sampling, compilation."""
         now = time.monotonic()
         if self._live is not None:
             self._live.update(Text(f"{_PREPARING}, {now - self._began:.0f} s"))
@@ -159,9 +158,8 @@ class Progress:
             self._pending = event
 
     def _note_improvement(self, event: dcreg.Event) -> None:
-        stage = event.stage.partition(" ")[0]  # all basins have the same objective
-        if stage != self._stage:
-            self._stage, self._last_upper = stage, math.inf
+        if event.stage != self._stage:  # another objective
+            self._stage, self._last_upper = event.stage, math.inf
         self._improved |= event.upper_bound < self._last_upper
         self._last_upper = min(self._last_upper, event.upper_bound)
 
@@ -169,7 +167,7 @@ class Progress:
         tolerance = "" if self._gap_tol is None else f"; the search ends at gap {self._gap_tol:.4g}"
         self._console.print(
             f"bounds and gap in squared units of the target{tolerance}\n"
-            "* better pose found since the last line; Ctrl-C stops and keeps the best pose",
+            "*: better pose since the last line; Ctrl-C stops the search and keeps the best pose",
             highlight=False,
             soft_wrap=True,
         )
@@ -184,9 +182,8 @@ class Progress:
 
     def _line(self, event: dcreg.Event) -> str:
         mark = "*" if self._improved else " "
-        stage = event.stage.replace(" of ", "/")  # "basin 3 of 12"
         return (
-            f"{mark} {stage:<11}{event.n_nodes:>9}{event.n_open:>7}{event.n_assignments:>9}"
+            f"{mark} {event.stage:<11}{event.n_nodes:>9}{event.n_open:>7}{event.n_assignments:>9}"
             f"{_number(event.lower_bound, 5):>12}{_number(event.upper_bound, 5):>12}"
             f"{_number(event.gap, 4):>10}{event.time_s:>7.1f}s"
             f"{'  ' + event.status if event.status else ''}"
@@ -194,9 +191,9 @@ class Progress:
 
 
 class ProofProgress:
-    """Shows how far the check of a certificate is, however long one of its steps takes.
+    """Progress of the check of a certificate, also during long steps.
 
-    It is called with (boxes bounded, boxes known to be needed).
+    It receives the boxes bounded and the boxes known to be needed.
 
     Parameters
     ----------
@@ -217,7 +214,7 @@ class ProofProgress:
         self._live: Live | None = None
         self._printer = threading.Thread(target=self._print, daemon=True)
         self._ended = threading.Event()
-        self._step = "checking what the certificate states"
+        self._step = "checking the statements of the certificate"
         self._began = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -250,7 +247,7 @@ class ProofProgress:
 
 
 class _Messages(logging.Handler):
-    """Shows messages of the library, on a terminal above the live line."""
+    """Messages of the library, shown above the live line on a terminal."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(logging.INFO)

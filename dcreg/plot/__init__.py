@@ -1,10 +1,10 @@
-"""Figures without a network: a page per registration, and a sweep's curves as a page or an image."""
+"""Figures that need no network: a page for a registration, a page or an image for a sweep."""
 
 try:
     import plotly  # noqa: F401
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
-        "figures need plotly, which is missing here; install it with: pip install plotly",
+        "figures need plotly, which is not installed; install it with: pip install plotly",
         name=error.name,
     ) from None
 

@@ -1,11 +1,20 @@
-"""A page that needs no network: one template for registrations and sweeps."""
+"""A page that needs no network, and the style of its figures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import Path
 
+import plotly.graph_objects as go
+from plotly.offline import get_plotlyjs
+
+from dcreg.files import write_text
+
+# Colours that colour-blind readers can distinguish (Okabe and Ito).
+TARGET, SOURCE, GREY = "#0072B2", "#D55E00", "#7F7F7F"
+LOWER, UPPER = "#009E73", "#CC79A7"
+_FAINT, _CLEAR = "rgba(127, 127, 127, 0.3)", "rgba(0, 0, 0, 0)"
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1f2328; --soft: #59636e; --line: #d1d9e0; --back: #ffffff;
   --warn: #7a4b00; --warn-back: #fff4d6; }
@@ -40,73 +49,74 @@ figcaption { font-weight: 600; }
 """
 
 
-@dataclass(frozen=True)
-class Page:
-    """What a page shows, from top to bottom.
+def figure(drawn: Sequence[go.BaseTraceType] = ()) -> go.Figure:
+    """Return a figure for light and dark pages: the page sets its background and text colour."""
+    axis = {"gridcolor": _FAINT, "zerolinecolor": _FAINT, "automargin": True}
+    solid = {"gridcolor": GREY, "zerolinecolor": GREY, "color": GREY, "showbackground": False}
+    return go.Figure(
+        list(drawn),
+        go.Layout(
+            template={"layout": {"xaxis": axis, "yaxis": axis}},
+            scene=dict.fromkeys(("xaxis", "yaxis", "zaxis"), solid),
+            paper_bgcolor=_CLEAR,
+            plot_bgcolor=_CLEAR,
+            modebar={"bgcolor": _CLEAR, "color": GREY},
+            legend={"orientation": "h", "y": -0.16, "yanchor": "top"},
+            margin={"l": 10, "r": 10, "t": 24, "b": 10},
+        ),
+    )
 
-    Attributes
-    ----------
-    title, status : str
-    warnings : sequence of str
-    facts : sequence of (name, value)
-        A value of several lines is shown as it stands.
-    headings, rows : sequences
-        A table.
-    notes : sequence of str
-        Lines below the table.
-    figures : mapping
-        Caption and HTML of every figure.
-    script : str
-        What the figures need.
-    """
 
-    title: str
-    status: str
-    figures: Mapping[str, str]
-    script: str
-    warnings: Sequence[str] = ()
-    facts: Sequence[tuple[str, str]] = ()
-    headings: Sequence[str] = ()
-    rows: Sequence[Sequence[str]] = ()
-    notes: Sequence[str] = ()
-
-    def html(self) -> str:
-        """The whole document."""
-        return "\n".join(
-            [
-                '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
-                '<meta name="viewport" content="width=device-width, initial-scale=1">',
-                f"<title>{escape(self.title)}</title>",
-                f"<style>{_STYLE}</style>",
-                f"<script>{self.script}</script>\n</head>\n<body>",
-                *self._body(),
-                "</body>\n</html>\n",
-            ]
+def write_page(
+    path: Path,
+    title: str,
+    status: str,
+    figures: Mapping[str, go.Figure],
+    *,
+    warnings: Sequence[str] = (),
+    facts: Sequence[tuple[str, str]] = (),
+    table: tuple[Sequence[str], Sequence[Sequence[str]]] = ((), ()),
+    notes: Sequence[str] = (),
+) -> None:
+    """Write a page with `figures` by caption, names and values (`facts`), a table and notes below it."""
+    settings = {"displaylogo": False, "responsive": True}
+    body = [f"<h1>{escape(title)}</h1>", f'<p class="status">{escape(status)}</p>']
+    if warnings:
+        items = "".join(f"<li>{escape(warning)}</li>" for warning in warnings)
+        body.append(f'<ul class="warnings">{items}</ul>')
+    body.append('<div class="figures">')
+    for at, (caption, fig) in enumerate(figures.items()):
+        drawn = fig.to_html(  # ids by position, so that the same data give the same page
+            full_html=False, include_plotlyjs=False, div_id=f"figure{at}", config=settings
         )
+        body.append(f"<figure><figcaption>{escape(caption)}</figcaption>")
+        body.append(f'<div class="plot">{drawn}</div></figure>')
+    body.append("</div>")
+    if facts:
+        body.append(f"<dl>{''.join(_fact(name, value) for name, value in facts)}</dl>")
+    headings, rows = table
+    if rows:
+        cells = "\n".join([_cells("th", headings), *(_cells("td", row) for row in rows)])
+        body.append(f'<div class="scroll"><table>\n{cells}\n</table></div>')
+    body += [f'<p class="notes">{escape(note)}</p>' for note in notes]
+    head = [
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f"<title>{escape(title)}</title>",
+        f"<style>{_STYLE}</style>",
+        f"<script>{get_plotlyjs()}</script>\n</head>\n<body>",
+    ]
+    write_text(path, "\n".join([*head, *body, "</body>\n</html>\n"]))
 
-    def _body(self) -> Iterator[str]:
-        yield f"<h1>{escape(self.title)}</h1>"
-        yield f'<p class="status">{escape(self.status)}</p>'
-        if self.warnings:
-            items = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
-            yield f'<ul class="warnings">{items}</ul>'
-        yield '<div class="figures">'
-        for caption, figure in self.figures.items():
-            yield f"<figure><figcaption>{escape(caption)}</figcaption>"
-            yield f'<div class="plot">{figure}</div></figure>'
-        yield "</div>"
-        if self.facts:
-            yield f"<dl>{''.join(_fact(name, value) for name, value in self.facts)}</dl>"
-        if self.rows:
-            head = _cells("th", self.headings)
-            body = "\n".join(_cells("td", row) for row in self.rows)
-            yield f'<div class="scroll"><table>\n{head}\n{body}\n</table></div>'
-        for note in self.notes:
-            yield f'<p class="notes">{escape(note)}</p>'
+
+def page_title(kind: str, names: tuple[str, str]) -> str:
+    """Return the title of a page about two files."""
+    source, target = (Path(name).name for name in names)
+    return f"{kind} of {source} to {target}"
 
 
 def _fact(name: str, value: str) -> str:
-    kind = ' class="long"' if "\n" in value else ""
+    kind = ' class="long"' if "\n" in value else ""  # shown as it stands
     return f"<div{kind}><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>"
 
 

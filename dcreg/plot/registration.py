@@ -1,4 +1,4 @@
-"""The page of one registration: clouds before and after, their pairs, and the bounds of all stages."""
+"""The page of one registration: clouds before and after, matched pairs, and bounds of all stages."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import plotly.graph_objects as go
 
-from dcreg.plot.style import GREY, LOWER, SOURCE, TARGET, UPPER, figure, write_page
+from dcreg.plot.page import GREY, LOWER, SOURCE, TARGET, UPPER, figure, page_title, write_page
 from dcreg.problem import InputError, apply_pose
 from dcreg.result import Result
 from dcreg.search import Event
 
-# Browsers become slow beyond this; larger clouds are thinned evenly for display only.
+# Browsers become slow beyond this number; larger clouds are thinned, for display only.
 _MAX_POINTS = 20_000
-_LABELLED = 0.1  # share of the width from which on a stage has room for its name
+_LABELLED = 0.1  # a stage shows its name if it takes this fraction of the width
 
 
 def plot_registration(
@@ -29,9 +29,9 @@ def plot_registration(
     *,
     names: tuple[str, str] = ("source", "target"),
 ) -> None:
-    """Write a page with the clouds before and after, their pairs, and the bounds against time and work.
+    """Write a page with the clouds before and after, matched pairs, and bounds against time and work.
 
-    The page needs no network: plotly.js is written into it.
+    The page contains plotly.js and needs no network.
 
     Parameters
     ----------
@@ -40,22 +40,21 @@ def plot_registration(
     path : str or Path
         The ``.html`` file to write.
     names : (str, str)
-        What the page calls the clouds, such as the names of their files.
+        Names of the clouds on the page, such as their file names.
 
     Raises
     ------
     InputError
-        For another suffix.
+        If `path` has another suffix.
     """
     path = Path(path)
     if path.suffix.lower() != ".html":
-        raise InputError(f"{path}: {path.suffix!r} is no page; the name must end in .html")
+        raise InputError(f"{path}: the suffix {path.suffix!r} is not supported; use .html")
     entries = list(result.entries())
     facts = [(name, value) for name, value in entries if name not in ("status", "warning")]
     write_page(
         path,
-        "registration",
-        names,
+        page_title("registration", names),
         dict(entries)["status"],
         figures(source, target, result),
         warnings=result.warnings,
@@ -64,7 +63,7 @@ def plot_registration(
 
 
 def figures(source: np.ndarray, target: np.ndarray, result: Result) -> dict[str, go.Figure]:
-    """The figures of the page of `plot_registration`, by caption."""
+    """Return the figures of the page of `plot_registration`, by caption."""
     moved = apply_pose(result.T_target_source, source)
     stages = _stages(result.trace)
     pairs = _pair_lines(moved, target, result.assignment)
@@ -100,7 +99,7 @@ def _points(points: np.ndarray, name: str, color: str) -> go.BaseTraceType:
 
 
 def _pair_lines(moved: np.ndarray, target: np.ndarray, pairs: np.ndarray) -> go.BaseTraceType:
-    """All matched pairs as one broken line: a trace for each would be slow."""
+    """Return all matched pairs as one interrupted line; one trace for each pair would be slow."""
     pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
     pairs = pairs[:: max(1, -(-len(pairs) // _MAX_POINTS))]
     gaps = np.full((len(pairs), target.shape[1]), np.nan)
@@ -121,20 +120,20 @@ def _scatter(points: np.ndarray, **options: object) -> go.BaseTraceType:
 
 @dataclass(frozen=True)
 class _Stage:
-    """The events of one stage, and the nodes of the stages before it."""
+    """The events of one stage, and the number of nodes of the earlier stages."""
 
     name: str
     events: list[Event]
     nodes_before: int
 
     def at(self, axis: str) -> list[float]:
-        """Time or nodes of every event, counted over all stages."""
+        """Return time or nodes of every event, counted over all stages."""
         offset = self.nodes_before if axis == "n_nodes" else 0
         return [offset + getattr(event, axis) for event in self.events]
 
 
 def _stages(events: Iterable[Event]) -> list[_Stage]:
-    """The stages of a history, one after the other."""
+    """Split a history into its stages."""
     stages: list[_Stage] = []
     nodes = 0
     for name, group in itertools.groupby(events, key=lambda event: event.stage):
@@ -144,7 +143,7 @@ def _stages(events: Iterable[Event]) -> list[_Stage]:
 
 
 def _history(result: Result, stages: list[_Stage], axis: str, label: str) -> go.Figure:
-    """Bounds of all stages, each in a band of its own, as each bounds another objective."""
+    """Draw the bounds of all stages, each in a separate band because the objectives differ."""
     fig = figure()
     for name, color in (("lower bound", LOWER), ("upper bound", UPPER)):
         x, y, words = _curve(stages, axis, name.replace(" ", "_"))
@@ -155,7 +154,7 @@ def _history(result: Result, stages: list[_Stage], axis: str, label: str) -> go.
             text=words,
             hovertemplate="%{text}<br>%{x}: %{y}<extra>" + name + "</extra>",
             mode="lines+markers",
-            # where there are many, the last one of every stage
+            # if there are many, only the last one of each stage
             marker={"size": [6 if after is None or len(x) < 50 else 0 for after in [*x[1:], None]]},
             line={"color": color, "shape": "hv"},
         )
@@ -171,7 +170,7 @@ def _history(result: Result, stages: list[_Stage], axis: str, label: str) -> go.
             layer="below",
             name=stage.name,
         )
-        if ended - began >= _LABELLED * whole:  # narrower ones are named by their points
+        if ended - began >= _LABELLED * whole:  # the hover text of narrower ones names them
             fig.add_annotation(
                 x=began, y=1.0, yref="paper", text=stage.name, showarrow=False,
                 xanchor="left", yanchor="top", font={"size": 11},
@@ -189,7 +188,7 @@ def _history(result: Result, stages: list[_Stage], axis: str, label: str) -> go.
 
 
 def _height(result: Result, stages: list[_Stage]) -> float:
-    """Twice the greatest bound that a stage ends with: first poses can be worse by far."""
+    """Return twice the maximum final bound of a stage; initial poses can be far worse."""
     ends = [stage.events[-1].upper_bound for stage in stages]
     return 2.0 * max([result.upper_bound, *filter(math.isfinite, ends)])
 
@@ -197,10 +196,7 @@ def _height(result: Result, stages: list[_Stage]) -> float:
 def _curve(
     stages: list[_Stage], axis: str, bound: str
 ) -> tuple[list[float | None], list[float | None], list[str]]:
-    """Events whose bound exists, with their stages; a break between stages.
-
-    Before the first pose the upper bound is infinite.
-    """
+    """Return the events with a finite bound and their stages, with a break between stages."""
     x: list[float | None] = []
     y: list[float | None] = []
     words: list[str] = []

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 
 from dcreg.files import whole_file
 from dcreg.names import FIGURE_PACKAGES
-from dcreg.plot.style import GREY, LOWER, SOURCE, TARGET, figure, write_page
+from dcreg.plot.page import GREY, LOWER, SOURCE, TARGET, figure, page_title, write_page
 from dcreg.problem import InputError
 from dcreg.sweep_result import SweepResult
 
@@ -19,40 +19,35 @@ from dcreg.sweep_result import SweepResult
 def plot_sweep(
     sweep: SweepResult, path: str | Path, *, names: tuple[str, str] = ("source", "target")
 ) -> None:
-    """Write residual and cost of the next pair against the cardinality, to choose one.
+    """Write the residual and the cost of the next pair against the number of pairs.
 
     Parameters
     ----------
     sweep : SweepResult
     path : str or Path
-        An ``.html`` file becomes a page with plotly inside; a ``.png`` or ``.svg`` image needs
-        matplotlib and seaborn.
+        An ``.html`` page, or a ``.png`` or ``.svg`` image, which needs matplotlib and seaborn.
     names : (str, str)
-        What the page calls the clouds, such as the names of their files.
+        Names of the clouds on the page, such as their file names.
 
     Raises
     ------
     InputError
-        For another suffix.
+        If `path` has another suffix.
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in FIGURE_PACKAGES:
         raise InputError(
-            f"{path}: {suffix!r} is no kind of figure; the name must end in one of "
-            f"{', '.join(FIGURE_PACKAGES)}"
+            f"{path}: the suffix {suffix!r} is not supported; use {' or '.join(FIGURE_PACKAGES)}"
         )
     if suffix == ".html":
-        headings, rows = sweep.table()
         write_page(
             path,
-            "sweep",
-            names,
+            page_title("sweep", names),
             _sweep_title(sweep),
             sweep_figures(sweep),
             warnings=sweep.warnings,
-            headings=headings,
-            rows=rows,
+            table=sweep.table(),
             notes=sweep.notes(),
         )
     else:
@@ -72,17 +67,17 @@ class _Curve:
 
 
 def _sweep_curves(sweep: SweepResult) -> tuple[_Curve, _Curve]:
-    """Residual per pair, and residual of the next pair; both are lengths.
+    """Return the residual per pair and the residual of the next pair, both as lengths.
 
-    Between cardinalities that are not neighbours the latter is a mean over the pairs between them.
+    Between numbers of pairs that are not consecutive, the latter is a mean.
     """
     rows = sweep.rows()
     k, rms, low = (_column(rows, name) for name in ("n_inliers", "rms", "rms_low"))
     residual = _Curve("RMS residual, √(E(k) / k)", k, rms, low, rms)
     names = ("next_pair", "next_pair_low", "next_pair_high")
     following = [np.sqrt(_column(rows[:-1], name)) for name in names]
-    middles = 0.5 * (k[:-1] + k[1:])
-    return residual, _Curve("residual of the next pair, √(E(k+1) − E(k))", middles, *following)
+    centres = 0.5 * (k[:-1] + k[1:])
+    return residual, _Curve("residual of the next pair, √(E(k+1) − E(k))", centres, *following)
 
 
 def _column(rows: list[dict[str, Any]], name: str) -> np.ndarray:
@@ -90,7 +85,7 @@ def _column(rows: list[dict[str, Any]], name: str) -> np.ndarray:
 
 
 def _final_rmse(sweep: SweepResult) -> np.ndarray | None:
-    """RMSE of the final poses, where the bounds speak of another objective: in 3D."""
+    """Return the RMSE of the final poses in 3D, where the bounds refer to another objective."""
     if sweep.results[0].model == "similarity2d":
         return None
     return np.array([result.rmse_matched for result in sweep.results])
@@ -100,19 +95,19 @@ def _sweep_title(sweep: SweepResult) -> str:
     first = sweep.results[0]
     n_proven = sum(result.success for result in sweep.results)
     return (
-        f"{first.model}: {n_proven} of {len(sweep.results)} cardinalities certified "
+        f"{first.model}: {n_proven} of {len(sweep.results)} numbers of pairs certified "
         f"(bounds on: {first.certificate_scope})"
     )
 
 
 _AXES = ("pairs to match (n_inliers)", "units of the target")
 _SUGGESTION = "suggestion: {} pairs"
-_BAND = "range left open by the bounds"
+_BAND = "range between the bounds"
 _POSE_CURVE = "RMSE of the final pose"
 
 
 def sweep_figures(sweep: SweepResult) -> dict[str, go.Figure]:
-    """The figures of the page of `plot_sweep`, by caption."""
+    """Return the figures of the page of `plot_sweep`, by caption."""
     curves = _sweep_curves(sweep)
     drawn = {}
     for curve, color in zip(curves, (TARGET, SOURCE), strict=True):
@@ -128,7 +123,7 @@ def sweep_figures(sweep: SweepResult) -> dict[str, go.Figure]:
             hoverinfo="skip",
         )
         line = go.Scatter(
-            x=curve.x, y=curve.y, name="by the upper bound", mode="lines+markers",
+            x=curve.x, y=curve.y, name="from the upper bound", mode="lines+markers",
             line={"color": color}, showlegend=True,
         )  # fmt: skip
         fig = drawn[curve.name] = figure([band, line])
@@ -184,5 +179,5 @@ def _sweep_image(sweep: SweepResult, path: Path, kind: str) -> None:
             ax.set_ylim(bottom=0.0)
             ax.legend(fontsize="small")
         fig.suptitle(_sweep_title(sweep), fontsize="medium")
-        metadata = {"Date": None} if kind == "svg" else None  # the same sweep, the same file
+        metadata = {"Date": None} if kind == "svg" else None  # the same sweep gives the same file
         fig.savefig(path, format=kind, dpi=150, metadata=metadata)

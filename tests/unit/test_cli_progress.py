@@ -37,7 +37,7 @@ def test_plain_lines_are_few_aligned_and_end_with_the_last_event():
     events.append(event("end", time_s=0.5, n_nodes=99, upper=0.125, status="optimal"))
     lines = show(events, gap_tol=0.5).splitlines()
     assert "gap 0.5" in lines[0]
-    assert lines[1].startswith("* better pose")
+    assert lines[1].startswith("*: better pose")
     header, first, last = lines[2:]
     assert first.startswith("* search")
     assert last.startswith("* search")
@@ -106,7 +106,7 @@ def test_proof_progress_goes_on_while_a_step_takes_long():
         progress(300, 200)  # more than were known to be needed
         time.sleep(0.2)
     lines = stream.getvalue().splitlines()
-    assert lines.count("checking what the certificate states, 0 s") >= 2
+    assert lines.count("checking the statements of the certificate, 0 s") >= 2
     assert lines.count("proving the bounds: 64 of 200 boxes, 0 s") >= 2
     assert lines.count("proving the bounds: 300 of 300 boxes, 0 s") >= 1
     n_threads = threading.active_count()
@@ -161,7 +161,7 @@ def test_time_of_the_preparation_is_shown(monkeypatch, terminal):
 
 # --- signals before a search ------------------------------------------------------------------------
 
-NOTHING = "interrupted: there is no result, and nothing is written"
+NOTHING = "interrupted: no result, and nothing is written"
 
 
 def ends_within_2_s(process, number):

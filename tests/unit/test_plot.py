@@ -220,7 +220,7 @@ def test_sweep_page_holds_the_printed_table(tmp_path):
     html = (tmp_path / "a.html").read_text(encoding="utf-8")
     html = re.sub(r"(?s)<(script|style).*?</\1>", "", html)
     assert "<title>sweep of a.ply to b.ply</title>" in html
-    assert "4 of 4 cardinalities certified (bounds on: translation in norm space)" in html
+    assert "4 of 4 numbers of pairs certified (bounds on: translation in norm space)" in html
     headings, rows = found.table()
     for cell in [*headings, *rows[1]]:
         assert f">{cell}</t" in html

@@ -87,7 +87,7 @@ def test_a_missing_plotly_is_named():
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent
     )
     assert finished.stderr.endswith(
-        "ModuleNotFoundError: figures need plotly, which is missing here; install it with: "
+        "ModuleNotFoundError: figures need plotly, which is not installed; install it with: "
         "pip install plotly\n"
     )
 
