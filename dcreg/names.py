@@ -1,7 +1,7 @@
-"""The names that users type: models, modes, bounds, kinds of figures.
+"""The names that users type: models, modes, bounds, start boxes, scores, kinds of figures.
 
-They stand apart from the code that they select, so that nothing is loaded for a name: `dcreg --help`
-must not wait for compiled code. The tables of that code are tested against these lists.
+They are separate from the code that they select, so that `dcreg --help` does not load compiled code.
+Tests compare these lists with the tables of that code.
 """
 
 from __future__ import annotations
@@ -9,24 +9,19 @@ from __future__ import annotations
 # Kind of pose: dimension of the points.
 MODEL_DIM = {"similarity2d": 2, "rigid3d": 3}
 
-# Of a solve for which no limit is given: long enough for most proofs that come at all.
+# Default time limit, long enough for most searches that close at all.
 DEFAULT_TIME_LIMIT_S = 60.0
 
-AUTO = "auto"  # the mode that is chosen by the problem
+AUTO = "auto"  # the library chooses the mode
 _MODES = {"similarity2d": ("paper",), "rigid3d": ("full", "paper")}
 
-BOUND_NAMES = (
-    "tight",
-    "shared",
-    "dc",
-    "interval",
-)
+BOUND_NAMES = ("tight", "shared", "dc", "interval")
 DEFAULT_BOUND = "tight"
 
 # Start boxes of a search, which contain every optimum; the first is the default.
 START_BOXES = ("stationary", "radius")
 
-# Suffix of a figure's file: the packages that draw it.
+# Suffix of a figure's file and the packages that draw it.
 FIGURE_PACKAGES = {
     ".html": ("plotly",),
     ".png": ("plotly", "matplotlib", "seaborn"),
@@ -37,10 +32,10 @@ SCORES = ("correspondences", "surfaces")
 
 
 def mode_names(model: str) -> list[str]:
-    """What ``mode`` takes for a model, beside ``auto``."""
+    """Return the modes of a model, without ``auto``."""
     return list(_MODES[model])
 
 
 def bound_names() -> list[str]:
-    """What ``bound`` takes, beside combinations ``a+b``."""
+    """Return the bounds, without combinations ``a+b``."""
     return [*BOUND_NAMES]

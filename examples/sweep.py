@@ -13,7 +13,7 @@ found = dcreg.sweep(source, target, [12, 15, 18, 20, 22, 24], model="similarity2
 
 print("pairs  bounds on the RMS residual    proven by the search for")
 for row in found.rows():
-    print(f"{row['n_inliers']:5d}  {row['rms_low']:.4f} {row['rms']:.4f}  {row['proven_by']}")
+    print(f"{row['n_inliers']:5d}  {row['rms_lower']:.4f} {row['rms']:.4f}  {row['proven_by']}")
 print("suggested number of pairs (not certified):", found.suggested_n_inliers)
 
 assert found.status == "optimal"

@@ -72,9 +72,9 @@ def _sweep_curves(sweep: SweepResult) -> tuple[_Curve, _Curve]:
     Between numbers of pairs that are not consecutive, the latter is a mean.
     """
     rows = sweep.rows()
-    k, rms, low = (_column(rows, name) for name in ("n_inliers", "rms", "rms_low"))
+    k, rms, low = (_column(rows, name) for name in ("n_inliers", "rms", "rms_lower"))
     residual = _Curve("RMS residual, √(E(k) / k)", k, rms, low, rms)
-    names = ("next_pair", "next_pair_low", "next_pair_high")
+    names = ("marginal_cost", "marginal_cost_lower", "marginal_cost_upper")
     following = [np.sqrt(_column(rows[:-1], name)) for name in names]
     centres = 0.5 * (k[:-1] + k[1:])
     return residual, _Curve("residual of the next pair, √(E(k+1) − E(k))", centres, *following)

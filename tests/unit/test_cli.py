@@ -180,7 +180,7 @@ def test_help_lists_what_is_accepted():
         ({"--node-limit": "-3"}, ["--node-limit: -3"]),
         ({"--threads": "0"}, ["--threads: 0"]),
         ({"--start-box": "magic"}, ["--start-box: 'magic' is unknown"]),
-        ({"--memory-limit-mb": "0"}, ["--memory-limit-mb: 0"]),
+        ({"--memory-limit-mb": "-1"}, ["--memory-limit-mb: -1"]),
         ({"--threads": "two"}, ["--threads", "'two'", "whole number"]),
         ({"--node-limit": "1e3"}, ["--node-limit", "'1e3'", "whole number"]),
         ({"--time-limit": "1h"}, ["--time-limit", "'1h'", "not a number"]),
@@ -298,7 +298,7 @@ def test_folder_without_write_permission(call, tmp_path, fake):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--mode", "full", "--bound", "dc"], "--bound: 'dc', but mode 'full' has bounds"),
+        (["--mode", "full", "--bound", "dc"], "--bound: mode 'full' has its own bounds"),
         (["--scale-range", "0.9", "1.1"], "--scale-range: (0.9, 1.1), but rigid3d has no scale"),
         (["--mode", "full", "--certificate", "c.npz"], "--certificate: mode 'full' keeps no leaf"),
         (["--mode", "best"], "--mode: 'best' is unknown for rigid3d"),

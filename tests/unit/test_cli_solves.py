@@ -121,7 +121,7 @@ def test_sweep_for_real(sweep_call, tmp_path):
     lines = (tmp_path / "a.csv").read_text().splitlines()
     header = lines[0].split(",")
     last = dict(zip(header, lines[3].split(","), strict=True))
-    assert (last["n_inliers"], last["status"], last["next_pair"]) == ("12", "optimal", "")
+    assert (last["n_inliers"], last["status"], last["marginal_cost"]) == ("12", "optimal", "")
     pose = [[float(last[f"T{i}{j}"]) for j in range(3)] for i in range(3)]
     expected = [1.2 * np.cos(0.4), -1.2 * np.sin(0.4), 5.0]
     np.testing.assert_allclose(pose[0], expected, atol=1e-6)

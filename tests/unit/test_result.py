@@ -125,7 +125,7 @@ def test_a_sweep_prints_its_table_and_the_suggestion():
     assert [row.split()[0] for row in rows] == ["50", "*", "70"]
     assert "0.09487 to 0.1" in rows[0]
     assert legend.startswith("bounds on: similarity pose; RMS: sqrt(bound / pairs)")
-    assert hint.startswith("suggestion (*), not proven: 60 pairs, beyond which residuals stand out")
+    assert hint.startswith("suggestion (*), not proven: 60 pairs; beyond this number")
     assert "suggestion: none" in str(sweep(*2 * [dcreg.Status.OPTIMAL]))
     assert "RMSE of pose" not in heading
     space = {"T_target_source": np.eye(4), "model": "rigid3d"}
@@ -163,9 +163,9 @@ def test_bounds_of_a_sample_are_told_per_pair_of_it():
     first, second, _ = sampled.rows()
     assert first["n_inliers"] == 50
     assert first["rms"] == pytest.approx(np.sqrt(0.5 / 5))
-    assert first["next_pair"] is None  # the same pairs of the sample
-    assert second["next_pair"] == pytest.approx((9.0 - 0.6) / 2)
-    assert "of pairs of these (50 as 5, 60 as 5, 70 as 7)" in str(sampled)
+    assert first["marginal_cost"] is None  # the same pairs of the sample
+    assert second["marginal_cost"] == pytest.approx((9.0 - 0.6) / 2)
+    assert "refer to pairs of these (50 as 5, 60 as 5, 70 as 7)" in str(sampled)
 
 
 def test_a_sweep_is_written_as_json_and_csv(tmp_path):
@@ -176,7 +176,7 @@ def test_a_sweep_is_written_as_json_and_csv(tmp_path):
     with (tmp_path / "a.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["n_inliers"] for row in rows] == ["50", "60", "70"]
-    assert (rows[0]["proven_by"], rows[2]["next_pair"]) == ("", "")
+    assert (rows[0]["proven_by"], rows[2]["marginal_cost"]) == ("", "")
     assert [float(rows[1][f"T0{j}"]) for j in range(3)] == [0.0, -2.0, 5.0]
 
 

@@ -147,16 +147,18 @@ def test_no_suggestion_where_nothing_stands_out(clouds):
         assert exact.suggested_n_inliers is None
 
 
-def test_rows_enclose_the_next_pair(found):
+def test_rows_enclose_the_marginal_cost(found):
     rows = found.rows()
-    assert rows[-1]["next_pair"] is None
+    assert rows[-1]["marginal_cost"] is None
     for row in rows:
-        assert row["rms_low"] <= row["rms"]
+        assert row["rms_lower"] <= row["rms"]
     for row, after in itertools.pairwise(rows):
         more = after["n_inliers"] - row["n_inliers"]
         rise = after["upper_bound"] - row["upper_bound"]
-        assert row["next_pair"] == pytest.approx(rise / more)
-        assert 0.0 <= row["next_pair_low"] <= row["next_pair"] <= row["next_pair_high"]
+        assert row["marginal_cost"] == pytest.approx(rise / more)
+        assert (
+            0.0 <= row["marginal_cost_lower"] <= row["marginal_cost"] <= row["marginal_cost_upper"]
+        )
 
 
 def test_lists_in_any_order_and_with_repetitions(clouds):
