@@ -1,7 +1,8 @@
-"""The tuple in which kernels receive a problem."""
+"""The tuple in which kernels receive a problem, and a score of poses by nearness to the target."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -38,3 +39,65 @@ def add_prices(prices, costs):
     for i in range(prices.shape[0]):
         for j in range(prices.shape[1]):
             costs[i, j] += prices[i, j]
+
+
+class NearnessField(NamedTuple):
+    """How near the cells of a cube are to the target; of points in 2D one layer of cells.
+
+    Attributes
+    ----------
+    origin : (3,) array
+        A corner of the cube.
+    cell : float
+        Side of a cell.
+    values : (a, b, c) array
+        ``max(0, 1 - (d / reach)^2)``, d from the centre of the cell to the nearest point.
+    """
+
+    origin: np.ndarray
+    cell: float
+    values: np.ndarray
+
+
+@jit
+def fill_nearness(points, reach, field):
+    """Fill the zeros of a `NearnessField` for (m, 3) points."""
+    cell, values = field.cell, field.values
+    span = int(reach / cell) + 1
+    n0, n1, n2 = values.shape
+    for j in range(points.shape[0]):
+        x, y = points[j, 0] - field.origin[0], points[j, 1] - field.origin[1]
+        z = points[j, 2] - field.origin[2]
+        a, b, c = int(x / cell), int(y / cell), int(z / cell)
+        for i0 in range(max(0, a - span), min(n0, a + span + 1)):
+            d0 = (i0 + 0.5) * cell - x
+            for i1 in range(max(0, b - span), min(n1, b + span + 1)):
+                d1 = (i1 + 0.5) * cell - y
+                for i2 in range(max(0, c - span), min(n2, c + span + 1)):
+                    d2 = (i2 + 0.5) * cell - z
+                    near = 1.0 - (d0 * d0 + d1 * d1 + d2 * d2) / (reach * reach)
+                    if near > values[i0, i1, i2]:
+                        values[i0, i1, i2] = near
+
+
+@jit
+def overlap(R, t, points, field, floor, n_first, share):
+    """Sum of the nearness of the moved points; incomplete once it cannot exceed `floor`.
+
+    A pose is dropped too if its first `n_first` points score less than their part of `share` of `floor`.
+    """
+    n, cell, origin = points.shape[0], field.cell, field.origin
+    n0, n1, n2 = field.values.shape
+    score = 0.0
+    for i in range(n):
+        u, v, w = points[i, 0], points[i, 1], points[i, 2]
+        a = math.floor((R[0, 0] * u + R[0, 1] * v + R[0, 2] * w + t[0] - origin[0]) / cell)
+        b = math.floor((R[1, 0] * u + R[1, 1] * v + R[1, 2] * w + t[1] - origin[1]) / cell)
+        c = math.floor((R[2, 0] * u + R[2, 1] * v + R[2, 2] * w + t[2] - origin[2]) / cell)
+        if 0 <= a < n0 and 0 <= b < n1 and 0 <= c < n2:
+            score += field.values[a, b, c]
+        if score + (n - 1 - i) <= floor:
+            return score
+        if i == n_first and score < share * floor * (i + 1) / n:
+            return 0.0
+    return score

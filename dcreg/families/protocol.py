@@ -209,24 +209,6 @@ def infeasibility_penalty(
     return np.where(candidates, 0.0, 16.0 * n_inliers * extent**2)
 
 
-def distinct(
-    coordinates: np.ndarray, scores: np.ndarray, separation: float, count: int
-) -> list[int]:
-    """Return the rows with the highest scores that differ, best first, at most `count`.
-
-    Rows differ if one of their coordinates differs by more than `separation`. Scores are positive.
-    """
-    kept: list[int] = []
-    for at in np.argsort(-scores, kind="stable"):
-        if scores[at] <= 0.0 or len(kept) == count:
-            break
-        if (
-            np.abs(coordinates[kept] - coordinates[at]).max(axis=1, initial=0.0) > separation
-        ).all():
-            kept.append(int(at))
-    return kept
-
-
 def radius(points: np.ndarray) -> float:
     """Return the maximum distance of a point from the origin."""
     return float(np.sqrt((points**2).sum(axis=1)).max())

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
+from dcreg.families import starts
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rigid3d.starts import SCALES, best_descents, congruent_poses, rounds_for
 from dcreg.search import Budget
@@ -125,12 +126,12 @@ def test_starts_are_the_same_every_time():
 
 def test_a_far_outlier_costs_no_memory(rng, monkeypatch):
     """The field of nearness spans the target, whose extent one point may stretch without bound."""
-    from dcreg.families.rigid3d.kernels import congruent as kernels
-
     sizes = []
-    fill = kernels.nearness_field
+    fill = starts.fill_nearness
     monkeypatch.setattr(
-        kernels, "nearness_field", lambda *given: sizes.append(given[-1].nbytes) or fill(*given)
+        starts,
+        "fill_nearness",
+        lambda *given: sizes.append(given[-1].values.nbytes) or fill(*given),
     )
     points = rng.standard_normal((1000, 3))
     points[0] = 1e6

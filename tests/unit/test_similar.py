@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dcreg.families import starts
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.similarity2d.starts import MAX_CELLS, similar_poses
 from dcreg.search import Budget
@@ -91,12 +92,12 @@ def test_odd_clouds_still_give_a_start(kind, rng):
 
 
 def test_a_far_outlier_costs_no_memory(rng, monkeypatch):
-    from dcreg.families.similarity2d.kernels import similar as kernels
-
     sizes = []
-    fill = kernels.nearness_field
+    fill = starts.fill_nearness
     monkeypatch.setattr(
-        kernels, "nearness_field", lambda *given: sizes.append(given[-1].nbytes) or fill(*given)
+        starts,
+        "fill_nearness",
+        lambda *given: sizes.append(given[-1].values.nbytes) or fill(*given),
     )
     points = rng.standard_normal((1000, 2))
     target = np.concatenate([points, [[1e6, 0.0]]])

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dcreg.assignment.descent import follow_nearest
-from dcreg.families.protocol import distinct
 from dcreg.families.rigid3d.kernels import congruent as kernels
+from dcreg.families.starts import distinct, nearness_field
 from dcreg.jit import NEVER
 from dcreg.problem import rms_radius
 
@@ -93,13 +93,7 @@ def congruent_poses(
     if candidates is not None:
         feasible = np.ascontiguousarray(candidates[:, columns])
     looked = x[rng.permutation(len(x))[:MAX_LOOKED]]
-    extent = float(np.ptp(y, axis=0).max())
-    reach = max(scale.reach, 3.0 * extent / MAX_CELLS)  # a far outlier must not cost memory
-    cell = reach / 3.0
-    origin = y.min(axis=0) - reach
-    size = int(np.ceil((extent + 2.0 * reach) / cell)) + 1
-    field = np.zeros((size, size, size))
-    kernels.nearness_field(y, origin, cell, size, reach, field)
+    field = nearness_field(y, scale.reach, MAX_CELLS)
     poses = np.zeros((len(triples), KEPT_PER_TRIPLE, 3, 4))
     scores = np.zeros((len(triples), KEPT_PER_TRIPLE))
     some = y[columns]
@@ -113,7 +107,7 @@ def congruent_poses(
     ]
     kernels.triple_poses(
         triples, np.column_stack([sides[:, 1:], *ends]), (x, some), feasible, (first, second),
-        (scale.tolerance, looked, origin, cell, field, stop), poses, scores,
+        (scale.tolerance, looked, field, stop), poses, scores,
     )  # fmt: skip
     found = _distinct(poses.reshape(-1, 3, 4), scores.ravel(), MAX_POSES)
     found[:, :3, 3] *= unit

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.families.protocol import distinct
 from dcreg.families.similarity2d.kernels import similar as kernels
+from dcreg.families.starts import distinct, in_3d, nearness_field
 from dcreg.jit import NEVER
 from dcreg.problem import rms_radius
 
@@ -21,7 +21,7 @@ MAX_TARGETS = 200  # target points that pairs are made of
 MAX_LOOKED = 60  # source points that score
 KEPT_PER_PAIR = 12
 MAX_POSES = 48
-CELLS_PER_REACH, MAX_CELLS = 3.0, 2000  # of the field of nearness, along the longest side: 32 MB
+MAX_CELLS = 2000  # of the nearness field along the longest side: 32 MB
 APART = 0.15  # poses whose parameters, in units of the clouds, differ by less are one
 
 
@@ -62,19 +62,13 @@ def similar_poses(
     if candidates is not None:
         feasible = np.ascontiguousarray(candidates[:, columns])
     source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
-    looked = source[rng.permutation(len(source))[:MAX_LOOKED]]
-    extent = float(np.ptp(target, axis=0).max())
-    reach = max(REACH * unit, CELLS_PER_REACH * extent / MAX_CELLS)
-    cell = reach / CELLS_PER_REACH
-    origin = target.min(axis=0) - reach
-    size = int(np.ceil((extent + 2.0 * reach) / cell)) + 1
-    field = np.zeros((size, size))
-    kernels.nearness_field(target, origin, cell, reach, field)
+    looked = in_3d(source[rng.permutation(len(source))[:MAX_LOOKED]])
+    field = nearness_field(target, REACH * unit, MAX_CELLS)
     thetas = np.zeros((len(pairs), KEPT_PER_PAIR, 4))
     scores = np.zeros((len(pairs), KEPT_PER_PAIR))
     kernels.pair_poses(
         pairs, source, target[columns], feasible,
-        (looked, origin, cell, field, *map(float, scale_range), stop), thetas, scores,
+        (looked, field, *map(float, scale_range), stop), thetas, scores,
     )  # fmt: skip
     found = thetas.reshape(-1, 4)
     return found[distinct(found / [1.0, 1.0, unit, unit], scores.ravel(), APART, MAX_POSES)]

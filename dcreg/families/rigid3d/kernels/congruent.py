@@ -11,31 +11,11 @@ import math
 
 import numpy as np
 
+from dcreg.families.kernels import overlap
 from dcreg.jit import jit
 
-_FIRST_LOOK = 12  # source points after which a pose is dropped that scores less than ...
+_N_FIRST = 12  # source points after which a pose is dropped that scores less than ...
 _FIRST_SHARE = 0.3  # ... this share of what the poses kept so far score there on average
-
-
-@jit
-def nearness_field(points, origin, cell, shape, reach, field):
-    """field[cell] = max(0, 1 - (d / reach)^2), d from the cell's centre to the nearest point.
-
-    `field` comes as zeros.
-    """
-    span = int(reach / cell) + 1
-    for j in range(points.shape[0]):
-        x, y, z = points[j, 0] - origin[0], points[j, 1] - origin[1], points[j, 2] - origin[2]
-        a, b, c = int(x / cell), int(y / cell), int(z / cell)
-        for i0 in range(max(0, a - span), min(shape, a + span + 1)):
-            d0 = (i0 + 0.5) * cell - x
-            for i1 in range(max(0, b - span), min(shape, b + span + 1)):
-                d1 = (i1 + 0.5) * cell - y
-                for i2 in range(max(0, c - span), min(shape, c + span + 1)):
-                    d2 = (i2 + 0.5) * cell - z
-                    near = 1.0 - (d0 * d0 + d1 * d1 + d2 * d2) / (reach * reach)
-                    if near > field[i0, i1, i2]:
-                        field[i0, i1, i2] = near
 
 
 @jit
@@ -64,25 +44,6 @@ def frame(p, q, r, out):
 
 
 @jit
-def overlap(R, t, points, origin, cell, field, floor):
-    """Sum of nearness of the moved points; gives up where even a perfect rest stays below `floor`."""
-    shape, n = field.shape[0], points.shape[0]
-    score = 0.0
-    for i in range(n):
-        u, v, w = points[i, 0], points[i, 1], points[i, 2]
-        a = math.floor((R[0, 0] * u + R[0, 1] * v + R[0, 2] * w + t[0] - origin[0]) / cell)
-        b = math.floor((R[1, 0] * u + R[1, 1] * v + R[1, 2] * w + t[1] - origin[1]) / cell)
-        c = math.floor((R[2, 0] * u + R[2, 1] * v + R[2, 2] * w + t[2] - origin[2]) / cell)
-        if 0 <= a < shape and 0 <= b < shape and 0 <= c < shape:
-            score += field[a, b, c]
-        if score + (n - 1 - i) <= floor:
-            return score
-        if i == _FIRST_LOOK and score < _FIRST_SHARE * floor * (i + 1) / n:
-            return 0.0
-    return score
-
-
-@jit
 def _in_shell(points, i, k, low, high):
     """Whether the squared distance of two points lies between `low` and `high`."""
     a, b, c = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
@@ -105,9 +66,9 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
         Which points may be matched; empty: all.
     pairs : (first, second)
         The ordered pairs of target points by length.
-    search : (tolerance, looked, origin, cell, field, stop)
-        Tolerance of a distance, the source points that score, the field of `nearness_field`, and what
-        ends the kernel early once it is set.
+    search : (tolerance, looked, field, stop)
+        Tolerance of a distance, the source points that score, the `NearnessField` of the target, and the
+        stop flag.
     poses, scores : (T, K, 3, 4), (T, K) arrays
         Receive the best poses of each triple; scores come as zeros.
 
@@ -118,7 +79,7 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
     """
     source, target = clouds
     first, second = pairs
-    tolerance, looked, origin, cell, field, stop = search
+    tolerance, looked, field, stop = search
     F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     tried = 0
     for at in range(triples.shape[0]):
@@ -153,7 +114,7 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
                 for other in range(1, scores.shape[1]):
                     if scores[at, other] < scores[at, worst]:
                         worst = other
-                score = overlap(R, t, looked, origin, cell, field, scores[at, worst])
+                score = overlap(R, t, looked, field, scores[at, worst], _N_FIRST, _FIRST_SHARE)
                 if score > scores[at, worst]:
                     scores[at, worst] = score
                     for a in range(3):
