@@ -1,4 +1,4 @@
-"""Trimmed rigid ICP: the local descent inside the nearest-neighbour searches."""
+"""Trimmed rigid ICP, the local refinement of the nearest-neighbour searches."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from dcreg.problem import apply_pose
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
-_AT_ONCE = 16  # poses descended between two looks at the clock
+_AT_ONCE = 16  # poses refined between two checks of the budget
 
 
 class ClosestPoint:
-    """Descends the sum of the `n_kept` smallest squared distances to the target."""
+    """Minimise the sum of the `n_kept` smallest squared distances to the target, locally."""
 
     def __init__(self, source: np.ndarray, target: np.ndarray, n_kept: int) -> None:
         self.source, self.target, self.n_kept = source, target, n_kept
         self.tree = cKDTree(target)
 
     def value(self, pose: np.ndarray) -> float:
-        """The objective at a pose, by exact nearest neighbours."""
+        """Return the objective at a pose, by exact nearest neighbours."""
         distances, _ = self.tree.query(apply_pose(pose, self.source))
         return float((np.sort(distances)[: self.n_kept] ** 2).sum())
 
     def descend(
         self, poses: np.ndarray, tolerance: float, max_iterations: int = 100
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Poses no worse than the given ones (b, 4, 4), all descended side by side; their values."""
+        """Refine (b, 4, 4) poses together; return poses that are no worse, and their values."""
         best_poses, best = poses.copy(), np.full(len(poses), np.inf)
         active = np.arange(len(poses))
         for _ in range(max_iterations):
@@ -51,7 +51,7 @@ class ClosestPoint:
     def descend_until(
         self, poses: np.ndarray, tolerance: float, budget: Budget
     ) -> tuple[np.ndarray, np.ndarray]:
-        """`descend` a few poses at a time until all are done or the budget is over."""
+        """Call `descend` with a few poses at a time until all are refined or the budget is over."""
         done = []
         for first in range(0, len(poses), _AT_ONCE):
             done.append(self.descend(poses[first : first + _AT_ONCE], tolerance))
@@ -62,7 +62,7 @@ class ClosestPoint:
 
 
 def spread_poses(count: int, seed: int, translation: np.ndarray) -> np.ndarray:
-    """The identity and `count` - 1 random rotations, all with the same translation."""
+    """Return the identity and `count` - 1 random rotations, all with the same translation."""
     drawn = Rotation.random(max(count - 1, 1), random_state=np.random.default_rng(seed))
     rotations = [np.eye(3), *drawn.as_matrix()[: count - 1]]
     return np.array([homogeneous(1.0, rotation, translation) for rotation in rotations])

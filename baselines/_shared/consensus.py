@@ -1,4 +1,4 @@
-"""Poses by consensus: how many source points come within a radius of the target, and ascent of it."""
+"""Consensus of a pose: the number of source points within a radius of the target, and its ascent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SHRINK = 0.7  # of the radius between two fits of the ascent
 
 
 class Consensus:
-    """One problem with both clouds centred on their means; poses are of that frame."""
+    """A problem with both clouds centred at their means; poses refer to this frame."""
 
     def __init__(self, instance: Instance, radius: float) -> None:
         self.origin_source = instance.source.mean(axis=0)
@@ -26,12 +26,12 @@ class Consensus:
         self.tree = cKDTree(self.target)
 
     def count(self, pose: np.ndarray) -> int:
-        """Source points that the pose brings within the radius of a target point."""
+        """Return the number of moved source points within the radius of a target point."""
         distances, _ = self.tree.query(apply_pose(pose, self.source))
         return int((distances <= self.radius).sum())
 
     def ascend(self, pose: np.ndarray, radius: float) -> tuple[np.ndarray, int]:
-        """Fits to the pairs within a shrinking radius; the best pose met and its count."""
+        """Fit to the pairs within a decreasing radius; return the best pose and its count."""
         best_pose, best = pose, self.count(pose)
         stalled = 0
         while stalled < 2:
@@ -48,9 +48,9 @@ class Consensus:
         return best_pose, best
 
     def starts(self, count: int, budget: Budget) -> list[tuple[np.ndarray, int]]:
-        """Poses of trimmed ICP from the identity and random rotations, with their counts.
+        """Return poses of trimmed ICP from the identity and random rotations, with their counts.
 
-        At least one; fewer than `count` where the budget was over first.
+        At least one is returned, and fewer than `count` if the budget is over.
         """
         local = ClosestPoint(self.source, self.target, self.n_inliers)
         spread = spread_poses(count, self.seed, np.zeros(3))
@@ -62,12 +62,12 @@ class Consensus:
         return found
 
     def polish(self, pose: np.ndarray) -> np.ndarray:
-        """Trimmed ICP to n_inliers: many poses share the largest count, this one fits best."""
+        """Refine by trimmed ICP to n_inliers, since many poses share the maximum count."""
         local = ClosestPoint(self.source, self.target, self.n_inliers)
         return local.descend(pose[None], 0.0)[0][0]
 
     def restore(self, pose: np.ndarray) -> np.ndarray:
-        """A pose of this frame in the coordinates of the instance."""
+        """Return a pose of this frame in the coordinates of the instance."""
         restored = pose.copy()
         restored[:3, 3] += self.origin_target - pose[:3, :3] @ self.origin_source
         return restored

@@ -1,7 +1,7 @@
-"""What pairs of correspondences say of each other: lengths, the graph of consistent ones, votes.
+"""Consistency of pairs of correspondences: lengths, shared points, and votes on scale and translation.
 
-A rigid motion keeps distances. Two correspondences can both be right only if the distance between
-their sources, times the scale, is that between their targets, up to the noise of both.
+A rigid motion preserves distances. Two correspondences can both be true only if the distance between
+their sources, times the scale, equals that between their targets, up to the noise of both.
 """
 
 from __future__ import annotations
@@ -11,33 +11,33 @@ from scipy.spatial.distance import cdist
 
 from baselines._shared.kernels.lengths import length_ratios, sweep_ends
 
-MOST_VOTERS = 1500  # correspondences that vote on the scale, spread evenly over more
+MOST_VOTERS = 1500  # correspondences that vote on the scale; of more, an even subset
 
 
 def length_differences(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """``| |y_i - y_j| - |x_i - x_j| |`` for all i and j."""
+    """Return ``| |y_i - y_j| - |x_i - x_j| |`` for all i and j."""
     return np.abs(cdist(source, source) - cdist(target, target))
 
 
 def sharing(pairs: np.ndarray) -> np.ndarray:
-    """Which correspondences share a point, hence are not both right in a one-to-one matching."""
+    """Return which correspondences share a point, so that a matching contains one of them at most."""
     return (pairs[:, None, 0] == pairs[None, :, 0]) | (pairs[:, None, 1] == pairs[None, :, 1])
 
 
 def vote(values: np.ndarray, ranges: np.ndarray) -> tuple[float, np.ndarray]:
     """Minimise ``sum(min((value - x)^2 / range^2, 1))`` over x, exactly.
 
-    Adaptive voting: between two neighbouring ends of the intervals ``value ± range`` the set of
-    voters is fixed and the best x is their weighted mean, so that trying all sets is trying all x.
+    Adaptive voting: between two adjacent ends of the intervals ``value ± range`` the set of voters is
+    constant and the best x is their weighted mean. Trying all sets is therefore exact.
 
     Returns
     -------
     x : float
     voters : (n,) bool
-        Those within their range of x.
+        The values within their range of x.
     """
-    # The optimum is among the means; a mean outside of its own stretch only overstates its cost.
-    centre = float(np.median(values))  # sums of squares lose digits far from zero
+    # The optimum is among the means; the cost of a mean outside its own interval is overestimated.
+    centre = float(np.median(values))  # sums of squares lose precision far from zero
     shifted = values - centre
     ends = np.concatenate([shifted - ranges, shifted + ranges])
     order = np.argsort(ends, kind="stable")
@@ -48,7 +48,7 @@ def vote(values: np.ndarray, ranges: np.ndarray) -> tuple[float, np.ndarray]:
 def vote_scale(
     source: np.ndarray, target: np.ndarray, tolerance: float, scale_range: tuple[float, float]
 ) -> float:
-    """The scale that most distances between correspondences speak for, by adaptive voting."""
+    """Return the scale by adaptive voting over the distances between correspondences."""
     low, high = scale_range
     if low == high:
         return low
@@ -60,6 +60,6 @@ def vote_scale(
 
 
 def vote_translation(points: np.ndarray, target: np.ndarray, reach: float) -> np.ndarray:
-    """``target - points`` by adaptive voting, axis by axis."""
+    """Return ``target - points`` by adaptive voting, axis by axis."""
     ranges = np.full(len(points), reach)
     return np.array([vote(column, ranges)[0] for column in (target - points).T])

@@ -1,8 +1,7 @@
-"""The library's branch and bound over cubes divided in eight, for Go-ICP, FRS and GoTS.
+"""The library's branch and bound over cubes divided into octants, for Go-ICP, FRS and GoTS.
 
-Their bounds work through one cube at a time, may improve the incumbent on the way by poses that are no
-centre of a cube, may run out of time within a cube, and may pass what they learnt of a cube on to its
-parts.
+Their bounds process one cube at a time. They may improve the incumbent by any pose, may run out of time
+within a cube, and may pass data of a cube on to its octants.
 """
 
 from __future__ import annotations
@@ -16,30 +15,30 @@ import numpy as np
 from dcreg.search import Box, Budget, Evaluation, Outcome, branch_and_bound
 
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-_SHARE_OF_BOXES = 0.5  # of the memory; the rest is for what cubes pass on
+_SHARE_OF_BOXES = 0.5  # of the memory; the rest is for data that cubes pass on
 
 
 class OutOfTimeError(Exception):
-    """The budget was over before a step of a search knew its answer; what was found before stands."""
+    """The budget was over before a step of a search had a result; earlier results remain valid."""
 
 
 @dataclass
 class Incumbent:
-    """The least value found of the objective, and where."""
+    """The minimum value of the objective so far, and its pose."""
 
     value: float = np.inf
     pose: Any = None
 
     def offer(self, value: float, pose: Any) -> bool:
-        """Take the pose if it is better."""
+        """Keep the pose if it is better; return whether it is."""
         if value < self.value:
             self.value, self.pose = float(value), pose
             return True
         return False
 
 
-# (centre, half-width, what the parent cube passed on) -> (lower bound, what this cube passes on).
-# Improves the incumbent on the way; +inf for a cube without admissible points; may raise OutOfTimeError.
+# (centre, half-width, data of the parent cube) -> (lower bound, data for the octants). May improve the
+# incumbent and raise OutOfTimeError; the bound is +inf for a cube without admissible points.
 CubeBound = Callable[[np.ndarray, float, Any], tuple[float, Any]]
 
 
@@ -60,19 +59,18 @@ def search_cubes(
     bound : CubeBound
     root : (centre, half-width)
     incumbent : Incumbent
-        Improved in place; what is found is there.
+        Improved in place; holds the best pose afterwards.
     budget : Budget
     gap_tol : float
     floor : float
-        A value that the objective is never below.
+        A lower bound of the objective.
     passed_on : array, optional
-        Given to the bound of the root cube, and wherever the memory did not suffice to keep what a cube
-        passed on.
+        Data for the root cube, and for cubes whose parent's data did not fit into the memory.
 
     Returns
     -------
     Outcome
-        Its theta means nothing.
+        Its theta has no meaning.
     """
     memory = budget.sub_budget(1.0)
     if budget.memory_mb is not None:
@@ -88,7 +86,7 @@ def search_cubes(
 
 
 def with_bounds(found: Outcome, of_value: Callable[[float], float]) -> Outcome:
-    """The outcome with its bounds, and those of its history, in other terms."""
+    """Return the outcome with all bounds converted by `of_value`."""
     return replace(
         found,
         lower_bound=of_value(found.lower_bound),
@@ -105,17 +103,17 @@ def with_bounds(found: Outcome, of_value: Callable[[float], float]) -> Outcome:
 
 
 def divide_in_eight(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(8 B, 3) octants of B boxes, those of a box next to each other."""
-    middle = np.repeat(0.5 * (lower + upper), 8, axis=0)
+    """Return the (8 B, 3) octants of B boxes; the octants of a box are adjacent."""
+    centre = np.repeat(0.5 * (lower + upper), 8, axis=0)
     high = np.tile(OCTANTS > 0, (len(lower), 1))
     return (
-        np.where(high, middle, np.repeat(lower, 8, axis=0)),
-        np.where(high, np.repeat(upper, 8, axis=0), middle),
+        np.where(high, centre, np.repeat(lower, 8, axis=0)),
+        np.where(high, np.repeat(upper, 8, axis=0), centre),
     )
 
 
 class _Cubes:
-    """A bound for single cubes, as the search asks for it: the parts of one cube in a round."""
+    """Adapt a `CubeBound` to the search: a round bounds the octants of one cube."""
 
     round_size = 1
     n_assignments = 0
@@ -143,9 +141,9 @@ class _Cubes:
         cutoff: float | None,
         warm_start: np.ndarray | None = None,
     ) -> Evaluation:
-        """Bound the parts of one cube; those that time does not suffice for keep its bound.
+        """Bound the octants of one cube; octants after the time limit keep the bound of the cube.
 
-        The incumbent ends a bound early, not the cutoff.
+        A bound stops early by the incumbent, not by the cutoff.
         """
         bounds = np.zeros(len(lower))
         centres, halves = 0.5 * (lower + upper), 0.5 * (upper - lower).max(axis=1)
@@ -167,7 +165,7 @@ class _Cubes:
             self._passed[lower.tobytes() + upper.tobytes()] = passed_on
 
     def _taken(self, lower: np.ndarray, upper: np.ndarray) -> Any:
-        """What the cube with these corners passed on."""
+        """Return the data of the cube with these vertices."""
         passed_on = self._passed.pop(lower.tobytes() + upper.tobytes(), None)
         if passed_on is None:
             return self._first

@@ -1,4 +1,4 @@
-"""Poses as homogeneous matrices, and the lengths that several adapters share."""
+"""Poses as homogeneous matrices, and lengths used by several adapters."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dcreg.problem import nearest_rotation, unit_length
 
 
 def homogeneous(scale: float, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """``p -> scale * rotation @ p + translation`` as a (d+1, d+1) matrix."""
+    """Return ``p -> scale * rotation @ p + translation`` as a (d+1, d+1) matrix."""
     d = len(translation)
     pose = np.eye(d + 1)
     pose[:d, :d] = scale * np.asarray(rotation)
@@ -19,7 +19,7 @@ def homogeneous(scale: float, rotation: np.ndarray, translation: np.ndarray) -> 
 
 
 def rigid_pose(pose: np.ndarray) -> np.ndarray | None:
-    """The pose with an exactly proper rotation and scale 1; None when it has non-finite entries."""
+    """Return the pose with a proper rotation and scale 1; None if it has non-finite entries."""
     pose = np.asarray(pose, dtype=float)
     if not np.isfinite(pose).all():
         return None
@@ -28,7 +28,7 @@ def rigid_pose(pose: np.ndarray) -> np.ndarray | None:
 
 
 def unit_of(instance: Instance) -> float:
-    """The library's unit of length, by which methods scale clouds; 1 where no cloud has an extent."""
+    """Return the library's unit of length for scaling clouds; 1 if no cloud has an extent."""
     return unit_length(instance.source, instance.target) or 1.0
 
 

@@ -1,4 +1,4 @@
-"""Samples of correspondences, as few as fix a pose, and the pose that most others agree with."""
+"""RANSAC over minimal samples of correspondences."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from baselines._shared.robust import refit
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
-BATCH = 500  # samples between two looks at the clock: a millisecond
+BATCH = 500  # samples between two checks of the budget, about a millisecond
 
 
 def ransac(
@@ -23,10 +23,10 @@ def ransac(
     confidence: float,
     budget: Budget,
 ) -> tuple[np.ndarray | None, int, bool]:
-    """The refitted pose with the most residuals within `bound`.
+    """Return the refitted pose with the most residuals within `bound`.
 
-    Ends when a sample of true correspondences has been drawn with probability `confidence`, judged
-    by the share of inliers of the best pose, or when the budget is over.
+    Stops when a sample of inliers has been drawn with probability `confidence`, estimated from the
+    inlier share of the best pose, or when the budget is over.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def _promising(
     scale_range: tuple[float, float],
     most: int,
 ) -> list[tuple[int, int]]:
-    """Samples whose pose has more than `most` inliers, with the number."""
+    """Return the samples whose pose has more than `most` inliers, with the number of inliers."""
     counts = count_inliers(source, target, samples, bound, *scale_range)
     good = np.flatnonzero(counts > most)
     good = good[np.argsort(-counts[good], kind="stable")]

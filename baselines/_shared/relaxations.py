@@ -1,18 +1,18 @@
-"""Branch and bound over 2D similarities with bounds of linearised products: RPM-BP and HBSP.
+"""Bounds over 2D similarities from linearised products, for RPM-BP and HBSP.
 
-With phi1 = t1^2 + t2^2, phi2 = t1 t3 + t2 t4 and phi3 = t1 t4 - t2 t3 the objective has no products but
-those of two variables: one an aggregate g_f = sum p_ij f_ij of the matching, one of theta or phi,
+With phi1 = t1^2 + t2^2, phi2 = t1 t3 + t2 t4 and phi3 = t1 t4 - t2 t3 the products in the objective have two
+factors: an aggregate g_f = sum p_ij f_ij of the matching, and a component of theta or phi,
 
     E = g_xx phi1 + 2 g_x1 phi2 + 2 g_x2 phi3 - 2 (g_d t1 + g_w t2 + g_y1 t3 + g_y2 t4)
         + k (t3^2 + t4^2) + g_yy.
 
-Each product is replaced by the mean of its two active McCormick facets over the range of g_f (of all
-matchings) and of the other (over the box; exact, as the summands of each phi share no parameter). Then E
-is a constant, a linear function of the matching, least at a k-assignment, and
+Each product is replaced by the mean of its two active McCormick facets over the range of g_f (over all
+matchings) and of the other factor (over the box; exact, since the summands of each phi share no parameter).
+Then E is the sum of a constant, a linear function of the matching, minimised by a k-assignment, and
 
     beta.theta + gamma.phi + k (t3^2 + t4^2),
 
-which a method relaxes further in its own way, with phi tied to theta.
+which each method relaxes further, with phi tied to theta.
 """
 
 from __future__ import annotations
@@ -32,15 +32,17 @@ from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.protocol import SpaceBound
 from dcreg.search import Box, Evaluation
 
-# (beta, gamma, lower, upper) -> least beta.theta + gamma.phi + k (t3^2 + t4^2) over the box, relaxed, and
-# the theta where it is attained
-LeastOverBox = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[float, np.ndarray]]
+# (beta, gamma, lower, upper) -> relaxed minimum of beta.theta + gamma.phi + k (t3^2 + t4^2) over the box,
+# and the theta that attains it
+MinimumOverBox = Callable[
+    [np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[float, np.ndarray]
+]
 
 
 class SubstitutedBound(SpaceBound[FeatureSpace]):
-    """Common part of the bounds: the linear matching part, and the exact value of the candidate.
+    """Common part of the bounds: the linear part over matchings, and the exact value of the candidate.
 
-    Rounds are small, since one with a convex programme a box must stay interruptible.
+    Every box needs a convex programme. Rounds are small so that the search stays interruptible.
     """
 
     round_pairs, max_round = 20_000, 4
@@ -56,8 +58,8 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
         self.n_assignments += 2 * N_FEATURES
 
     @abc.abstractmethod
-    def least_over_box(self) -> LeastOverBox:
-        """A solver of the programme in theta and phi, for the use of one thread."""
+    def minimum_over_box(self) -> MinimumOverBox:
+        """Return a solver of the programme in theta and phi for one thread."""
 
     def _evaluate(
         self,
@@ -75,9 +77,9 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
             spent = linearise(
                 self.features, self.low, self.high, space.n_inliers, lo, up, bounds, beta, gamma
             )
-            least = self.least_over_box()
+            minimum = self.minimum_over_box()
             for box in range(len(lo)):
-                value, theta = least(beta[box], gamma[box], lo[box], up[box])
+                value, theta = minimum(beta[box], gamma[box], lo[box], up[box])
                 bounds[box] += value
                 found.thetas[part][box] = np.clip(theta, lo[box], up[box])
             return spent + space.objectives(found.thetas[part], found.values[part])

@@ -1,16 +1,16 @@
-"""Start poses of the local methods: their option `starts` names one of these lists.
+"""Initial poses of the local methods. Their option `starts` names one of these lists.
 
 ``identity``
-    The given coordinates as they are, one start.
+    The identity only.
 ``centroid``
-    Identity rotation and scale 1, the source's centroid moved onto the target's, one start.
+    Identity rotation and scale 1; the centroid of the source is moved to that of the target.
 ``multi``
     ``centroid``, ``identity``, then rotations about the centroids: in 2D 12 angles (every 30
     degrees) times 3 scales (1/6, 1/2 and 5/6 of the scale range); in 3D the 24 rotations of the
-    cube. They are mixed, so that the first few, all that a limit may leave, are spread over the rest.
-    The result is the refined pose with the least symmetric trimmed distance: the sum of the
+    cube. Their order is mixed, so that a limit leaves poses spread over the whole list.
+    The result is the refined pose with the minimum symmetric trimmed distance: the sum of the
     ``n_inliers`` smallest squared nearest-neighbour distances from source to target and of those
-    from target to source. Both directions, because a shrunken source is near the target everywhere.
+    from target to source. One direction does not suffice: a shrunken source is near the target everywhere.
 """
 
 from __future__ import annotations
@@ -28,15 +28,14 @@ from dcreg.search import Budget
 from dcreg.status import Status
 
 STARTS = ("identity", "centroid", "multi")
-GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0  # whose multiples are spread over the unit circle
+GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0  # its multiples modulo 1 spread over the unit interval
 
-# Improves one start pose until it converges or the budget is over; None when the method broke down
-# from there.
+# Refines one initial pose until it converges or the budget is over; None if the method fails there.
 Refine = Callable[[np.ndarray, Budget], np.ndarray | None]
 
 
 def check_choice(method: Baseline, option: str, choices: tuple[str, ...]) -> str:
-    """The option's value, which must be one of `choices`."""
+    """Return the value of the option, which must be one of `choices`."""
     value = method.options[option]
     if value not in choices:
         raise ValueError(f"option {option} = {value!r}; choose one of {', '.join(choices)}")
@@ -44,7 +43,7 @@ def check_choice(method: Baseline, option: str, choices: tuple[str, ...]) -> str
 
 
 def start_poses(instance: Instance, starts: str) -> list[np.ndarray]:
-    """The list named `starts` for this instance (see the module's text)."""
+    """Return the list named `starts` for this instance; see the module."""
     low, high = instance.scale_range
     unit = float(np.clip(1.0, low, high))
     identity = homogeneous(unit, np.eye(instance.dim), np.zeros(instance.dim))
@@ -65,7 +64,7 @@ def start_poses(instance: Instance, starts: str) -> list[np.ndarray]:
 
 
 def best_of_starts(instance: Instance, starts: str, limits: Limits, refine: Refine) -> Solution:
-    """Refine every start within the limits, of which nodes are starts; the pose that fits best."""
+    """Refine the initial poses within the limits (a node is one pose) and return the best."""
     budget = limits.budget()
     poses = start_poses(instance, starts)
     distance = SymmetricDistance(instance)
@@ -81,16 +80,18 @@ def best_of_starts(instance: Instance, starts: str, limits: Limits, refine: Refi
             best, least = refined, value
     counters = {"n_starts": tried}
     if best is None:
-        return Solution(Status.FAILED, None, "no start gave a finite pose", counters=counters)
+        return Solution(
+            Status.FAILED, None, "no initial pose led to a finite pose", counters=counters
+        )
     if budget.is_over or tried < len(poses):
         ended = Status.TIME_LIMIT if budget.is_over else Status.NODE_LIMIT
-        message = f"{tried} of {len(poses)} starts within the limit"
+        message = f"{tried} of {len(poses)} initial poses within the limit"
         return Solution(ended, best, message, counters=counters)
     return Solution(Status.CONVERGED, best, counters=counters)
 
 
 class SymmetricDistance:
-    """The symmetric trimmed distance of an instance as a function of the pose."""
+    """The symmetric trimmed distance of a pose."""
 
     def __init__(self, instance: Instance) -> None:
         self.instance = instance
@@ -114,6 +115,6 @@ def _rotation2d(angle: float) -> np.ndarray:
 
 
 def _about_centroids(instance: Instance, scale: float, rotation: np.ndarray) -> np.ndarray:
-    """The pose with this linear part that maps the source's centroid onto the target's."""
+    """Return the pose with this linear part that maps the source's centroid to the target's."""
     moved = scale * rotation @ instance.source.mean(axis=0)
     return homogeneous(scale, rotation, instance.target.mean(axis=0) - moved)

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines._shared.relaxations import LeastOverBox, SubstitutedBound
+from baselines._shared.relaxations import MinimumOverBox, SubstitutedBound
 from baselines.hbsp.lifted import LiftedBox
 
 
 class SemidefiniteBound(SubstitutedBound):
     """Lower bound of HBSP (reconstructed), never below that of RPM-BP on the same box."""
 
-    def least_over_box(self) -> LeastOverBox:
+    def minimum_over_box(self) -> MinimumOverBox:
         lifted = LiftedBox(4)
         normal = np.zeros((5, 5))
         normal[0, 0] = 1.0
         k = float(self.space.n_inliers)
 
-        def least(
+        def minimum(
             beta: np.ndarray, gamma: np.ndarray, lower: np.ndarray, upper: np.ndarray
         ) -> tuple[float, np.ndarray]:
             centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
@@ -32,4 +32,4 @@ class SemidefiniteBound(SubstitutedBound):
             value, z = lifted.least(C, normal)
             return constant + value, centre + half * z
 
-        return least
+        return minimum

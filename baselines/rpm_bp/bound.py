@@ -15,7 +15,7 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from baselines._shared.relaxations import LeastOverBox, SubstitutedBound
+from baselines._shared.relaxations import MinimumOverBox, SubstitutedBound
 
 # The products t_a t_b of phi2 and phi3: a, b, which phi, coefficient in it
 PRODUCTS = ((0, 2, 1, 1.0), (1, 3, 1, 1.0), (0, 3, 2, 1.0), (1, 2, 2, -1.0))
@@ -27,13 +27,13 @@ _N = len(PRODUCTS)
 class BilinearBound(SubstitutedBound):
     """Lower bound of RPM-BP (reconstructed), never below R1 of RPM-HTB on the same box."""
 
-    def least_over_box(self) -> LeastOverBox:
+    def minimum_over_box(self) -> MinimumOverBox:
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_threads = 1
         k = float(self.space.n_inliers)
 
-        def least(
+        def minimum(
             beta: np.ndarray, gamma: np.ndarray, lower: np.ndarray, upper: np.ndarray
         ) -> tuple[float, np.ndarray]:
             centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
@@ -53,7 +53,7 @@ class BilinearBound(SubstitutedBound):
             value, z = separable(squares, linear, products, omega)
             return constant + value, centre + half * z
 
-        return least
+        return minimum
 
 
 def separable(
