@@ -1,9 +1,8 @@
-"""Exact maximum clique of a graph held as rows of bits.
+"""Exact maximum clique of a graph stored as rows of bits.
 
-Branch and bound in the manner of Tomita and Seki (2003) and San Segundo et al. (2011): vertices in
-degeneracy order, one subproblem per vertex among its later neighbours, greedy colouring as bound.
-The kernels stop after a number of steps and go on from where they were, so that a caller can look
-at the clock: numba has none.
+Branch and bound as in Tomita and Seki (2003) and San Segundo et al. (2011): vertices in degeneracy order,
+one subproblem per vertex among its later neighbours, greedy colouring as bound. The kernels pause after
+a number of steps and continue from there, so that the caller can check the time limit.
 """
 
 from __future__ import annotations
@@ -22,18 +21,19 @@ from baselines._shared.kernels.graphs import (
 )
 from dcreg.search import Budget
 
-# Greedy cliques before the exact search. The size found does not depend on their number, but which of
-# several largest cliques is found does, and the poses of these may differ by degrees. With this number
-# the choice agrees with recorded runs of the official TEASER++ (tests/golden/test_teaser_port.py).
+# Greedy cliques before the exact search. Their number does not affect the size of the result, but
+# which of several maximum cliques is found, and the poses of these may differ by degrees. With this
+# number the choice agrees with recorded runs of the official TEASER++
+# (tests/golden/test_teaser_port.py).
 STARTS = 5
-STEPS = 4_000_000  # row operations between two looks at the clock: some 10 milliseconds
+STEPS = 4_000_000  # row operations between two checks of the budget, about 10 milliseconds
 
 
 @dataclass(frozen=True)
 class Clique:
-    """The largest clique found, sorted, and the least proven bound on the size of any.
+    """The largest clique found, sorted, and the best proven bound on the size.
 
-    ``is_cut``: with more time it might have been another one, be it of the same size.
+    ``is_cut``: more time could lead to another clique, possibly of the same size.
     """
 
     vertices: np.ndarray
@@ -46,11 +46,11 @@ class Clique:
 
 
 def maximum_clique(rows: np.ndarray, budget: Budget) -> Clique:
-    """A maximum clique, or when the budget is over the largest found with a bound on the maximum.
+    """Return a maximum clique, or the largest one found within the budget and a bound on the maximum.
 
-    Of several maximum cliques it is the one grown first from a few innermost vertices (`STARTS`),
-    or where those are not maximum, the first in the lexicographic order that the degeneracy order
-    of the vertices induces, whatever the search met first (unless the budget cuts that short).
+    Of several maximum cliques it is the one grown first from a few innermost vertices (`STARTS`). If
+    these are not maximum, it is the first in the lexicographic order that the degeneracy order of the
+    vertices induces, independent of the order of the search (unless the budget is over).
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def maximum_clique(rows: np.ndarray, budget: Budget) -> Clique:
 
 
 def warm_up() -> None:
-    """Compile all of the search, on a graph that the greedy start does not settle."""
+    """Compile the whole search, on a graph that the greedy start does not solve."""
     upper = np.triu(np.random.default_rng(0).random((60, 60)) < 0.5, 1)
     rows = pack(upper | upper.T)
     maximum_clique(rows, Budget())
@@ -93,9 +93,9 @@ def warm_up() -> None:
 def _first(
     rows: np.ndarray, order: np.ndarray, core: np.ndarray, clique: np.ndarray, budget: Budget
 ) -> tuple[np.ndarray, bool]:
-    """The first of the maximum cliques, given any one of them, and whether the budget cut the search.
+    """Return the first maximum clique, given any, and whether the budget cut the search.
 
-    Vertex after vertex: the earliest that some maximum clique has next is taken.
+    Each step takes the earliest vertex with which some maximum clique continues.
     """
     size = len(clique)
     place = np.argsort(order)
@@ -132,9 +132,9 @@ def _extended(
     goal: int,
     budget: Budget,
 ) -> tuple[np.ndarray, bool]:
-    """A clique of more than `size` that goes on from `path` behind `place`, empty if there is none.
+    """Return a clique of more than `size` vertices that continues `path` behind `place`; empty if none.
 
-    The largest, or the first found of `goal` vertices; not so when the search is not finished.
+    It is the largest, or the first one of `goal` vertices, unless the search is not finished.
     """
     later = common_later(rows, order, core, np.array(path), place, size)
     if len(later) + len(path) <= size:
@@ -149,7 +149,7 @@ def _extended(
 
 
 class _Search:
-    """Cliques of more than `size` and up to `goal` vertices in the subgraph on `members`."""
+    """Search of cliques of more than `size` and up to `goal` vertices in the subgraph on `members`."""
 
     def __init__(self, rows: np.ndarray, members: np.ndarray, size: int, goal: int) -> None:
         local, self.order = subgraph(rows, members)
@@ -170,7 +170,7 @@ class _Search:
         return self.order[self.found[: self.state[2]]]
 
     def run(self, budget: Budget) -> bool:
-        """True when the search is complete."""
+        """Continue the search; return whether it is complete."""
         parts = (self.rows, self.candidates, self.queue, self.colours, self.left)
         while not grow_cliques(*parts, self.path, self.found, self.state, STEPS):
             if budget.is_over:
@@ -183,7 +183,7 @@ def _members(row: np.ndarray, n: int) -> np.ndarray:
 
 
 def pack(adjacency: np.ndarray) -> np.ndarray:
-    """Rows of bits of a boolean matrix, without its diagonal."""
+    """Return the rows of bits of a boolean matrix, without its diagonal."""
     n = len(adjacency)
     wide = np.zeros((n, 64 * max(1, -(-n // 64))), dtype=bool)
     wide[:, :n] = adjacency
@@ -198,7 +198,7 @@ def _full(p: int, words: int) -> np.ndarray:
 
 
 def _n_colours(rows: np.ndarray) -> int:
-    """Colours that the greedy colouring uses: no clique has more vertices."""
+    """Return the number of colours of a greedy colouring; no clique has more vertices."""
     n, words = rows.shape
     queue, colours = np.zeros((2, n), dtype=np.int64)
     count = colour_order(rows, _full(n, words), 0, queue, colours)

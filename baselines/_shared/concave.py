@@ -1,19 +1,19 @@
-"""2D similarity registration as concave minimisation over matchings: shared by RPM-CAV and RPM-PA.
+"""2D similarity registration as concave minimisation over matchings, for RPM-CAV and RPM-PA.
 
-For a fixed matching P of k pairs the best pose has a closed form, and what is left depends on P through
-seven sums over its pairs, the statistics ``u = (sum |x|^2, sum x, sum y, sum x.y, sum x^y)``, and one
-more linear term ``L = sum |y|^2``:
+For a fixed matching P of k pairs the best pose has a closed form. The minimum then depends on P only
+through seven sums over its pairs, the statistics ``u = (sum |x|^2, sum x, sum y, sum x.y, sum x^y)``,
+and a linear term ``L = sum |y|^2``:
 
     E(P) = min over theta of E(P, theta) = L(P) + f(u(P)).
 
-``E(P, theta)`` is affine in (u, L) for every theta, so f is a minimum of affine functions: concave,
-over any set of admissible poses. With ``V = sum |x|^2 - |sum x|^2 / k``, r the length of
-``(sum x.y, sum x^y)`` after centring, and the scale s kept in [low, high],
+``E(P, theta)`` is affine in (u, L) for every theta, so f is a minimum of affine functions and concave
+over any set of admissible poses. With ``V = sum |x|^2 - |sum x|^2 / k``, r the length of ``(sum x.y,
+sum x^y)`` after centring, and the scale s in [low, high],
 
     f(u) = -|sum y|^2 / k + min over s of (V s^2 - 2 s r),
 
-finite for every u, also for those that no matching attains (there V may be negative). A linear
-function of (u, L) is least over all matchings at a k-cardinality assignment, exactly.
+finite for every u, also if no matching attains it (V may then be negative). A k-cardinality assignment
+minimises a linear function of (u, L) over all matchings exactly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines._shared.cubes import OutOfTimeError
-from baselines._shared.kernels.statistics import N_STATISTICS, concave, least_linear, statistics
+from baselines._shared.kernels.statistics import N_STATISTICS, concave, minimum_linear, statistics
 from baselines.contract import Instance, Solution
 from dcreg.assignment.descent import polish
 from dcreg.assignment.objective import pairs_of
@@ -36,11 +36,11 @@ from dcreg.search import Budget, Event, Trace
 from dcreg.status import Status
 
 SCOPE = "similarity pose"
-_FLAT = 1e-8  # relative extent below which all matchings agree in a statistic
+_FLAT = 1e-8  # relative extent below which a statistic counts as constant over all matchings
 
 
 class Clouds(NamedTuple):
-    """A normalised problem as the kernels take it."""
+    """A normalised problem in the form of the kernels."""
 
     source: np.ndarray  # (n, 2)
     target: np.ndarray  # (m, 2)
@@ -55,7 +55,7 @@ class Clouds(NamedTuple):
 
 @dataclass
 class Incumbent:
-    """The best matching's pose so far, in normalised coordinates, and the work spent."""
+    """The pose of the best matching so far, in normalised coordinates, and the assignments spent."""
 
     clouds: Clouds
     pose: np.ndarray
@@ -64,11 +64,11 @@ class Incumbent:
     budget: Budget
 
     def beaten_by(self, value: float) -> bool:
-        """Whether a matching of this value is better by more than rounding."""
+        """Return whether a matching of this value is better by more than rounding."""
         return value < self.value - 1e-9 * abs(self.value)
 
     def offer(self, col_of: np.ndarray) -> bool:
-        """Descend from a matching that is better than the incumbent; True: it became the incumbent."""
+        """Descend from a matching if it is better than the incumbent; return whether it replaced it."""
         source, target, k, *_ = self.clouds
         pairs = pairs_of(col_of)
         pose = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], self.clouds.scale_range)
@@ -84,7 +84,7 @@ class Incumbent:
 
 @dataclass
 class Reduced:
-    """An instance as concave minimisation, in the library's normalised coordinates.
+    """An instance as concave minimisation, in the normalised coordinates of the library.
 
     `gap_tol` is the library's default tolerance times a factor.
     """
@@ -95,8 +95,10 @@ class Reduced:
 
     @classmethod
     def of(cls, instance: Instance, budget: Budget, factor: float) -> Reduced:
-        """The first incumbent comes from the descents that start the library's own search, so that
-        every branch and bound starts alike."""
+        """Normalise, and find the first incumbent by the descents that start the library's search.
+
+        Every branch and bound thus starts from the same incumbent.
+        """
         problem = Problem(
             instance.source, instance.target, instance.n_inliers, "similarity2d",
             instance.scale_range,
@@ -116,17 +118,17 @@ class Reduced:
 
     @property
     def area(self) -> float:
-        """Squared target units per squared normalised unit."""
+        """Return the squared target units per squared normalised unit."""
         return self.frame.area
 
     def pose(self) -> np.ndarray:
-        """The incumbent in the coordinates of the instance."""
+        """Return the incumbent in the coordinates of the instance."""
         return self.frame.pose(self.incumbent.pose)
 
 
 @dataclass
 class ConcaveSearch(abc.ABC):
-    """A running search; bounds are in normalised units, the incumbent lives in `reduced`.
+    """A running search; bounds are in normalised units, the incumbent is kept in `reduced`.
 
     Attributes
     ----------
@@ -134,13 +136,13 @@ class ConcaveSearch(abc.ABC):
     gap_tol : float
         In normalised units.
     status : Status or None
-        None while it runs.
+        None during the search.
     n_nodes, dim : int
         Regions bounded, and dimensions of the statistics.
     n_assignments : int
-        Those of the search itself; the incumbent counts its own.
+        Of the search without the incumbent's.
     history : Trace
-        An event whenever a bound moved, and the end, in squared units of the input.
+        An event for every changed bound and for the end, in squared units of the input.
     """
 
     reduced: Reduced
@@ -162,22 +164,22 @@ class ConcaveSearch(abc.ABC):
 
     @property
     def cutoff(self) -> float:
-        """Regions whose bound reaches this hold no matching that is better by the tolerance."""
+        """Return the bound from which on a region contains no matching better by the tolerance."""
         return self.upper_bound - self.gap_tol
 
     @abc.abstractmethod
     def run(self) -> None:
-        """Search until a bound or a limit ends it; then `status` says which."""
+        """Search until a bound or a limit stops it; `status` says which."""
 
     def ended(self, nbytes: int, share: float) -> Status | None:
-        """Why the search ends here; None: it goes on.
+        """Return why the search stops, or None.
 
         Parameters
         ----------
         nbytes : int
-            In use by its regions.
+            Memory of its regions.
         share : float
-            Of the memory limit that they may use.
+            Share of the memory limit for the regions.
         """
         budget = self.budget
         if self.lower_bound >= self.cutoff:
@@ -191,7 +193,7 @@ class ConcaveSearch(abc.ABC):
         return None
 
     def record(self, n_open: int = 0) -> None:
-        """Keep the state of the search when a bound moved, and when it ended."""
+        """Record the state of the search when a bound changed, and at the end."""
         kind = "bound" if self.status is None else "end"
         event = Event(
             kind, "search", self.budget.elapsed(), self.n_nodes,
@@ -206,7 +208,7 @@ class ConcaveSearch(abc.ABC):
             self.history.events.append(event)
 
     def solution(self, **extra: float) -> Solution:
-        """What the search found, in the units of the instance."""
+        """Return the result in the units of the instance."""
         assert self.status is not None
         area, incumbent = self.reduced.area, self.reduced.incumbent
         return Solution(
@@ -227,10 +229,10 @@ class ConcaveSearch(abc.ABC):
 
 @dataclass
 class Coordinates:
-    """Affine coordinates z of the statistics that matchings can reach: ``u = origin + axes z``.
+    """Affine coordinates z of the statistics of matchings: ``u = origin + axes z``.
 
-    Statistics on which all matchings agree (say the sum of x when every source point is matched),
-    also combinations of them, are left out, exactly the flat directions of the convex hull.
+    Statistics, and combinations of them, that are equal for all matchings are left out: the flat
+    directions of the convex hull. An example is the sum of x if every source point is matched.
 
     Attributes
     ----------
@@ -252,7 +254,7 @@ class Coordinates:
 class Support:
     """Oracle of extreme points: matchings that minimise linear functions of (u, L).
 
-    A matching better than the incumbent is offered to it. Points are ``u(P)``, or ``(u, L)(P)``.
+    It offers every matching to the incumbent. Points are ``u(P)``, or ``(u, L)(P)``.
     """
 
     def __init__(self, incumbent: Incumbent, with_fixed: bool = False) -> None:
@@ -265,12 +267,12 @@ class Support:
         return N_STATISTICS + self.with_fixed
 
     def least(self, direction: np.ndarray) -> np.ndarray:
-        """The point with the least ``direction . point``."""
+        """Return the point that minimises ``direction . point``."""
         if self.incumbent.budget.is_over:
             raise OutOfTimeError
         fixed_weight = float(direction[-1]) if self.with_fixed else 0.0
         weights = np.ascontiguousarray(direction[:N_STATISTICS])
-        _, col_of = least_linear(self.clouds, weights, fixed_weight)
+        _, col_of = minimum_linear(self.clouds, weights, fixed_weight)
         self.n_assignments += 1
         u, fixed = statistics(self.clouds, col_of)
         if self.incumbent.beaten_by(fixed + concave(self.clouds, u)):
@@ -280,7 +282,7 @@ class Support:
         return point
 
     def coordinates(self) -> Coordinates:
-        """Coordinates of the affine hull of all points, each scaled to the range [0, 1]."""
+        """Return coordinates of the affine hull of all points, each scaled to [0, 1]."""
         identity = np.eye(self.dim)
         low = np.array([self.least(axis) @ axis for axis in identity])
         high = np.array([self.least(-axis) @ axis for axis in identity])
@@ -293,7 +295,7 @@ class Support:
         origin = self.points[0].copy()
         inverse = np.zeros(axes.T.shape)
         inverse[:, moving] = basis.T / scale[moving]
-        if basis.shape[1] == len(moving):  # nothing but coordinates: their ranges are known
+        if basis.shape[1] == len(moving):  # the basis consists of coordinates, with known ranges
             lower = (low[moving] - origin[moving]) / scale[moving]
             upper = (high[moving] - origin[moving]) / scale[moving]
         else:
@@ -310,7 +312,7 @@ class Support:
         )
 
     def _hull_directions(self, moving: np.ndarray, scale: np.ndarray) -> np.ndarray:
-        """Orthonormal columns that span all differences of points (in scaled coordinates)."""
+        """Return orthonormal columns that span all differences of points (in scaled coordinates)."""
         full = np.eye(len(moving))
         while len(moving):
             spread = (np.array(self.points)[:, moving] - self.points[0][moving]) / scale
@@ -318,11 +320,11 @@ class Support:
             rank = int((singular > _FLAT).sum())
             if rank == len(moving):
                 return full
-            for row in vt[rank:]:  # flat as far as we know: ask for the extremes
+            for row in vt[rank:]:  # flat so far: compute its extremes
                 direction = np.zeros(self.dim)
                 direction[moving] = row / scale
                 if (self.least(-direction) - self.least(direction)) @ direction > _FLAT:
-                    break  # not flat: the new points enter the next round
+                    break  # not flat: continue with the new points
             else:
                 return vt[:rank].T
         return full

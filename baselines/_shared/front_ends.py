@@ -1,28 +1,27 @@
-"""What turns two point sets into putative pairs. A front end is part of a method's identity.
+"""Front ends: from two point sets to putative pairs. A front end is part of a method's identity.
 
 ``fpfh-mutual``
-    Open3D's FPFH features; pairs of points that are each other's nearest in feature space. Radii
+    Open3D's FPFH features; pairs of points that are mutual nearest neighbours in feature space. Radii
     are multiples of the target's median point spacing, the same for both sets. 3D only.
 ``norm-signature``
-    Own: two signatures of a point that no motion changes, its sorted distances to the nearest
-    neighbours, and quantiles of its distances to all points of the set; in 2D divided by their
-    mean, so that no scale changes them either. The first holds beside clutter, the second under
-    noise. Every source point with the `signature_neighbours` target points most alike in each. 2D
-    and 3D.
+    Two signatures of a point that are invariant to motion: the sorted distances to its nearest
+    neighbours, and quantiles of its distances to all points of the set. In 2D they are divided by their
+    mean and so invariant to scale. The first tolerates clutter, the second noise. Every source point is
+    paired with the `signature_neighbours` most similar target points by each. 2D and 3D.
 ``all-pairs``
-    Every source point with every target point. Where these are more than `max_pairs`, only as many
-    evenly spread source points as fit are paired, and the message says so. 2D and 3D.
+    Every source point with every target point. If these exceed `max_pairs`, only an evenly spread
+    subset of the source points is paired, and the message says so. 2D and 3D.
 ``oracle``
-    All true pairs with random ones, a share `oracle_outliers` of the whole. Made by the harness
-    from the truth, for methods that name this front end and no others: it favours a method, and
-    shows what it can do with good correspondences. 2D and 3D.
+    All true pairs and random pairs; the latter are the share `oracle_outliers` of the whole. The harness
+    makes them from the true pose, only for methods with this front end. It favours a method and shows
+    its results with good correspondences. 2D and 3D.
 
 ``shared-mutual``, ``shared-nearest``, ``shared-several``
     Matches that come with the instance, the same for all methods: nearest neighbours by FPFH features
-    of the whole clouds, made once by the harness with the settings of the data set. Mutual ones; of every
-    source point the nearest one; of every source point the five nearest. 3D only.
+    of the whole clouds, computed once by the harness with the settings of the data set. They are the
+    mutual ones, the nearest one of every source point, or its five nearest. 3D only.
 
-No front end gives more than `max_pairs`: the least similar are dropped, and the message says so.
+No front end returns more than `max_pairs` pairs: the least similar are dropped, and the message says so.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from dcreg.status import Status
 
 SHARED = ("shared-mutual", "shared-nearest", "shared-several")
 FRONT_ENDS = ("fpfh-mutual", "norm-signature", "all-pairs", "oracle", *SHARED)
-# Options that one front end alone looks at.
+# Options that a single front end uses.
 OPTIONS_OF = {
     "fpfh-mutual": ("normal_radius", "feature_radius"),
     "norm-signature": ("signature_neighbours",),
@@ -57,12 +56,12 @@ SIGNATURE_QUANTILES = np.linspace(0.1, 0.9, 9)
 
 
 class FrontEndError(Exception):
-    """A front end cannot give pairs for this instance; the message says why."""
+    """A front end has no pairs for this instance; the message says why."""
 
 
 @dataclass(frozen=True)
 class Putative:
-    """Rows (source index, target index), and what a reader should know of them."""
+    """Rows (source index, target index), and a note for the reader."""
 
     pairs: np.ndarray
     note: str = ""
@@ -70,7 +69,7 @@ class Putative:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a method makes of pairs: a pose or None, and whether it ended by itself."""
+    """The result of a method for given pairs: a pose or None, and whether it ended by itself."""
 
     pose: np.ndarray | None
     finished: bool = True
@@ -79,7 +78,7 @@ class Estimate:
 
 
 def unavailable(front_end: str) -> str | None:
-    """None when the front end can run here, otherwise the reason with how to get it."""
+    """Return None if the front end can run here, otherwise the reason and how to get it."""
     if front_end != "fpfh-mutual":
         return None
     try:
@@ -90,22 +89,22 @@ def unavailable(front_end: str) -> str | None:
 
 
 def missing_matches(instance: Instance, front_end: str | None) -> str | None:
-    """Why a shared front end has no matches for the instance; None: it has, or is another front end."""
+    """Return why a shared front end has no matches for the instance; None for any other case."""
     if front_end in SHARED and front_end not in instance.matches:
         return f"front end {front_end}: the data set of this instance has no shared matches"
     return None
 
 
 def putative_pairs(instance: Instance, options: dict[str, Any]) -> Putative:
-    """Pairs from the front end and settings named in `options`, the most similar first."""
+    """Return pairs from the front end and settings in `options`, the most similar first."""
     front_end, most = options["front_end"], options["max_pairs"]
     if front_end == "all-pairs":
         return all_pairs(instance, most)
     if front_end == "oracle":
         if instance.oracle_pairs is None:
             raise FrontEndError(
-                "front end oracle: this instance carries no oracle pairs; the harness gives them "
-                "to methods with the option front_end: oracle"
+                "front end oracle: this instance has no oracle pairs; the harness makes them only for "
+                "methods with the option front_end: oracle"
             )
         pairs = instance.oracle_pairs
     elif front_end in SHARED:
@@ -122,7 +121,7 @@ def putative_pairs(instance: Instance, options: dict[str, Any]) -> Putative:
 
 
 def fpfh_mutual(instance: Instance, normal_radius: float, feature_radius: float) -> np.ndarray:
-    """Mutual nearest FPFH matches; radii in median spacings of the target."""
+    """Return mutual nearest FPFH matches; radii in median spacings of the target."""
     spacing = median_spacing(instance.target)
     radii = normal_radius * spacing, feature_radius * spacing
     return _nearest_features(instance.source, instance.target, 1, radii)["shared-mutual"]
@@ -131,7 +130,7 @@ def fpfh_mutual(instance: Instance, normal_radius: float, feature_radius: float)
 def shared_matches(
     source: np.ndarray, target: np.ndarray, radii: tuple[float, float], viewpoint: Viewpoint = None
 ) -> dict[str, np.ndarray]:
-    """The matches of the shared front ends, the most similar first.
+    """Return the matches of the shared front ends, the most similar first.
 
     Parameters
     ----------
@@ -140,7 +139,7 @@ def shared_matches(
     radii : (of normals, of features)
         In the unit of the clouds.
     viewpoint : (3,) floats, optional
-        Where in the frame of either cloud its sensor was: normals are turned towards it.
+        Position of the sensor in the frame of either cloud; normals are oriented towards it.
     """
     return _nearest_features(source, target, SEVERAL, radii, viewpoint)
 
@@ -160,7 +159,7 @@ def _nearest_features(
     is_mutual = to_source[to_target[:, 0]] == rows
     nearest = np.argsort(distances[:, 0], kind="stable")
     mutual = nearest[is_mutual[nearest]]
-    # mutual ones first, then all nearest ones, then second ones, ...
+    # order: mutual, then all nearest, then second nearest, ...
     ranks = np.tile(np.arange(several), (len(source), 1))
     ranks[is_mutual, 0] = -1
     order = np.lexsort([distances.ravel(), ranks.ravel()])
@@ -172,7 +171,7 @@ def _nearest_features(
 
 
 def norm_signature(instance: Instance, neighbours: int) -> np.ndarray:
-    """Every source point with the target points most alike in each signature."""
+    """Pair every source point with the most similar target points by each signature."""
     size = min(len(instance.source), len(instance.target)) - 1
     if size < 1:
         return np.empty((0, 2), dtype=np.int64)
@@ -198,13 +197,13 @@ def norm_signature(instance: Instance, neighbours: int) -> np.ndarray:
 
 
 def all_pairs(instance: Instance, max_pairs: int) -> Putative:
-    """The complete bipartite list of pairs, of fewer source points where it is too long."""
+    """Return all pairs, of a subset of the source points if they are too many."""
     n, m = len(instance.source), len(instance.target)
     kept = max_pairs // m
     if kept < min(n, instance.dim):
         raise FrontEndError(
-            f"all-pairs gives {n * m} pairs, and max_pairs = {max_pairs} leaves {kept} of {n} "
-            "source points; raise it or thin the clouds"
+            f"all-pairs: {n * m} pairs exceed max_pairs = {max_pairs}, which leaves {kept} of {n} source "
+            "points; increase max_pairs or downsample the clouds"
         )
     rows, note = np.arange(n), ""
     if kept < n:
@@ -215,7 +214,7 @@ def all_pairs(instance: Instance, max_pairs: int) -> Putative:
 
 
 def oracle_pairs(true_pairs: np.ndarray, n: int, m: int, outliers: float, seed: int) -> np.ndarray:
-    """All true pairs and random wrong ones, a share `outliers` of the whole, in random order."""
+    """Return all true pairs and a share `outliers` of random false pairs, in random order."""
     generator = np.random.default_rng(seed)
     true = np.asarray(true_pairs, dtype=np.int64)
     wanted = round(len(true) * outliers / (1 - outliers))
@@ -225,7 +224,7 @@ def oracle_pairs(true_pairs: np.ndarray, n: int, m: int, outliers: float, seed: 
 
 
 def _fpfh(points: np.ndarray, radii: tuple[float, float], viewpoint: Viewpoint) -> np.ndarray:
-    """FPFH of every point, (n, 33)."""
+    """Return the FPFH features of every point, (n, 33)."""
     import open3d
 
     open3d_clouds.quiet()
@@ -244,7 +243,7 @@ def _fpfh(points: np.ndarray, radii: tuple[float, float], viewpoint: Viewpoint) 
 def _signatures(
     points: np.ndarray, nearest: int, free_scale: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances that no rigid motion changes, of every point: near ones, and from all over."""
+    """Return two signatures of every point: its nearest distances, and those with quantiles of all."""
     distances = cdist(points, points)
     near = np.sort(np.partition(distances, nearest, axis=1)[:, : nearest + 1], axis=1)[:, 1:]
     far = np.hstack([near, np.quantile(distances, SIGNATURE_QUANTILES, axis=1).T])
@@ -256,7 +255,7 @@ def _signatures(
 
 
 def _spread(points: np.ndarray, count: int) -> np.ndarray:
-    """Indices of `count` points, each the farthest from those before it, sorted."""
+    """Return the sorted indices of `count` points, each the farthest from those before it."""
     chosen = [int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))]
     nearest = np.full(len(points), np.inf)
     while len(chosen) < count:
@@ -266,9 +265,9 @@ def _spread(points: np.ndarray, count: int) -> np.ndarray:
 
 
 class CorrespondenceMethod(Baseline):
-    """A method that treats putative pairs from a front end.
+    """A method over putative pairs from a front end.
 
-    A subclass defines `estimate`, or `solve_pairs` when all it has to tell is a pose.
+    A subclass defines `estimate`, or `solve_pairs` if it returns a pose only.
     """
 
     def __init__(self, card: Card, **options: Any) -> None:
@@ -316,7 +315,7 @@ class CorrespondenceMethod(Baseline):
         pairs = putative.pairs
         counters = {"n_correspondences": len(pairs)}
         if len(pairs) < instance.dim:
-            message = f"{len(pairs)} correspondences, a pose needs {instance.dim}"
+            message = f"{len(pairs)} correspondences; a pose needs at least {instance.dim}"
             return Solution(Status.FAILED, None, message, counters=counters)
         found = self.estimate(instance, pairs, budget)
         late = budget.is_over

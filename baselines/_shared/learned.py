@@ -1,22 +1,22 @@
-"""Learned methods: the user's checkout and weights, run in a child process of its own interpreter.
+"""Learned methods: the user's checkout and weights, run in a child process with its own interpreter.
 
-Where the parts are is told by options of the method, or, where an option is empty, by environment
-variables (here for the folder ``dcp``):
+Options of the method locate the parts, or environment variables if an option is empty (here for the
+folder ``dcp``):
 
 - ``checkout``, ``DCREG_DCP_CHECKOUT``: folder of the authors' code;
 - ``weights``, ``DCREG_DCP_WEIGHTS``: file of the trained network;
-- ``python``, ``DCREG_DCP_PYTHON``: interpreter that has what the code needs; by default this one;
+- ``python``, ``DCREG_DCP_PYTHON``: interpreter with the packages that the code needs; default: this one;
 - ``device``, ``DCREG_DCP_DEVICE``: ``cpu`` (default), ``cuda``, ...
 
-The child runs ``_learned_child.py`` with the folder's ``runner.py``, loads the network once (in the
-warm-up, which is not timed) and then answers one line of JSON per line of JSON:
+The child runs ``learned_child.py`` with the folder's ``runner.py``. It loads the network once, in the
+warm-up, which is not timed. It then answers every line of JSON by one line of JSON:
 
 - request ``{"input": FILE, "output": FILE}``; the input is an ``.npz`` with ``source`` (n, 3), ``target``
   (m, 3), ``n_inliers``, ``noise_bound`` and ``seed``;
-- answer ``{"ok": true}``, the output then being an ``.npz`` with ``T_target_source`` (4, 4), or
+- answer ``{"ok": true}`` and an output ``.npz`` with ``T_target_source`` (4, 4), or
   ``{"error": TEXT}``. The first answer is ``{"ready": true}`` or ``{"error": TEXT}``.
 
-What the checkout prints is kept apart. The child ends when its input closes.
+Output of the checkout is kept separate. The child ends when its input closes.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ LOADING_S = 600.0  # for imports and the network, in the warm-up
 
 
 class ChildError(Exception):
-    """The child died, or said why it cannot answer."""
+    """The child died, or returned an error."""
 
 
 class LearnedMethod(Baseline):
-    """A folder with ``runner.py``; a subclass names what makes a folder a checkout of the method."""
+    """A method with a ``runner.py``; a subclass names the files that a checkout must have."""
 
     folder: Path  # of the method, with its runner.py
     expects: tuple[str, ...] = ()  # files that the checkout must have
@@ -60,7 +60,7 @@ class LearnedMethod(Baseline):
         self._child: Child | None = None
 
     def place(self, name: str) -> str:
-        """The option, or the environment variable where the option is empty."""
+        """Return the option, or the environment variable if the option is empty."""
         return str(self.options[name] or os.environ.get(self._variable(name), ""))
 
     def available(self) -> str | None:
@@ -70,11 +70,12 @@ class LearnedMethod(Baseline):
     def supports(self, instance: Instance) -> str | None:
         smaller = min(len(instance.source), len(instance.target))
         if instance.dim == 3 and smaller < self.least_points:
-            return f"{self.card.display_name} needs {self.least_points} points per cloud, not {smaller}"
+            name, least = self.card.display_name, self.least_points
+            return f"{name} needs at least {least} points per cloud, got {smaller}"
         return super().supports(instance)
 
     def warm_up(self, instance: Instance) -> None:
-        """Start the child and load the network. What goes wrong, `solve` will tell."""
+        """Start the child and load the network; `solve` reports errors."""
         small = tiny(instance)
         if self.supports(small) is None:
             self.solve(small, Limits(time_s=LOADING_S))
@@ -93,7 +94,7 @@ class LearnedMethod(Baseline):
             pose = self._child.register(instance, budget)
         except TimeoutError:
             self._drop_child()
-            # load the network anew while the next instance is on its way
+            # reload the network before the next instance
             self._child = self._started(limits.threads)
             message = "no answer within the time limit; the pose is the identity"
             return Solution(Status.TIME_LIMIT, np.eye(4), message)
@@ -114,7 +115,7 @@ class LearnedMethod(Baseline):
         return {**self.options, **places, "device": places["device"] or "cpu"}
 
     def _missing(self) -> str | None:
-        """What is not there, by name of option and variable."""
+        """Return what is missing, by name of option and variable."""
         for name in ("checkout", "weights"):
             if not self.place(name):
                 return f"no {name}: option {name} and variable {self._variable(name)} are empty"
@@ -141,7 +142,7 @@ class LearnedMethod(Baseline):
 
 
 class Child:
-    """The running child process with its folder of exchanged files."""
+    """The child process and the folder of exchanged files."""
 
     def __init__(self, runner: Path, settings: dict[str, Any], threads: int) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="dcreg-learned-")
@@ -165,18 +166,18 @@ class Child:
                 stderr=errors,
                 env={**os.environ, **counts},
             )
-        # also when the adapter is dropped without being closed
+        # also if the adapter is dropped without being closed
         self.close = weakref.finalize(self, _close, self._process, self._folder)
 
     def register(self, instance: Instance, budget: Budget) -> np.ndarray:
-        """The pose as the child gave it.
+        """Return the pose from the child.
 
         Raises
         ------
         TimeoutError
-            When the budget is over; the child may be in any state then.
+            If the budget is over; the state of the child is then unknown.
         ChildError
-            With the child's reason.
+            With the reason from the child.
         """
         if not self._ready:
             self._answer(budget)
@@ -203,7 +204,7 @@ class Child:
             return np.array(arrays["T_target_source"])
 
     def _answer(self, budget: Budget) -> None:
-        """Wait for the next answer, which must not be an error."""
+        """Wait for the next answer; raise if it is an error."""
         assert self._process.stdout is not None
         stream = self._process.stdout.fileno()
         while b"\n" not in self._buffer:
@@ -234,7 +235,7 @@ def _close(process: subprocess.Popen, folder: tempfile.TemporaryDirectory) -> No
 
 
 def _not_rigid(pose: np.ndarray) -> str | None:
-    """None for a rigid pose up to single precision, otherwise what it is instead."""
+    """Return None for a rigid pose (to single precision), otherwise what the array is."""
     if pose.shape != (4, 4):
         return f"an array of shape {pose.shape}, not (4, 4)"
     if not np.isfinite(pose).all():

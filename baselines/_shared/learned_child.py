@@ -1,9 +1,10 @@
-"""The child process of a learned method: its own interpreter, its own libraries.
+"""The child process of a learned method, with its own interpreter and libraries.
 
-Run as ``python learned_child.py RUNNER SETTINGS``, RUNNER a file that defines
+Run as ``python learned_child.py RUNNER SETTINGS``. RUNNER is a file that defines
 ``load(checkout, weights, settings)``, which returns a function from a problem (dict of arrays) to a
-(4, 4) pose; SETTINGS a JSON object with ``checkout``, ``weights`` and the method's options. Needs the
-standard library and NumPy only, Python 3.7 or later. See `baselines._shared.learned` for the protocol.
+(4, 4) pose. SETTINGS is a JSON object with ``checkout``, ``weights`` and the method's options. The child
+needs only the standard library, NumPy and Python 3.7 or later. See `baselines._shared.learned` for the
+protocol.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ def main() -> None:
     _die_with_parent()
     answers = _take_stdout()
     runner, settings = sys.argv[1], json.loads(sys.argv[2])
-    # this file's folder would offer the names of other methods as modules
+    # otherwise modules in this file's folder could shadow those of the checkout
     sys.path[0] = settings["checkout"]
     os.chdir(settings["checkout"])
     try:
         spec = importlib.util.spec_from_file_location("runner", runner)
         if spec is None or spec.loader is None:
-            raise ImportError("%s is no file of Python" % runner)  # noqa: UP031
+            raise ImportError("%s is not a Python file" % runner)  # noqa: UP031
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
         register = module.load(settings["checkout"], settings["weights"], settings)
@@ -54,13 +55,13 @@ def main() -> None:
 
 
 def _die_with_parent() -> None:
-    """Also in the middle of a computation, where the end of the input goes unseen (Linux)."""
+    """End with the parent, also during a computation, which does not see the end of the input (Linux)."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 def _take_stdout() -> TextIO:
-    """The stream of answers; whatever the checkout prints goes to stderr instead."""
+    """Return the stream of answers; output of the checkout goes to stderr instead."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     return answers

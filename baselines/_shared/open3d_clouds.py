@@ -8,7 +8,7 @@ import numpy as np
 
 
 def cloud(points: np.ndarray) -> Any:
-    """An Open3D point cloud with these points."""
+    """Return an Open3D point cloud with these points."""
     import open3d
 
     result = open3d.geometry.PointCloud()
@@ -18,7 +18,7 @@ def cloud(points: np.ndarray) -> Any:
 
 
 def quiet() -> None:
-    """Open3D prints warnings for ordinary outcomes such as no correspondences."""
+    """Silence Open3D, which warns about ordinary outcomes such as no correspondences."""
     import open3d
 
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)

@@ -1,14 +1,15 @@
 """Bounds over 2D similarities from linearised products, for RPM-BP and HBSP.
 
-With phi1 = t1^2 + t2^2, phi2 = t1 t3 + t2 t4 and phi3 = t1 t4 - t2 t3 the products in the objective have two
-factors: an aggregate g_f = sum p_ij f_ij of the matching, and a component of theta or phi,
+With phi1 = t1^2 + t2^2, phi2 = t1 t3 + t2 t4 and phi3 = t1 t4 - t2 t3 the products in the objective have
+two factors: an aggregate g_f = sum p_ij f_ij of the matching, and a component of theta or phi,
 
     E = g_xx phi1 + 2 g_x1 phi2 + 2 g_x2 phi3 - 2 (g_d t1 + g_w t2 + g_y1 t3 + g_y2 t4)
         + k (t3^2 + t4^2) + g_yy.
 
 Each product is replaced by the mean of its two active McCormick facets over the range of g_f (over all
-matchings) and of the other factor (over the box; exact, since the summands of each phi share no parameter).
-Then E is the sum of a constant, a linear function of the matching, minimised by a k-assignment, and
+matchings) and of the other factor (over the box; exact, since the summands of each phi share no
+parameter). Then E is the sum of a constant, a linear function of the matching, minimised by a
+k-assignment, and
 
     beta.theta + gamma.phi + k (t3^2 + t4^2),
 

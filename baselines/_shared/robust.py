@@ -1,4 +1,4 @@
-"""Fits to correspondences of which some are wrong: weighted, and by graduated non-convexity."""
+"""Robust fits to correspondences with outliers: weighted, and by graduated non-convexity."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ def gnc(
     bound: float,
     budget: Budget,
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Minimise ``sum(min(r^2, bound^2))``: from convex to truncated in steps of `GNC_FACTOR`.
+    """Minimise ``sum(min(r^2, bound^2))``, from a convex to the truncated cost in steps of `GNC_FACTOR`.
 
     Parameters
     ----------
     fit
         The minimiser for given weights.
     squared_residuals
-        Those of a minimiser.
+        The squared residuals of a minimiser.
 
     Returns
     -------
     minimiser, weights, finished
-        Weights above one half are inliers. It starts from equal weights and finds a good minimum,
-        mostly the best; that is no certificate.
+        Weights above one half are inliers. It starts from equal weights and usually finds the global
+        minimum, without a certificate.
     """
     weights = np.ones(n)
     best = fit(weights)
     r2 = squared_residuals(best)
     limit = bound**2
     ratio = 2 * r2.max() / limit - 1
-    if ratio <= 0:  # so near that the surrogate is convex: all are inliers
+    if ratio <= 0:  # the surrogate is convex: all are inliers
         return best, weights, True
     mu, cost = 1 / ratio, np.inf
     for _ in range(GNC_ITERATIONS):
@@ -65,7 +65,7 @@ def gnc(
 def gnc_rotation(
     source: np.ndarray, target: np.ndarray, bound: float, budget: Budget
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Rotation between vectors of which some are wrong; see `gnc`."""
+    """Return the rotation between vectors with outliers; see `gnc`."""
     return gnc(
         lambda weights: nearest_rotation((weights[:, None] * target).T @ source),
         lambda rotation: ((source @ rotation.T - target) ** 2).sum(axis=1),
@@ -82,7 +82,7 @@ def gnc_pose(
     scale_range: tuple[float, float],
     budget: Budget,
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Pose between points of which some are wrong; see `gnc`."""
+    """Return the pose between points with outliers; see `gnc`."""
     return gnc(
         lambda weights: fit_pose(source, target, scale_range, weights),
         lambda pose: squared_residuals(pose, source, target),
@@ -93,7 +93,7 @@ def gnc_pose(
 
 
 def squared_residuals(pose: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Squared distances of the moved source to the target, row by row."""
+    """Return the squared distances of the moved source to the target, row by row."""
     return ((apply_pose(pose, source) - target) ** 2).sum(axis=1)
 
 
@@ -105,7 +105,7 @@ def refit(
     scale_range: tuple[float, float] = (1.0, 1.0),
     iterations: int = 20,
 ) -> np.ndarray:
-    """Least squares over the correspondences within `bound`, as long as their number grows."""
+    """Fit the correspondences within `bound` by least squares, as long as their number grows."""
     count = int((squared_residuals(pose, source, target) <= bound**2).sum())
     for _ in range(iterations):
         near = squared_residuals(pose, source, target) <= bound**2

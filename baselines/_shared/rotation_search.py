@@ -1,15 +1,15 @@
-"""Most source points that one rotation can bring near target points: exact, by match lists.
+"""Maximum number of source points that one rotation moves near target points: exact, by match lists.
 
-For points about a common origin, R x can lie within a radius tau of y for some rotation only if
-``||x| - |y|| <= tau`` (the shell test); it does for a given R exactly if the angle between R x and
-y is at most eps, with ``cos eps = (|x|^2 + |y|^2 - tau^2) / (2 |x||y|)``. Rotation vectors of a cube
+For points about a common origin, R x lies within a radius tau of y for some rotation only if
+``||x| - |y|| <= tau`` (the shell test). For a given R it does if and only if the angle between R x and y
+is at most eps, with ``cos eps = (|x|^2 + |y|^2 - tau^2) / (2 |x||y|)``. Rotation vectors of a cube
 with half-width s lie within an angle delta = min(sqrt(3) s, pi) of its centre, so a pair is possible
 in the cube only if the angle at the centre is at most eps + delta. Counting source points that have
 a possible partner bounds the count from above. A cube tests only the pairs possible in its parent.
-The published alternative, circle indices in a stereographic projection, answers the same test. Tried
-as a tree of caps per source point (a projection maps caps to circles), with the same results, it
-was slower than match lists but for wide radii from some 100 points on (1.2 times as fast there, twice
-at 300), and in single searches at the radii of noise slower at all sizes up to 1000 points.
+The published alternative, circle indices in a stereographic projection, answers the same test. We tried
+a tree of caps per source point (the projection maps caps to circles). It gave the same results and was
+slower than match lists, except for wide radii with about 100 points or more (1.2 times as fast, twice at
+300 points). In single searches at noise radii it was slower at all sizes up to 1000 points.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.kernels.rotations import BEST, CUBES, GIVEN_UP, PAUSED, STACKED, divide_cubes
 from dcreg.search import Budget
 
-_TESTS_PER_SLICE = 2_000_000  # pair tests between two looks at the clock: some 20 ms
+_TESTS_PER_SLICE = 2_000_000  # pair tests between two checks of the budget, about 20 ms
 
 
 @dataclass(frozen=True)
 class Found:
-    """`upper_bound` on the count over all rotations, and the best rotation met with its count."""
+    """An upper bound on the count over all rotations, and the best rotation found with its count."""
 
     upper_bound: int
     count: int
@@ -38,14 +38,14 @@ class Found:
 def most_matches(
     source: np.ndarray, target: np.ndarray, radius: float, cutoff: int, slack: int, budget: Budget
 ) -> Found:
-    """Bound the number of source points that a rotation brings within `radius` of a target point.
+    """Bound the number of source points that a rotation moves within `radius` of a target point.
 
     Parameters
     ----------
     source, target : (n, 3), (m, 3) arrays
     radius : float
     cutoff : int
-        Counts up to this one are of no interest: the bound is not made lower.
+        The bound is not refined below this count.
     slack : int
         The bound may exceed the best count by this much.
     budget : Budget
@@ -53,7 +53,7 @@ def most_matches(
     Raises
     ------
     OutOfTimeError
-        When the budget is over.
+        If the budget is over.
     """
     norms, others = np.linalg.norm(source, axis=1), np.linalg.norm(target, axis=1)
     pairs = np.column_stack(np.nonzero(np.abs(norms[:, None] - others) <= radius))
@@ -63,9 +63,9 @@ def most_matches(
 def most_correspondences(
     source: np.ndarray, target: np.ndarray, radius: float, cutoff: int, slack: int, budget: Budget
 ) -> Found:
-    """Bound the number of rows i whose source a rotation brings within `radius` of target i.
+    """Bound the number of rows i whose source a rotation moves within `radius` of target i.
 
-    Parameters and result are those of `most_matches`, but for `target`: (n, 3), row by row.
+    Parameters and result are those of `most_matches`, except `target`: (n, 3), row by row.
     """
     lengths = np.linalg.norm(source, axis=1) - np.linalg.norm(target, axis=1)
     rows = np.flatnonzero(np.abs(lengths) <= radius)
@@ -73,7 +73,7 @@ def most_correspondences(
 
 
 def warm_up() -> None:
-    """Compile the search; problems as easy as those of a warm-up end without it."""
+    """Compile the search, which the easy problem of a warm-up does not reach."""
     most_matches(np.eye(3), np.eye(3), 0.1, 0, 0, Budget())
 
 
@@ -86,7 +86,7 @@ def _most_of(
     slack: int,
     budget: Budget,
 ) -> Found:
-    """The search over `pairs` (by source index) that pass the shell test."""
+    """Search over the `pairs` (sorted by source index) that pass the shell test."""
     n_possible = len(np.unique(pairs[:, 0]))
     if n_possible <= cutoff:
         return Found(n_possible, 0, np.eye(3), 0)
@@ -116,12 +116,12 @@ def _most_of(
 
 
 def _cosines(a: np.ndarray, b: np.ndarray, radius: float) -> np.ndarray:
-    """cos and sin of the largest angle between points of length a and b within the radius."""
+    """Return cos and sin of the maximum angle between points of length a and b within the radius."""
     gap = np.abs(a - b)
-    # By sin^2(eps / 2): 1 - cos eps itself would lose half the digits of a small eps.
+    # Via sin^2(eps / 2): 1 - cos eps loses half of the digits of a small eps.
     with np.errstate(divide="ignore", invalid="ignore"):
         half = (radius - gap) * (radius + gap) / (4 * a * b)
-    # A point in the origin, or both within the radius of it: every rotation will do.
+    # A point at the origin, or both within the radius of it: every rotation matches.
     half = np.where(a + b <= radius, 1.0, np.clip(half, 0.0, 1.0))
     return np.column_stack([1.0 - 2.0 * half, 2.0 * np.sqrt(half * (1.0 - half))])
 

@@ -10,7 +10,7 @@
     cube. Their order is mixed, so that a limit leaves poses spread over the whole list.
     The result is the refined pose with the minimum symmetric trimmed distance: the sum of the
     ``n_inliers`` smallest squared nearest-neighbour distances from source to target and of those
-    from target to source. One direction does not suffice: a shrunken source is near the target everywhere.
+    from target to source. Both are needed, since a shrunken source is near the target everywhere.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Rotation search nested in a translation search: the largest consensus over all rigid poses."""
+"""FRS: a rotation search nested in a translation search, for the maximum consensus of rigid poses."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """FRS: branch and bound over translations with an exact rotation search in every cube.
 
-Maximised is the number of source points that R x + t brings within ``radius`` of a target point. In
-a cube of translations with half-diagonal rho, R x + t comes within the radius for some t of the cube
-only if R x comes within radius + rho of y - t0; the rotation search then bounds the count for all
-rotations. Objective values here are minus the counts, as the search minimises.
+The search maximises the number of source points that R x + t moves within ``radius`` of a target
+point. In a cube of translations with half-diagonal rho and centre t0, R x + t lies within the radius
+of y for some t only if R x lies within radius + rho of y - t0. The rotation search then bounds the
+count over all rotations. Objective values are minus the counts, since the search minimises.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dcreg.search import Budget
 
 
 class TranslationCubes:
-    """The bound of a cube of translations; improves the incumbent on the way."""
+    """The bound of a cube of translations; it also improves the incumbent."""
 
     def __init__(self, consensus: Consensus, incumbent: Incumbent, slack: int, budget: Budget):
         self.consensus, self.incumbent = consensus, incumbent
@@ -26,11 +26,12 @@ class TranslationCubes:
         self.n_rotation_cubes = 0
 
     def bound(self, centre: np.ndarray, half: float, passed_on: None = None) -> tuple[float, None]:
-        """Minus the most source points matched by any rotation and a translation of the cube."""
+        """Return minus a bound on the number of matches of any rotation and translation of the cube."""
         problem = self.consensus
         rho = np.sqrt(3.0) * half
         known = int(-self.incumbent.value)
-        # Once cubes are small against the radius an exact count decides; before, a rough one does.
+        # Cubes that are small relative to the radius need an exact count; for others a rough one
+        # suffices.
         slack = self.slack if rho > problem.radius else 0
         found = most_matches(
             problem.source,
@@ -51,9 +52,9 @@ class TranslationCubes:
 def matching_translations(
     source: np.ndarray, target: np.ndarray, radius: float
 ) -> tuple[np.ndarray, float]:
-    """Centre and half-width of a cube with every t for which some R x + t is near some y.
+    """Return centre and half-width of a cube with every t such that some R x + t is near some y.
 
-    t = y - R x up to `radius`: the target's bounding box, grown by the longest x.
+    t = y - R x up to `radius`: the bounding box of the target, extended by the longest x.
     """
     low, high = target.min(axis=0), target.max(axis=0)
     half = (high - low).max() / 2 + np.linalg.norm(source, axis=1).max() + radius

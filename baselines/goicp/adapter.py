@@ -1,4 +1,4 @@
-"""Go-ICP behind the contract: normalisation, search, and back to the units of the target."""
+"""Go-ICP: normalisation, search, and conversion to the units of the target."""
 
 from __future__ import annotations
 
@@ -61,10 +61,10 @@ class Adapter(Baseline):
 
 
 class Frame:
-    """Both clouds centred on their means and divided by one length, or left as they are.
+    """Both clouds centred at their means and divided by one length, or unchanged.
 
-    The source's points are shuffled: terms are added until they exceed a cutoff, and points far
-    from one another exceed it sooner than neighbours.
+    The source points are shuffled: terms are added until they exceed a cutoff, and distant points exceed
+    it sooner than neighbours.
     """
 
     def __init__(self, instance: Instance, normalise: bool) -> None:
@@ -83,7 +83,7 @@ class Frame:
         self.target = (instance.target - self.origin_target) / self.unit
 
     def restore(self, pose: np.ndarray) -> np.ndarray:
-        """A pose of this frame in the coordinates of the instance."""
+        """Return a pose of this frame in the coordinates of the instance."""
         rotation = pose[:3, :3]
         shift = self.unit * pose[:3, 3] + self.origin_target - rotation @ self.origin_source
         return homogeneous(1.0, rotation, shift)
@@ -92,11 +92,11 @@ class Frame:
 def optimal_translations(
     source: np.ndarray, target: np.ndarray, n_kept: int
 ) -> tuple[np.ndarray, float]:
-    """Centre and half-width of a cube that holds the translation of every optimal pose.
+    """Return centre and half-width of a cube that contains the translation of every optimal pose.
 
-    At an optimum t = mean(partners) - R mean(kept source points). The first lies in the target's
-    bounding box. For points x_i = mean + v_i the second is no longer than |mean| plus the least of
-    two bounds on |mean of k of the v_i|: the mean of the k longest, and, since all sum to zero, the
+    At an optimum t = mean(partners) - R mean(kept source points). The first lies in the bounding box of
+    the target. For points x_i = mean + v_i the second is no longer than |mean| plus the smaller of two
+    bounds on |mean of k of the v_i|: the mean of the k longest, and, since all v_i sum to zero, the
     sum of the n - k longest over k.
     """
     mean = source.mean(axis=0)

@@ -1,12 +1,12 @@
-"""Exact nearest-neighbour distances from cells that list every point that can be nearest in them.
+"""Exact nearest-neighbour distances from cells that list all points that can be nearest in them.
 
-A point y can be nearest for some position in a cell with centre c and half-diagonal r only if
-``|y - c| <= min_j |y_j - c| + 2 r`` (triangle inequality, twice). Listing those points per cell
-makes a query a look-up and a scan of a few coordinates that lie side by side: the speed of a
-distance transform without its discretisation, so that bounds made of it are true bounds.
+A point y can be nearest to some position in a cell with centre c and half-diagonal r only if
+``|y - c| <= min_j |y_j - c| + 2 r`` (triangle inequality, twice). With a list of these points per cell
+a query is a look-up and a scan of a few contiguous coordinates. It is as fast as a distance transform,
+without discretisation, so its bounds are valid.
 
-Two grids of the same number of cells: a fine one around the target, and a coarse one that covers
-every place a moved source point can reach. Elsewhere all points are scanned.
+There are two grids with the same number of cells: a fine one around the target, and a coarse one that
+covers all positions that a moved source point can reach. Elsewhere all points are scanned.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _MARGIN = 0.25  # of the fine grid, in half-widths of the target
 
 
 class Cells:
-    """Distances to `target` (m, 3); fastest within `reach` of the origin along each axis."""
+    """Distances to `target` (m, 3); fast within `reach` of the origin along each axis."""
 
     def __init__(self, target: np.ndarray, reach: float, per_axis: int) -> None:
         target = np.ascontiguousarray(target, dtype=np.float64)
@@ -31,9 +31,9 @@ class Cells:
         for origin, width in ((centre - fine, 2 * fine), (np.full(3, -reach), 2 * reach)):
             starts, points = build(target, origin, width / per_axis, per_axis)
             parts += [np.append(origin, per_axis / width), starts, points]
-        # One tuple of arrays, as the kernels take it.
+        # One tuple of arrays, in the form of the kernels.
         self.arrays = (*parts, target, np.array([per_axis]))
 
     def distances(self, points: np.ndarray) -> np.ndarray:
-        """Distance of each point (n, 3) to the nearest target point."""
+        """Return the distance of each point (n, 3) to the nearest target point."""
         return all_distances(np.ascontiguousarray(points, dtype=np.float64), self.arrays)

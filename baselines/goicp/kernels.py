@@ -1,15 +1,15 @@
-"""The inner search of Go-ICP, over translations, and its nearest distances, compiled.
+"""Compiled inner search of Go-ICP over translations, and nearest distances.
 
-One search serves a rotation cube with centre R0. With e_i(t) = d(R0 x_i + t, Y), gamma_i the
-rotation's uncertainty radius of point i and gamma_t a translation cube's half-diagonal, and sums
-over the k smallest terms:
+One search serves a rotation cube with centre R0. Let e_i(t) = d(R0 x_i + t, Y), gamma_i the uncertainty
+radius of point i by the rotation, gamma_t the half-diagonal of a translation cube, and take sums over
+the k smallest terms:
 
     true value   sum e_i(t)^2                                 an upper bound on the optimum
     relaxed      sum max(e_i(t) - gamma_i, 0)^2               an upper bound on the relaxed minimum
     bound        sum max(e_i(t0) - gamma_i - gamma_t, 0)^2    a lower bound over both cubes
 
-All three come from the same distances, so the search for the rotation's lower bound also finds
-the poses for its upper bound and no second search is run.
+All three use the same distances, so the search for the lower bound of the rotation cube also provides the
+poses for its upper bound, without a second search.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from dcreg.jit import jit
 BLOCK = 4  # cells per axis that share one preliminary list
 FINISHED, PAUSED, FULL = 0, 1, 2
 
-# Places in the state that a paused search keeps.
+# Entries of the state of a paused search.
 SIZE, DISCARDED, RELAXED, TRUE, TRUE_X, TRUE_Y, TRUE_Z, EVALUATED = range(8)
 
 
 @jit
 def cube_values(points, gamma, gamma_t, t, n_kept, cells, cutoff, scratch, dropped):
-    """(bound, relaxed, true) of a translation cube with centre `t`; see the module's text.
+    """Return (bound, relaxed, true) of a translation cube with centre `t`; see the module.
 
-    Terms are added one by one and most cubes need few of them: once the sum reaches `cutoff` the
-    answer is (that sum, inf, inf), a lower bound still. `dropped` holds the largest terms met so
-    far, as many as are trimmed in the end, which the sum leaves out.
+    Terms are added one by one, and most cubes need few. Once the sum reaches `cutoff` the result is (this
+    sum, inf, inf), still a lower bound. `dropped` contains the largest terms so far, as many as are
+    trimmed, which the sum leaves out.
     """
     n = len(points)
     n_dropped = n - n_kept
@@ -41,7 +41,7 @@ def cube_values(points, gamma, gamma_t, t, n_kept, cells, cutoff, scratch, dropp
         rest = max(scratch[i] - gamma[i], 0.0)
         if n_dropped > 0:
             rest = _exchange(dropped, min(i, n_dropped), n_dropped, rest)
-        # gamma_t is the same for all, so the smallest terms are those of the smallest rests.
+        # gamma_t is equal for all points, so the smallest terms have the smallest remainders.
         bound += max(rest - gamma_t, 0.0) ** 2
         relaxed += rest**2
         if bound >= cutoff:
@@ -57,8 +57,8 @@ def cube_values(points, gamma, gamma_t, t, n_kept, cells, cutoff, scratch, dropp
 
 @jit
 def _exchange(dropped, size, capacity, value):
-    """Put `value` among the largest so far; return the one that it pushed out (0 while none)."""
-    if size < capacity:  # a heap with its least element first
+    """Insert `value` into the largest so far; return the value that it displaces (0 if none)."""
+    if size < capacity:  # a heap with its minimum first
         child = size
         while child > 0 and dropped[(child - 1) // 2] > value:
             dropped[child] = dropped[(child - 1) // 2]
@@ -85,8 +85,8 @@ def _exchange(dropped, size, capacity, value):
 def search_translations(points, gamma, n_kept, cells, cutoff, gap, heap, state, budget):
     """Best-first search until the relaxed minimum is known to `gap`, or to be at least `cutoff`.
 
-    Rows of `heap`: lower bound, centre, half-width of a cube. The bound found is the least of the
-    first row and DISCARDED. After `budget` cubes the search pauses and can be called again.
+    Rows of `heap`: lower bound, centre, half-width of a cube. The bound is the minimum of the first row's
+    and DISCARDED. After `budget` cubes the search pauses and can be called again.
     """
     scratch = np.empty(len(points))
     dropped = np.empty(len(points))
@@ -161,7 +161,7 @@ def _pop(heap, size):
 
 @jit
 def distance(x, y, z, cells):
-    """Distance from a position to the nearest target point."""
+    """Return the distance of a position to the nearest target point."""
     grid, starts, points, wide, wide_starts, wide_points, target, size = cells
     n = size[0]
     cell = _cell(x, y, z, grid, n)
@@ -202,7 +202,7 @@ def all_distances(points, cells):
 
 @jit
 def build(target, origin, side, n):
-    """Start of each cell's list (n^3 + 1) and the lists' coordinates, cells in C order."""
+    """Return the start of each cell's list (n^3 + 1) and the coordinates of the lists, in C order."""
     m = len(target)
     blocks = n // BLOCK
     everyone = np.arange(m)
@@ -240,13 +240,13 @@ def build(target, origin, side, n):
 
 @jit
 def _candidates(target, among, n_among, x, y, z, side, found):
-    """Those of the listed points that can be nearest in the cell of this centre; their number."""
+    """Select the listed points that can be nearest in the cell with this centre; return their number."""
     squared = np.empty(n_among)
     for a in range(n_among):
         p = among[a]
         dx, dy, dz = x - target[p, 0], y - target[p, 1], z - target[p, 2]
         squared[a] = dx * dx + dy * dy + dz * dz
-    # A cell's edge belongs to it up to rounding, hence the tiny excess.
+    # The edge of a cell belongs to it up to rounding, hence the small excess.
     limit = (np.sqrt(squared.min()) + np.sqrt(3.0) * side) ** 2 * (1 + 1e-9)
     n_found = 0
     for a in range(n_among):

@@ -1,9 +1,9 @@
 """Go-ICP: nested branch and bound over rotations and translations, with ICP for the incumbent.
 
-Minimised is the sum of the k smallest squared distances from moved source points to their nearest
-target points (many to one). The outer search divides the cube [-pi, pi]^3 of rotation vectors.
-Rotations of a cube with half-width s lie within an angle alpha = min(sqrt(3) s, pi) of its centre,
-so they move point i by at most gamma_i = 2 sin(alpha / 2) |x_i| from where the centre puts it.
+The search minimises the sum of the k smallest squared distances from moved source points to their nearest
+target points (many to one). The outer search divides the cube [-pi, pi]^3 of rotation vectors. Rotations
+of a cube with half-width s lie within an angle alpha = min(sqrt(3) s, pi) of its centre, so point i lies
+within gamma_i = 2 sin(alpha / 2) |x_i| of its position by the centre.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from baselines.goicp import kernels
 from baselines.goicp.distance import Cells
 from dcreg.search import Budget, Outcome
 
-_DISTANCES_PER_SLICE = 200_000  # of the inner search between two looks at the clock: some 20 ms
-# The inner search ends when it knows the relaxed minimum to this share of the tolerance. With the
-# whole tolerance, as published, a true bound (not the relaxed minimum itself) decides too little.
+_DISTANCES_PER_SLICE = 200_000  # of the inner search between two checks of the budget, about 20 ms
+# The inner search stops when it knows the relaxed minimum to this share of the tolerance. With the whole
+# tolerance, as published, a true bound (unlike the relaxed minimum itself) prunes too few cubes.
 _INNER_SHARE = 0.5
 
 
 @dataclass(frozen=True)
 class Settings:
-    """See the card for what they mean; lengths in the units of the points given to `search`."""
+    """Options of the card; lengths in the units of the points given to `search`."""
 
     n_kept: int
     tolerance: float
@@ -60,7 +60,7 @@ class GoICP:
         self._heap = np.empty((4096, 5))
 
     def run(self) -> Outcome:
-        """Search all rotations until the gap is closed or a limit met; the pose is the incumbent's."""
+        """Search all rotations until the gap is closed or a limit is reached."""
         settings = self.settings
         self._descend(spread_poses(settings.n_starts, settings.seed, settings.translation_centre))
         root = np.zeros(3), np.pi
@@ -71,12 +71,12 @@ class GoICP:
     def bound_cube(
         self, centre: np.ndarray, half: float, passed_on: None = None
     ) -> tuple[float, None]:
-        """Lower bound over the rotations of a cube and all translations; improves the incumbent."""
+        """Bound the rotations of a cube with all translations from below; improve the incumbent."""
         if np.linalg.norm(centre) - np.sqrt(3.0) * half > np.pi:
             return (
                 np.inf,
                 None,
-            )  # outside the ball of rotation vectors: other cubes hold its rotations
+            )  # outside the ball of rotation vectors: other cubes contain its rotations
         rotation = Rotation.from_rotvec(centre).as_matrix()
         gamma = uncertainty(half, self.norms)
         bound, value, translation = self.search_translations(rotation, gamma)
@@ -87,7 +87,7 @@ class GoICP:
     def search_translations(
         self, rotation: np.ndarray, gamma: np.ndarray
     ) -> tuple[float, float, np.ndarray]:
-        """Relaxed lower bound, and the least true value met with its translation."""
+        """Return the relaxed lower bound, and the minimum true value found with its translation."""
         settings = self.settings
         points = self.source @ rotation.T
         cutoff = self.incumbent.value - settings.tolerance
@@ -113,7 +113,7 @@ class GoICP:
 
     def _descend(self, poses: np.ndarray) -> None:
         refined, _ = self.local.descend_until(poses, self.settings.icp_tolerance, self.budget)
-        # A descent may leave the cube of translations that the bounds speak of.
+        # A descent may leave the cube of translations to which the bounds refer.
         for pose in (*refined, *poses):
             offset = np.abs(pose[:3, 3] - self.settings.translation_centre).max()
             if offset <= self.settings.translation_half_width:
@@ -121,5 +121,5 @@ class GoICP:
 
 
 def uncertainty(half: float, norms: np.ndarray) -> np.ndarray:
-    """How far rotations of a cube with this half-width move points from where its centre puts them."""
+    """Return how far rotations of a cube with this half-width move points relative to its centre."""
     return 2.0 * np.sin(min(np.sqrt(3.0) * half, np.pi) / 2.0) * norms

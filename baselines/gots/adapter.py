@@ -1,4 +1,4 @@
-"""Translation by matched rotation-invariant features, then the rotation, then a local descent."""
+"""GoTS, reconstructed: translation by rotation-invariant features, then rotation and refinement."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SCOPE = (
     "all translations; bounds are eps^2 (n_inliers - c) for c (c - 1) / 2 pairs, the lower one below any "
     "sum of n_inliers one-to-one squared residuals; the rotation is found after it, uncertified"
 )
-_TRANSLATION_TIME = 0.8  # share of the time limit; the rest is the rotation's
+_TRANSLATION_TIME = 0.8  # share of the time limit; the rest is for the rotation
 
 
 class Adapter(Baseline):
@@ -68,9 +68,9 @@ class Adapter(Baseline):
     def _pose(
         self, problem: Consensus, translation: np.ndarray, starts: list[Any], budget: Budget
     ) -> tuple[np.ndarray, dict[str, float], bool]:
-        """The pose of largest consensus, and whether the search of its rotation ended.
+        """Return the pose of maximum consensus, and whether its rotation search finished.
 
-        It is the one at the found translation, or a start's if that is better.
+        It is the pose at the translation found, or a pose refined from an initial one if that is better.
         """
         pose, count = max(starts, key=lambda start: start[1])
         at_translation, ended = 0, True
@@ -83,6 +83,6 @@ class Adapter(Baseline):
             if at_translation >= count:
                 pose, count = turned, at_translation
         except OutOfTimeError:
-            ended = False  # the best start is the answer
+            ended = False  # use the best refined initial pose
         extra = {"matched": float(count), "matched_at_translation": float(at_translation)}
         return pose, extra, ended

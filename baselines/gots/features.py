@@ -1,12 +1,13 @@
-"""Rotation-invariant features of point pairs, and how many of them a translation can match.
+"""Rotation-invariant features of point pairs, and the number that a translation can match.
 
 For a translation t followed by any rotation about the origin, a source pair (i, k) has the features
 ``(|x_i + t|, |x_k + t|, |x_i - x_k|)`` and an ordered target pair (j, l) has ``(|y_j|, |y_l|,
-|y_j - y_l|)``. If some rotation brings both points within eps of their partners, the features differ
-by at most eps, eps and 2 eps: a weighted infinity norm, so a match is a target feature in a box.
+|y_j - y_l|)``. If some rotation moves both points within eps of their partners, the features differ by at
+most eps, eps and 2 eps. This is a weighted infinity norm, so a match is a target feature in a box.
 
-The box of a source pair for a whole cube of translations is the cube's interval of each norm, grown
-by eps; the pairs whose box holds a target feature are at least as many as any t of the cube matches.
+For a cube of translations, the box of a source pair is the interval of each norm over the cube,
+extended by eps. The number of pairs whose box contains a target feature bounds the matches of any t in
+the cube.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ class FeatureTree:
         first, second = np.nonzero(~np.eye(len(target), dtype=bool))
         lengths = np.linalg.norm(target[first] - target[second], axis=1)
         features = np.column_stack([norms[first], norms[second], lengths])
-        # A child holds at most half of its parent's features, rounded up.
+        # A child has at most half of its parent's features, rounded up.
         self.levels = max(0, int(np.ceil(np.log2(max(len(features), 1) / _LEAF))))
         n_nodes = 2 ** (self.levels + 1) - 1
         self.spans = np.zeros((n_nodes, 2), np.int64)
@@ -53,5 +54,5 @@ class FeatureTree:
 
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """What the kernels take."""
+        """Return the arrays for the kernels."""
         return self.features, self.spans, self.boxes, self.norms

@@ -1,4 +1,4 @@
-"""Compiled tests of pair features: see `baselines.gots.features`."""
+"""Compiled tests of pair features; see `baselines.gots.features`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dcreg.jit import jit
 
 @jit
 def matched_pairs(source, pairs, listed, centre, half, eps, bar, features, spans, boxes, norms):
-    """Those of the listed source pairs that some t of the cube may match; None too few for `bar`.
+    """Return the listed source pairs that some t of the cube may match, and a bound on their number.
 
-    Returns (pairs kept, bound on their number). The bound is valid also when the count was given
-    up because it cannot exceed `bar`. With ``half = 0`` it is the exact count at the centre.
+    The count stops if it cannot exceed `bar`; the bound is still valid. With ``half = 0`` it is the exact
+    count at the centre.
     """
     n = len(source)
     low, high = np.empty(n), np.empty(n)
@@ -21,7 +21,7 @@ def matched_pairs(source, pairs, listed, centre, half, eps, bar, features, spans
         low[i], high[i] = _norm_interval(source[i], centre, half)
         low[i] -= eps
         high[i] += eps
-        # A point without any target norm in reach is in no matched pair.
+        # A point without a target norm within reach is in no matched pair.
         place = np.searchsorted(norms, low[i])
         alone[i] = place == len(norms) or norms[place] > high[i]
     kept = np.empty(len(listed), np.int32)
@@ -43,7 +43,7 @@ def matched_pairs(source, pairs, listed, centre, half, eps, bar, features, spans
 
 @jit
 def _norm_interval(x, centre, half):
-    """Least and largest |x + t| over the cube, widened by rounding."""
+    """Return the range of |x + t| over the cube, widened by rounding."""
     least = largest = 0.0
     for axis in range(3):
         a = abs(x[axis] + centre[axis])
@@ -54,7 +54,7 @@ def _norm_interval(x, centre, half):
 
 @jit
 def _holds(low_a, high_a, low_b, high_b, low_c, high_c, features, spans, boxes):
-    """Whether a target feature lies in the box."""
+    """Return whether a target feature lies in the box."""
     stack = np.empty(64, np.int64)
     stack[0] = 0
     size = 1

@@ -1,7 +1,7 @@
 """GoTS: branch and bound over translations for the most matched pair features.
 
-Objective values are minus the number of matched source pairs at a translation. What they say of
-points: c source points matched one to one at a pose give c (c - 1) / 2 matched pairs there.
+Objective values are minus the number of matched source pairs at a translation. c source points that are
+matched one to one at a pose give c (c - 1) / 2 matched pairs.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dcreg.search import Budget
 
 
 class TranslationCubes:
-    """The bound of a cube of translations; it passes the list of pairs still possible on to the parts."""
+    """The bound of a cube of translations; it passes the list of possible pairs on to the octants."""
 
     def __init__(
         self, source: np.ndarray, target: np.ndarray, eps: float, incumbent: Incumbent,
@@ -25,20 +25,20 @@ class TranslationCubes:
         self.incumbent, self.budget = incumbent, budget
         first, second = np.triu_indices(len(source), 1)
         lengths = np.linalg.norm(source[first] - source[second], axis=1)
-        # Long pairs are the rarest: they fail first, and a cube is given up sooner.
+        # Long pairs are rare and fail first, so that a cube is discarded sooner.
         order = np.argsort(-lengths, kind="stable")
         self.pairs = np.column_stack([first, second, lengths])[order]
         self.all_pairs = np.arange(len(self.pairs), dtype=np.int32)
         self.tree = FeatureTree(target)
 
     def count(self, translation: np.ndarray) -> int:
-        """Source pairs with a matching target pair at the translation."""
+        """Count the source pairs with a matching target pair at the translation."""
         return self._matched(self.all_pairs, translation, 0.0, -1)[1]
 
     def bound(
         self, centre: np.ndarray, half: float, possible: np.ndarray
     ) -> tuple[float, np.ndarray]:
-        """Minus the most pairs that a translation of the cube may match; improves the incumbent."""
+        """Return minus the maximum number of pairs in the cube; improve the incumbent."""
         if self.budget.is_over:
             raise OutOfTimeError
         known = int(-self.incumbent.value)
@@ -58,14 +58,14 @@ class TranslationCubes:
 
 
 def points_of(n_pairs: float) -> float:
-    """The number c of points with c (c - 1) / 2 = `n_pairs` pairs; 0 or 1 points have none."""
+    """Return the number c of points with c (c - 1) / 2 = `n_pairs` pairs."""
     return (1.0 + np.sqrt(1.0 + 8.0 * n_pairs)) / 2.0
 
 
 def matching_translations(
     source: np.ndarray, target: np.ndarray, eps: float
 ) -> tuple[np.ndarray, float]:
-    """Centre and half-width of a cube with every t for which some x + t has the norm of some y."""
+    """Return centre and half-width of a cube with every t such that some x + t has the norm of some y."""
     low, high = source.min(axis=0), source.max(axis=0)
     half = (high - low).max() / 2 + np.linalg.norm(target, axis=1).max() + eps
     return -(low + high) / 2, float(half) * (1 + 1e-9)

@@ -1,4 +1,4 @@
-"""HBSP, reconstructed: semidefinite relaxation with bilinear envelopes, a small SDP for every box."""
+"""HBSP, reconstructed: semidefinite relaxation with bilinear envelopes; one small SDP per box."""
 
 from __future__ import annotations
 

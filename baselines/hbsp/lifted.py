@@ -1,16 +1,16 @@
 """Quadratic functions over the box [-1, 1]^d, relaxed to a semidefinite programme of order d + 1.
 
-Y stands for s^2 (1, z) (1, z)^T with z in the box and some s in (0, 1]. Relaxed, Y is positive
-semidefinite and satisfies the products of the box's linear inequalities,
+Y represents s^2 (1, z) (1, z)^T with z in the box and some s in (0, 1]. The relaxed Y is positive
+semidefinite and satisfies the products of the linear inequalities of the box,
 
     Y_00 - Y_ii >= 0,   Y_00 +- Y_0i +- Y_0j +- Y_ij >= 0   (signs of (1 +- z_i) (1 +- z_j)),
 
 one normalisation <N, Y> = 1, and trace Y <= d + 1, which follows from the first rows and s <= 1. For any
 mu >= 0 and any lambda every such Y has
 
-    <C, Y> >= lambda + (d + 1) min(0, least eigenvalue of C - sum_k mu_k A_k - lambda N).
+    <C, Y> >= lambda + (d + 1) min(0, minimum eigenvalue of C - sum_k mu_k A_k - lambda N).
 
-The solver only proposes mu and lambda: its tolerances cannot make the bound wrong.
+The solver only proposes mu and lambda, so its tolerances cannot invalidate the bound.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SQRT2 = np.sqrt(2.0)
 
 
 class LiftedBox:
-    """The programme for one dimension; its structure is set up once, its numbers per box.
+    """The programme for one dimension. Its structure is set up once, its coefficients per box.
 
     Parameters
     ----------
@@ -66,8 +66,8 @@ class LiftedBox:
             settings,
         )
 
-    def least(self, C: np.ndarray, N: np.ndarray) -> tuple[float, np.ndarray]:
-        """Lower bound of <C, Y> subject to <N, Y> = 1, and the z of the solver's Y."""
+    def minimum(self, C: np.ndarray, N: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return a lower bound of <C, Y> subject to <N, Y> = 1, and the z of the solver's Y."""
         scale = float(np.abs(C).max()) or 1.0
         data = self._matrix.data
         data[self._normalising] = self._vector(N)
@@ -87,7 +87,7 @@ class LiftedBox:
 
 
 def _box_products(dim: int) -> list[np.ndarray]:
-    """Symmetric A with <A, Y> >= 0 for every product of two inequalities of the box."""
+    """Return symmetric A with <A, Y> >= 0 for every product of two inequalities of the box."""
     matrices = []
     for i in range(1, dim + 1):
         A = np.zeros((dim + 1, dim + 1))

@@ -1,11 +1,13 @@
-"""HBSP's bound for a rotation about the origin: one k-assignment and one semidefinite programme a box.
+"""HBSP's bound for a rotation about the origin: one k-assignment and one SDP per box.
 
 With G = sum p_ij a_i y_j^T the objective is ``sum p_ij (|a_i|^2 + |y_j|^2) - 2 sum_ab G_ab R_ba``. Each
 of the nine products is replaced by the mean of its two active McCormick facets, over the range of G_ab
-over all matchings and of R_ba over the box. R is linear in Q = q q^T / |q|^2, of which remain: Q positive
-semidefinite, trace 1, and the products of the box's inequalities (`LiftedBox`).
+over all matchings and of R_ba over the box. R is linear in Q = q q^T / |q|^2. The relaxation keeps
+that Q is positive semidefinite, has trace 1, and satisfies the products of the inequalities of the box
+(`LiftedBox`).
 
-Boxes are those of `dcreg.families.rotation3d.space`: of quaternions of any length, one component fixed at 1.
+Boxes are those of `dcreg.families.rotation3d.space`: quaternions of any length with one component equal
+to 1.
 """
 
 from __future__ import annotations
@@ -24,9 +26,9 @@ from dcreg.search import Box, Evaluation
 
 
 class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
-    """Lower bound of HBSP (reconstructed) over boxes of quaternions; the candidate is the SDP's.
+    """Lower bound of HBSP (reconstructed) over boxes of quaternions; the SDP provides the candidate.
 
-    Rounds are small, since one with a semidefinite programme a box must stay interruptible.
+    Every box needs a semidefinite programme. Rounds are small so that the search stays interruptible.
     """
 
     round_pairs, max_round = 20_000, 4
@@ -67,11 +69,11 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
         return found
 
     def _bound(self, box: Box, lifted: LiftedBox) -> tuple[float, np.ndarray]:
-        least, most = rotation_range(box)
-        r_low, r_high = least.T, most.T  # [a, b] is the range of R_ba
-        r_middle, g_middle = 0.5 * (r_low + r_high), 0.5 * (self.low + self.high)
+        lower, upper = rotation_range(box)
+        r_low, r_high = lower.T, upper.T  # [a, b] is the range of R_ba
+        r_centre, g_centre = 0.5 * (r_low + r_high), 0.5 * (self.low + self.high)
         constant = (self.low * r_high + self.high * r_low).sum()
-        cost = self.squares - 2.0 * np.tensordot(r_middle, self.outer, axes=2)
+        cost = self.squares - 2.0 * np.tensordot(r_centre, self.outer, axes=2)
         value = self._assign(cost) + constant
         # theta = T (1, z) with z in [-1, 1]^3, so that Q = T Y T^T
         fixed = int(np.argmax((box.lower == 1.0) & (box.upper == 1.0)))
@@ -79,13 +81,13 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
         T = np.zeros((4, 4))
         T[:, 0] = box.centre
         T[free, [1, 2, 3]] = box.half_widths[free]
-        rotating, z = lifted.least(T.T @ quaternion_form(-2.0 * g_middle.T) @ T, T.T @ T)
+        rotating, z = lifted.minimum(T.T @ quaternion_form(-2.0 * g_centre.T) @ T, T.T @ T)
         theta = T @ np.concatenate([[1.0], np.clip(z, -1.0, 1.0)])
         return value + rotating, theta
 
 
 def rotation_range(box: Box) -> tuple[np.ndarray, np.ndarray]:
-    """Entries of R over the box lie between these: least and greatest at the chords of its corners."""
+    """Return bounds of the entries of R over the box: their range over the chords of its vertices."""
     corners = np.empty((16, 4))
     corners = corners[: box_corners(box.lower, box.upper, corners)]
     if (corners @ corners.T <= 0.0).any():  # the box is too wide for the hull of chords
@@ -95,7 +97,7 @@ def rotation_range(box: Box) -> tuple[np.ndarray, np.ndarray]:
 
 
 def quaternion_form(W: np.ndarray) -> np.ndarray:
-    """Symmetric C with ``<C, Q> = sum_ij W_ij R_ij`` where R is the rotation of Q = q q^T, |q| = 1."""
+    """Return symmetric C with ``<C, Q> = sum_ij W_ij R_ij`` for the rotation R of Q = q q^T, |q| = 1."""
     C = np.empty((4, 4))
     C[0, 0] = W[0, 0] + W[1, 1] + W[2, 2]
     for a in range(3):

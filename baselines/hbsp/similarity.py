@@ -1,4 +1,4 @@
-"""HBSP's bound in 2D: the products theta theta^T as a matrix, its rank relaxed to semidefinite."""
+"""HBSP's bound in 2D: the rank-one matrix theta theta^T is relaxed to a semidefinite one."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class SemidefiniteBound(SubstitutedBound):
             C = np.zeros((5, 5))
             C[0, 1:] = C[1:, 0] = half * (0.5 * beta + square @ centre)
             C[1:, 1:] = half[:, None] * square * half
-            value, z = lifted.least(C, normal)
+            value, z = lifted.minimum(C, normal)
             return constant + value, centre + half * z
 
         return minimum

@@ -1,12 +1,13 @@
 """The convex QP of RPM-BP: phi tied to theta by the envelopes of its squares and products.
 
-In z in [-1, 1]^4 with theta = centre + half_widths * z every square with a positive coefficient stays,
-one with a negative coefficient is replaced by its secant, -z_a^2 >= -1, and a product by its envelope
+Let theta = centre + half_widths * z with z in [-1, 1]^4. Squares with a positive coefficient stay. A
+square with a negative coefficient is replaced by its secant, -z_a^2 >= -1, and a product by its
+envelope
 
     c z_a z_b >= |c| (|z_a + sign(c) z_b| - 1) >= omega (z_a + sign(c) z_b) - |c|,   |omega| <= |c|.
 
-With all omega fixed the programme separates into the four z_a: a closed form, a lower bound for any
-omega. The QP solver is asked for the best omega only, so that its tolerances cannot make the bound wrong.
+For fixed omega the programme separates into the four z_a. Its closed form is a lower bound for any omega.
+The QP solver only proposes the best omega, so its tolerances cannot invalidate the bound.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from scipy import sparse
 
 from baselines._shared.relaxations import MinimumOverBox, SubstitutedBound
 
-# The products t_a t_b of phi2 and phi3: a, b, which phi, coefficient in it
+# The products t_a t_b of phi2 and phi3: a, b, index of phi, coefficient
 PRODUCTS = ((0, 2, 1, 1.0), (1, 3, 1, 1.0), (0, 3, 2, 1.0), (1, 2, 2, -1.0))
 _FIRST, _SECOND = np.array([p[0] for p in PRODUCTS]), np.array([p[1] for p in PRODUCTS])
 _PHI, _FACTOR = np.array([p[2] for p in PRODUCTS]), np.array([p[3] for p in PRODUCTS])
@@ -59,7 +60,7 @@ class BilinearBound(SubstitutedBound):
 def separable(
     squares: np.ndarray, linear: np.ndarray, products: np.ndarray, omega: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Least ``squares.z^2 + linear.z + sum omega (z_a + sign z_b)`` over [-1, 1]^4, and its z."""
+    """Return the minimum of ``squares.z^2 + linear.z + sum omega (z_a + sign z_b)``, and its z."""
     slope = linear.copy()
     np.add.at(slope, _FIRST, omega)
     np.add.at(slope, _SECOND, omega * _sign(products))
@@ -75,7 +76,7 @@ def best_multipliers(
     products: np.ndarray,
     settings: clarabel.DefaultSettings,
 ) -> np.ndarray:
-    """The omega of the greatest bound: duals of ``w >= +-(z_a + sign z_b)`` in the QP over (z, w)."""
+    """Return the best omega: duals of ``w >= +-(z_a + sign z_b)`` in a QP over (z, w)."""
     reach = np.abs(products)
     scale = max(float(np.abs(linear).max()), float(squares.max()), float(reach.max()))
     if scale == 0.0 or reach.max() == 0.0:

@@ -11,7 +11,7 @@ from baselines.rpm_cav.search import Search
 
 
 class Adapter(Baseline):
-    """The pose is eliminated; statistics of the matching are divided into simplices."""
+    """Eliminate the pose; divide the statistics of the matching into simplices."""
 
     def __init__(self, card: Card, **options: object) -> None:
         super().__init__(card, **options)
@@ -22,7 +22,7 @@ class Adapter(Baseline):
         self._box_bound: BoxBound | None = None
 
     def warm_up(self, instance: Instance) -> None:
-        """Compiles every kernel, however long a loaded machine takes."""
+        """Compile every kernel, without a time limit."""
         self.solve(tiny(instance), Limits(time_s=600.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
@@ -30,11 +30,11 @@ class Adapter(Baseline):
         by_gap = self.options["branching"] == "gap"
         search = Search(reduced, reduced.gap_tol, self.options["ascents"], by_gap)
         search.run()
-        # The simplices' own bound; until it passes zero, that zero is the lower bound.
+        # The bound of the simplices; below zero, the reported lower bound is zero.
         return search.solution(simplex_bound=float(search.raw_bound * reduced.area))
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
-        """Lower bound for the poses of a box of theta; see `baselines.rpm_cav.box`."""
+        """Return a lower bound for the poses of a box of theta; see `baselines.rpm_cav.box`."""
         if self._box_bound is None or self._box_bound.instance is not instance:
             self._box_bound = BoxBound(instance)
         return self._box_bound(lower, upper)

@@ -1,7 +1,7 @@
-"""The method's bound with its poses restricted to a box, to compare it with bounds over boxes.
+"""The bound of RPM-CAV with poses restricted to a box, for comparisons with bounds over boxes.
 
-RPM-CAV divides statistics of the matching, not poses. What it has to say of a box of poses is the
-bound of its root simplex, where f is the minimum over the poses of that box only: still concave.
+RPM-CAV divides statistics of the matching, not poses. Its bound over a box of poses is the bound of
+its root simplex with f minimised over the poses of that box only; f is still concave.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from __future__ import annotations
 import numpy as np
 
 from baselines._shared.concave import Clouds, Incumbent, Support
-from baselines._shared.kernels.statistics import N_STATISTICS, least_linear
+from baselines._shared.kernels.statistics import N_STATISTICS, minimum_linear
 from baselines.contract import Instance
 from baselines.rpm_cav.kernels import bound_simplex
 from baselines.rpm_cav.search import root_simplex
 from dcreg.assignment.objective import objective
 from dcreg.search import Budget
 
-_ASCENTS = 30  # of the Lagrangian: one simplex must do for the whole box
+_ASCENTS = 30  # of the Lagrangian: a single simplex serves the whole box
 
 
 class BoxBound:
-    """Bounds over boxes of ``theta = (s cos a, s sin a, tx, ty)`` for one instance, in its units."""
+    """Bounds over boxes of ``theta = (s cos a, s sin a, tx, ty)`` in the units of an instance."""
 
     def __init__(self, instance: Instance) -> None:
         self.instance = instance
@@ -29,18 +29,18 @@ class BoxBound:
             for points in (instance.source, instance.target)
         )
         self.clouds = Clouds(source, target, instance.n_inliers, *instance.scale_range)
-        # a value of minus infinity: no matching is worth a descent
+        # with a value of minus infinity no matching starts a descent
         support = Support(Incumbent(self.clouds, np.eye(3), -np.inf, 0, Budget()))
         self.z = support.coordinates()
         self.root = root_simplex(support, self.z) if self.z.dim else np.empty((1, 0))
 
     def __call__(self, lower: np.ndarray, upper: np.ndarray) -> float:
-        """At most the least objective over the box, whether or not its scales are admissible."""
+        """Return a lower bound of the objective over the box, including inadmissible scales."""
         clouds, z = self.clouds, self.z
         points = z.origin + self.root @ z.axes.T
         values = np.array([least_over_box(clouds.k, u, lower, upper) for u in points])
         if z.dim == 0:
-            return float(least_linear(clouds, np.zeros(N_STATISTICS), 1.0)[0] + values[0])
+            return float(minimum_linear(clouds, np.zeros(N_STATISTICS), 1.0)[0] + values[0])
         a, b, tx, ty = 0.5 * (lower + upper)
         centre = np.array([[a, -b, tx], [b, a, ty], [0.0, 0.0, 1.0]])
         target, _ = objective(clouds.source, clouds.target, centre, clouds.k)
@@ -52,10 +52,10 @@ class BoxBound:
 
 
 def least_over_box(k: int, u: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
-    """Lower bound of ``E(P, theta) - L(P)`` over the box at statistics u, exact for a point.
+    """Return a lower bound of ``E(P, theta) - L(P)`` over the box at statistics u, exact for a point.
 
-    For fixed (t1, t2) each translation has a closed-form minimum, concave in the coordinate of the
-    moved mean; its secant over the box leaves a separable quadratic in (t1, t2).
+    For fixed (t1, t2) the minimum over each translation has a closed form, concave in the coordinate of
+    the moved mean. Its secant over the box leaves a separable quadratic in (t1, t2).
     """
     square, x1, x2, y1, y2, dot, cross = u
     linear = np.array([-2.0 * dot, -2.0 * cross])

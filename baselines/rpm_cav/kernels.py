@@ -1,16 +1,16 @@
-"""Bounds over simplices of statistics, compiled."""
+"""Compiled bounds over simplices of statistics."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from baselines._shared.kernels.statistics import concave, least_linear, statistics
+from baselines._shared.kernels.statistics import concave, minimum_linear, statistics
 from dcreg.jit import jit
 
 
 @jit
 def values_at(clouds, origin, axes, points):
-    """f at points given in coordinates z."""
+    """Return f at points in coordinates z."""
     out = np.empty(len(points))
     for p in range(len(points)):
         out[p] = concave(clouds, origin + axes @ points[p])
@@ -19,9 +19,9 @@ def values_at(clouds, origin, axes, points):
 
 @jit
 def interpolating_slope(vertices, values):
-    """Gradient of the affine interpolation; zero for a simplex divided down to rounding.
+    """Return the gradient of the affine interpolation; zero for a simplex of the size of rounding.
 
-    Gauss elimination with partial pivoting: for a handful of unknowns faster than a library call.
+    Gauss elimination with partial pivoting is faster than a library call for few unknowns.
     """
     dim = vertices.shape[1]
     left = np.empty((dim, dim))
@@ -55,14 +55,14 @@ def interpolating_slope(vertices, values):
 
 @jit
 def bound_simplex(clouds, origin, inverse, vertices, values, cutoff, n_ascents, best_col):
-    """Lower bound of ``L(P) + f(u(P))`` over matchings with u(P) in the simplex.
+    """Return a lower bound of ``L(P) + f(u(P))`` over matchings with u(P) in the simplex.
 
     An affine function ``c . z + c0`` with ``c0 = min over vertices of f - c . v`` lies below f at the
-    vertices, so on the simplex, for any c. The first c interpolates f: that is the published bound,
-    one assignment over all matchings. Each ascent moves c along a supergradient of the bound
-    (Polyak's step towards `cutoff`), which is the Lagrangian of the dropped ``u(P) in simplex``.
+    vertices and hence on the simplex, for any c. The first c interpolates f; this is the published bound
+    with one assignment over all matchings. Each ascent moves c along a supergradient of the bound
+    (Polyak's step towards `cutoff`). This is the Lagrangian of the dropped ``u(P) in simplex``.
 
-    Returns bound, E of the best matching met (copied to `best_col`), assignments.
+    Returns the bound, E of the best matching (copied to `best_col`), and the assignments.
     """
     dim = vertices.shape[1]
     slope = interpolating_slope(vertices, values)
@@ -75,9 +75,9 @@ def bound_simplex(clouds, origin, inverse, vertices, values, cutoff, n_ascents, 
             if level < below:
                 below, at = level, v
         weights = inverse.T @ slope
-        least, col_of = least_linear(clouds, weights, 1.0)
+        least, col_of = minimum_linear(clouds, weights, 1.0)
         spent += 1
-        # in thin simplices the terms are large: lower the bound by their rounding
+        # the terms of thin simplices are large: subtract their rounding
         size = np.abs(weights) @ np.abs(origin) + np.abs(slope).sum() + abs(least)
         found = least - weights @ origin + below - 1e-14 * size
         bound = max(bound, found)
@@ -98,10 +98,10 @@ def bound_simplex(clouds, origin, inverse, vertices, values, cutoff, n_ascents, 
 
 @jit
 def split_edge(clouds, origin, axes, vertices, values, by_gap):
-    """Edge to bisect, and f at its middle.
+    """Return the edge to bisect, and f at its midpoint.
 
-    By gap: the edge on whose middle f exceeds its interpolation most, as long as that is a
-    noticeable share of the longest edge's; otherwise the longest edge (in ranges of z).
+    By gap: the edge at whose midpoint f exceeds its interpolation most, if this is a noticeable share of
+    the gap of the longest edge; otherwise the longest edge (in ranges of z).
     """
     dim = vertices.shape[1]
     longest, most = -1.0, -1.0
@@ -130,7 +130,7 @@ def bound_children(
 ):
     """Bisect every simplex and bound its two halves.
 
-    Returns child vertices (2 B, r+1, r), child values, child bounds, the least E met (its matching
+    Returns child vertices (2 B, r+1, r), child values, child bounds, the minimum E found (its matching
     in `out_col`) and the assignments spent.
     """
     count, corners, dim = vertices.shape
@@ -171,7 +171,7 @@ def bound_children(
 
 @jit
 def _outside(vertices):
-    """Whether a simplex misses the unit box that holds z of every matching."""
+    """Return whether a simplex is disjoint from the unit box, which contains z of every matching."""
     for c in range(vertices.shape[1]):
         if vertices[:, c].min() > 1.0 + 1e-9 or vertices[:, c].max() < -1e-9:
             return True

@@ -10,15 +10,15 @@ import numpy as np
 
 from baselines._shared.concave import ConcaveSearch, Coordinates, Support
 from baselines._shared.cubes import OutOfTimeError
-from baselines._shared.kernels.statistics import N_STATISTICS, least_linear
+from baselines._shared.kernels.statistics import N_STATISTICS, minimum_linear
 from baselines.rpm_cav.kernels import bound_children, bound_simplex, values_at
 from dcreg.status import Status
 
-_MAX_CORNERS = 256  # corners of the box tried for the root simplex
+_MAX_CORNERS = 256  # vertices of the box tried for the root simplex
 
 
 class OpenSimplices:
-    """Open simplices in growing arrays, best lower bound first, among equals the older."""
+    """Open simplices in growing arrays, by lower bound, then by age."""
 
     def __init__(self, dim: int) -> None:
         self._vertices = np.empty((64, dim + 1, dim))
@@ -37,7 +37,7 @@ class OpenSimplices:
 
     @property
     def nbytes(self) -> int:
-        """Memory held, counting about 120 bytes a node for the heap's Python objects."""
+        """Return the memory in use, with about 120 bytes per node for Python objects of the heap."""
         return self._vertices.nbytes + self._values.nbytes + 120 * len(self._heap)
 
     def push(self, vertices: np.ndarray, values: np.ndarray, bounds: np.ndarray) -> None:
@@ -47,7 +47,7 @@ class OpenSimplices:
             heapq.heappush(self._heap, (float(bound), next(self._serial), slot))
 
     def pop(self, count: int, cutoff: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Up to `count` best simplices whose bound lies below `cutoff`."""
+        """Remove and return up to `count` best simplices with a bound below `cutoff`."""
         taken: list[tuple[float, int, int]] = []
         while self._heap and len(taken) < count and self._heap[0][0] < cutoff:
             taken.append(heapq.heappop(self._heap))
@@ -66,11 +66,11 @@ class OpenSimplices:
 
 @dataclass
 class Search(ConcaveSearch):
-    """Best first over simplices; the options are those of the card."""
+    """Best-first search over simplices; the options are those of the card."""
 
     ascents: int
     by_gap: bool
-    raw_bound: float = field(default=-np.inf, init=False)  # before zero was taken for a lower bound
+    raw_bound: float = field(default=-np.inf, init=False)  # without the lower bound zero
 
     def run(self) -> None:
         clouds, incumbent = self.reduced.clouds, self.reduced.incumbent
@@ -84,8 +84,8 @@ class Search(ConcaveSearch):
             self.status = Status.TIME_LIMIT
         self.n_assignments += support.n_assignments
         if self.status is None and self.dim == 0:
-            # all matchings agree in their statistics: the least L decides
-            _, col_of = least_linear(clouds, np.zeros(N_STATISTICS), 1.0)
+            # the statistics are equal for all matchings: minimise L
+            _, col_of = minimum_linear(clouds, np.zeros(N_STATISTICS), 1.0)
             incumbent.offer(col_of)
             self.n_assignments += 1
             self.lower_bound = self.upper_bound
@@ -110,7 +110,7 @@ class Search(ConcaveSearch):
             self.raw_bound = min(nodes.lower_bound, pruned, self.upper_bound)
             self.lower_bound = max(self.lower_bound, self.raw_bound)
             self.record(len(nodes))
-            # half of the worker's memory: the rest is Python and its libraries
+            # the other half of the worker's memory is for Python and its libraries
             self.status = self.ended(nodes.nbytes, 0.5)
             if self.status is not None:
                 return
@@ -133,10 +133,10 @@ class Search(ConcaveSearch):
 
 
 def root_simplex(support: Support, z: Coordinates) -> np.ndarray:
-    """A simplex that holds z of every matching, its vertices as rows.
+    """Return the vertices (rows) of a simplex that contains z of every matching.
 
-    At a corner of the unit box, cut off by the farthest matching in the direction of the opposite
-    corner (one assignment); of all corners the one with the smallest simplex.
+    The simplex lies at a vertex of the unit box and is cut off by the farthest matching in the direction
+    of the opposite vertex (one assignment). The vertex with the smallest simplex is chosen.
     """
     best, reach = np.ones(z.dim), np.inf
     signs = itertools.product((1.0, -1.0), repeat=z.dim)

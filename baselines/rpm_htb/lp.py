@@ -30,12 +30,12 @@ from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Box, Evaluation
 
 MAX_ROUNDS = 100
-RECENT = 40  # matchings kept from box to box
-PRECISION = 1e-9  # of the bound, relative to the size of the objective's terms
-VIOLATION = 1e-6  # of a tangent; above what the LP solver tolerates
+RECENT = 40  # matchings kept for the next boxes
+PRECISION = 1e-9  # of the bound, relative to the terms of the objective
+VIOLATION = 1e-6  # of a tangent; above the tolerance of the LP solver
 
 # Columns of the master problem: pose, products t_a t_b, squares t_3^2 and t_4^2, products of an
-# aggregate with those and with the pose, aggregates; behind them the known matchings.
+# aggregate with those and with the pose, aggregates, then the known matchings.
 _PAIRS = [(int(a), int(b)) for _, a, b, _ in TRILINEAR]
 _POSE, _PAIR, _SQUARE, _CUBIC, _BILINEAR, _AGGREGATE = np.split(
     np.arange(4 + len(_PAIRS) + 2 + len(_PAIRS) + len(BILINEAR) + N_FEATURES),
@@ -55,12 +55,12 @@ class TermwiseR3(TermwiseBound):
         self.scale_range = space.scale_range
         self.planes = self.features.reshape(len(self.features), -1)
         extremes = [sign * plane for plane in self.planes[:-1] for sign in (1.0, -1.0)]
-        self.extremes = np.array([self._price(cost)[1] for cost in extremes])
+        self.extremes = np.array([self._assign(cost)[1] for cost in extremes])
         self.low, self.high = self.extremes.min(axis=0)[:-1], self.extremes.max(axis=0)[:-1]
-        self.recent: deque[np.ndarray] = deque(maxlen=RECENT)  # a good start for the next box
+        self.recent: deque[np.ndarray] = deque(maxlen=RECENT)  # initial matchings of the next box
 
-    def _price(self, cost: np.ndarray) -> tuple[float, np.ndarray]:
-        """Least total of `cost` over all matchings, and the aggregates of a matching attaining it."""
+    def _assign(self, cost: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the minimum of `cost` over all matchings, and the aggregates of a minimiser."""
         shape = self.features.shape[1:]
         value, col_of, _ = cheapest_pairs(
             np.ascontiguousarray(cost.reshape(shape)), self.space.n_inliers, self.space.stop_flag
@@ -88,17 +88,17 @@ class TermwiseR3(TermwiseBound):
     def _solve(
         self, lower: np.ndarray, upper: np.ndarray, cutoff: float
     ) -> tuple[float, np.ndarray]:
-        """Bound and pose of one box."""
+        """Return bound and pose of one box."""
         master = _Master(lower, upper, self.low, self.high, self.space.n_inliers)
         matchings = np.vstack([self.extremes, *self.recent])
         bound, theta = -np.inf, 0.5 * (lower + upper)
         for _ in range(MAX_ROUNDS):
             solution = master.solve(matchings)
-            if not solution.success:  # what was proven so far stays valid
+            if not solution.success:  # earlier bounds remain valid
                 break
             theta = np.clip(solution.x[_POSE], lower, upper)
             relaxed, alpha = master.relaxed(solution)
-            value, matching = self._price(self.planes[-1] - alpha @ self.planes[:-1])
+            value, matching = self._assign(self.planes[-1] - alpha @ self.planes[:-1])
             bound = max(bound, relaxed + value)
             closed = solution.fun - bound <= PRECISION * (1.0 + abs(matching[-1]) + abs(bound))
             if bound >= cutoff or (not master.cut(theta, solution.x) and closed):
@@ -117,7 +117,7 @@ class TermwiseR3(TermwiseBound):
 
 
 class _Master:
-    """The linear programme of one box, over the matchings known so far."""
+    """The linear programme of one box over the known matchings."""
 
     def __init__(
         self, lower: np.ndarray, upper: np.ndarray, low: np.ndarray, high: np.ndarray, k: int
@@ -149,7 +149,7 @@ class _Master:
         self.cost[_SQUARE] = k
 
     def _product(self, w: int, u: int, v: int) -> None:
-        """The four McCormick facets of w = u v."""
+        """Add the four McCormick facets of w = u v."""
         ul, uh, vl, vh = self.low[u], self.high[u], self.low[v], self.high[v]
         corners = (ul * vl, ul * vh, uh * vl, uh * vh)
         self.low[w], self.high[w] = min(corners), max(corners)
@@ -157,7 +157,7 @@ class _Master:
             self._add({w: -sign, u: sign * at_v, v: sign * at_u}, sign * at_u * at_v)
 
     def _square(self, w: int, a: int) -> None:
-        """Secant and three tangents of w = a^2."""
+        """Add secant and three tangents of w = a^2."""
         low, high = self.low[a], self.high[a]
         self.low[w] = max(low, -high, 0.0) ** 2
         self.high[w] = max(-low, high) ** 2
@@ -169,21 +169,21 @@ class _Master:
         self._add({w: -1.0, a: 2.0 * at}, at * at)
 
     def _add(self, entries: dict[int, float], right: float) -> None:
-        """A row ``sum entries <= right``."""
+        """Add a row ``sum entries <= right``."""
         row = np.zeros(_N_COLUMNS)
         row[list(entries)] = list(entries.values())
         self._rows.append(row)
         self._right.append(right)
 
     def cut(self, theta: np.ndarray, x: np.ndarray) -> bool:
-        """Add the tangents of squares that `x` violates. Returns whether there were any."""
+        """Add the tangents of squares that `x` violates; return whether there are any."""
         violated = [(w, a) for w, a in self._squares if theta[a] ** 2 - x[w] > VIOLATION]
         for w, a in violated:
             self._tangent(w, a, theta[a])
         return bool(violated)
 
     def solve(self, matchings: np.ndarray) -> OptimizeResult:
-        """Optimum over the hull of `matchings`, whose last column is the constant term yy."""
+        """Solve over the convex hull of `matchings`, whose last column is the constant term yy."""
         count = len(matchings)
         features = np.hstack([np.zeros((N_FEATURES, _N_COLUMNS)), matchings[:, :-1].T])
         features[np.arange(N_FEATURES), _AGGREGATE] = -1.0
@@ -202,7 +202,7 @@ class _Master:
         )
 
     def relaxed(self, solution: OptimizeResult) -> tuple[float, np.ndarray]:
-        """Lagrangian bound of all but the matching, and the prices alpha of the aggregates."""
+        """Return the Lagrangian bound without the matching, and the duals alpha of the aggregates."""
         y = np.minimum(solution.ineqlin.marginals, 0.0)
         alpha = solution.eqlin.marginals[:-1]
         reduced = self.cost - y @ np.array(self._rows)

@@ -11,7 +11,7 @@ class Adapter(Baseline):
     """The published tolerance by default; ``epsilon0: 0`` for the exact variant."""
 
     def warm_up(self, instance: Instance) -> None:
-        """Compiles every kernel, however long a loaded machine takes."""
+        """Compile every kernel, without a time limit."""
         self.solve(tiny(instance), Limits(time_s=600.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:

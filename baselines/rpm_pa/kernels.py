@@ -1,26 +1,26 @@
-"""The concave function along rays from the inner point, compiled."""
+"""Compiled evaluation of the concave function along rays from the inner point."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from baselines._shared.kernels.statistics import concave, least_linear, statistics
+from baselines._shared.kernels.statistics import concave, minimum_linear, statistics
 from dcreg.jit import jit
 
 
 @jit
 def value_at(clouds, origin, axes, point):
-    """F = L + f(u) at coordinates z, where ``(u, L) = origin + axes z``."""
+    """Return F = L + f(u) at coordinates z, where ``(u, L) = origin + axes z``."""
     full = origin + axes @ point
     return full[-1] + concave(clouds, full[:-1])
 
 
 @jit
 def extensions(clouds, origin, axes, inner, directions, level, reach):
-    """For every direction the farthest ``tau * direction`` with ``F(inner + .) >= level``.
+    """Return for every direction the farthest ``tau * direction`` with ``F(inner + .) >= level``.
 
-    No component exceeds `reach`. The points are inside the level set, never outside: bisection
-    keeps its inner end.
+    No component exceeds `reach`. Bisection keeps its inner end, so the points are never outside the level
+    set.
     """
     out = np.empty_like(directions)
     for d in range(len(directions)):
@@ -43,11 +43,11 @@ def extensions(clouds, origin, axes, inner, directions, level, reach):
 
 @jit
 def test_facets(clouds, origin, axes, inverse, inner, vertices, members, normals, best_col):
-    """How far the polytope D of all matchings passes facets ``normal . x <= 1``.
+    """Compute how far the polytope D of all matchings exceeds facets ``normal . x <= 1``.
 
-    Returns for every facet the passage ``max normal . x``, the point of D that attains it and the least
-    F over the simplex of the facet stretched by the passage, which holds all of D in its cone; then
-    the least E met (its matching in `best_col`).
+    Returns for every facet the passage ``max normal . x``, the point of D that attains it, and the
+    minimum of F over the simplex of the facet stretched by the passage, which contains the part of D
+    in its cone; then the minimum E found (its matching in `best_col`).
     """
     count, dim = normals.shape
     passage, bounds = np.empty(count), np.empty(count)
@@ -56,14 +56,14 @@ def test_facets(clouds, origin, axes, inverse, inner, vertices, members, normals
     at_inner = value_at(clouds, origin, axes, inner)
     for f in range(count):
         weights = -(inverse.T @ normals[f])
-        _, col_of = least_linear(clouds, weights[:-1], weights[-1])
+        _, col_of = minimum_linear(clouds, weights[:-1], weights[-1])
         u, fixed = statistics(clouds, col_of)
         value = fixed + concave(clouds, u)
         if value < best:
             best = value
             best_col[:] = col_of
         farthest[f] = inverse @ (np.append(u, fixed) - origin) - inner
-        # the normal solves its equations up to rounding: count from the worst corner
+        # the normal solves its equations up to rounding: use the worst vertex
         reached = np.inf
         for c in range(dim):
             reached = min(reached, normals[f] @ vertices[members[f, c]])

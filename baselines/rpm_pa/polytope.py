@@ -1,19 +1,19 @@
-"""The annexed polytope: a fan of simplicial cones about an inner point, grown vertex by vertex."""
+"""The annexed polytope: a fan of simplicial cones about an inner point that grows by vertices."""
 
 from __future__ import annotations
 
 import numpy as np
 
-_VISIBLE = 1e-9  # a vertex must pass a facet by more than this share to replace it
-_WELL_SOLVED = 0.99  # least ``normal . vertex`` of a facet that can be trusted
+_VISIBLE = 1e-9  # a vertex must exceed a facet by more than this share to replace it
+_WELL_SOLVED = 0.99  # minimum ``normal . vertex`` of a well-conditioned facet
 
 
 class Polytope:
-    """Facets ``normal . x <= 1`` about the origin, each spanned by as many vertices as dimensions.
+    """Facets ``normal . x <= 1`` about the origin, each with as many vertices as dimensions.
 
-    The cones of the facets cover the space at all times: a new vertex replaces the facets it passes
-    by its joins with their common border, taken modulo 2. That cannot change how often (modulo 2) a
-    direction is covered, since no simplex between the vertex and a facet it passes holds the origin.
+    The cones of the facets always cover the space. A new vertex replaces the facets that it exceeds by
+    its joins with their common border, modulo 2. This does not change how often (modulo 2) a direction is
+    covered, since no simplex between the vertex and such a facet contains the origin.
 
     Attributes
     ----------
@@ -22,12 +22,12 @@ class Polytope:
         Vertices of every facet, ascending; rows beyond `n_slots` are unused.
     normals : (C, r) array
     bounds : (C,) array
-        What is known of the function over each facet's cone; inf for facets that were replaced.
+        Lower bound of the function over the cone of each facet; inf for replaced facets.
     passage : (C,) array
-        The most that D passes the facet by, ``max normal . x``: inf where not yet tested, 0 where
-        the facet was replaced or can be passed no more.
+        By how much D exceeds the facet, ``max normal . x``: inf if not yet tested, 0 if the facet was
+        replaced or cannot be exceeded.
     farthest : (C, r) array
-        The point of D that does so.
+        The point of D that attains the passage.
     """
 
     def __init__(self, vertices: np.ndarray, bound: float) -> None:
@@ -59,19 +59,19 @@ class Polytope:
         return float(self.bounds[: self.n_slots].min())
 
     def untested(self, count: int) -> np.ndarray:
-        """Up to `count` facets that were not tested, those with the least bounds first."""
+        """Return up to `count` untested facets, lowest bounds first."""
         facets = np.flatnonzero(np.isinf(self.passage[: self.n_slots]))
         if len(facets) > count:
             facets = facets[np.argsort(self.bounds[facets], kind="stable")[:count]]
         return facets
 
     def most_passed(self) -> int:
-        """The tested facet that D passes most, the oldest among equals."""
+        """Return the tested facet that D exceeds most, the oldest of equals."""
         passage = self.passage[: self.n_slots]
         return int(np.argmax(np.where(np.isinf(passage), 0.0, passage)))
 
     def annex(self, vertex: np.ndarray) -> bool:
-        """Add a vertex; False when it passes no facet or its facets would be degenerate."""
+        """Add a vertex; return False if it exceeds no facet or its facets would be degenerate."""
         passed = self.normals[: self.n_slots] @ vertex > 1.0 + _VISIBLE
         passed &= np.isfinite(self.bounds[: self.n_slots])
         replaced = np.flatnonzero(passed)
@@ -95,7 +95,7 @@ class Polytope:
 
     @staticmethod
     def _border(members: np.ndarray) -> np.ndarray:
-        """Faces, one dimension lower, that belong to an odd number of the facets."""
+        """Return the faces of one dimension less that belong to an odd number of the facets."""
         dim = members.shape[1]
         if dim == 1:  # the empty face of a single point
             return np.empty((len(members) % 2, 0), np.int32)
@@ -135,7 +135,7 @@ class Polytope:
         self.farthest = np.concatenate([self.farthest, np.empty_like(self.farthest)])
 
     def _compact(self, coming: int) -> None:
-        """Close the gaps of replaced facets before the arrays have to grow for them."""
+        """Remove replaced facets before the arrays grow."""
         if self.n_slots + coming <= len(self.members) or self.n_facets > 0.7 * self.n_slots:
             return
         alive = np.flatnonzero(np.isfinite(self.bounds[: self.n_slots]))

@@ -1,4 +1,4 @@
-"""Polyhedral annexation: an inner polytope of the level set grows until it holds all matchings."""
+"""Polyhedral annexation: an inner polytope of the level set grows until it contains all matchings."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from baselines.rpm_pa.polytope import Polytope
 from dcreg.status import Status
 
 _CLOSED = 1e-9
-# The exact variant ends when no matching can be better by the tolerance. A little less is given away to
-# the level, so that the bound of a closed facet reaches the tolerance in spite of rounding.
+# The exact variant stops when no matching can be better by the tolerance. The level uses slightly
+# less, so that the bound of a closed facet reaches the tolerance despite rounding.
 _SHARE_OF_TOLERANCE = 0.9
-_BATCH = 1000  # facets tested between two looks at the clock, fewer for large problems
-# Farthest component of a vertex, in ranges of the statistics, where the level set has no end.
+_BATCH = 1000  # facets tested between two checks of the budget, fewer for large problems
+# Maximum component of a vertex, in ranges of the statistics, if the level set is unbounded.
 _REACH = 100.0
 
 
 @dataclass
 class Search(ConcaveSearch):
-    """Facet by facet; `epsilon0` is the card's.
+    """Annexation facet by facet; `epsilon0` is the option of the card.
 
     All matchings lie in the polytope D spanned by their points ``(u, L)``. A facet's cone is closed
-    when D does not leave the polytope there: then, F being concave, no matching of the cone beats
-    the level. Until then ``min F`` over the facet's simplex, stretched to hold D, is a lower bound.
+    when D does not leave the polytope there: since F is concave, no matching of the cone is then below
+    the level. Until then ``min F`` over the simplex of the facet, stretched to contain D, is a lower
+    bound.
     """
 
     epsilon0: float
@@ -45,7 +46,7 @@ class Search(ConcaveSearch):
     def level(self) -> float:
         """The polytope stays inside ``F >= level``."""
         share = _SHARE_OF_TOLERANCE if self.exact else 1e-6
-        # the inner point is a mean of matchings' points, so no worse than the incumbent but for rounding
+        # the inner point is a mean of points of matchings, so no worse than the incumbent up to rounding
         return min(self.upper_bound, self.at_inner) - share * self.gap_tol - 1e-12
 
     def run(self) -> None:
@@ -56,7 +57,7 @@ class Search(ConcaveSearch):
             finally:
                 self.n_assignments += self.support.n_assignments
             self.dim = self.z.dim
-            if self.dim == 0:  # all matchings have the same value, that of the incumbent
+            if self.dim == 0:  # all matchings have the value of the incumbent
                 self.lower_bound = self.upper_bound
                 self.status = Status.OPTIMAL
             else:
@@ -75,7 +76,7 @@ class Search(ConcaveSearch):
             self.lower_bound = max(self.lower_bound, min(polytope.lower_bound, self.upper_bound))
             self.record(polytope.n_facets)
             untested = polytope.untested(self.batch)
-            # the arrays are copied once to grow, and half of the worker's memory is Python's
+            # growing copies the arrays, and Python uses half of the worker's memory
             self.status = self.ended(polytope.nbytes, 0.2)
             if self.status is not None:
                 return
@@ -86,7 +87,7 @@ class Search(ConcaveSearch):
                 self.status = Status.CONVERGED
 
     def _test(self, polytope: Polytope, facets: np.ndarray) -> bool:
-        """Find how far D passes each facet; True when a better matching turned up."""
+        """Compute how far D exceeds each facet; return whether a better matching was found."""
         col_of = np.empty(len(self.reduced.clouds.source), np.int64)
         passage, farthest, bounds, best = test_facets(
             self.reduced.clouds, self.z.origin, self.z.axes, self.z.inverse, self.inner,
@@ -100,17 +101,17 @@ class Search(ConcaveSearch):
         return self.reduced.incumbent.beaten_by(best) and self.reduced.incumbent.offer(col_of)
 
     def _annex_farthest(self, polytope: Polytope) -> bool:
-        """Annex the point by which D passes the polytope most; False when no facet is passed."""
+        """Annex the point by which D exceeds the polytope most; return False if no facet is exceeded."""
         while True:
             facet = polytope.most_passed()
             if polytope.passage[facet] <= 1.0 + self.dim * self.epsilon0 + _CLOSED:
                 return False
             if self._annex(polytope, polytope.farthest[facet].copy()):
                 return True
-            polytope.passage[facet] = 0.0  # degenerate: its bound stays what it is
+            polytope.passage[facet] = 0.0  # degenerate: its bound stays
 
     def _annex(self, polytope: Polytope, ray: np.ndarray) -> bool:
-        """Add the extension of a ray; a ray in degenerate position is moved a little."""
+        """Add the extension of a ray; a ray in degenerate position is perturbed."""
         generator = np.random.default_rng(len(polytope.vertices))
         for shake in (0.0, 1e-7, 1e-5, 1e-3):
             moved = ray + shake * generator.standard_normal(self.dim)
@@ -120,7 +121,7 @@ class Search(ConcaveSearch):
         return False
 
     def _rebuilt(self) -> Polytope:
-        """The polytope of all rays at the present level: the incumbent improved, so it grew."""
+        """Rebuild the polytope of all rays at the new level after the incumbent improved."""
         extended = self._extended(np.array(self.rays))
         polytope = Polytope(extended[: self.dim + 1], self.lower_bound)
         for vertex in extended[self.dim + 1 :]:

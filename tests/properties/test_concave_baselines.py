@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from baselines import registry
 from baselines._shared.concave import Clouds, Incumbent, Reduced, Support
-from baselines._shared.kernels.statistics import concave, least_linear, statistics
+from baselines._shared.kernels.statistics import concave, minimum_linear, statistics
 from baselines.contract import Instance, Limits
 from baselines.rpm_cav.box import BoxBound
 from baselines.rpm_cav.kernels import bound_simplex, values_at
@@ -110,7 +110,7 @@ class TestReduction:
         instance = problem(seed)
         clouds = clouds_of(instance)
         weights = np.random.default_rng(seed).standard_normal(8)
-        value, col_of = least_linear(clouds, weights[:7], weights[7])
+        value, col_of = minimum_linear(clouds, weights[:7], weights[7])
         every = matchings(len(instance.source), len(instance.target), instance.n_inliers)
         points = np.array([np.append(*statistics(clouds, each)) for each in [col_of, *every]])
         values = points @ weights

@@ -162,13 +162,13 @@ def test_lifted_bound_holds_whatever_the_solver_answers(seed, dim, garbled):
     stretch[1:, 0] = generator.normal(size=dim)
     N = stretch.T @ stretch  # |(1, c + z)|^2 >= 1
     lifted = LiftedBox(dim)
-    true_value, _ = lifted.least(C, N)
+    true_value, _ = lifted.minimum(C, N)
     found = true_value
     if garbled:
         n_duals = 1 + len(lifted.products) + (dim + 1) * (dim + 2) // 2
         answer = SimpleNamespace(z=generator.normal(size=n_duals), x=generator.normal(size=20))
         lifted._solver = SimpleNamespace(update=lambda **_: None, solve=lambda: answer)
-        found, _ = lifted.least(C, N)
+        found, _ = lifted.minimum(C, N)
         assert found <= true_value + 1e-6
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=dim)))
     for z in np.vstack([generator.uniform(-1, 1, (50, dim)), corners]):

@@ -143,7 +143,7 @@ def test_the_first_starts_are_spread_over_all(count: int) -> None:
 
     solution = best_of_starts(instance, "multi", Limits(time_s=60.0, nodes=count), refine)
     assert (solution.status, solution.counters["n_starts"]) == (Status.NODE_LIMIT, count)
-    assert solution.message == f"{count} of 38 starts within the limit"
+    assert solution.message == f"{count} of 38 initial poses within the limit"
     grid = np.array([pose[:2, 0] for pose in tried[2:]])  # scale times cosine and sine
     scales = np.unique(np.round(np.hypot(*grid.T), 9))
     angles = np.sort(np.arctan2(grid[:, 1], grid[:, 0]))
@@ -167,7 +167,7 @@ def test_nodes_are_starts_and_end_a_run_alike_every_time() -> None:
     )
     assert first.status is Status.NODE_LIMIT
     assert first.counters["n_starts"] == 3
-    assert first.message == "3 of 26 starts within the limit"
+    assert first.message == "3 of 26 initial poses within the limit"
     np.testing.assert_array_equal(first.T_target_source, again.T_target_source)
     one = best_of_starts(instance_of("rigid3d"), "identity", limits, lambda pose, budget: pose)
     assert one.status is Status.CONVERGED

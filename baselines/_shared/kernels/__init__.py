@@ -1,1 +1,1 @@
-"""Compiled functions of the shared parts: numba infers their types, so they bear no annotations."""
+"""Compiled functions of the shared parts. Numba infers their types, so they have no annotations."""

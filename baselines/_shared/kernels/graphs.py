@@ -1,4 +1,4 @@
-"""Compiled parts of the clique search, on graphs as rows of bits: see `baselines._shared.cliques`."""
+"""Compiled parts of the clique search on graphs as rows of bits; see `baselines._shared.cliques`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dcreg.jit import jit
 
 @jit
 def count_bits(word):
-    """Set bits of a word, all in parallel."""
+    """Count the set bits of a word."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     word = (word & np.uint64(0x3333333333333333)) + (
         (word >> np.uint64(2)) & np.uint64(0x3333333333333333)
@@ -20,7 +20,7 @@ def count_bits(word):
 
 @jit
 def count_bits_of(row):
-    """Set bits of a row of words."""
+    """Count the set bits of a row of words."""
     total = 0
     for word in row:
         total += count_bits(word)
@@ -29,7 +29,7 @@ def count_bits_of(row):
 
 @jit
 def lowest_bit(word):
-    """Place of the lowest set bit; 64 for none."""
+    """Return the place of the lowest set bit; 64 for none."""
     return count_bits((word & (~word + np.uint64(1))) - np.uint64(1))
 
 
@@ -50,7 +50,7 @@ def clear_bit(row, place):
 
 @jit
 def degrees(rows):
-    """Number of neighbours of every vertex."""
+    """Return the number of neighbours of every vertex."""
     result = np.zeros(len(rows), dtype=np.int64)
     for i in range(len(rows)):
         result[i] = count_bits_of(rows[i])
@@ -59,7 +59,7 @@ def degrees(rows):
 
 @jit
 def degeneracy(rows):
-    """Vertices in the order in which the least degree is removed, and their core numbers."""
+    """Return the vertices in degeneracy order (minimum degree first), and their core numbers."""
     n = len(rows)
     degree = degrees(rows)
     # Bucket queue: vertices sorted by degree, with the start of each degree's bucket.
@@ -94,9 +94,9 @@ def degeneracy(rows):
 
 @jit
 def greedy_clique(rows, order, starts):
-    """The largest of the cliques grown along `order` from its first vertices, `starts` in number.
+    """Return the largest of the cliques grown along `order` from its first `starts` vertices.
 
-    A vertex of the best clique so far is no start: it would mostly grow the same one again.
+    Vertices of the best clique so far are skipped: they mostly lead to the same clique.
     """
     n, words = rows.shape
     best = np.empty(0, dtype=np.int64)
@@ -125,7 +125,7 @@ def greedy_clique(rows, order, starts):
 
 @jit
 def common_later(rows, order, core, path, place, size):
-    """Common neighbours of `path` behind `place` that can be in a clique of more than `size`."""
+    """Return the common neighbours of `path` behind `place` that a clique beyond `size` can contain."""
     common = rows[path[0]].copy()
     for k in range(1, len(path)):
         common &= rows[path[k]]
@@ -141,7 +141,7 @@ def common_later(rows, order, core, path, place, size):
 
 @jit
 def subgraph(rows, members):
-    """Adjacency among `members`, most neighbours first, and the member at each place."""
+    """Return the adjacency among `members`, most neighbours first, and the member at each place."""
     p = len(members)
     words = (p + 63) >> 6
     local = np.zeros((p, words), dtype=np.uint64)
@@ -162,10 +162,10 @@ def subgraph(rows, members):
 
 @jit
 def colour_order(rows, candidates, needed, queue, colours):
-    """Greedy colouring of the candidates; those with colours beyond `needed`, in colour order.
+    """Colour the candidates greedily; return those with colours beyond `needed`, in colour order.
 
-    A clique has at most one vertex of a colour. Vertices of the first `needed` colours alone can
-    therefore not form a clique of more than `needed`, and need no branch.
+    A clique has at most one vertex of a colour. Vertices of the first `needed` colours therefore form no
+    clique of more than `needed` vertices, and need no branch.
     """
     words = rows.shape[1]
     left = candidates.copy()
@@ -194,7 +194,7 @@ def colour_order(rows, candidates, needed, queue, colours):
 
 @jit
 def grow_cliques(rows, candidates, queue, colours, left, path, found, state, steps):
-    """Some `steps` row operations of the depth-first search; True when it is complete."""
+    """Run about `steps` row operations of the depth-first search; return whether it is complete."""
     words = rows.shape[1]
     depth, size, best, goal = state[0], state[1], state[2], state[3]
     while depth >= 0 and steps > 0:

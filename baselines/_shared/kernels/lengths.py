@@ -1,4 +1,4 @@
-"""Compiled comparisons of lengths between two sets of points: see `baselines._shared.consistency`."""
+"""Compiled comparisons of lengths between two sets of points; see `baselines._shared.consistency`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from dcreg.jit import jit
 
 @jit
 def consistency_graph(source, target, pairs, tolerance, scale):
-    """Rows of bits: ``| |y_i - y_j| - scale |x_i - x_j| | <= tolerance`` and no point shared."""
+    """Set bit j of row i if the lengths agree and no point is shared.
+
+    Lengths agree if ``| |y_i - y_j| - scale |x_i - x_j| | <= tolerance``.
+    """
     n, d = source.shape
     rows = np.zeros((n, (n + 63) >> 6), dtype=np.uint64)
     for i in range(n):
@@ -29,9 +32,9 @@ def consistency_graph(source, target, pairs, tolerance, scale):
 
 @jit
 def length_ratios(source, target, tolerance, low, high):
-    """Ratios ``|y_i - y_j| / |x_i - x_j|`` that can be a scale in [low, high], and their ranges.
+    """Return ratios ``|y_i - y_j| / |x_i - x_j|`` that can be a scale in [low, high], and their ranges.
 
-    The range of a ratio is by how much noise can change it: tolerance / ``|x_i - x_j|``.
+    The range of a ratio is its maximum change by noise: tolerance / ``|x_i - x_j|``.
     """
     n, d = source.shape
     ratios = np.empty(n * (n - 1) // 2)
@@ -44,7 +47,7 @@ def length_ratios(source, target, tolerance, low, high):
                 a += (source[i, k] - source[j, k]) ** 2
                 b += (target[i, k] - target[j, k]) ** 2
             a = np.sqrt(a)
-            if a > tolerance:  # shorter ones bound the scale by nothing
+            if a > tolerance:  # shorter ones do not bound the scale
                 ratio, reach = np.sqrt(b) / a, tolerance / a
                 if ratio + reach >= low and ratio - reach <= high:
                     ratios[count], ranges[count] = ratio, reach
@@ -54,7 +57,7 @@ def length_ratios(source, target, tolerance, low, high):
 
 @jit
 def sweep_ends(values, ranges, order):
-    """The weighted mean of least truncated cost along the sorted ends of the intervals."""
+    """Return the weighted mean with the minimum truncated cost along the sorted interval ends."""
     n = len(values)
     weight, first, second, voters = 0.0, 0.0, 0.0, 0
     best, least = 0.0, np.inf

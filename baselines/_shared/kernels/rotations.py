@@ -1,4 +1,4 @@
-"""Compiled search of rotations by match lists: see `baselines._shared.rotation_search`."""
+"""Compiled rotation search by match lists; see `baselines._shared.rotation_search`."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import numpy as np
 
 from dcreg.jit import jit
 
-_LEAST_HALF_WIDTH = 1e-6  # radians; a smaller cube is not divided and keeps its upper bound
+_MIN_HALF_WIDTH = 1e-6  # radians; a smaller cube is not divided and keeps its upper bound
 FINISHED, PAUSED = 0, 1
-STACKED, BEST, GIVEN_UP, CUBES = range(4)  # places in a search's integer state
+STACKED, BEST, GIVEN_UP, CUBES = range(4)  # entries of the integer state of a search
 
 
 @jit
 def divide_cubes(
     source, target, pairs, cosines, cutoff, slack, stack, spans, lists, state, rotation, budget
 ):  # fmt: skip
-    """Depth first, the most promising child first; pauses after `budget` pair tests."""
+    """Search depth first, the most promising child first; pause after `budget` pair tests."""
     children = np.empty((8, 5))
     sizes = np.empty(8, np.int64)
     centre_rotation = np.empty((3, 3))
@@ -27,7 +27,7 @@ def divide_cubes(
             return PAUSED
         upper = int(stack[top, 4])
         state[STACKED] = top
-        if upper <= max(cutoff, state[BEST] + slack) or stack[top, 3] < _LEAST_HALF_WIDTH:
+        if upper <= max(cutoff, state[BEST] + slack) or stack[top, 3] < _MIN_HALF_WIDTH:
             state[GIVEN_UP] = max(state[GIVEN_UP], upper)
             continue
         half = stack[top, 3] / 2
@@ -40,7 +40,7 @@ def divide_cubes(
             child[3], child[4], sizes[octant] = half, -1, 0
             angle = np.sqrt(child[0] ** 2 + child[1] ** 2 + child[2] ** 2)
             if angle - np.sqrt(3.0) * half > np.pi:
-                continue  # outside the ball of rotation vectors: other cubes hold its rotations
+                continue  # outside the ball of rotation vectors: other cubes contain its rotations
             _rotation_of(child[0], child[1], child[2], angle, centre_rotation)
             bar = max(cutoff, state[BEST] + slack)
             sizes[octant], possible, matched = _match(
@@ -53,7 +53,7 @@ def divide_cubes(
                 state[BEST] = matched
                 rotation[:] = centre_rotation
             child[4] = possible
-        for octant in np.argsort(children[:, 4]):  # the best one on top
+        for octant in np.argsort(children[:, 4]):  # the best on top
             possible = children[octant, 4]
             if possible <= max(cutoff, state[BEST] + slack):
                 state[GIVEN_UP] = max(state[GIVEN_UP], int(possible))
@@ -71,10 +71,10 @@ def divide_cubes(
 def _match(
     source, target, pairs, cosines, listed, rotation, cos_delta, sin_delta, upper, bar, kept
 ):  # fmt: skip
-    """(pairs kept, source points with a possible partner, those matched by `rotation` itself).
+    """Return (pairs kept, source points with a possible partner, points matched by `rotation`).
 
-    Gives up, with a valid bound and matched = 0, once too many points are without a partner to
-    exceed `bar`; `upper` points have pairs in the list.
+    Stops with a valid bound and matched = 0 once too few points have a partner to exceed `bar`. `upper`
+    points have pairs in the list.
     """
     n_kept = possible = matched = failed = 0
     position, last = 0, len(listed)
@@ -101,7 +101,7 @@ def _match(
             j = pairs[p, 1]
             cosine = x * target[j, 0] + y * target[j, 1] + z * target[j, 2]
             c, s = cosines[p, 0], cosines[p, 1]
-            # Rounding must not lose a pair that is possible, nor add one that is not matched.
+            # Rounding must neither lose a possible pair nor add a false match.
             if c + cos_delta <= 0.0 or cosine >= c * cos_delta - s * sin_delta - 1e-12:
                 kept[n_kept] = p
                 n_kept += 1
@@ -119,7 +119,7 @@ def _match(
 
 @jit
 def _rotation_of(x, y, z, angle, rotation):
-    """Rodrigues' formula for the rotation vector (x, y, z) of this length, into `rotation`."""
+    """Write the rotation of the vector (x, y, z) of this length into `rotation` (Rodrigues' formula)."""
     if angle < 1e-12:
         rotation[:] = np.eye(3)
         return

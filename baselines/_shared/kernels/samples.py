@@ -1,4 +1,4 @@
-"""Compiled poses of small samples and their inliers: see `baselines._shared.ransac`."""
+"""Compiled poses of small samples and their inliers; see `baselines._shared.ransac`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dcreg.jit import jit
 
 @jit
 def count_within(source, target, pose, bound):
-    """Number of rows whose moved source is within `bound` of the target."""
+    """Count the rows whose moved source is within `bound` of the target."""
     n, d = source.shape
     count = 0
     for i in range(n):
@@ -26,7 +26,7 @@ def count_within(source, target, pose, bound):
 
 @jit
 def count_inliers(source, target, samples, bound, low, high):
-    """Number of inliers of the pose of each sample; 0 for one whose lengths do not agree."""
+    """Count the inliers of the pose of each sample; 0 if its lengths are inconsistent."""
     counts = np.zeros(len(samples), dtype=np.int64)
     d = source.shape[1]
     for k in range(len(samples)):
@@ -39,7 +39,7 @@ def count_inliers(source, target, samples, bound, low, high):
 
 @jit
 def _agrees(source, target, rows, tolerance, low, high):
-    """No point twice, and every length of the sample can be that of the other set."""
+    """Return whether no point repeats and all lengths of the sample are consistent."""
     for a in range(len(rows)):
         for b in range(a):
             x, y = 0.0, 0.0
@@ -54,7 +54,7 @@ def _agrees(source, target, rows, tolerance, low, high):
 
 @jit
 def _sample_pose(source, target, rows, low, high):
-    """Least-squares pose of the sample; all zero where it is degenerate."""
+    """Return the least-squares pose of the sample; all zero if it is degenerate."""
     d = source.shape[1]
     size = len(rows)
     mean_x, mean_y = np.zeros(d), np.zeros(d)

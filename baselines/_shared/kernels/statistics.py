@@ -1,4 +1,4 @@
-"""Compiled statistics of matchings, and the concave function of them: see `baselines._shared.concave`."""
+"""Compiled statistics of matchings, and the concave function of them; see `baselines._shared.concave`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ N_STATISTICS = 7
 
 @jit
 def statistics(clouds, col_of):
-    """u and L of a matching."""
+    """Return u and L of a matching."""
     u = np.zeros(N_STATISTICS)
     fixed = 0.0
     for i in range(col_of.size):
@@ -35,8 +35,8 @@ def statistics(clouds, col_of):
 
 
 @jit
-def least_linear(clouds, weights, weight_fixed):
-    """Value and columns of the matching with the least ``weights . u(P) + weight_fixed L(P)``."""
+def minimum_linear(clouds, weights, weight_fixed):
+    """Minimise ``weights . u(P) + weight_fixed L(P)`` over matchings; return value and columns."""
     n, m = len(clouds.source), len(clouds.target)
     cost = np.empty((n, m))
     col = np.empty(m)
@@ -57,7 +57,7 @@ def least_linear(clouds, weights, weight_fixed):
 
 @jit
 def concave(clouds, u):
-    """f(u); finite for every u."""
+    """Return f(u), which is finite for every u."""
     k, low, high = clouds.k, clouds.low, clouds.high
     spread = u[0] - (u[1] * u[1] + u[2] * u[2]) / k
     dot = u[5] - (u[1] * u[3] + u[2] * u[4]) / k
