@@ -24,8 +24,21 @@ from dcreg.problem import (
 from dcreg.result import Result, RunnerUp
 from dcreg.status import Status
 
-_VERY_MANY_POINTS = 4000
-_OPERATIONS_PER_SECOND = 1e9
+_MANY_POINTS, _VERY_MANY_POINTS = 1000, 4000
+# Poses differ if they displace the source by more than this fraction of the target's RMS radius.
+DISTINCT = 0.2
+_MUCH_LARGER = 100.0
+_OTHER_SIZE = 10.0
+TOO_MANY_PAIRS = "pairs are probably too many"  # part of the line of `loose_pairs`
+_ROUGH = 1.01  # objective in units of the upper bound; more than rounding
+# Of 180 problems of four shapes, all 45 wrong poses and 18 of 135 right ones had a runner-up below this.
+_CLOSE = 1.5
+# RMSE in units of the target's spacing. Scans of one object stay below it if n_inliers is right.
+_LOOSE = 2.0
+_REMEDY = (
+    "Use downsample=200 (--downsample 200), which searches with a sample of the points and refines the "
+    "pose on all of them"
+)
 
 
 def advice(problem: Problem) -> Iterator[str]:
@@ -50,13 +63,7 @@ def advice(problem: Problem) -> Iterator[str]:
     """
     n, m = len(problem.source), len(problem.target)
     if max(n, m) > _VERY_MANY_POINTS:
-        work = float(problem.n_inliers) * n * m
-        yield (
-            f"warning: {n} x {m} points. Each exact assignment takes {_bytes(8.0 * n * m)} and up "
-            f"to K n m = {work:.0e} operations (at worst about "
-            f"{_duration(work / _OPERATIONS_PER_SECOND)}), and a search needs hundreds of them. "
-            "Downsample: downsample=200, --downsample 200."
-        )
+        yield f"warning: {n} x {m} points are many for a search. {_REMEDY}."
     radii = rms_radius(problem.source), rms_radius(problem.target)
     ratio = radii[0] / radii[1] if radii[1] > 0 else math.inf
     if problem.model == "rigid3d" and not 0.5 <= ratio <= 2.0:
@@ -65,34 +72,6 @@ def advice(problem: Problem) -> Iterator[str]:
             "rigid3d has no scale. If the units differ, rescale one cloud; for two views that "
             "overlap in part this may be all right."
         )
-
-
-def _bytes(count: float) -> str:
-    for unit in ("bytes", "kB", "MB", "GB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}"
-        count /= 1000
-    return f"{count:.3g} TB"
-
-
-def _duration(seconds: float) -> str:
-    for unit, size in (("days", 86400), ("hours", 3600), ("minutes", 60)):
-        if seconds >= size:
-            return f"{seconds / size:.2g} {unit}"
-    return f"{seconds:.2g} s"
-
-
-_MANY_POINTS = 1000
-# Poses differ if they displace the source by more than this fraction of the target's RMS radius.
-DISTINCT = 0.2
-_MUCH_LARGER = 100.0
-_OTHER_SIZE = 10.0
-TOO_MANY_PAIRS = "pairs are probably too many"  # part of the line of `loose_pairs`
-_ROUGH = 1.01  # objective in units of the upper bound; more than rounding
-# Of 180 problems of four shapes, all 45 wrong poses and 18 of 135 right ones had a runner-up below this.
-_CLOSE = 1.5
-# RMSE in units of the target's spacing. Scans of one object stay below it if n_inliers is right.
-_LOOSE = 2.0
 
 
 @dataclass(frozen=True)
@@ -257,10 +236,7 @@ def too_many_points(case: Case) -> str | None:
     solved = case.result.status in (Status.OPTIMAL, Status.CONVERGED)
     if max(n, m) < _MANY_POINTS or solved or case.result.downsampled is not None:
         return None
-    return (
-        f"{n} x {m} points are too many for this time limit. Use downsample=200 (--downsample 200), "
-        "which searches with a sample of the points and refines the pose on all of them"
-    )
+    return f"{n} x {m} points are too many for this time limit. {_REMEDY}"
 
 
 RULES: tuple[Callable[[Case], str | None], ...] = (

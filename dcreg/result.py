@@ -97,8 +97,7 @@ class Stage:
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid`` or ``polish``; also ``start``, ``basins`` and
-        ``basin 3 of 12`` in mode ``multi``, and ``descents`` in a sweep.
+        ``search``, ``rotation``, ``rigid``, ``polish``, ``all points`` or, in a sweep, ``descents``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional

@@ -164,7 +164,7 @@ def test_a_tolerance_as_a_length(call, more, pairs):
 
 def test_advice_speaks_of_what_is_searched(tmp_path, monkeypatch):
     """Of large clouds, but not where some of their points are searched; of units; never when quiet."""
-    monkeypatch.setattr(sys.modules["dcreg.diagnostics"], "_MANY_POINTS", 40)
+    monkeypatch.setattr(sys.modules["dcreg.diagnostics"], "_VERY_MANY_POINTS", 40)
     cloud = np.random.default_rng(0).random((45, 3))
     np.save(tmp_path / "a.npy", cloud)
     np.save(tmp_path / "b.npy", 1000 * cloud[:30])
@@ -183,4 +183,4 @@ def test_advice_speaks_of_what_is_searched(tmp_path, monkeypatch):
 def test_no_advice_without_reason(call):
     outcome = run(*call)
     assert "hint" not in outcome.stderr
-    assert "points. Each exact assignment" not in outcome.stderr
+    assert "points are many" not in outcome.stderr
