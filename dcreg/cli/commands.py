@@ -312,15 +312,15 @@ def verify(
     Exit code: 0 the claim is proven; 2 bad input; 5 the certificate is
     refused, with the reason.
     """
-    from dcreg.cli.progress import ProofProgress
+    from dcreg.cli.progress import Progress
 
-    points = clouds.read()
-    with ProofProgress(quiet=quiet) as progress:
-        report = dcreg.verify(certificate, *points, progress=progress)
+    points, check = clouds.read(), dcreg.verify
+    with Progress(quiet=quiet, step="checking the statements of the certificate") as progress:
+        report = progress.run(partial(check, certificate, *points, progress=progress.prove))
     if not report.is_certificate:
         raise dcreg.InputError(report.reason)
-    for check in report.checks:
-        typer.echo(f"ok: {check}")
+    for passed in report.checks:
+        typer.echo(f"ok: {passed}")
     if not report.accepted:
         typer.echo(
             f"refused: {report.reason}; check the clouds, or make a new certificate with "

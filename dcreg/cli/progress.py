@@ -23,8 +23,7 @@ from dcreg.cli.interrupts import SIGNALS, Interrupt
 _LIBRARY = logging.getLogger("dcreg")
 T = TypeVar("T")
 _GLANCE_S = 0.1  # between two checks for a signal
-_WAITING_S = 5.0  # between two plain lines before a search
-_PREPARING = "preparing the search"
+_WAITING_S = 5.0  # between two plain lines without a search
 _HEADER = (
     f"  {'stage':<11}{'nodes':>9}{'open':>7}{'assign.':>9}"
     f"{'lower bound':>12}{'upper bound':>12}{'gap':>10}{'time':>8}"
@@ -47,6 +46,8 @@ class Progress:
         Minimum time between two plain lines.
     quiet : bool
         Show nothing, but still stop on a signal.
+    step : str
+        The work until the first event.
     """
 
     def __init__(
@@ -56,8 +57,10 @@ class Progress:
         gap_tol: float | None = None,
         interval_s: float = 1.0,
         quiet: bool = False,
+        step: str = "preparing the search",
     ) -> None:
         self.stop_requested = False
+        self._step = step
         self._console = console or Console(stderr=True)
         self._gap_tol = gap_tol
         self._interval_s = interval_s
@@ -87,7 +90,7 @@ class Progress:
         _LIBRARY.setLevel(logging.INFO)
         _LIBRARY.addHandler(self._messages)
         if self._console.is_terminal:
-            self._live = Live(Text(_PREPARING), console=self._console, refresh_per_second=8)
+            self._live = Live(Text(self._step), console=self._console, refresh_per_second=8)
             self._live.start()
         return self
 
@@ -129,6 +132,11 @@ class Progress:
             raise errors[0]
         return outcome[0]
 
+    def prove(self, done: int, needed: int) -> None:
+        """Show how far the check of a certificate is: boxes bounded, and boxes known to be needed."""
+        needed = max(done, needed)
+        self._step = f"proving the bounds: {done} of {needed} {'box' if needed == 1 else 'boxes'}"
+
     def _on_signal(self, number: int, _: FrameType | None) -> None:
         if self.stop_requested or not self._heard:
             raise Interrupt(number)
@@ -137,12 +145,13 @@ class Progress:
         os.write(2, b"\nstopping, the best pose is kept (repeat to quit at once)\n")
 
     def _show_waiting(self) -> None:
-        """Show that the library still prepares the search: checks, sampling, compilation."""
+        """Show the work outside of a search: checks, sampling, compilation, proof."""
         now = time.monotonic()
+        line = f"{self._step}, {now - self._began:.0f} s"
         if self._live is not None:
-            self._live.update(Text(f"{_PREPARING}, {now - self._began:.0f} s"))
+            self._live.update(Text(line))
         elif now - max(self._began, self._last_print) >= _WAITING_S:
-            self._console.print(f"{_PREPARING}, {now - self._began:.0f} s", highlight=False)
+            self._console.print(line, highlight=False, soft_wrap=True)
             self._last_print = now
 
     def _show(self, event: dcreg.Event) -> None:
@@ -188,62 +197,6 @@ class Progress:
             f"{_number(event.gap, 4):>10}{event.time_s:>7.1f}s"
             f"{'  ' + event.status if event.status else ''}"
         )
-
-
-class ProofProgress:
-    """Progress of the check of a certificate, also during long steps.
-
-    It receives the boxes bounded and the boxes known to be needed.
-
-    Parameters
-    ----------
-    console : rich.console.Console, optional
-        Where to write; default: standard error.
-    interval_s : float
-        Time between two plain lines.
-    quiet : bool
-        Show nothing.
-    """
-
-    def __init__(
-        self, console: Console | None = None, *, interval_s: float = 1.0, quiet: bool = False
-    ) -> None:
-        self._console = console or Console(stderr=True)
-        self._interval_s = interval_s
-        self._quiet = quiet
-        self._live: Live | None = None
-        self._printer = threading.Thread(target=self._print, daemon=True)
-        self._ended = threading.Event()
-        self._step = "checking the statements of the certificate"
-        self._began = time.monotonic()
-
-    def __enter__(self) -> Self:
-        if not self._quiet and self._console.is_terminal:
-            self._live = Live(
-                get_renderable=self._line, console=self._console, refresh_per_second=8
-            )
-            self._live.start()
-        elif not self._quiet:
-            self._printer.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        if self._live is not None:
-            self._live.stop()
-        elif not self._quiet:
-            self._printer.join()
-
-    def __call__(self, done: int, needed: int) -> None:
-        needed = max(done, needed)
-        self._step = f"proving the bounds: {done} of {needed} {'box' if needed == 1 else 'boxes'}"
-
-    def _line(self) -> Text:
-        return Text(f"{self._step}, {time.monotonic() - self._began:.0f} s")
-
-    def _print(self) -> None:
-        while not self._ended.wait(self._interval_s):
-            self._console.print(self._line(), soft_wrap=True)
 
 
 class _Messages(logging.Handler):

@@ -53,9 +53,18 @@ NUMBERS = {  # options that both commands have: value, what the message shows, r
         "tight+magic": ("--bound: 'magic'", "known: dc"),
     },
     "model": {
-        "affine": ("'affine' is not one of", "'similarity2d', 'rigid3d'"),
-        "rigid2d": ("'rigid2d' is not one of", "'similarity2d', 'rigid3d'"),
-        "": ("'' is not one of", "'similarity2d', 'rigid3d'"),
+        "affine": ("--model: 'affine' is unknown", "known: rigid3d, similarity2d"),
+        "rigid2d": ("--model: 'rigid2d' is unknown", "'rigid3d'"),
+        "": ("--model: '' is unknown", "known: rigid3d, similarity2d"),
+    },
+    "start_box": {
+        "magic": ("--start-box: 'magic' is unknown", "known: radius, stationary"),
+        "radios": ("--start-box: 'radios'", "did you mean 'radius'"),
+    },
+    "memory_limit_mb": {
+        "-1": ("--memory-limit-mb: -1.0", "give a positive number"),
+        "nan": ("--memory-limit-mb: nan", "give a positive number"),
+        "1GB": ("'1GB' is not a number", "give one such as"),
     },
     "n_inliers": {
         "lots": ("--n-inliers: 'lots' is not a number", "such as 40 or a fraction"),
@@ -86,14 +95,14 @@ RANGES = {
     "6:9:-1": ("--n-inliers: '6:9:-1' is not a range", "give one such as"),
     "0.1:nan:0.1": ("--n-inliers: '0.1:nan:0.1' is not a range", "give one such as"),
     "1:2:3:4": ("--n-inliers: '1:2:3:4' is not a range", "give one such as"),
-    "1:1000000000": ("names 1000000000 cardinalities", "choose a step"),
-    "0.1:1.0:0.00001": ("names 90001 cardinalities", "choose a step"),
+    "1:1000000000": ("is a range of 1000000000 numbers", "choose a step"),
+    "0.1:1.0:0.00001": ("is a range of 90001 numbers", "choose a step"),
     ":": ("--n-inliers: '' is not a number", "such as 40"),
     ",": ("--n-inliers: the list is empty", "give at least one"),
     "4,9": ("--n-inliers: 9 pairs", "between 1 and 8"),
 }
 IN_SPACE = {
-    "bound of full": (("--mode", "full", "--bound", "dc"), "--bound: 'dc'", "mode"),
+    "bound of full": (("--mode", "full", "--bound", "dc"), "--bound: mode 'full'", "mode"),
     "certificate of full": (("--mode", "full", "--certificate", "c.npz"), "--certificate", "mode"),
     "scale": (("--scale-range", "0.9", "1.1"), "--scale-range: (0.9, 1.1)", "leave it out"),
     "unknown mode": (("--mode", "best"), "--mode: 'best' is unknown", "known: "),
@@ -187,7 +196,7 @@ def _outputs() -> Iterator[Case]:
         yield Case("outputs", f"sweep --plot {suffix or 'none'}",
                    sweep("--plot", f"o{suffix}"), words)  # fmt: skip
     for suffix in (".xlsx", ".txt", ""):
-        words = [f"--out o{suffix}", "must end in one of .json, .csv"]
+        words = [f"--out o{suffix}", "must end in .json or .csv"]
         yield Case("outputs", f"sweep --out {suffix or 'none'}",
                    sweep("--out", f"o{suffix}"), words)  # fmt: skip
 

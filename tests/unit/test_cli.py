@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import resource
 
 import numpy as np
@@ -160,74 +159,6 @@ def test_help_lists_what_is_accepted():
 # --- bad input ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"--n-inliers": "lots"}, ["--n-inliers: 'lots'", "such as 40"]),
-        ({"--n-inliers": "13"}, ["--n-inliers: 13", "between 1 and 12"]),
-        ({"--n-inliers": "0"}, ["--n-inliers: 0"]),
-        ({"--n-inliers": "1.5"}, ["--n-inliers", "1.5", "(0, 1]"]),
-        ({"--n-inliers": "nan"}, ["--n-inliers", "nan"]),
-        ({"--model": "rigid3d"}, ["source.txt", "2 coordinates", "use --model similarity2d"]),
-        ({"--model": "affine"}, ["--model: 'affine' is unknown", "similarity2d"]),
-        ({"--scale-range": ("2", "1")}, ["--scale-range: (2.0, 1.0)", "low <= high"]),
-        ({"--scale-range": ("nan", "1")}, ["--scale-range"]),
-        ({"--bound": "magic"}, ["--bound: 'magic'", "tight"]),
-        ({"--mode": "magic"}, ["--mode: 'magic'", "paper"]),
-        ({"--gap-tol": "-1"}, ["--gap-tol: -1"]),
-        ({"--gap-tol": "nan"}, ["--gap-tol: nan"]),
-        ({"--time-limit": "0"}, ["--time-limit: 0"]),
-        ({"--node-limit": "-3"}, ["--node-limit: -3"]),
-        ({"--threads": "0"}, ["--threads: 0"]),
-        ({"--start-box": "magic"}, ["--start-box: 'magic' is unknown"]),
-        ({"--memory-limit-mb": "-1"}, ["--memory-limit-mb: -1"]),
-        ({"--threads": "two"}, ["--threads", "'two'", "whole number"]),
-        ({"--node-limit": "1e3"}, ["--node-limit", "'1e3'", "whole number"]),
-        ({"--time-limit": "1h"}, ["--time-limit", "'1h'", "not a number"]),
-        ({"--scale-range": ("half", "1")}, ["--scale-range", "'half'", "not a number"]),
-    ],
-)
-def test_bad_values_exit_2(cloud_files, change, words):
-    assert_refused("register", cloud_files, change, words)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"--n-inliers": "0.3:1:0.1"}, ["--n-inliers", "mixes counts and fractions"]),
-        ({"--n-inliers": "0.3:1.0"}, ["--n-inliers: '0.3:1.0'", "FROM:TO:STEP"]),
-        ({"--n-inliers": "9:6:1"}, ["--n-inliers: '9:6:1'", "FROM <= TO"]),
-        ({"--n-inliers": "6:9:0"}, ["--n-inliers: '6:9:0'", "STEP > 0"]),
-        ({"--n-inliers": "0.1:nan:0.1"}, ["--n-inliers", "nan"]),
-        ({"--n-inliers": "1:2:3:4"}, ["--n-inliers: '1:2:3:4'", "FROM:TO:STEP"]),
-        ({"--n-inliers": "0.1:1.0:0.00001"}, ["--n-inliers", "at most 1000"]),
-        ({"--n-inliers": "6,lots"}, ["--n-inliers: 'lots'", "such as 40"]),
-        ({"--n-inliers": ","}, ["--n-inliers", "empty"]),
-        ({"--n-inliers": "6,13"}, ["--n-inliers: 13", "between 1 and 12"]),
-        ({"--bound": "magic"}, ["--bound: 'magic'"]),
-        ({"--time-limit": "0"}, ["--time-limit: 0"]),
-        ({"--downsample": "1"}, ["--downsample: 1", "such as 200"]),
-        ({"--out": "a.xlsx"}, ["--out a.xlsx", ".json or .csv"]),
-        ({"--plot": "a.pdf"}, ["--plot a.pdf", ".html or .png or .svg"]),
-        ({"--plot": "missing/a.html"}, ["--plot missing/a.html", "no folder"]),
-    ],
-)
-def test_bad_values_of_a_sweep_exit_2(cloud_files, change, words):
-    assert_refused("sweep", cloud_files, change, words)
-
-
-def assert_refused(command, files, change, words):
-    arguments = [command, *files]
-    for name, value in ({"--model": "similarity2d", "--n-inliers": "5"} | change).items():
-        arguments += [name, *([value] if isinstance(value, str) else value)]
-    outcome = run(*arguments)
-    assert outcome.exit_code == 2, outcome.output
-    assert outcome.stdout == ""
-    assert "Traceback" not in outcome.stderr
-    for word in words:
-        assert word in outcome.stderr
-
-
 @pytest.mark.parametrize("which", [0, 1])
 def test_bad_file_exits_2_and_names_it(call, tmp_path, fake, which):
     bad = tmp_path / "bad.csv"
@@ -237,28 +168,6 @@ def test_bad_file_exits_2_and_names_it(call, tmp_path, fake, which):
     assert outcome.exit_code == 2
     assert outcome.stderr == f"error: {bad}: line 2 holds NaN or infinity; remove that point\n"
     assert fake.called is None
-
-
-@pytest.mark.parametrize(
-    ("pairs", "words"),
-    [
-        ([[0.5, 1]], "not a table of pairs"),
-        ([[12, 0]], "12 is not a source row"),
-        ([[0, 12]], "12 for source point 0 is no target index"),
-        ([[0, 0]], "at most 1 pairs can be matched"),
-    ],
-)
-def test_bad_candidates_exit_2(call, tmp_path, pairs, words):
-    np.savetxt(tmp_path / "pairs.txt", pairs)
-    result = run(*call, "--candidates", tmp_path / "pairs.txt")
-    assert result.exit_code == 2
-    assert words in " ".join(result.stderr.split())
-
-
-def test_too_few_arguments_exit_2():
-    outcome = run("register", "a.txt", "b.txt", "--model", "similarity2d")
-    assert outcome.exit_code == 2
-    assert "--n-inliers" in outcome.stderr
 
 
 @pytest.mark.parametrize("option", ["--json", "--trace", "--plot"])
@@ -278,40 +187,6 @@ def test_unwritable_outputs_stop_before_the_search(call, cloud_files, tmp_path, 
             assert word in outcome.stderr
     assert fake.called is None
     assert source.read_bytes() == before
-
-
-def test_outputs_must_differ(call, tmp_path, fake):
-    outcome = run(*call, "--json", tmp_path / "out", "--plot", tmp_path / "." / "out")
-    assert outcome.exit_code == 2
-    assert "is also the file of --json" in outcome.stderr
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_folder_without_write_permission(call, tmp_path, fake):
-    locked = tmp_path / "locked"
-    locked.mkdir(mode=0o555)
-    outcome = run(*call, "--json", locked / "out.json")
-    assert outcome.exit_code == 2
-    assert "cannot write" in outcome.stderr
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--mode", "full", "--bound", "dc"], "--bound: mode 'full' has its own bounds"),
-        (["--scale-range", "0.9", "1.1"], "--scale-range: (0.9, 1.1), but rigid3d has no scale"),
-        (["--mode", "full", "--certificate", "c.npz"], "--certificate: mode 'full' keeps no leaf"),
-        (["--mode", "best"], "--mode: 'best' is unknown for rigid3d"),
-    ],
-)
-def test_what_a_mode_would_ignore_is_refused(tmp_path, monkeypatch, options, words):
-    monkeypatch.chdir(tmp_path)
-    np.savetxt("a.txt", np.random.default_rng(3).random((6, 3)))
-    np.savetxt("b.txt", np.random.default_rng(4).random((6, 3)))
-    outcome = run("register", "a.txt", "b.txt", "--model", "rigid3d", "--n-inliers", 6, *options)
-    assert outcome.exit_code == 2
-    assert words in outcome.stderr
-    assert outcome.stdout == ""
 
 
 # --- results --------------------------------------------------------------------------------------

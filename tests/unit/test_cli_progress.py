@@ -18,7 +18,7 @@ import pytest
 from rich.console import Console
 
 from dcreg.cli.interrupts import Interrupt, leave, raise_again
-from dcreg.cli.progress import Progress, ProofProgress
+from dcreg.cli.progress import Progress
 from dcreg.files import whole_file
 from tests.results import event
 
@@ -97,38 +97,23 @@ def test_interrupt_asks_to_stop_then_quits_and_restores_the_handler():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_proof_progress_goes_on_while_a_step_takes_long():
-    stream = io.StringIO()
-    with ProofProgress(Console(file=stream), interval_s=0.01) as progress:
-        time.sleep(0.2)
-        progress(64, 200)
-        time.sleep(0.2)
-        progress(300, 200)  # more than were known to be needed
-        time.sleep(0.2)
-    lines = stream.getvalue().splitlines()
-    assert lines.count("checking the statements of the certificate, 0 s") >= 2
-    assert lines.count("proving the bounds: 64 of 200 boxes, 0 s") >= 2
-    assert lines.count("proving the bounds: 300 of 300 boxes, 0 s") >= 1
-    n_threads = threading.active_count()
-    stream = io.StringIO()
-    with ProofProgress(Console(file=stream), interval_s=60.0) as progress:
-        assert threading.active_count() == n_threads + 1
-        progress(64, 200)
-    assert stream.getvalue() == ""
-    assert threading.active_count() == n_threads
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_proof_shows_its_steps(monkeypatch, terminal):
+    monkeypatch.setattr("dcreg.cli.progress._WAITING_S", 0.05)
 
+    def prove(progress):
+        time.sleep(0.3)
+        for done in (64, 300):  # 300 are more than the 200 known to be needed
+            progress.prove(done, 200)
+            time.sleep(0.3)
 
-def test_proof_progress_on_a_terminal_is_one_line_and_quiet_is_none():
-    stream = io.StringIO()
-    terminal = Console(file=stream, force_terminal=True, width=80)
-    with ProofProgress(terminal) as progress:
-        progress(1, 1)
-    assert "proving the bounds: 1 of 1 box" in stream.getvalue()
-    assert "boxes" not in stream.getvalue()
-    stream = io.StringIO()
-    with ProofProgress(Console(file=stream, force_terminal=True), quiet=True) as progress:
-        progress(64, 200)
-    assert stream.getvalue() == ""
+    for quiet in (False, True):
+        stream = io.StringIO()
+        console = Console(file=stream, force_terminal=terminal, width=80)
+        with Progress(console, quiet=quiet, step="checking") as progress:
+            progress.run(lambda: prove(progress))
+        for step in ("checking", "proving the bounds: 64 of 200 boxes", "300 of 300 boxes"):
+            assert (step in stream.getvalue()) != quiet
 
 
 def test_progress_works_outside_the_main_thread():
