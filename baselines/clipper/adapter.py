@@ -1,4 +1,4 @@
-"""CLIPPER-style dense clique, own port."""
+"""CLIPPER-style dense clique, a port of the published algorithm."""
 
 from __future__ import annotations
 

@@ -10,32 +10,32 @@ from dcreg.search import Budget
 
 ASCENT_STEPS = 200  # per penalty
 PENALTIES = 100
-NO_WEIGHT = 1e-9  # a weight up to this one counts as none
-LEAST_CHANGE = 1e-5  # of the weights: a step that changes none by more ends the ascent
+NO_WEIGHT = 1e-9  # weights up to this one count as zero
+MIN_CHANGE = 1e-5  # of the weights; the ascent stops below it
 
 
 def dense_clique(
     affinity: np.ndarray, consistent: np.ndarray, budget: Budget
 ) -> tuple[np.ndarray, bool]:
-    """Correspondences of a local optimum of ``max u' M u`` over cliques, and whether it finished.
+    """Return the clique of a local optimum of ``max u' M u``, and whether the ascent finished.
 
     Parameters
     ----------
     affinity : (n, n)
         M, 1 on the diagonal and 0 for inconsistent pairs.
     consistent : (n, n) bool
-        Pairs that may be chosen together, true on the diagonal.
+        Pairs that may both be chosen; true on the diagonal.
 
     Notes
     -----
-    Maximises ``u' (M - d C̄) u`` over non-negative unit vectors, C̄ marking inconsistent pairs, for
-    penalties d that grow until no inconsistent pair has weight. Each maximum starts the next. The
-    objective is then about the size of the clique, whose members are the largest entries.
+    Maximises ``u' (M - d C̄) u`` over non-negative unit vectors, where C̄ marks inconsistent pairs, for
+    penalties d that grow until no inconsistent pair has weight. Each ascent starts from the previous
+    maximum. The final objective is about the size of the clique, and its members are the largest entries.
     """
     allowed = consistent.astype(affinity.dtype)
 
     def forbidden(u: np.ndarray) -> np.ndarray:
-        """C̄ u."""
+        """Return C̄ u."""
         return np.maximum(u.sum() - allowed @ u, 0.0)
 
     u = _leading_direction(affinity)
@@ -69,7 +69,7 @@ def _ascend(
     penalty: float,
     budget: Budget,
 ) -> np.ndarray:
-    """A local maximum for this penalty: gradient steps with backtracking, then projection."""
+    """Find a local maximum for this penalty by gradient steps with backtracking and projection."""
     step = 1.0
     image = affinity @ u - penalty * forbidden(u)
     value = float(u @ image)
@@ -92,6 +92,6 @@ def _ascend(
         moved = float(np.abs(trial - u).max())
         u, image, value = trial, trial_image, trial_value
         step *= 2
-        if moved < LEAST_CHANGE or budget.is_over:
+        if moved < MIN_CHANGE or budget.is_over:
             break
     return u

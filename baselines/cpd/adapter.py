@@ -15,15 +15,15 @@ from dcreg.search import Budget
 
 
 class Adapter(Baseline):
-    """pycpd's rigid registration with the scale kept in the instance's range."""
+    """pycpd's rigid registration with the scale clipped to the range of the instance."""
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
         self.starts = check_choice(self, "starts", STARTS)
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        # The mixture's uniform part assumes coordinates of order one: work in target RMS radii
-        # about the target's centroid, whatever the units of the data.
+        # The uniform component of the mixture assumes coordinates of order one: use target RMS radii
+        # about the centroid of the target.
         unit = unit_of(instance)
         origin = instance.target.mean(axis=0)
         normalise = homogeneous(1 / unit, np.eye(instance.dim), -origin / unit)
@@ -50,11 +50,11 @@ class Adapter(Baseline):
             moved = np.linalg.inv(normalise) @ found @ normalise @ pose
             return moved if np.isfinite(moved).all() else None
 
-        with np.errstate(all="ignore"):  # a collapsing mixture underflows on its way to None
+        with np.errstate(all="ignore"):  # a collapsing mixture underflows before it returns None
             return best_of_starts(instance, self.starts, limits, refine)
 
     def _outlier_weight(self, instance: Instance) -> float:
-        """The option, or the share of the target that `n_inliers` leaves unmatched."""
+        """Return the option, or the share of the target that `n_inliers` leaves unmatched."""
         if self.options["w"] is not None:
             return float(self.options["w"])
         return float(np.clip(1 - instance.n_inliers / len(instance.target), 0.1, 0.9))
@@ -65,7 +65,7 @@ def _bounded_rigid() -> type:
     from pycpd import RigidRegistration
 
     class BoundedRigid(RigidRegistration):
-        """pycpd always fits the scale freely; this keeps it in a range (one value: fixed)."""
+        """Rigid registration of pycpd with the scale in a range; a single value fixes it."""
 
         s: float
         q: float
@@ -83,7 +83,7 @@ def _bounded_rigid() -> type:
             self.t = mean_target - self.s * mean_source @ self.R
 
         def update_variance(self) -> None:
-            # pycpd's short formula holds at the free scale only; this one at every scale.
+            # pycpd's short formula holds only at the optimal scale, this one at every scale.
             last = self.q
             overlap = float(np.trace(self.A @ self.R))
             spread = float(self.Pt1 @ (self.X_hat**2).sum(axis=1))

@@ -11,11 +11,11 @@ from baselines.contract import Card
 
 
 class Adapter(LearnedMethod):
-    """Clouds go in centred and with the source's radius as the unit, as in its training."""
+    """Clouds are centred and divided by the radius of the source, as in the training."""
 
     folder = Path(__file__).parent
     expects = ("model.py",)
-    least_points = 20  # neighbours in the network's graph
+    least_points = 20  # neighbours in the graph of the network
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)

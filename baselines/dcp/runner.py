@@ -1,4 +1,4 @@
-"""Runs in the child process: DCP from the authors' checkout (``model.py``)."""
+"""DCP from the authors' checkout (``model.py``), run in the child process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 def load(checkout: str, weights: str, settings: dict[str, Any]) -> Callable[[dict[str, Any]], Any]:
-    """The network with the layout of its published training, and its registration function."""
+    """Load the network with the layout of its published training; return its registration function."""
     import model
     import torch
 
@@ -30,7 +30,7 @@ def load(checkout: str, weights: str, settings: dict[str, Any]) -> Callable[[dic
     network = network.to(device).eval()
 
     def register(problem: dict[str, np.ndarray]) -> np.ndarray:
-        # The network knows shapes of unit radius about the origin.
+        # The network was trained on shapes of unit radius about the origin.
         source, target = problem["source"], problem["target"]
         centre_x, centre_y = source.mean(axis=0), target.mean(axis=0)
         unit = max(np.linalg.norm(source - centre_x, axis=1).max(), 1e-12)
@@ -49,7 +49,7 @@ def load(checkout: str, weights: str, settings: dict[str, Any]) -> Callable[[dic
 
 
 class OneDevice:
-    """``torch`` for a module that always asks for the device ``cuda``."""
+    """Replacement of ``torch`` for a module that always requests the device ``cuda``."""
 
     def __init__(self, torch: Any, device: Any) -> None:
         self._torch = torch

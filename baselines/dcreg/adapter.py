@@ -64,7 +64,7 @@ class Adapter(LibraryMethod):
         return missing_matches(instance, self.options["front_end"]) or super().supports(instance)
 
     def warm_up(self, instance: Instance) -> None:
-        """Compile the kernels of the mode, or of those that the library chooses among."""
+        """Compile the kernels of the mode, or of the modes from which the library chooses."""
         if self.options["front_end"] is not None:
             warm_up_matches()
             return
@@ -112,7 +112,7 @@ class Adapter(LibraryMethod):
             node_limit=limits.nodes,
         )
         solution = solution_of(result)
-        # their cost includes a penalty for matches not chosen, which the harness does not evaluate
+        # the bounds include a penalty for matches not chosen, which the harness does not evaluate
         solution.lower_bound = solution.upper_bound = None
         solution.message = "; ".join(filter(None, [putative.note, solution.message]))
         solution.counters["n_correspondences"] = len(putative.pairs)

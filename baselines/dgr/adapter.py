@@ -8,7 +8,7 @@ from baselines._shared.learned import LearnedMethod
 
 
 class Adapter(LearnedMethod):
-    """Clouds go in as they are: the weights fix the voxel size, in metres."""
+    """Clouds are not rescaled: the weights fix the voxel size in metres."""
 
     folder = Path(__file__).parent
     expects = ("core/deep_global_registration.py",)

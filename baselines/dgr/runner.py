@@ -1,4 +1,4 @@
-"""Runs in the child process: deep global registration from the authors' checkout."""
+"""Deep global registration from the authors' checkout, run in the child process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def load(checkout: str, weights: str, settings: dict[str, Any]) -> Callable[[dict[str, Any]], Any]:
-    """The authors' pipeline as their demo runs it."""
+    """Load the authors' pipeline as in their demo."""
     import torch
     from core.deep_global_registration import DeepGlobalRegistration
 

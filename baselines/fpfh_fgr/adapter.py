@@ -32,7 +32,7 @@ class Adapter(CorrespondenceMethod):
             open3d_clouds.cloud(instance.target),
             open3d.utility.Vector2iVector(pairs.astype(np.int32)),
             registration.FastGlobalRegistrationOption(
-                # Lengths of the option are in target units only with the absolute scale.
+                # With the absolute scale, lengths of the option are in target units.
                 use_absolute_scale=True,
                 decrease_mu=True,
                 maximum_correspondence_distance=self.inlier_distance(instance),
@@ -42,6 +42,6 @@ class Adapter(CorrespondenceMethod):
             ),
         )
         pose = rigid_pose(outcome.transformation)
-        # Open3D returns the identity, not an error, when no tuple survives its test.
+        # Open3D returns the identity, not an error, if no tuple passes its test.
         unmoved = pose is None or np.array_equal(pose, np.eye(4))
         return None if unmoved else pose

@@ -19,7 +19,7 @@ class Adapter(CorrespondenceMethod):
     ) -> np.ndarray | None:
         import open3d
 
-        # Honoured by Open3D only in part, hence the card's `deterministic: false`.
+        # Open3D respects the seed only in part, hence `deterministic: false` in the card.
         open3d.utility.random.seed(instance.seed % 2**31)
         registration = open3d.pipelines.registration
         outcome = registration.registration_ransac_based_on_correspondence(

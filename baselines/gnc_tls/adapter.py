@@ -11,7 +11,7 @@ from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
-    """Weighted least squares whose weights harden from all equal to in or out."""
+    """Weighted least squares; the weights change from equal to inlier or outlier."""
 
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         pose, weights, finished = gnc_pose(

@@ -1,4 +1,4 @@
-"""GORE: a pose by RANSAC, guaranteed outlier removal, then RANSAC on what is left."""
+"""GORE: a pose by RANSAC, guaranteed outlier removal, then RANSAC on the remaining correspondences."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from baselines.gore.removal import remove_outliers
 from dcreg.search import Budget
 
 SHARE_FOR_START = 0.1  # of the time, at most
-SHARE_FOR_REMOVAL = 0.8  # of what is left
+SHARE_FOR_REMOVAL = 0.8  # of the remaining time
 
 
 class Adapter(CorrespondenceMethod):
-    """The better of the best consensus met while removing and RANSAC's on the survivors."""
+    """Return the better of the removal's best pose and RANSAC's on the remaining correspondences."""
 
     def warm_up(self, instance: Instance) -> None:
         super().warm_up(instance)

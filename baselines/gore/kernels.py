@@ -1,4 +1,4 @@
-"""Compiled bounds by intervals of angles: see `baselines.gore.removal`."""
+"""Compiled bounds by intervals of angles; see `baselines.gore.removal`."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import numpy as np
 
 from dcreg.jit import jit
 
-# For rounding, of cosines and of angles at which intervals end.
+# Margins for the rounding of cosines and of the ends of intervals.
 COSINE_MARGIN = 1e-14
 ANGLE_MARGIN = 1e-7
-NEXT, LEFT, MOST, BEST, CHANGED = range(5)  # places in the integer state of the intervals
+NEXT, LEFT, MOST, BEST, CHANGED = range(5)  # entries of the integer state of the intervals
 
 
 @jit
 def directions(source, target, tolerance):
-    """Unit vectors, and the largest angle between R x_i and y_i that the tolerance allows."""
+    """Compute unit vectors, and the maximum angle between R x_i and y_i within the tolerance."""
     n = len(source)
     x, y = np.zeros((n, 3)), np.zeros((n, 3))
     spread = np.empty(n)
@@ -25,7 +25,7 @@ def directions(source, target, tolerance):
         if b > 0:
             y[i] = target[i] / b
         if a <= tolerance or b <= tolerance:
-            spread[i] = np.pi  # near the origin every rotation may do
+            spread[i] = np.pi  # near the origin any rotation is possible
         else:
             cosine = (a**2 + b**2 - tolerance**2) / (2 * a * b)
             spread[i] = np.arccos(min(1.0, max(-1.0, cosine - COSINE_MARGIN)))
@@ -34,9 +34,9 @@ def directions(source, target, tolerance):
 
 @jit
 def drop_by_arcs(x, y, spread, linked, wanted, alive, rotation, state, budget):
-    """Whether it came to the end; pauses after `budget` arcs.
+    """Bound by intervals; pause after `budget` arcs and return whether all are done.
 
-    ``linked[k, i]``: whether a set may hold both k and i.
+    ``linked[k, i]``: whether a set may contain both k and i.
     """
     n = len(x)
     starts, ends = np.empty(2 * n), np.empty(2 * n)
@@ -50,7 +50,7 @@ def drop_by_arcs(x, y, spread, linked, wanted, alive, rotation, state, budget):
             reach = 1
             for i in range(n):
                 reach += linked[k, i] and alive[i] and i != k
-            if reach >= wanted and spread[k] >= np.pi / 2:  # no rotation is ruled out
+            if reach >= wanted and spread[k] >= np.pi / 2:  # no rotation is excluded
                 state[MOST] = max(state[MOST], reach)
                 continue
             budget -= reach
@@ -93,7 +93,7 @@ def drop_by_arcs(x, y, spread, linked, wanted, alive, rotation, state, budget):
 
 @jit
 def arc(x, y, axis, reach):
-    """Angles about `axis` by which x comes within `reach` of y: centre and half width.
+    """Return the angles about `axis` that move x within `reach` of y: centre and half width.
 
     Half width pi for all angles, -1 for none.
     """
@@ -104,7 +104,7 @@ def arc(x, y, axis, reach):
     needed = np.cos(reach) - a * b - COSINE_MARGIN
     if needed > across:
         return 0.0, -1.0
-    if needed <= -across or across < 1e-6:  # too near the axis to tell one angle from another
+    if needed <= -across or across < 1e-6:  # too close to the axis to distinguish angles
         return 0.0, np.pi
     centre = np.arctan2(np.dot(np.cross(x, y), axis), np.dot(x, y) - a * b)
     return centre, min(np.pi, np.arccos(needed / across) + ANGLE_MARGIN)
@@ -112,7 +112,7 @@ def arc(x, y, axis, reach):
 
 @jit
 def _stab(starts, ends):
-    """Most closed intervals with a common point, given sorted ends, and the middle of one best."""
+    """Return the maximum number of closed intervals with a common point, and such a point."""
     best, where, inside, e = 0, 0.0, 0, 0
     for s in range(len(starts)):
         while ends[e] < starts[s]:
@@ -126,7 +126,7 @@ def _stab(starts, ends):
 
 @jit
 def _about(axis, angle):
-    """Rotation about a unit axis."""
+    """Return the rotation about a unit axis."""
     s, c = np.sin(angle), np.cos(angle)
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -135,9 +135,9 @@ def _about(axis, angle):
 
 @jit
 def _rotation_between(x, y):
-    """The least rotation from unit vector x to unit vector y."""
+    """Return the smallest rotation from unit vector x to unit vector y."""
     cosine = np.dot(x, y)
-    if cosine < -1 + 1e-12:  # half a turn about any axis across x
+    if cosine < -1 + 1e-12:  # half a turn about any axis perpendicular to x
         least = np.argmin(np.abs(x))
         other = np.zeros(3)
         other[least] = 1.0

@@ -1,14 +1,14 @@
-"""Guaranteed outlier removal: drops correspondences that can be in no largest consensus set.
+"""Guaranteed outlier removal: drops correspondences that can be in no maximum consensus set.
 
-A consensus set holds the correspondences i with ``|R x_i + t - y_i| <= bound`` for one pose. Every
-number called `reach` is at least the size of the largest consensus set through a correspondence;
-what reaches less than a consensus set already found goes.
+A consensus set contains the correspondences i with ``|R x_i + t - y_i| <= bound`` for one pose.
+`reach` is an upper bound on the size of the maximum consensus set through a correspondence. A
+correspondence whose reach is below the size of a known consensus set is removed.
 
-For two members k and i of one set, ``|R (x_i - x_k) - (y_i - y_k)| <= 2 bound``. So each k is tried
-as a common origin, which leaves a rotation and twice the bound. How many others one rotation can
-bring within it is bounded by intervals of angles, and where these do not remove k, found exactly by
-branch and bound over rotations. Intervals and tolerances may be too wide, never too narrow, so
-rounding gets a margin.
+For two members k and i of one set, ``|R (x_i - x_k) - (y_i - y_k)| <= 2 bound``. Each k therefore
+serves as a common origin, which leaves a rotation and twice the bound. Intervals of angles bound how
+many others one rotation can move within it. If they do not remove k, branch and bound over rotations
+finds the number exactly. Intervals and tolerances may be too wide but not too narrow, so rounding has
+a margin.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from baselines._shared.rotation_search import most_correspondences
 from baselines.gore.kernels import LEFT, MOST, directions, drop_by_arcs
 from dcreg.search import Budget
 
-# For rounding, of the tolerance and of lengths (both relative).
+# Margins for the rounding of the tolerance and of lengths (both relative).
 MARGIN = 1e-9
 LENGTH_MARGIN = 1e-15
 
-# By intervals, a correspondence is tried again when no more than this share of its partners is left.
+# Intervals try a correspondence again once at most this share of its partners is left.
 WORTHWHILE = 0.95
-_ARCS_PER_SLICE = 100_000  # between two looks at the clock: some 15 ms
+_ARCS_PER_SLICE = 100_000  # between two checks of the budget, about 15 ms
 
 
-# (k, others) -> bound on the others in a set with k, and a rotation worth trying
+# (k, others) -> bound on the others in a set with k, and a promising rotation
 BoundOnOthers = Callable[[int, np.ndarray], tuple[int, np.ndarray]]
 
 
 @dataclass
 class Removal:
-    """What is left, and the largest consensus set met on the way."""
+    """The remaining correspondences, and the largest consensus set found."""
 
     kept: np.ndarray  # indices, sorted
-    reach: np.ndarray  # bounds on the consensus sets through each that are not below `consensus`
+    reach: np.ndarray  # bounds on the consensus sets through each, if not below `consensus`
     pose: np.ndarray | None
     consensus: int  # of that pose
     finished: bool
@@ -58,26 +58,26 @@ def remove_outliers(
     rotation_search: bool = True,
     start: np.ndarray | None = None,
 ) -> Removal:
-    """Drop correspondences as long as one can be dropped, or until the budget is over.
+    """Drop correspondences until none can be dropped or the budget is over.
 
     Parameters
     ----------
     source, target : (n, 3) arrays
         Row i of one corresponds to row i of the other.
     bound : float
-        Largest residual in a consensus set.
+        Maximum residual in a consensus set.
     budget : Budget
     rotation_search : bool
-        Search all rotations about the correspondences that the intervals of angles leave.
+        Search all rotations about the correspondences that the intervals of angles do not remove.
     start : (4, 4) array, optional
-        A known pose; the larger its consensus set, the sooner others are dropped.
+        A known pose; a larger consensus set removes others sooner.
     """
     state = _Removing(source, target, bound, budget)
     if start is not None:
         state.take(start)
     try:
         state.settle(state.arcs)
-        # What the search removes or finds lets the far cheaper intervals remove more.
+        # Removals and better poses by the search let the cheaper intervals remove more.
         while rotation_search and state.sweep(state.search):
             state.settle(state.arcs)
         finished = True
@@ -87,14 +87,16 @@ def remove_outliers(
 
 
 class _Removing:
-    """Who is left of one problem, and the best pose met."""
+    """The remaining correspondences of a problem, and the best pose found."""
 
     def __init__(self, source: np.ndarray, target: np.ndarray, bound: float, budget: Budget):
         self.source, self.target, self.bound, self.budget = source, target, bound, budget
         n = len(source)
         extent = sum(np.linalg.norm(np.ptp(points, axis=0)) for points in (source, target))
         self.tolerance = float(2 * bound * (1 + MARGIN) + LENGTH_MARGIN * extent)
-        rows_as_pairs = np.column_stack([np.arange(n), np.arange(n)])  # a point may be in several
+        rows_as_pairs = np.column_stack(
+            [np.arange(n), np.arange(n)]
+        )  # a point may be in several pairs
         rows = consistency_graph(source, target, rows_as_pairs, self.tolerance, 1.0)
         bits = np.unpackbits(rows.view(np.uint8), axis=1, bitorder="little")
         self.graph = bits[:, :n].astype(bool)
@@ -102,8 +104,10 @@ class _Removing:
         self.reach = self.graph.sum(axis=1) + 1
         self.best: np.ndarray | None = None
         self.most = 0
-        self.agreeing = np.zeros(n, dtype=bool)  # with the best pose: they reach that many
-        self.bounded = np.zeros((n, 2), dtype=int)  # partners and `most` at the last intervals
+        self.agreeing = np.zeros(
+            n, dtype=bool
+        )  # with the best pose: their reach is at least its size
+        self.bounded = np.zeros((n, 2), dtype=int)  # partners and `most` at the last interval bound
         self.searched = np.full(n, -1)  # number of partners at the last search
 
     def settle(self, bound_on_others: BoundOnOthers) -> None:
@@ -112,7 +116,7 @@ class _Removing:
             pass
 
     def sweep(self, bound_on_others: BoundOnOthers) -> bool:
-        """Try every correspondence once as the origin; whether any went or the best pose rose."""
+        """Use every correspondence once as the origin; return whether anything changed."""
         before = self.alive.sum(), self.most
         for k in np.argsort(-self.reach, kind="stable"):
             if not self.alive[k] or self.agreeing[k]:
@@ -129,27 +133,27 @@ class _Removing:
         return before != (self.alive.sum(), self.most)
 
     def arcs(self, k: int, others: np.ndarray) -> tuple[int, np.ndarray]:
-        """Bound on the others in a set with k of more than the best one's size, by intervals."""
+        """Bound the others in a set with k larger than the best set, by intervals."""
         known, most = self.bounded[k]
         if len(others) > WORTHWHILE * known and self.most == most:
-            return len(others), np.eye(3)  # hardly anything changed: the bound stands
+            return len(others), np.eye(3)  # too few changes to try again: keep the bound
         self.bounded[k] = len(others), self.most
         x, y = self.source[others] - self.source[k], self.target[others] - self.target[k]
         linked = self.graph[np.ix_(others, others)]
         return _rotation_reach(x, y, self.tolerance, self.most - 1, self.budget, linked)
 
     def search(self, k: int, others: np.ndarray) -> tuple[int, np.ndarray]:
-        """The same by branch and bound: exact, unless it is too small for k to stay."""
-        if self.searched[k] == len(others):  # they only become fewer: the same as last time
+        """Bound the same by branch and bound: exact, unless k is removed."""
+        if self.searched[k] == len(others):  # partners only become fewer: these are unchanged
             return len(others), np.eye(3)
         x, y = self.source[others] - self.source[k], self.target[others] - self.target[k]
-        # With `most - 1` others k stays, so counts up to one less need not be told apart.
+        # k stays with `most - 1` others, so smaller counts need not be distinguished.
         found = most_correspondences(x, y, self.tolerance, self.most - 2, 0, self.budget)
         self.searched[k] = len(others)
         return found.upper_bound, found.rotation
 
     def _offer(self, k: int, rotation: np.ndarray) -> None:
-        """Take the pose of that rotation about k, fitted to those it suits, if it is the best."""
+        """Fit the pose of a rotation about k to its inliers, and keep it if it is the best."""
         source, target, bound = self.source, self.target, self.bound
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation, target[k] - rotation @ source[k]
@@ -158,7 +162,7 @@ class _Removing:
         self.take(pose)
 
     def take(self, pose: np.ndarray) -> None:
-        """Keep the pose if its consensus set is the largest one met."""
+        """Keep the pose if its consensus set is the largest so far."""
         source, target, bound = self.source, self.target, self.bound
         consensus = int(count_within(source, target, pose, bound))
         if consensus > self.most:
@@ -174,10 +178,10 @@ def _rotation_reach(
     budget: Budget,
     linked: np.ndarray | None = None,
 ) -> tuple[int, np.ndarray]:
-    """Bound on ``|{i: |R x_i - y_i| <= tolerance}|`` over all rotations, and the best R met.
+    """Bound ``|{i: |R x_i - y_i| <= tolerance}|`` over all rotations; return also the best R found.
 
-    Correspondences that reach fewer than `wanted` are dropped until none is; the bound holds for
-    all sets of `wanted` and more whose members are all ``linked`` with each other (by default: any).
+    Correspondences with a reach below `wanted` are dropped until none is left. The bound holds for all
+    sets of at least `wanted` members that are all ``linked`` with each other (by default: any).
     """
     if linked is None:
         linked = np.ones((len(source), len(source)), dtype=bool)
@@ -187,5 +191,5 @@ def _rotation_reach(
     state = np.array([0, len(x), 0, 0, 0])
     while not drop_by_arcs(x, y, spread, linked, wanted, alive, rotation, state, _ARCS_PER_SLICE):
         if budget.is_over:
-            return len(x), rotation  # no bound, but a rotation worth trying
+            return len(x), rotation  # no bound, but a promising rotation
     return int(min(state[LEFT], state[MOST])), rotation

@@ -10,7 +10,7 @@ from baselines.contract import Card
 
 
 class Adapter(LearnedMethod):
-    """The authors' code was not seen, so no call into it is assumed."""
+    """We have not seen the authors' code, so nothing is assumed about its functions."""
 
     folder = Path(__file__).parent
 

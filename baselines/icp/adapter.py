@@ -1,4 +1,4 @@
-"""Trimmed ICP from a documented list of starts, 2D similarity and 3D rigid."""
+"""Trimmed ICP from a documented list of initial poses, 2D similarity and 3D rigid."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dcreg.search import Budget
 
 
 class Adapter(Baseline):
-    """Alternates nearest neighbours and the closed-form fit to the closest `n_inliers` of them."""
+    """Alternate nearest neighbours and the closed-form fit to the closest `n_inliers` of them."""
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)

@@ -1,4 +1,4 @@
-"""Open3D's point-to-point ICP, coarse to fine, from a documented list of starts."""
+"""Open3D's point-to-point ICP, coarse to fine, from a documented list of initial poses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dcreg.search import Budget
 
 
 class Adapter(Baseline):
-    """Three passes with a shrinking correspondence distance, so that a far start can move."""
+    """Three passes with a decreasing correspondence distance, for initial poses far from the optimum."""
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
@@ -42,7 +42,7 @@ class Adapter(Baseline):
                     registration.TransformationEstimationPointToPoint(),
                     criteria,
                 )
-                # Too few pairs within the distance: keep what the coarser pass found.
+                # Too few pairs within the distance: keep the pose of the coarser pass.
                 if len(outcome.correspondence_set) >= instance.dim:
                     pose = outcome.transformation
             return rigid_pose(pose)

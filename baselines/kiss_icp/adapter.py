@@ -1,4 +1,4 @@
-"""KISS-ICP's registration step for one pair of clouds."""
+"""KISS-ICP's registration step for a single pair of clouds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dcreg.search import Budget
 
 
 class Adapter(Baseline):
-    """The target is the map; no motion model, deskewing or down-sampling, which a pair lacks."""
+    """The target is the map. Motion model and deskewing need a sequence; clouds are not downsampled."""
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)

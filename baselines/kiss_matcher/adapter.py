@@ -16,7 +16,7 @@ VOXEL = 0.3
 
 
 class Adapter(CorrespondenceMethod):
-    """ROBIN's graph pruning (k-core) and GNC over the pairs that remain."""
+    """ROBIN's graph pruning (k-core) and GNC over the remaining pairs."""
 
     def solve_pairs(
         self, instance: Instance, pairs: np.ndarray, budget: Budget
@@ -24,7 +24,9 @@ class Adapter(CorrespondenceMethod):
         import kiss_matcher
 
         unit = self.inlier_distance(instance) / VOXEL
-        origin_source = instance.source.mean(axis=0)  # single precision inside: stay near zero
+        origin_source = instance.source.mean(
+            axis=0
+        )  # the library uses single precision: centre the clouds
         origin_target = instance.target.mean(axis=0)
         source = (instance.source[pairs[:, 0]] - origin_source) / unit
         target = (instance.target[pairs[:, 1]] - origin_target) / unit

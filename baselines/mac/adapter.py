@@ -1,4 +1,4 @@
-"""MAC, registration with maximal cliques, own port."""
+"""MAC, registration with maximal cliques, a port of the published algorithm."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from baselines.mac.enumerate import HeaviestCliques
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
-SHARE_FOR_GRAPH, SHARE_FOR_CLIQUES = 0.5, 0.8  # of all time, each from the start
-ROWS = 64  # of the graph between two looks at the clock
+SHARE_FOR_GRAPH, SHARE_FOR_CLIQUES = 0.5, 0.8  # of the whole time
+ROWS = 64  # of the graph between two checks of the budget
 
 
 class Adapter(CorrespondenceMethod):
-    """A pose from every correspondence's heaviest maximal clique; the one of least error."""
+    """Poses of the heaviest maximal clique of every correspondence; the one with minimum error."""
 
     def idle_options(self) -> dict[str, str]:
         idle = super().idle_options()
@@ -67,10 +67,11 @@ def compatibility(
     width: float | None,
     threshold: float,
 ) -> np.ndarray:
-    """How well correspondences agree in lengths, 0 for those that share a point.
+    """Return the compatibility of correspondences in lengths; 0 for those that share a point.
 
-    With a `width`, as published: ``exp(-difference^2 / (2 width^2))`` in median spacings of the target,
-    0 below the `threshold`. Without, for clouds whose noise is known: ``1 - (difference / tolerance)^2``.
+    With a `width`, as published: ``exp(-difference^2 / (2 width^2))`` in median spacings of the
+    target, 0 below the `threshold`. Without, for clouds with known noise: ``1 - (difference /
+    tolerance)^2``.
     """
     squares = length_differences(source, target) ** 2
     if width is None:
@@ -84,9 +85,9 @@ def compatibility(
 
 
 def second_order_graph(first: np.ndarray, budget: Budget) -> np.ndarray:
-    """Weights of the graph: compatibility times that of the neighbours two pairs share.
+    """Return the edge weights: compatibility times that of the shared neighbours.
 
-    Edges not reached within the budget keep the compatibility alone as their weight.
+    Edges that are not reached within the budget keep the compatibility as their weight.
     """
     weights = first.copy()
     for start in range(0, len(first), ROWS):

@@ -1,4 +1,4 @@
-"""Maximal cliques of a graph in rows of bits, and for every vertex the heaviest that holds it."""
+"""Maximal cliques of a graph in rows of bits, and the heaviest clique of every vertex."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from dcreg.search import Budget
 class HeaviestCliques:
     """The heaviest maximal clique of at least three vertices through every vertex.
 
-    Bron-Kerbosch with Tomita's pivot, one subproblem per vertex among those later in `order`, each
-    capped at `max_cliques` maximal cliques: dense graphs have more than can be listed.
+    Bron-Kerbosch with Tomita's pivot, one subproblem per vertex among those later in `order`. Each is
+    limited to `max_cliques` maximal cliques, since dense graphs have too many.
     """
 
     def __init__(
@@ -24,10 +24,10 @@ class HeaviestCliques:
         self.cliques = np.zeros((n, words), dtype=np.uint64)  # as bits, for every vertex
         self.heaviest = np.full(n, -np.inf)
         self.n_cliques = 0
-        self.n_capped = 0  # starting vertices whose cliques were not all listed
+        self.n_capped = 0  # starting vertices whose cliques are not all listed
 
     def run(self, budget: Budget) -> bool:
-        """List the cliques; True when no start was left out for want of time."""
+        """List the cliques; return whether the budget sufficed for all starting vertices."""
         before = np.zeros(self.rows.shape[1], dtype=np.uint64)
         for vertex in self.order:
             count, complete = cliques_from(
@@ -42,7 +42,7 @@ class HeaviestCliques:
         return True
 
     def distinct(self) -> list[np.ndarray]:
-        """The kept cliques without repetition, the heaviest first."""
+        """Return the distinct cliques, the heaviest first."""
         kept = np.flatnonzero(np.isfinite(self.heaviest))
         kept = kept[np.argsort(-self.heaviest[kept], kind="stable")]
         seen: dict[bytes, np.ndarray] = {}

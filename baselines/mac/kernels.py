@@ -1,4 +1,4 @@
-"""Compiled enumeration of maximal cliques: see `baselines.mac.enumerate`."""
+"""Compiled enumeration of maximal cliques; see `baselines.mac.enumerate`."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from baselines._shared.kernels.graphs import (
 )
 from dcreg.jit import jit
 
-NODES_PER_CLIQUE = 20  # of the search, beyond which a start is given up
+NODES_PER_CLIQUE = 20  # of the search; a starting vertex stops beyond them
 
 
 @jit
 def cliques_from(rows, weights, first, before, max_cliques, cliques, heaviest):
-    """Maximal cliques with `first` and no vertex of `before`: their number, and whether all."""
+    """List maximal cliques with `first` and without `before`; return their number, and whether all."""
     words = rows.shape[1]
     depth_limit = count_bits_of(rows[first]) + 2
     candidates = np.zeros((depth_limit, words), dtype=np.uint64)
@@ -64,7 +64,7 @@ def _is_empty(row):
 
 @jit
 def _take(row):
-    """Remove and return the lowest set bit, -1 for none."""
+    """Remove and return the lowest set bit; -1 if none."""
     for w in range(len(row)):
         if row[w]:
             bit = lowest_bit(row[w])
@@ -75,7 +75,7 @@ def _take(row):
 
 @jit
 def _branch(rows, candidates, excluded, branches):
-    """Candidates that the pivot does not know; False when there is nothing to branch on."""
+    """Find the candidates that are not neighbours of the pivot; return False if there are none."""
     words = rows.shape[1]
     most, pivot = -1, -1
     for w in range(words):

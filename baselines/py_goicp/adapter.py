@@ -40,7 +40,7 @@ class Adapter(Baseline):
         if isinstance(answer, str):
             return Solution(Status.FAILED, None, answer)
         rotation, translation = np.array(answer["rotation"]), np.array(answer["translation"])
-        # the single-precision rotation is made proper before it turns the origin
+        # the single-precision rotation is made proper before it is applied to the origin
         found = rigid_pose(homogeneous(1.0, rotation, unit * translation + origin_target))
         if found is None:
             return Solution(Status.FAILED, None, "py_goicp returned a pose that is not finite")
@@ -49,12 +49,12 @@ class Adapter(Baseline):
 
 
 def trim_fraction(n_kept: int, n: int) -> float:
-    """The fraction for which the library keeps floor(n (1 - fraction)) = `n_kept` points."""
+    """Return the fraction for which the library keeps floor(n (1 - fraction)) = `n_kept` points."""
     return 0.0 if n_kept == n else 1.0 - (n_kept + 0.5) / n
 
 
 def _in_child(problem: dict[str, Any], time_s: float) -> dict[str, Any] | str:
-    """The child's answer, or the last line of what it complained of."""
+    """Return the answer of the child, or the last line of its error output."""
     done = subprocess.run(
         [sys.executable, str(CHILD)],
         input=json.dumps(problem),

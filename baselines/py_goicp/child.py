@@ -1,6 +1,6 @@
-"""Runs py_goicp on one problem in a process of its own: JSON in, JSON out.
+"""Run py_goicp on one problem in a separate process, with JSON as input and output.
 
-The library prints as it likes and cannot be interrupted; its parent kills it at the time limit.
+The library prints to standard output and cannot be interrupted; the parent kills it at the time limit.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 
 def register(problem: dict[str, Any]) -> dict[str, Any]:
-    """Rotation and translation that the library finds for lists of points and its settings."""
+    """Return rotation and translation for lists of points and settings of the library."""
     import py_goicp
 
     def points(rows: list[list[float]]) -> list[Any]:
@@ -44,7 +44,7 @@ def register(problem: dict[str, Any]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    # Whatever the library writes to standard output goes to standard error instead.
+    # Output of the library goes to standard error instead.
     answer = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     json.dump(register(json.load(sys.stdin)), answer)

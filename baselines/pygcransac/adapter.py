@@ -11,7 +11,7 @@ from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
-    """Uniform samples, local optimisation by graph cuts; the package does not know of time limits."""
+    """Uniform samples, local optimisation by graph cuts. The package has no time limit."""
 
     def solve_pairs(
         self, instance: Instance, pairs: np.ndarray, budget: Budget
@@ -19,7 +19,7 @@ class Adapter(CorrespondenceMethod):
         import pygcransac
 
         bound = self.inlier_distance(instance)
-        rows, *origins = from_zero(instance, pairs)  # as its grids of neighbours want them
+        rows, *origins = from_zero(instance, pairs)  # as its neighbourhood grids require
         found, _ = pygcransac.findRigidTransform(
             rows,
             probabilities=[],
@@ -36,7 +36,7 @@ class Adapter(CorrespondenceMethod):
 
 
 def from_zero(instance: Instance, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pairs as (N, 6) rows of coordinates from 0 on, and where source and target began."""
+    """Return pairs as (N, 6) rows of non-negative coordinates, and the origins of source and target."""
     source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
     low_source, low_target = source.min(axis=0), target.min(axis=0)
     return np.hstack([source - low_source, target - low_target]), low_source, low_target
@@ -45,7 +45,7 @@ def from_zero(instance: Instance, pairs: np.ndarray) -> tuple[np.ndarray, np.nda
 def moved_back(
     found: np.ndarray | None, origin_source: np.ndarray, origin_target: np.ndarray
 ) -> np.ndarray | None:
-    """The pose that was found, for row vectors from these origins, as that of the clouds."""
+    """Convert a pose for row vectors relative to these origins to the pose of the clouds."""
     if found is None:
         return None
     pose = np.array(found).T

@@ -11,7 +11,7 @@ from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
-    """MAGSAC++ scores and nested RANSAC; the package does not know of time limits."""
+    """MAGSAC++ scores and nested RANSAC. The package has no time limit."""
 
     def solve_pairs(
         self, instance: Instance, pairs: np.ndarray, budget: Budget
@@ -26,6 +26,6 @@ class Adapter(CorrespondenceMethod):
         settings.scoring = package.ScoringType.MAGSAC
         settings.local_optimization = package.LocalOptimizationType.NestedRANSAC
         settings.final_optimization = package.LocalOptimizationType.LSQ
-        rows, *origins = from_zero(instance, pairs)  # it takes boxes from 0, with their sizes
+        rows, *origins = from_zero(instance, pairs)  # it requires boxes from 0, with their sizes
         found = package.estimateRigidTransform(rows, rows.max(axis=0), config=settings)[0]
         return moved_back(found, *origins)

@@ -1,4 +1,4 @@
-"""Random samples on given correspondences."""
+"""RANSAC on given correspondences."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
-    """The pose of a sample that most correspondences agree with, refitted to those."""
+    """Find the pose of a sample with the most inliers, refitted to these."""
 
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         pose, n_samples, finished = ransac(

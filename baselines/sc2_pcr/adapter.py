@@ -1,4 +1,4 @@
-"""SC²-PCR, own port."""
+"""SC²-PCR, a port of the published algorithm."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
-    """Seeds, two-stage consensus sets, the pose with most inliers, refinement."""
+    """Seeds, two-stage consensus sets, the pose with the most inliers, refinement."""
 
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]

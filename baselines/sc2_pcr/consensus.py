@@ -16,7 +16,7 @@ REFINEMENTS = 20
 
 
 def leading_eigenvector(matrix: np.ndarray) -> np.ndarray:
-    """By power iteration from equal entries, of length 1; zeros for a zero matrix."""
+    """Return the unit leading eigenvector by power iteration; zeros for a zero matrix."""
     u = np.full(len(matrix), 1 / np.sqrt(len(matrix)))
     for _ in range(POWER_ITERATIONS):
         u = matrix @ u
@@ -28,9 +28,9 @@ def leading_eigenvector(matrix: np.ndarray) -> np.ndarray:
 
 
 def choose_seeds(source: np.ndarray, target: np.ndarray, tolerance: float, most: int) -> np.ndarray:
-    """Correspondences that none nearby, their sources within `tolerance`, beats in confidence.
+    """Return the correspondences whose confidence is maximal among sources within `tolerance`.
 
-    Their confidence is the leading eigenvector of how well they agree in lengths, to within `tolerance`.
+    The confidence is the leading eigenvector of the compatibility in lengths within `tolerance`.
     """
     differences = length_differences(source, target)
     confidence = leading_eigenvector(np.maximum(0.0, 1 - (differences / tolerance) ** 2))
@@ -55,7 +55,7 @@ def best_pose(
     bound: float,
     budget: Budget,
 ) -> tuple[np.ndarray | None, bool]:
-    """The pose of the seed with the most residuals within `bound`, and whether all were tried."""
+    """Return the pose with the most residuals within `bound`, and whether all seeds were tried."""
     best, most = None, 0
     for seed in seeds:
         pose = seed_pose(source, target, rows, seed, sizes)
@@ -71,7 +71,7 @@ def best_pose(
 def seed_pose(
     source: np.ndarray, target: np.ndarray, rows: np.ndarray, seed: int, sizes: tuple[int, int]
 ) -> np.ndarray | None:
-    """The weighted pose of a seed's consensus set; None where that is too small."""
+    """Return the weighted pose of the consensus set of a seed; None if the set is too small."""
     members, weights = _consensus(rows, seed, *sizes)
     if len(members) < source.shape[1] or weights.sum() <= 0:
         return None
@@ -79,7 +79,7 @@ def seed_pose(
 
 
 def refine(pose: np.ndarray, source: np.ndarray, target: np.ndarray, bound: float) -> np.ndarray:
-    """Least squares over the inliers, near ones weighing more, while their number changes."""
+    """Refit the inliers, with larger weights for small residuals, while their number changes."""
     count = 0
     for _ in range(REFINEMENTS):
         r2 = squared_residuals(pose, source, target)
@@ -94,10 +94,11 @@ def refine(pose: np.ndarray, source: np.ndarray, target: np.ndarray, bound: floa
 def _consensus(
     rows: np.ndarray, seed: int, first: int, second: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Members and weights of the two-stage consensus set of a seed.
+    """Return members and weights of the two-stage consensus set of a seed.
 
-    First those that share the most neighbours with it; of them those that share the most within
-    that set, weighted by the leading eigenvector of the compatibilities there.
+    The first stage keeps the correspondences that share the most neighbours with the seed, the second
+    those of them that share the most within this set. The weights are the leading eigenvector of their
+    compatibilities.
     """
     shared = common_neighbours(rows, seed)
     near = np.argsort(-shared, kind="stable")[: first - 1]

@@ -1,4 +1,4 @@
-"""Compiled counts of common neighbours: see `baselines.sc2_pcr.consensus`."""
+"""Compiled counts of common neighbours; see `baselines.sc2_pcr.consensus`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dcreg.jit import jit
 
 @jit
 def common_neighbours(rows, i):
-    """For every neighbour of i, how many neighbours they share; 0 for the others."""
+    """Count the shared neighbours of i and each of its neighbours; 0 for others."""
     n = len(rows)
     counts = np.zeros(n, dtype=np.int64)
     for j in range(n):
@@ -22,7 +22,7 @@ def common_neighbours(rows, i):
 
 @jit
 def submatrix(rows, members):
-    """Adjacency among `members`, 1 on the diagonal."""
+    """Return the adjacency among `members`, 1 on the diagonal."""
     k = len(members)
     matrix = np.eye(k)
     for a in range(k):

@@ -1,4 +1,4 @@
-"""SC²-PCR++, own port: SC²-PCR's poses, chosen by a truncated Chamfer distance over candidates."""
+"""SC²-PCR++, a port: poses of SC²-PCR, chosen by a truncated Chamfer distance over candidates."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dcreg.search import Budget
 
 
 class Adapter(CorrespondenceMethod):
-    """Seeds, two-stage consensus sets, and the refined pose that the candidates speak for."""
+    """Seeds, two-stage consensus sets, and the refined pose with the best score over candidates."""
 
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         source, target = instance.source[pairs[:, 0]], instance.target[pairs[:, 1]]
@@ -44,7 +44,7 @@ class Adapter(CorrespondenceMethod):
 def candidate_closeness(
     pose: np.ndarray, source: np.ndarray, target: np.ndarray, point: np.ndarray, bound: float
 ) -> float:
-    """Sum over source points of ``1 - d / bound`` of their nearest candidate, at least 0 each.
+    """Sum ``max(0, 1 - d / bound)`` over source points, with d to their nearest candidate.
 
     Row i pairs the source point of index ``point[i]`` with one of its candidates.
     """

@@ -13,7 +13,7 @@ from dcreg.search import Budget
 
 
 class Adapter(Baseline):
-    """The library's optimiser on the full clouds (no down-sampling)."""
+    """The optimiser of small_gicp on the full clouds."""
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
@@ -36,7 +36,7 @@ class Adapter(Baseline):
             small_gicp.estimate_covariances(cloud, tree, neighbours, limits.threads)
             return cloud, tree
 
-        # The library's thresholds assume coordinates of order one.
+        # The thresholds of small_gicp assume coordinates of order one.
         unit = unit_of(instance)
         target, tree = prepared(instance.target / unit)
         source, _ = prepared(instance.source / unit)
@@ -60,7 +60,7 @@ class Adapter(Baseline):
 
 
 def _in_units(pose: np.ndarray, factor: float) -> np.ndarray:
-    """The same motion with lengths multiplied by `factor`."""
+    """Return the same motion with lengths multiplied by `factor`."""
     scaled = np.array(pose)
     scaled[:3, 3] *= factor
     return scaled

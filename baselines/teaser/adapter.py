@@ -1,4 +1,4 @@
-"""TEASER, own port of the published algorithm."""
+"""TEASER, a port of the published algorithm."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ SHARE_FOR_CLIQUE = 0.9  # of the time left; rotation and translation take millis
 
 @dataclass(frozen=True)
 class TeaserResult:
-    """The pose, None where the clique fixes none, and what each step can vouch for."""
+    """The pose (None if the clique determines none), and what each step proves."""
 
     pose: np.ndarray | None
     clique: Clique
@@ -35,20 +35,20 @@ def register(
     scale_range: tuple[float, float],
     budget: Budget,
 ) -> TeaserResult:
-    """Pose of the corresponding rows of `source` and `target`.
+    """Estimate the pose of corresponding rows of `source` and `target`.
 
     Parameters
     ----------
     source, target : (n, d) arrays
     pairs : (n, 2) array
-        Which points the rows are: two rows that share a point are never both taken.
+        Indices of the points of the rows; two rows that share a point are never both chosen.
     noise_bound : float
-        Largest residual of a true correspondence.
+        Maximum residual of an inlier.
     budget : Budget
-        Where it is over, the clique may be less than the maximum.
+        If it is over, the clique may not be the maximum one.
     """
-    # Invariant to translation: differences of correspondences, whose noise is at most twice the
-    # bound. Invariant to rotation as well: their lengths.
+    # Differences of correspondences are invariant to translation, with noise of at most twice the
+    # bound. Their lengths are also invariant to rotation.
     tolerance = 2 * noise_bound
     scale = vote_scale(source, target, tolerance, scale_range)
     rows = consistency_graph(source, target, pairs, tolerance, scale)

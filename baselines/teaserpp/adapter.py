@@ -33,7 +33,7 @@ class Adapter(CorrespondenceMethod):
         solver = Solver(settings)
         solver.solve(instance.source[pairs[:, 0]].T, instance.target[pairs[:, 1]].T)
         found = solver.getSolution()
-        # The binding reports no validity: one pair in the clique fixes no rotation.
+        # The binding reports no validity; a clique of one pair determines no rotation.
         if len(solver.getInlierMaxClique()) < 2 or not np.isfinite(found.rotation).all():
             return None
         return homogeneous(1.0, nearest_rotation(found.rotation), np.ravel(found.translation))

@@ -1,4 +1,4 @@
-"""TurboReg, own port: triangles of consistent correspondences about the most promising pairs."""
+"""TurboReg, a port: triangles of consistent correspondences from the most promising pairs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from baselines.sc2_pcr.consensus import refine
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
-BATCH = 50  # pivots between two looks at the clock
+BATCH = 50  # pivots between two checks of the budget
 
 
 class Adapter(CorrespondenceMethod):
@@ -42,9 +42,9 @@ class Adapter(CorrespondenceMethod):
 def ordered_scores(
     source: np.ndarray, target: np.ndarray, pairs: np.ndarray, tolerance: float
 ) -> np.ndarray:
-    """How many neighbours two consistent correspondences i < j share; 0 for all others.
+    """Count the neighbours shared by consistent correspondences i < j; 0 for all others.
 
-    The order makes every triangle one of a single pivot, its two least indices.
+    The order assigns every triangle to a single pivot, its two lowest indices.
     """
     consistent = (length_differences(source, target) <= tolerance) & ~sharing(pairs)
     graph = consistent.astype(np.float32)
@@ -52,14 +52,14 @@ def ordered_scores(
 
 
 def greatest(scores: np.ndarray, most: int) -> np.ndarray:
-    """Places (i, j) of at most so many positive scores, the greatest first."""
+    """Return the places (i, j) of at most `count` positive scores, the greatest first."""
     rows, columns = np.nonzero(scores)
     order = np.argsort(-scores[rows, columns], kind="stable")[:most]
     return np.column_stack([rows[order], columns[order]])
 
 
 def triangles(scores: np.ndarray, pivots: np.ndarray, per_pivot: int) -> np.ndarray:
-    """For every pivot (i, j) the triangles (i, j, k) with the greatest sums of scores."""
+    """Return for every pivot (i, j) the triangles (i, j, k) with the greatest sums of scores."""
     first, second = scores[pivots[:, 0]], scores[pivots[:, 1]]
     sums = np.where((first > 0) & (second > 0), first + second, 0.0)
     thirds = np.argsort(-sums, axis=1, kind="stable")[:, :per_pivot]
