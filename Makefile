@@ -1,4 +1,4 @@
-# Everything a user or CI does, from a bare checkout: `make help`.
+# All commands for users and CI, from a fresh checkout: `make help`.
 SHELL := bash
 PYTHON ?= python3
 VENV := .venv
@@ -16,7 +16,7 @@ BROWSER_PACKAGES := chromium chromium-driver
 
 .DEFAULT_GOAL := help
 
-## demo: set up, then run the whole benchmark on embedded data and print the path of its report
+## demo: set up, run the whole benchmark on embedded data and print the path of the report
 .PHONY: demo
 demo: setup
 	@$(MAKE) --no-print-directory run CONFIG=demo
@@ -36,44 +36,44 @@ coverage: dev
 	@NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m "not slow" $(INTERPRETED) --cov=dcreg \
 	  --cov-report=term --cov-report=html:results/coverage
 
-## run: run the experiment CONFIG=demo|real2d|paper3d-quick|… (METHODS=a,b DATASETS=… TESTS=… select a part)
+## run: run the experiment CONFIG=demo|real2d|paper3d-quick|…; METHODS=a,b DATASETS=… TESTS=… select a part
 .PHONY: run
 run: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART)
 
-## paper-2d: the paper's tests in the plane (this and the next five: QUICK=1 for at most 15 minutes on 2 cores)
-## paper-2d-cr: the public sets of Chui and Rangarajan, all kinds
-## paper-2d-images: edges and hand-marked points of photographs
-## paper-3d: the paper's tests in space
-## sensitivity: wrong numbers of pairs and wrong noise bounds
-## threedmatch: the official 3DMatch and 3DLoMatch lists, with recalls and figure (NORMALS=oriented)
+## paper-2d: the paper's 2D tests (this and the next five: QUICK=1 for at most 15 minutes on 2 cores)
+## paper-2d-cr: the public point sets of Chui and Rangarajan
+## paper-2d-images: edges and manually marked points of photographs
+## paper-3d: the paper's 3D tests
+## sensitivity: wrong n_inliers and wrong noise bounds
+## threedmatch: the official 3DMatch and 3DLoMatch lists, with recalls and a figure (NORMALS=oriented)
 EXPERIMENT = $(subst -,_,$(subst paper-,paper,$@))$(if $(NORMALS),_$(NORMALS))$(if $(QUICK),-quick)
 .PHONY: paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch
 paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch: setup
 	@$(BIN)/python -m workflows run $(EXPERIMENT) --cores $(CORES) $(PART)
-	@$(if $(filter threedmatch,$@),$(BIN)/python -m workflows.studies.threedmatch $(EXPERIMENT) $(PART))
+	@$(if $(filter threedmatch,$@),$(BIN)/python -m reports threedmatch $(EXPERIMENT) $(PART))
 
-## claims: verdicts on the claims of the paper by all results at hand; prints the path of their page
+## claims: check the claims of the paper against all available results; prints the path of the page
 .PHONY: claims
 claims: setup
-	@$(BIN)/python -m reports.claims
+	@$(BIN)/python -m reports claims
 
-## plan: runs of CONFIG=… and the hours they take, from medians of runs so far, without running it
+## plan: print the runs of CONFIG=… and their estimated time without running them
 .PHONY: plan
 plan: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART) --dry-run
 
-## baselines: table of all methods: available or why not, version, capabilities, citation
+## baselines: list all methods with availability, version, capabilities and citation
 .PHONY: baselines
 baselines: setup
 	@$(BIN)/python -m workflows baselines
 
-## new-baseline: start a method from the template, NAME=folder
+## new-baseline: create a method from the template, NAME=folder
 .PHONY: new-baseline
 new-baseline: setup
 	@$(BIN)/python -m workflows new-baseline $(NAME)
 
-## bench: measure the solver against its targets, tables in results/bench (QUICK=1: seconds only)
+## bench: measure the solver against its targets, tables in results/bench (QUICK=1: a few seconds)
 .PHONY: bench
 bench: dev
 	@mkdir -p results/bench
@@ -81,71 +81,71 @@ bench: dev
 	  --benchmark-json=results/bench/raw.json $(if $(QUICK),--quick) $(if $(CASES),-k "$(CASES)")
 	@$(BIN)/python -m tests.bench.tables results/bench/raw.json results/bench
 
-## modes: how often each 3D mode finds the right pose (ARGS="--points 300 --limit 5"), tables in results/modes
+## modes: success rate and time of each 3D mode, tables in results/modes (ARGS="--points 300 --limit 5")
 .PHONY: modes
 modes: setup
 	@$(BIN)/python -m workflows.studies.modes results/modes $(ARGS)
 
-## walk: dcreg with its defaults on real clouds of many sizes, table in results/walk (ARGS="--size 300")
+## walk: dcreg with default options on real clouds of many sizes, table in results/walk (ARGS="--size 300")
 .PHONY: walk
 walk: setup
 	@$(BIN)/python -m workflows.studies.walk results/walk $(ARGS)
 
-## profile: where solves spend their time, as shares of CPU time
+## profile: the parts of the solver by their share of the CPU time
 .PHONY: profile
 profile: dev
 	@$(BIN)/python -m tests.bench.profiling
 
-## bounds: the bounds of the library and of all methods on the same boxes; prints the path of its page
+## bounds: compare the bounds of all methods on the same boxes; prints the path of the page
 .PHONY: bounds
 bounds: setup
 	@$(BIN)/python -m workflows.studies.bounds results/bounds
-	@$(BIN)/python -m reports.bounds_study results/bounds
+	@$(BIN)/python -m reports bounds results/bounds
 
-## golden: our TEASER port, and mode full, beside recorded outputs of official TEASER++ and Go-ICP
+## golden: compare the TEASER port and mode full with recorded results of official TEASER++ and Go-ICP
 .PHONY: golden
 golden: setup
 	@$(BIN)/python -m workflows.studies.golden
 
-## fuzz: solve COUNT small random problems and count wrong certificates (expected: none)
+## fuzz: solve COUNT small random problems and count wrong certificates (expected: 0)
 .PHONY: fuzz
 fuzz: dev
 	@$(BIN)/python -m tests.fuzz --count $(or $(COUNT),10000)
 
-## bad-input: try every kind of bad input and count tracebacks, hangs and unclear messages (expected: none)
+## bad-input: try every kind of bad input and count tracebacks, hangs and unclear messages (expected: 0)
 .PHONY: bad-input
 bad-input: dev
 	@$(BIN)/python -m tests.bad_input
 
-## record: store the small tables of demo and real2d under history/VERSION
+## record: store the small tables of demo and real2d in history/VERSION
 .PHONY: record
 record: setup
 	@$(BIN)/python -m workflows record $(if $(VERSION),--version $(VERSION))
 
-## compare: verdict per metric between two recorded versions, BASE=… HEAD=…
+## compare: compare two recorded versions, BASE=… HEAD=… (EXACT=1: two folders of results, run by run)
 .PHONY: compare
 compare: setup
-	@$(BIN)/python -m workflows compare $(BASE) $(HEAD)
+	@$(BIN)/python -m workflows compare $(BASE) $(HEAD) $(if $(EXACT),--exact)
 
-## lint: format and check style and types, of everything
+## lint: format the code, then check style and types
 .PHONY: lint
 lint: dev
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 	$(BIN)/mypy
 
-## docs: the manual as web pages in results/docs; links that lead nowhere are errors
+## docs: build the manual in results/docs; broken links are errors
 .PHONY: docs
 docs: dev
 	@$(BIN)/python -m sphinx -q -W -b html docs results/docs
 	@echo "results/docs/index.html"
 
-## floors: the tests of the library with the oldest packages that pyproject.toml admits (own environment)
+## floors: run the library's tests with the oldest packages that pyproject.toml allows
 .PHONY: floors
 floors:
 	@workflows/floors.sh $(PYTHON)
 
-## setup: virtual environment with the locked packages (done by every target that needs it)
+## setup: create the virtual environment with the locked packages (done by every target that needs it)
 .PHONY: setup
 setup: $(VENV)/.installed
 
@@ -155,7 +155,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@workflows/setup.sh $(VENV) $(PYTHON) $(SYSTEM_PACKAGES)
 	@touch $@
 
-# Tools for tests, style and manual, which `make demo` can do without.
+# Tools for tests, style and manual; `make demo` does not need them.
 .PHONY: dev
 dev: setup $(VENV)/.dev
 
@@ -165,19 +165,19 @@ $(VENV)/.dev: requirements-dev.lock $(VENV)/.installed
 	  --requirement requirements-dev.lock
 	@touch $@
 
-# Only the tests of the report need a browser; without one they skip and say so.
+# Only the tests of the report need a browser; without one they are skipped.
 .PHONY: browser
 browser:
 	@command -v chromium >/dev/null || \
-	  workflows/system_packages.sh "the browser tests (they skip without)" $(BROWSER_PACKAGES)
+	  workflows/system_packages.sh "the browser tests (skipped without it)" $(BROWSER_PACKAGES)
 
-## clean: remove results, caches and the environment (keeps fetched data in resources/)
+## clean: remove results, caches and the environment, but keep fetched data in resources/
 .PHONY: clean
 clean:
 	rm -rf $(VENV) .venv-floors results .snakemake .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-## help: this list
+## help: print this list
 .PHONY: help
 help:
 	@grep -hE '^## ' $(MAKEFILE_LIST) | sed -E 's/^## ([a-z0-9-]+): (.*)/  make \1\t\2/' | expand -t 22

@@ -1,9 +1,9 @@
 # From experiment to report:  snakemake --cores 2 --config experiment=demo
-# (`python -m workflows run demo` does the same, checks first, and ends with a summary.)
+# `python -m workflows run demo` does the same, with checks before it and a summary after it.
 #
 # results/<experiment>/   plan/ instances/ truth/ runs/ metrics/ tables/ report/
 #   parts/<selection>/    plan/ metrics/ tables/ report/ of a part; instances and runs are shared
-# The same as tables and in words: workflows/records.py
+# workflows/records.py describes the tables.
 
 from snakemake.utils import min_version
 
@@ -24,7 +24,7 @@ include: "workflows/rules/aggregate.smk"
 include: "workflows/rules/report.smk"
 include: "workflows/rules/compare.smk"
 
-# Everything but the report.
+# Everything except the report.
 rule tables:
     input:
         rules.aggregate.output,

@@ -1,7 +1,8 @@
-"""Finds the methods in ``baselines/<name>/``, loads them, and says why one cannot run.
+"""Finds the methods in ``baselines/<name>/``, loads them, and explains why one cannot run.
 
-Nothing else has to be edited to add a method: a folder with ``card.yaml`` and ``adapter.py`` is
-one. Folders and modules whose names start with ``_`` are shared helpers or the template.
+A folder with ``card.yaml`` and ``adapter.py`` is a method; nothing else has to be edited to add one.
+Folders whose names start with ``_`` hold shared helpers or the template. Further folders of methods
+are named in the environment variable ``DCREG_BASELINES_PATH``.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import functools
 import hashlib
 import importlib.util
 import json
+import os
 import re
 import shutil
 import sys
@@ -42,19 +44,36 @@ class BaselineError(ValueError):
     """A method's name, option or folder is wrong; the message names place, value and remedy."""
 
 
-def names(root: Path = ROOT) -> list[str]:
-    """Names of all methods under `root`, sorted."""
+def roots() -> list[Path]:
+    """Return the folders searched for methods, in order."""
+    extra = os.environ.get("DCREG_BASELINES_PATH", "")
+    return [ROOT, *(Path(entry).resolve() for entry in extra.split(os.pathsep) if entry)]
+
+
+def names(root: Path | None = None) -> list[str]:
+    """Return the names of all methods, or of those under `root`, sorted."""
     return sorted(
-        folder.name
-        for folder in root.iterdir()
-        if folder.is_dir()
-        and not folder.name.startswith(("_", "."))
-        and any((folder / part).is_file() for part in ("card.yaml", "adapter.py"))
+        {
+            folder.name
+            for place in ([root] if root else roots())
+            for folder in place.iterdir()
+            if folder.is_dir()
+            and not folder.name.startswith(("_", "."))
+            and any((folder / part).is_file() for part in ("card.yaml", "adapter.py"))
+        }
     )
 
 
-def load(name: str, *, root: Path = ROOT, **options: Any) -> Baseline:
-    """The method `name`, configured with `options` over its card's stated defaults.
+def root_of(name: str) -> Path:
+    """Return the first of `roots` that has the method `name`."""
+    root = next((root for root in roots() if name in names(root)), None)
+    if root is None:
+        raise BaselineError(f"unknown method {name!r}{suggestion(name, names())}")
+    return root
+
+
+def load(name: str, *, root: Path | None = None, **options: Any) -> Baseline:
+    """Return the method `name`, configured with `options` over the defaults of its card.
 
     Raises
     ------
@@ -62,7 +81,8 @@ def load(name: str, *, root: Path = ROOT, **options: Any) -> Baseline:
         For an unknown method or option, a value of the wrong type or out of its range, or a broken
         folder.
     """
-    card = read_card(name, root=root)
+    root = root or root_of(name)
+    card = read_card(name, root)
     for option, value in options.items():
         _check_option(name, card, option, value)
     module = _import_adapter(name, root)
@@ -78,10 +98,10 @@ def load(name: str, *, root: Path = ROOT, **options: Any) -> Baseline:
         raise BaselineError(f"{name}: {error}") from error
 
 
-def read_card(name: str, root: Path = ROOT) -> Card:
-    """The validated ``card.yaml`` of method `name`."""
-    known = names(root)
-    if name not in known:
+def read_card(name: str, root: Path | None = None) -> Card:
+    """Return the validated ``card.yaml`` of method `name`."""
+    root = root or root_of(name)
+    if name not in (known := names(root)):
         raise BaselineError(f"unknown method {name!r}{suggestion(name, known)}")
     path = root / name / "card.yaml"
     try:
@@ -100,15 +120,29 @@ def read_card(name: str, root: Path = ROOT) -> Card:
         raise BaselineError(_card_message(path, error)) from error
 
 
-def availability(root: Path = ROOT) -> list[dict[str, Any]]:
-    """One row per method, for tables: what it is, whether it can run here, and if not, why.
+def idle_options(name: str, options: dict[str, Any]) -> dict[str, str]:
+    """Return the options without effect beside these; none if the method cannot be loaded."""
+    try:
+        return load(name, **options).idle_options()
+    except (ImportError, BaselineError):
+        return {}
 
-    Of a method that cannot be loaded only the reason is known; it hides no others.
+
+def oracle_outliers(name: str, options: dict[str, Any]) -> float | None:
+    """Return the share of random pairs that the front end ``oracle`` asks for; None for others."""
+    settings = {**read_card(name).parameters, **options}
+    return settings["oracle_outliers"] if settings.get("front_end") == "oracle" else None
+
+
+def availability(root: Path | None = None) -> list[dict[str, Any]]:
+    """Return a row per method: what it is, whether it can run here, and if not, why.
+
+    The row of a method that cannot be loaded has the reason only.
     """
     return [_facts(name, root) for name in names(root)]
 
 
-def _facts(name: str, root: Path) -> dict[str, Any]:
+def _facts(name: str, root: Path | None) -> dict[str, Any]:
     try:
         method = load(name, root=root)
         card, reason = method.card, method.available()
@@ -143,13 +177,14 @@ def version(card: Card) -> str:
     return _installed_version(candidates) or "not installed"
 
 
-def fingerprint(name: str, root: Path = ROOT) -> str:
-    """Hash of everything whose text decides the results of method `name`.
+def fingerprint(name: str, root: Path | None = None) -> str:
+    """Hash everything that determines the results of method `name`.
 
-    That is its folder, all code of this checkout that it imports, and the version of the package it
-    requires. A pure function of files: no adapter is imported. Facts of the card that are only
-    shown (`PRESENTATION`) do not count, so that a new colour reruns nothing.
+    This is its folder, all code of this checkout that it imports, and the version of the package that
+    it requires. It depends on files only: no adapter is imported. Facts of the card that are only
+    shown (`PRESENTATION`) do not count, so a new colour repeats no run.
     """
+    root = root or root_of(name)
     card = read_card(name, root)
     digest = hashlib.sha256()
     solving = card.model_dump(exclude=PRESENTATION)
@@ -161,11 +196,12 @@ def fingerprint(name: str, root: Path = ROOT) -> str:
     return digest.hexdigest()[:16]
 
 
-def code_of(name: str, root: Path = ROOT) -> list[Path]:
+def code_of(name: str, root: Path | None = None) -> list[Path]:
     """Files that decide the results of a method, its card aside: its folder, and what that imports.
 
     Child processes and data files within the folder count, whatever reads them.
     """
+    root = root or root_of(name)
     own = [path for path in _files(root / name) if path.name != "card.yaml"]
     behind = files_behind([*own, ROOT / "contract.py"], ROOT.parent)
     return sorted(behind, key=_shown)

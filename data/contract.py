@@ -65,6 +65,9 @@ class Card(BaseModel):
     notes: str = ""
     loader: str  # a stock loader of data/loaders.py, or "own" for loader.py in the same folder
     parameters: dict[str, Any] = {}  # for the loader
+    # RMSE of the true pairs below which a pose is a success, in the unit of the clouds, where the
+    # benchmark defines one; default: `workflows.metrics.errors.SUCCESS_SHARE`
+    success_rmse: float | None = Field(default=None, gt=0)
 
     @model_validator(mode="before")
     @classmethod

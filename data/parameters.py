@@ -1,7 +1,8 @@
-"""The parameters of a data set's card, checked for the loader that takes them."""
+"""The parameters of a dataset's card, checked for the loader that takes them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -15,7 +16,7 @@ Points = Annotated[int, Field(ge=3, strict=True)]  # of a cloud
 
 
 class Parameters(BaseModel):
-    """What one loader takes: fields without a default are required, others are unknown."""
+    """The parameters of one loader: fields without a default are required, others are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -24,42 +25,51 @@ P = TypeVar("P", bound=Parameters)
 
 
 def place_of(card: Card) -> str:
-    """The file of a card, as messages name it."""
+    """Return the path of a card for messages."""
     return f"data/{card.name}/card.yaml"
 
 
 def parameters_of(card: Card, kind: type[P]) -> P:
-    """The card's parameters as those of a loader.
+    """Check the card's parameters for a loader.
 
     Raises
     ------
     DataError
-        For the first one that is missing, unknown, or no value that it can have.
+        For the first parameter that is missing, unknown or invalid.
     """
     try:
         return kind.model_validate(card.parameters)
     except ValidationError as error:
-        raise DataError(f"{place_of(card)}: {_explain(card, kind, error.errors()[0])}") from error
+        problem = error.errors()[0]
+        known = kind.model_fields if len(problem["loc"]) == 1 else ()
+        problem["loc"] = ("parameters", *problem["loc"])
+        raise DataError(f"{place_of(card)}: {explain(problem, lambda _: known)}") from error
 
 
 def file_of(card: Card, path: str, parameter: str) -> File:
-    """The file with this mirror path, which `parameter` names."""
+    """Return the file with this mirror path, which `parameter` names."""
     known = [file.path for file in card.files]
     if path not in known:
         raise DataError(
-            f"{place_of(card)}: parameters.{parameter}: {path!r} is none of the card's files"
+            f"{place_of(card)}: parameters.{parameter}: {path!r} is not among the files of the card"
             f"{suggestion(path, known)}"
         )
     return card.file(path)
 
 
-def _explain(card: Card, kind: type[Parameters], problem: Any) -> str:
-    key = ".".join(map(str, ("parameters", *problem["loc"])))
-    if problem["type"] == "missing":
-        return f"{key}: missing; add it, as the loader {card.loader} takes {', '.join(kind.model_fields)}"
-    if problem["type"] == "extra_forbidden":
-        known = kind.model_fields if len(problem["loc"]) == 1 else ()
-        return f"{key}: unknown{suggestion(str(problem['loc'][-1]), known)}"
-    if problem["type"] == "value_error":
-        return f"{key}: {problem['ctx']['error']}"
+def explain(problem: Any, keys_at: Callable[[Sequence[str | int]], Iterable[str]]) -> str:
+    """Describe one pydantic problem as ``key.path: what is wrong; remedy``.
+
+    `keys_at` returns the keys that are known at a location.
+    """
+    location = problem["loc"]
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
+    key = key.removeprefix(".")
+    match problem["type"]:
+        case "extra_forbidden":
+            return f"{key}: unknown key{suggestion(str(location[-1]), keys_at(location[:-1]))}"
+        case "missing":
+            return f"{key}: missing; add it"
+        case "value_error":
+            return f"{key}: {problem['ctx']['error']}".removeprefix(": ")
     return f"{key}: {problem['input']!r}; {problem['msg'][0].lower()}{problem['msg'][1:]}"

@@ -1,9 +1,12 @@
-"""Small deterministic operations on point sets. No random numbers, so no seeds to state."""
+"""Small deterministic operations on point sets."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
+
+from dcreg.problem import farthest_point_order
+from dcreg.problem.geometry import fit_pose
 
 
 def normalise(points: np.ndarray) -> np.ndarray:
@@ -15,17 +18,12 @@ def normalise(points: np.ndarray) -> np.ndarray:
 def farthest_points(points: np.ndarray, n: int) -> np.ndarray:
     """Indices of `n` points, each the farthest from those before it.
 
-    Starts with the point farthest from the centroid; ties go to the lower index.
+    The first is the point farthest from the centroid; ties go to the lower index.
     """
     if n > len(points):
-        raise ValueError(f"{n} points asked of a set of {len(points)}; ask for fewer")
-    chosen = np.empty(n, dtype=np.intp)
-    chosen[0] = np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1))
-    distance = ((points - points[chosen[0]]) ** 2).sum(axis=1)
-    for k in range(1, n):
-        chosen[k] = np.argmax(distance)
-        np.minimum(distance, ((points - points[chosen[k]]) ** 2).sum(axis=1), out=distance)
-    return chosen
+        raise ValueError(f"n={n} exceeds the {len(points)} points of the set; request fewer")
+    first = int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))
+    return farthest_point_order(points, n, first)
 
 
 def voxel_downsample(points: np.ndarray, size: float) -> np.ndarray:
@@ -48,12 +46,10 @@ def mutual_nearest(a: np.ndarray, b: np.ndarray, tolerance: float) -> np.ndarray
 def reference_pose(
     source: np.ndarray, target: np.ndarray, pairs: np.ndarray, scale_range: tuple[float, float]
 ) -> np.ndarray:
-    """The admissible pose of least squares over the true pairs: what a pose is judged against.
+    """Return the admissible least-squares pose over the true pairs: the reference of all errors.
 
-    Not the pose that was injected: warp and noise have a part that is a motion, and count as one.
+    It differs from the pose that was applied, since deformation and noise contain a motion.
     """
-    from dcreg.problem.geometry import fit_pose
-
     return fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
 
 

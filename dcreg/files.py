@@ -50,20 +50,27 @@ def as_json(content: Any, *, indent: int | None = 2) -> str:
     return json.dumps(plain(content), indent=indent, allow_nan=False)
 
 
-def plain(value: Any) -> Any:
-    """Return `value` in JSON's types: lists, dictionaries, and None for a number that is not finite."""
+def plain(value: Any, digits: int | None = None) -> Any:
+    """Return `value` in JSON's types: lists, dictionaries, and None for a number that is not finite.
+
+    With `digits`, numbers are rounded to so many significant ones.
+    """
     match value:
         case dict():
-            return {str(key): plain(item) for key, item in value.items()}
+            return {str(key): plain(item, digits) for key, item in value.items()}
         case tuple() if hasattr(value, "_asdict"):
-            return plain(value._asdict())
+            return plain(value._asdict(), digits)
         case list() | tuple():
-            return [plain(item) for item in value]
+            return [plain(item, digits) for item in value]
         case float() if not math.isfinite(value):
             return None
         case _ if hasattr(value, "tolist"):  # arrays and numbers of NumPy
-            return plain(value.tolist())
+            return plain(value.tolist(), digits)
+        case float() if digits is not None:
+            return float(f"{value:.{digits}g}")
         case _ if is_dataclass(value):
-            return {entry.name: plain(getattr(value, entry.name)) for entry in fields(value)}
+            return {
+                entry.name: plain(getattr(value, entry.name), digits) for entry in fields(value)
+            }
         case _:
             return value

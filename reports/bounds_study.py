@@ -7,25 +7,22 @@ or dark theme.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import matplotlib
 import numpy as np
 import pandas as pd
-import seaborn as sns
-import typer
 from matplotlib.figure import Figure as MplFigure
 
 from dcreg.names import BOUND_NAMES
 from reports import templating, theme
+from reports.figures import printing
+from reports.figures.printing import INK
+from reports.tables import check_study
 
 HERE = Path(__file__).parent
-INK = {"light": "#1b2229", "dark": "#e6eaef"}
-GRID = {"light": "#e8ebee", "dark": "#272e37"}
 PLACES = {
     "centred": "boxes centred on the optimum",
     "holding": "boxes holding it elsewhere",
@@ -146,35 +143,16 @@ def _finish(figure: MplFigure, axes: Any, surface: str) -> None:
     )  # fmt: skip
 
 
-def _ink(surface: str) -> dict[Any, Any]:
-    """Matplotlib's settings for one surface; ids differ, as both drawings share a page."""
-    ink, grid = INK[surface], GRID[surface]
-    return {
-        "text.color": ink, "axes.labelcolor": ink, "axes.edgecolor": ink, "xtick.color": ink,
-        "ytick.color": ink, "grid.color": grid, "axes.facecolor": "none", "figure.facecolor": "none",
-        "font.size": 8, "axes.titlesize": 9, "svg.hashsalt": surface, "svg.fonttype": "none",
-        "figure.constrained_layout.use": True,
-    }  # fmt: skip
-
-
-def _save(figure: MplFigure, out: Path | io.StringIO, kind: str) -> None:
-    """Without a creation date: the same tables give the same file."""
-    date = "CreationDate" if kind == "pdf" else "Date"
-    figure.savefig(out, format=kind, metadata={date: None})
-    figure.set_layout_engine("none")  # the layout is done; the next file shares it
-
-
 def _drawings(draw: Callable, tables: dict[str, pd.DataFrame], stem: Path) -> dict[str, str]:
-    """SVG text for either surface; the light one also goes to files, with `stem` as their name."""
+    """Return SVG text for both surfaces; the light one is also written to files named `stem`."""
     texts = {}
     for surface in ("light", "dark"):
-        with sns.axes_style("whitegrid"), matplotlib.rc_context(_ink(surface)):
-            figure, stream = draw(tables, surface), io.StringIO()
-            _save(figure, stream, "svg")
-            texts[surface] = stream.getvalue()[stream.getvalue().index("<svg") :]
-            if surface == "light":
-                stem.with_suffix(".svg").write_text(stream.getvalue(), encoding="utf-8")
-                _save(figure, stem.with_suffix(".pdf"), "pdf")
+        with printing.style(surface):
+            figure = draw(tables, surface)
+        text = printing.rendered(figure, "svg", surface).decode()
+        texts[surface] = text[text.index("<svg") :]
+        if surface == "light":
+            printing.save(figure, stem, surface)
     return texts
 
 
@@ -229,6 +207,7 @@ def build(folder: Path) -> Path:
     tables = {
         name: pd.read_csv(folder / f"{name}.csv") for name in ("losses", "orders", "searches")
     }
+    check_study(tables["searches"], folder)
     figures = []
     for name, draw, title, caption in (
         ("boxes", draw_boxes, "Bound value against box width",
@@ -263,15 +242,3 @@ def build(folder: Path) -> Path:
         encoding="utf-8",
     )
     return page
-
-
-def main(
-    folder: Annotated[Path, typer.Argument(help="with the tables")] = Path("results/bounds"),
-) -> None:
-    """Draw the study and print the path of its page."""
-    page = build(folder)
-    typer.echo(f"{page} ({page.stat().st_size / 1e6:.1f} MB)")
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,23 +1,21 @@
-"""Tables in, one self-contained HTML file out: ``python -m reports.build TABLES OUT``."""
+"""Build the report of an experiment, one self-contained HTML file, from its tables."""
 
 from __future__ import annotations
 
 import importlib.resources
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from reports import sections, templating, theme
 from reports.page import Page, pack, pack_json
-from reports.tables import ReportError, Tables
-from workflows.records import SchemaError
+from reports.tables import Tables
+from workflows.discovery import modules
 
 HERE = Path(__file__).parent
 
 
 def build(tables_dir: Path, out: Path) -> None:
-    """Write the report of the tables in `tables_dir` to `out`, with static figures beside it.
+    """Write the report of the tables in `tables_dir` to `out`, and static figures next to it.
 
     Parameters
     ----------
@@ -34,7 +32,8 @@ def build(tables_dir: Path, out: Path) -> None:
     out = Path(out)
     tables = Tables.load(Path(tables_dir))
     page = Page(tables, theme.method_styles(tables), out.parent / "figures")
-    parts = [(part, part.context(page)) for part in sections.ORDER]
+    order = sorted(modules(sections), key=lambda section: section.POSITION)
+    parts = [(part, part.context(page)) for part in order]
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(_render(page, parts), encoding="utf-8")
 
@@ -67,20 +66,3 @@ def _render(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> str:
         plotly=pack(plotly.read_bytes()),
         data={figure.id: pack_json(figure.payload) for figure in page.figures.values()},
     )
-
-
-def main(
-    tables: Annotated[Path, typer.Argument(help="folder with runs, traces, accounting, ...")],
-    out: Annotated[Path, typer.Argument(help="HTML file to write")],
-) -> None:
-    """Build the report of one experiment."""
-    try:
-        build(tables, out)
-    except (ReportError, SchemaError) as error:
-        typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(2) from error
-    typer.echo(f"{out} ({out.stat().st_size / 1e6:.1f} MB)")
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,16 +1,13 @@
-"""Verdicts on the claims of the paper: ``python -m reports.claims [RESULTS ...]``.
+"""Verdicts on the claims of the paper, from the tables of several experiments.
 
-Reads the tables of several experiments, given as folders of results or as folders that hold such, and
-writes ``claims.csv`` and ``index.html`` to ``results/claims``. Claims whose tables are not there are
-"not run".
+``python -m reports claims`` writes ``claims.csv`` and ``index.html``. Claims whose tables are missing get
+the verdict "not run".
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.console import Console
 from rich.table import Table
 
@@ -18,13 +15,12 @@ from reports import templating
 from reports.ledger.evidence import STUDY, Evidence
 from reports.ledger.judging import Judgement, Ledger, as_table, count, judge, ledger
 from reports.tables import ReportError
-from workflows.records import SchemaError
 
 HERE = Path(__file__).parent
 
 
 def write(book: Ledger, judgements: list[Judgement], evidence: Evidence, out: Path) -> Path:
-    """Write the table of verdicts and its page to the folder `out`. Returns the page's path."""
+    """Write the table of verdicts and its page to the folder `out`; return the path of the page."""
     out.mkdir(parents=True, exist_ok=True)
     as_table(judgements).to_csv(out / "claims.csv", index=False)
     page = out / "index.html"
@@ -56,27 +52,17 @@ def _print(judgements: list[Judgement]) -> None:
     console.print(", ".join(f"{number} {verdict}" for verdict, number in count(judgements)))
 
 
-def main(
-    results: Annotated[
-        list[Path] | None, typer.Argument(help="folders of results, or one that holds them")
-    ] = None,
-    out: Annotated[Path, typer.Option(help="folder for table and page")] = Path("results/claims"),
-) -> None:
-    """Judge the claims of the paper by the tables at hand."""
-    try:
-        for folder in results or []:
-            if not folder.is_dir():
-                raise ReportError(f"{folder}: no such folder; name one of results")
-        book, evidence = ledger(), Evidence.of_folders(results or [Path("results")])
-    except (ReportError, SchemaError) as error:
-        typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(2) from error
+def check(results: list[Path], out: Path) -> None:
+    """Judge all claims by the tables in `results`, print the verdicts and write the page to `out`.
+
+    `results` are folders of results, or folders that contain such folders.
+    """
+    for folder in results:
+        if not folder.is_dir():
+            raise ReportError(f"{folder}: no such folder; name a folder of results")
+    book, evidence = ledger(), Evidence.of_folders(results)
     judgements = judge(book, evidence)
     _print(judgements)
     for note in evidence.notes:
-        typer.echo(f"note: {note}")
-    typer.echo(f"page: {write(book, judgements, evidence, out)}")
-
-
-if __name__ == "__main__":
-    typer.run(main)
+        print(f"note: {note}")
+    print(f"page: {write(book, judgements, evidence, out)}")

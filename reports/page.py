@@ -1,16 +1,16 @@
-"""What sections add to while a page is built: figures, downloads and packed data."""
+"""A page under construction: figures, downloads and packed data."""
 
 from __future__ import annotations
 
 import base64
 import gzip
 import json
-import math
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dcreg.files import plain
 from reports.figures import printing
 from reports.figures.grid import Grid
 from reports.tables import Tables
@@ -25,11 +25,11 @@ class Figure:
     title: str
     builder: str
     payload: dict[str, Any]
-    grid: Grid | None = None  # of figures that also go to print
+    grid: Grid | None = None  # for figures that are also printed
 
     @property
     def heights(self) -> dict[str, int]:
-        """Pixels of the wide and the narrow arrangement: room to keep until the figure is drawn."""
+        """Heights in pixels of the wide and the narrow layout, reserved until the figure is drawn."""
         first = next(iter(self.payload.get("views", {}).values()), self.payload)
         return {name: layout["height"] for name, layout in first["layouts"].items()}
 
@@ -42,7 +42,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Download:
-    """A file that can be saved from the page."""
+    """A file that the reader can save from the page."""
 
     name: str
     description: str
@@ -67,7 +67,7 @@ class Page:
     def add_print(
         self, figure: Figure, view: str, roles: Collection[str], name: str, text: str
     ) -> list[Download]:
-        """A view of a figure as SVG and PDF: files beside the page, and downloads within it."""
+        """Add a view of a figure as SVG and PDF, both as files next to the page and as downloads."""
         assert figure.grid is not None
         drawing = printing.draw(
             figure.payload["views"][view]["data"], figure.grid, self.styles,
@@ -85,23 +85,11 @@ class Page:
 
 
 def pack(content: bytes) -> str:
-    """gzip + base64, undone in the page by the browser's own decompressor."""
+    """Compress and encode `content`; the browser undoes it in the page."""
     return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
 
 
 def pack_json(value: Any) -> str:
-    text = json.dumps(_plain(value), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-    return pack(text.encode("utf-8"))
-
-
-def _plain(value: Any) -> Any:
-    """NaN and infinities become null, numpy scalars Python numbers, floats six digits."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return float(f"{value:.6g}") if math.isfinite(value) else None
-    return value
+    """Pack `value` as JSON with six significant digits."""
+    content = plain(value, digits=6)
+    return pack(json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode("utf-8"))

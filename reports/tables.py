@@ -1,4 +1,4 @@
-"""The tables a report is made of: loading, the checks that must hold, and the shared queries."""
+"""The tables of a report: loading, checks, and shared queries."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ import pandas as pd
 
 from data import registry
 from data.contract import RecordedDataset
-from workflows import records
+from workflows import UserError, records
 from workflows.disturb import DISTURBANCES
 from workflows.outcomes import OUTCOMES
+from workflows.studies import REFERENCE
 
-PENALTY = 2.0  # of time limits, for runs that did not finish: PAR2
+PENALTY = 2.0  # time limits that a run that did not finish counts (PAR2)
 
 
-class ReportError(ValueError):
+class ReportError(UserError):
     """The tables do not add up or a file is missing; the message names file and remedy."""
 
 
@@ -40,10 +41,10 @@ class Tables:
         directory = Path(directory)
         path = directory / "accounting.csv"
         if not path.is_file():
-            raise ReportError(f"{path}: no such table; run the aggregate stage first")
+            raise ReportError(f"{path}: no such table; run the experiment first")
         tables = cls(
             directory=directory,
-            # 2D first; beside that, models, tests and methods stay in the order of the plan
+            # 2D first; otherwise in the order of the plan
             runs=records.read(directory / "runs.parquet", records.runs_columns()).sort_values(
                 "dim", kind="stable", ignore_index=True
             ),
@@ -57,18 +58,18 @@ class Tables:
 
     @property
     def cards(self) -> dict[str, dict[str, Any]]:
-        """Method label -> card fields, options and availability."""
+        """Card fields, options and availability by method label."""
         return self.provenance.get("methods", {})
 
-    def told_true_pairs(self, method: str) -> bool:
-        """Whether a method is handed the true pairs, among random ones."""
+    def is_oracle(self, method: str) -> bool:
+        """Whether a method receives the true pairs, among random ones."""
         card = self.cards.get(method, {})
         settings = {**card.get("parameters", {}), **card.get("options", {})}
         return settings.get("front_end") == "oracle"
 
     @property
     def methods(self) -> list[str]:
-        """Method labels in the order of the experiment's configuration."""
+        """Method labels in the order of the experiment's config."""
         present = list(dict.fromkeys(self.runs["method"]))
         known = [label for label in self.cards if label in present]
         return known + [label for label in present if label not in known]
@@ -78,39 +79,50 @@ class Tables:
         return str(self.runs["experiment"].iloc[0])
 
     def check_accounting(self) -> None:
-        """Planned runs equal the sum of their outcomes, in the ledger and in the runs alike."""
+        """Check that planned runs equal the sum of their outcomes, in the accounting and in the runs."""
         path = self.directory / "accounting.csv"
         for column in ("method", "planned", *OUTCOMES):
             if column not in self.accounting:
-                raise ReportError(
-                    f"{path}: column {column!r} is missing; rebuild it with the aggregate stage"
-                )
+                raise ReportError(f"{path}: column {column!r} is missing; run the experiment again")
         counted = count_outcomes(self.runs)
         ledger = self.accounting.set_index("method")
         for method in sorted(set(counted.index) | set(ledger.index)):
             if method not in counted.index or method not in ledger.index:
                 where = "runs" if method in ledger.index else path.name
                 raise ReportError(
-                    f"{path}: method {method!r} has no row in {where}; "
-                    "rebuild the tables with the aggregate stage"
+                    f"{path}: method {method!r} has no row in {where}; run the experiment again"
                 )
-            told, seen = ledger.loc[method], counted.loc[method]
-            total = int(sum(told[outcome] for outcome in OUTCOMES))
-            if int(told["planned"]) != total:
+            stated, seen = ledger.loc[method], counted.loc[method]
+            total = int(sum(stated[outcome] for outcome in OUTCOMES))
+            if int(stated["planned"]) != total:
                 raise ReportError(
-                    f"{path}: {method}: planned = {told['planned']} but the outcomes sum to "
-                    f"{total}; a run was dropped, rebuild the tables with the aggregate stage"
+                    f"{path}: {method}: planned = {stated['planned']} but the outcomes sum to "
+                    f"{total}; a run was dropped, run the experiment again"
                 )
             for column in ("planned", *OUTCOMES):
-                if int(told[column]) != int(seen[column]):
+                if int(stated[column]) != int(seen[column]):
                     raise ReportError(
-                        f"{path}: {method}: {column} = {told[column]} but runs has "
-                        f"{seen[column]}; rebuild the tables with the aggregate stage"
+                        f"{path}: {method}: {column} = {stated[column]} but runs has "
+                        f"{seen[column]}; run the experiment again"
                     )
 
 
+def check_study(table: pd.DataFrame, folder: Path) -> None:
+    """Refuse tables of the study of bounds of an earlier version.
+
+    Raises
+    ------
+    ReportError
+    """
+    if REFERENCE not in set(table["bound"]):
+        raise ReportError(
+            f"{folder}: no bound {REFERENCE!r} in its tables, which an earlier version wrote; "
+            "make them again with `make bounds`"
+        )
+
+
 def count_outcomes(runs: pd.DataFrame) -> pd.DataFrame:
-    """Planned runs and their outcomes per method (index: method)."""
+    """Count planned runs and their outcomes per method (index: method)."""
     counts = pd.crosstab(runs["method"], runs["outcome"])
     counts = counts.reindex(columns=list(OUTCOMES), fill_value=0)
     counts.insert(0, "planned", runs.groupby("method").size())
@@ -118,9 +130,9 @@ def count_outcomes(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Series:
-    """Seconds of a run; one that ended at any limit or failed counts `PENALTY` times the time limit.
+    """Return the seconds of runs; one that hit a limit or failed counts `PENALTY` times the time limit.
 
-    Without a limit in the cards it counts `PENALTY` times what it took.
+    Without a limit in the cards it counts `PENALTY` times its own time.
     """
     limits = {
         label: limit
@@ -132,9 +144,9 @@ def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Ser
 
 
 def limits_of(card: dict[str, Any]) -> dict[str, str]:
-    """What a run of a method may use, in words, by the status of a run that it ended."""
+    """Return the limits of a method in words, by the status of a run that hits them."""
     limits = card.get("limits", {})
-    boxes = {"nodes": "{:g} boxes or starts", "nodes_at_100": "{:g} boxes at 100 points"}
+    boxes = {"nodes": "{:g} boxes or initial poses", "nodes_at_100": "{:g} boxes at 100 points"}
     texts = {
         "time_limit": {"time_s": "{:g} s"},
         "node_limit": boxes,
@@ -150,7 +162,7 @@ def limits_of(card: dict[str, Any]) -> dict[str, str]:
 
 
 def row_names(runs: pd.DataFrame, most: int = 4) -> pd.Series:
-    """The figure row each run belongs to: its shape, or its data set where shapes are many."""
+    """Return the figure row of each run: its shape, or its dataset if there are many shapes."""
     several = runs["dataset"].nunique() > 1
     crowded = runs.groupby("dataset")["shape"].transform("nunique") > most
     named = runs["dataset"] + " · " + runs["shape"] if several else runs["shape"]
@@ -158,7 +170,7 @@ def row_names(runs: pd.DataFrame, most: int = 4) -> pd.Series:
 
 
 def level_titles(runs: pd.DataFrame) -> dict[str, str]:
-    """What the levels of each test measure, with their unit."""
+    """Return what the levels of each test measure, with their unit."""
     titles = {name: disturbance.label for name, disturbance in DISTURBANCES.items()}
     known = registry.datasets()
     for name in runs["dataset"].unique():
@@ -168,10 +180,10 @@ def level_titles(runs: pd.DataFrame) -> dict[str, str]:
 
 
 def thin_trace(events: pd.DataFrame, most: int = 200) -> pd.DataFrame:
-    """The step changes of one bound history: first, last and every move of a bound.
+    """Return the first, the last and every event of a bound history in which a bound changes.
 
-    Longer histories keep `most` events, spread evenly over the logarithm of their position, so
-    that early steps, which are many in little time, stay visible. No value is altered.
+    Longer histories keep `most` events, spread evenly over the logarithm of their position, so that the
+    many early changes stay visible. No value is altered.
     """
     bounds = events[["lower_bound", "upper_bound"]]
     moved = (bounds != bounds.shift()).any(axis=1).to_numpy(copy=True)
@@ -189,4 +201,4 @@ def _read_json(path: Path, empty: Any) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
-        raise ReportError(f"{path}: not valid JSON ({error}); rebuild the tables") from error
+        raise ReportError(f"{path}: not valid JSON ({error}); run the experiment again") from error

@@ -1,4 +1,4 @@
-"""How the pages are made from ``templates/``."""
+"""The environment in which the pages are rendered from ``templates/``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import jinja2
 
 
 def environment() -> jinja2.Environment:
-    """Templates whose values are escaped, and in which an unknown name is an error."""
+    """Return an environment that escapes values and refuses unknown names."""
     return jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,

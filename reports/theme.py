@@ -1,4 +1,4 @@
-"""The one place for colours, markers, fonts and number formats of every figure and table."""
+"""Colours, markers, dashes and number formats of all figures and tables."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ OUTCOME_COLOR = {
 }
 FALLBACK_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#6a51a3")
 
-# matplotlib marker -> plotly symbol, corners of its outline on the unit circle (turns and radii). Only
-# filled shapes: an open one says that runs ended at a limit.
+# matplotlib marker -> plotly symbol and its outline on the unit circle. Only filled shapes: open markers
+# mark runs at a limit.
 _MARKERS: dict[str, tuple[str, int, float, float]] = {
-    # symbol, corners, turn of the first one, inner radius of a star (1: a polygon)
+    # symbol, number of corners, turn of the first one, inner radius of a star (1: a polygon)
     "o": ("circle", 24, 0.0, 1.0),
     "s": ("square", 4, 0.125, 1.0),
     "^": ("triangle-up", 3, 0.0, 1.0),
@@ -42,8 +42,8 @@ _MARKERS: dict[str, tuple[str, int, float, float]] = {
     "8": ("octagon", 8, 1 / 16, 1.0),
 }
 MARKERS = tuple(_MARKERS)
-# Variants of one method keep its colour family and marker and differ by dash, then by shade: plotly's
-# name of the dash -> lengths of strokes and gaps, in line widths.
+# Variants of a method share its marker and differ by dash, then by shade. Plotly's name of the dash ->
+# lengths of strokes and gaps, in line widths.
 DASHES: dict[str, tuple[float, ...]] = {
     "solid": (),
     "dash": (5, 2),
@@ -53,7 +53,7 @@ DASHES: dict[str, tuple[float, ...]] = {
     "longdashdot": (9, 2, 1, 2),
 }
 _SHADES = (("#000000", 0.0), ("#000000", 0.3), ("#ffffff", 0.3))
-# Words in the names of variants -> looks, the same in every experiment.
+# Words in the names of variants -> look, the same in every experiment.
 _VARIANTS = {
     "half": 1, "tuned": 1, "exact": 1, "100": 1, "mutual": 1,
     "paper": 2, "oracle": 2, "200": 2,
@@ -67,11 +67,11 @@ MISSING = "–"
 
 @dataclass(frozen=True)
 class Style:
-    """How one method looks everywhere: colour × marker × dash."""
+    """The look of one method: colour × marker × dash."""
 
     label: str
     name: str
-    variable: str  # CSS custom property that holds its colour in either theme
+    variable: str  # CSS custom property with its colour in both themes
     light: str
     dark: str
     marker: str
@@ -83,12 +83,12 @@ class Style:
 
     @property
     def strokes(self) -> str:
-        """The dash as SVG knows it."""
+        """The dash in SVG's notation."""
         return " ".join(f"{1.6 * length:g}" for length in DASHES[self.dash])
 
     @property
     def outline(self) -> str:
-        """The marker as corners of an SVG polygon around 0, radius 1."""
+        """The marker as an SVG polygon around 0 with radius 1."""
         _, corners, turn, inner = _MARKERS[self.marker]
         points = []
         for corner in range(corners if inner == 1 else 2 * corners):
@@ -99,7 +99,7 @@ class Style:
 
 
 def method_styles(tables: Tables) -> dict[str, Style]:
-    """A style per method label, from the method cards; variants stay distinguishable."""
+    """Return a distinct style per method label, from the method cards."""
     first = tables.runs.drop_duplicates("method").set_index("method")
     names = first["display_name"].to_dict()
     used: set[tuple[str, int]] = set()
@@ -127,7 +127,7 @@ def method_styles(tables: Tables) -> dict[str, Style]:
 
 
 def _look(label: str, card: dict[str, Any]) -> int:
-    """0 for a method as it is, otherwise by the words of its name; a second word shades the first."""
+    """Return 0 for a method with default options, otherwise a look by the words of its name."""
     if not card.get("options") and card.get("n_inliers_ratio", 1) == 1:
         return 0
     known = [_VARIANTS[word] for word in label.split("-")[1:] if word in _VARIANTS]
@@ -135,7 +135,7 @@ def _look(label: str, card: dict[str, Any]) -> int:
 
 
 def difference(one: str, other: str) -> float:
-    """Distance of two colours in OKLab, where 0.02 is just seen side by side."""
+    """Return the distance of two colours in OKLab; 0.02 is just noticeable."""
     return math.dist(_oklab(one), _oklab(other))
 
 
@@ -155,7 +155,7 @@ def _oklab(color: str) -> tuple[float, ...]:
 
 
 def readable(color: str, surface: str, ratio: float = 3.2) -> str:
-    """`color`, moved away from `surface` until it reaches the contrast asked of graphics."""
+    """Return `color`, moved away from `surface` until it reaches a contrast `ratio`."""
     away = "#ffffff" if _luminance(surface) < 0.5 else "#000000"
     for step in range(21):
         candidate = mix(color, away, step / 20)
@@ -165,13 +165,13 @@ def readable(color: str, surface: str, ratio: float = 3.2) -> str:
 
 
 def contrast(one: str, other: str) -> float:
-    """WCAG contrast ratio of two colours."""
+    """Return the WCAG contrast ratio of two colours."""
     low, high = sorted((_luminance(one), _luminance(other)))
     return (high + 0.05) / (low + 0.05)
 
 
 def mix(color: str, other: str, amount: float) -> str:
-    """Linear blend of two hex colours."""
+    """Return a linear blend of two hex colours."""
     pairs = zip(_channels(color), _channels(other), strict=True)
     return "#" + "".join(f"{round(255 * (a + (b - a) * amount)):02x}" for a, b in pairs)
 
@@ -186,7 +186,7 @@ def _luminance(color: str) -> float:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """`digits` significant digits, without needless exponents."""
+    """Format a number with `digits` significant digits."""
     if value is None or math.isnan(value):
         return MISSING
     if math.isinf(value):
@@ -204,7 +204,7 @@ def percent(value: float | None) -> str:
 
 
 def seconds(value: float | None) -> str:
-    """A duration with its unit: µs, ms, s or min."""
+    """Format a duration with its unit: µs, ms, s or min."""
     if value is None or math.isnan(value):
         return MISSING
     for limit, factor, unit in ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms"), (120.0, 1.0, "s")):
@@ -218,19 +218,19 @@ def integer(value: float) -> str:
 
 
 def sortable(value: float | None) -> str:
-    """What a table sorts a number by; empty when it is missing."""
+    """Return the sort key of a number in a table; empty if it is missing."""
     if value is None or math.isnan(value):
         return ""
     return str(float(value)).replace("inf", "Infinity")
 
 
 def words(name: str) -> str:
-    """A name of the tables as a reader expects it: ``mixed_outliers`` is mixed outliers."""
+    """Return a name of the tables as words: ``mixed_outliers`` becomes mixed outliers."""
     return name.replace("_", " ")
 
 
 def css_variables(styles: Iterable[Style]) -> str:
-    """Custom properties for the colours that follow the theme."""
+    """Return CSS custom properties for the colours in both themes."""
     pairs = [(style.variable, style.light, style.dark) for style in styles]
     pairs += [("--source", SOURCE_COLOR["light"], SOURCE_COLOR["dark"])]
     pairs += [("--target", TARGET_COLOR["light"], TARGET_COLOR["dark"])]

@@ -6,10 +6,10 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 
 
 class UserError(ValueError):
-    """Something a user can mend; the message names place, value and remedy."""
+    """An error that the user can fix; the message names place, value and remedy."""
 
 
 def shown(path: Path) -> str:
-    """A path as messages show it: from the checkout, where it lies in it."""
+    """Return a path for messages: relative to the checkout, if it is inside."""
     path = path.resolve()
     return str(path.relative_to(CHECKOUT) if path.is_relative_to(CHECKOUT) else path)

@@ -1,6 +1,7 @@
-"""``python -m workflows``: the stages, as the Snakefile calls them, and what a person asks for.
+"""Run the benchmark: ``python -m workflows``.
 
-Modules are imported inside the commands: a stage should not wait for what another one needs.
+The hidden commands are the stages that the Snakefile calls. Modules are imported inside the commands, so
+that no stage waits for what only others need.
 """
 
 from __future__ import annotations
@@ -9,56 +10,37 @@ import json
 import os
 import signal
 import sys
-import time
-from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from data.contract import DataError
 from dcreg.problem import suggestion
 from dcreg.status import Status
 from workflows import CHECKOUT, UserError
+from workflows.cli import Experiment, say, user_errors
 
 if TYPE_CHECKING:
     from workflows.stages.plan import Plan
 
-BEGAN = time.perf_counter()
-
 app = typer.Typer(
-    help=__doc__, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
+    help="Run the benchmark and compare its results.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
 )
 
-Experiment = Annotated[str, typer.Argument(help="Name of a config, or path of one.")]
 Select = Annotated[
     list[str] | None,
-    typer.Option(help="Part of the grid, as tests=noise,deformation; can be repeated."),
+    typer.Option(help="Part of the grid, such as tests=noise,deformation; may be repeated."),
 ]
-Axis = Annotated[str, typer.Option(help="Only these, comma-separated.", rich_help_panel="Part of")]
+Axis = Annotated[str, typer.Option(help="Only these, comma-separated.", rich_help_panel="Part")]
 Folder = Annotated[Path, typer.Argument(help="Results of an experiment: results/<name>.")]
 Out = Annotated[Path, typer.Option()]
+History = Annotated[Path, typer.Option(help="Folder of the recorded versions.")]
 
 
-def user_errors(command: Callable[..., Any]) -> Callable[..., Any]:
-    """End with exit code 2 and a message, without a traceback, for what a user can mend."""
-
-    @wraps(command)
-    def checked(*arguments: Any, **options: Any) -> Any:
-        try:
-            return command(*arguments, **options)
-        except (ValueError, DataError) as error:
-            from baselines.registry import BaselineError
-
-            if isinstance(error, UserError | BaselineError | DataError):
-                _stop(str(error))
-            raise
-
-    return checked
-
-
-# --- what a person asks for --------------------------------------------------------------------
+# --- for users ---------------------------------------------------------------------------------
 
 
 @app.command()
@@ -72,14 +54,16 @@ def run(
     levels: Axis = "",
     trials: Axis = "",
     cores: Annotated[str, typer.Option(help="Number of cores, or all.")] = "all",
-    directory: Annotated[Path, typer.Option(help="Where results/ lies.")] = CHECKOUT,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would run.")] = False,
-    timing: Annotated[bool, typer.Option("--timing", help="One solve job at a time.")] = False,
-    no_report: Annotated[bool, typer.Option("--no-report", help="End with the tables.")] = False,
+    directory: Annotated[Path, typer.Option(help="Folder that contains results/.")] = CHECKOUT,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the plan and run nothing.")
+    ] = False,
+    timing: Annotated[bool, typer.Option("--timing", help="Run one solve job at a time.")] = False,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Stop after the tables.")] = False,
 ) -> None:
     """Run an experiment, or a selected part of it, and print the summary.
 
-    A part has tables and a report of its own, in results/NAME/parts.
+    The tables and the report of a part are in results/NAME/parts.
     """
     axes = {
         "methods": methods,
@@ -91,7 +75,7 @@ def run(
     }
     select = [f"{axis}={values}" for axis, values in axes.items() if values]
     if cores != "all" and not (cores.isdecimal() and int(cores)):
-        raise UserError(f"--cores {cores}: give a number from 1, or all")
+        raise UserError(f"--cores {cores}: give a positive number, or all")
     plan = _plan(experiment, select)
     name = plan.experiment.name
     folder = directory / "results" / name
@@ -119,24 +103,20 @@ def run(
         *("--config", f"experiment={experiment}", f"select={' '.join(select)}"),
     ]
     if code := run_snakemake(directory, name, arguments):
-        what = (
-            "stopped"
-            if code == INTERRUPTED
-            else "not all stages came through; their messages are above"
-        )
+        what = "stopped" if code == INTERRUPTED else "some stages failed; see the messages above"
         print(
-            f"error: {what}. Runs that finished are kept: the same command goes on from here.",
+            f"error: {what}. Finished runs are kept; the same command continues from here.",
             file=sys.stderr,
         )
         raise typer.Exit(code)
-    _say("all stages")
+    say("all stages")
     summary(folder / plan.view)
 
 
 @app.command()
 @user_errors
 def summary(folder: Folder) -> None:
-    """Method × test: median RMSE, success, median time, certified share; path of the report."""
+    """Print RMSE, success, time and certified share per method and test, and the path of the report."""
     from workflows.summary import print_summary
 
     print_summary(folder)
@@ -147,55 +127,64 @@ def summary(folder: Folder) -> None:
 def record(
     folders: Annotated[
         list[Path] | None,
-        typer.Argument(help="Results to keep; by default demo and real2d, where present."),
+        typer.Argument(help="Folders of results; default: demo and real2d, where present."),
     ] = None,
-    version: Annotated[str, typer.Option(help="Name; by default from git.")] = "",
-    history: Annotated[Path, typer.Option()] = Path("history"),
+    version: Annotated[str, typer.Option(help="Name of the version; default: from git.")] = "",
+    history: History = Path("history"),
 ) -> None:
-    """Keep the small tables of experiments under a version, for later comparison."""
-    from workflows.compare import record as keep
+    """Record the small tables of experiments under a version, to compare later versions with."""
+    from workflows.compare import record as store
     from workflows.compare import results_to_record
 
     for folder in folders or results_to_record():
-        print(f"recorded  {keep(folder, history, version)}")
+        print(f"recorded  {store(folder, history, version)}")
 
 
 @app.command()
 @user_errors
 def compare(
     base: Annotated[str, typer.Argument(help="Recorded version, or a folder of records.")],
-    head: Annotated[str, typer.Argument(help="The version to judge.")],
-    history: Annotated[Path, typer.Option()] = Path("history"),
-    json_out: Annotated[Path | None, typer.Option("--json", help="Verdicts as a file.")] = None,
+    head: Annotated[str, typer.Argument(help="The version to compare with it.")],
+    exact: Annotated[
+        bool,
+        typer.Option(
+            "--exact", help="Compare two folders of results run by run; only times may differ."
+        ),
+    ] = False,
+    history: History = Path("history"),
+    json_out: Annotated[
+        Path | None, typer.Option("--json", help="File for the verdicts or the differences.")
+    ] = None,
 ) -> None:
-    """Verdict per metric. Exit code 0: no regression, 1: regression, 2: not comparable."""
-    from workflows.compare import compare as judge
-    from workflows.compare import print_verdicts, regressed
+    """Compare two sets of results: a verdict per metric or, with --exact, every difference.
 
-    verdicts = judge(base, head, history)
-    print_verdicts(verdicts, base, head)
+    Exit code 0: no regression (--exact: no unexplained difference); 1: there is one; 2: not comparable.
+    """
+    if exact:
+        from workflows.exact import differences, print_differences, read
+
+        found = differences(read(Path(base)), read(Path(head)))
+        print_differences(found)
+        table, failed = found.cells, found.unexplained
+    else:
+        from workflows.compare import compare as verdicts_of
+        from workflows.compare import print_verdicts, regressed
+
+        table = verdicts_of(base, head, history)
+        print_verdicts(table, base, head)
+        failed = regressed(table)
     if json_out:
-        json_out.write_text(verdicts.to_json(orient="records", indent=1), encoding="utf-8")
-    raise typer.Exit(1 if regressed(verdicts) else 0)
+        json_out.write_text(table.to_json(orient="records", indent=1), encoding="utf-8")
+    raise typer.Exit(1 if failed else 0)
 
 
 @app.command()
 @user_errors
-def same(
-    first: Folder, second: Annotated[Path, typer.Argument(help="Results of the same config.")]
+def replay(
+    experiment: Experiment,
+    run_id: Annotated[str, typer.Argument(help="From column run_id of tables/runs.csv.")],
 ) -> None:
-    """Which runs of two executions differ, times apart. Exit code 1: more than the clock explains."""
-    from workflows.same import differences, print_differences, read
-
-    found = differences(read(first), read(second))
-    print_differences(found)
-    raise typer.Exit(1 if found.unexplained else 0)
-
-
-@app.command()
-@user_errors
-def replay(experiment: Experiment, run_id: str) -> None:
-    """Repeat one run outside the sandbox and print what the method answers."""
+    """Repeat one run outside the sandbox and print its result."""
     from workflows.replay import replay as repeat
 
     print(json.dumps(repeat(_plan(experiment), run_id), indent=1))
@@ -207,7 +196,7 @@ def forget(
     folder: Folder,
     status: Annotated[str, typer.Option(help="Statuses, comma-separated.")] = "failed",
 ) -> None:
-    """Drop runs that ended so, so that the next `run` repeats them and no others."""
+    """Delete runs with these statuses, so that the next `run` repeats them and no others."""
     import shutil
 
     from workflows.stages.solve import forget as drop
@@ -215,9 +204,9 @@ def forget(
     known = [str(each.value) for each in Status]
     for name in (statuses := set(status.split(","))):
         if name not in known:
-            raise UserError(f"--status: {name!r} is none{suggestion(name, known)}")
+            raise UserError(f"--status: no status {name!r}{suggestion(name, known)}")
     dropped = drop(folder / "runs", statuses)
-    if dropped:  # Snakemake repeats no job while everything made from its output is there
+    if dropped:  # Snakemake repeats no job while everything made from its output exists
         for made_from_runs in ("metrics", "tables", "report", "parts"):
             shutil.rmtree(folder / made_from_runs, ignore_errors=True)
     print(f"forgot {dropped} runs")
@@ -226,7 +215,7 @@ def forget(
 @app.command()
 @user_errors
 def baselines() -> None:
-    """Every method: available or why not, version, what it certifies, citation."""
+    """List every method: availability, version, what it certifies, citation."""
     from workflows.summary import print_baselines
 
     print_baselines()
@@ -234,7 +223,9 @@ def baselines() -> None:
 
 @app.command()
 @user_errors
-def new_baseline(name: str) -> None:
+def new_baseline(
+    name: Annotated[str, typer.Argument(help="Name of the new folder of baselines/.")],
+) -> None:
     """Create ``baselines/NAME`` from the template."""
     from baselines import registry
 
@@ -242,7 +233,7 @@ def new_baseline(name: str) -> None:
     print(registry.next_steps(name))
 
 
-# --- the stages, as the rules call them --------------------------------------------------------
+# --- the stages, for the rules ------------------------------------------------------------------
 
 
 @app.command(hidden=True)
@@ -268,7 +259,7 @@ def fetch(
 
     needed = _plan(experiment, select).chunk(chunk)
     fetch_files(needed, out)
-    _say(f"fetch     {', '.join(needed.datasets)} for {chunk}")
+    say(f"fetch     {', '.join(needed.datasets)} for {chunk}")
 
 
 @app.command(hidden=True)
@@ -280,12 +271,12 @@ def generate(
     truth: Out,
     select: Select = None,
 ) -> None:
-    """Make the instances of a chunk, and apart from them their truth."""
+    """Make the instances of a chunk, and their ground truth in a separate file."""
     from workflows.stages.generate import generate as generate_chunk
 
     specs = _plan(experiment, select).chunk(chunk)
     generate_chunk(specs, instances, truth)
-    _say(f"generate  {chunk}: {len(specs.instances)} instances")
+    say(f"generate  {chunk}: {len(specs.instances)} instances")
 
 
 @app.command(hidden=True)
@@ -295,11 +286,13 @@ def solve(
     method: Annotated[str, typer.Option()],
     instances: Out,
     out: Out,
-    truth: Annotated[Path | None, typer.Option(help="For the oracle front end only.")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="Ground truth, for the oracle front end only.")
+    ] = None,
     select: Select = None,
 ) -> None:
     """Run a method on a chunk of instances."""
-    # As an exception, so that workers and their children are ended too.
+    # Raise, so that workers and their children are ended too.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     from workflows.config import load
     from workflows.stages.solve import solve as solve_chunk
@@ -324,7 +317,7 @@ def evaluate(folder: Folder, plan: Annotated[Path, typer.Option()], out: Out) ->
 
     metrics = judge(folder, plan)
     records.write(metrics, out)
-    _say(f"evaluate  {len(metrics)} runs")
+    say(f"evaluate  {len(metrics)} runs")
 
 
 @app.command(hidden=True)
@@ -335,17 +328,7 @@ def aggregate(experiment: Experiment, folder: Folder, select: Select = None) -> 
 
     planned = _plan(experiment, select)
     join(planned, folder)
-    _say(f"aggregate {folder / planned.view / 'tables'}")
-
-
-@app.command(hidden=True)
-@user_errors
-def report(tables: Path, out: Path) -> None:
-    """Build the HTML report."""
-    from reports.build import build
-
-    build(tables, out)
-    _say(f"report    {out} ({out.stat().st_size / 1e6:.1f} MB)")
+    say(f"aggregate {folder / planned.view / 'tables'}")
 
 
 def _plan(experiment: str, select: list[str] | None = None) -> Plan:
@@ -353,16 +336,6 @@ def _plan(experiment: str, select: list[str] | None = None) -> Plan:
     from workflows.stages.plan import expand
 
     return expand(load(experiment), parse_selection(select or []), origin(experiment))
-
-
-def _say(text: str) -> None:
-    """A line of progress with the seconds that this process took."""
-    print(f"{text}; {time.perf_counter() - BEGAN:.1f} s", flush=True)
-
-
-def _stop(message: str) -> NoReturn:
-    print(f"error: {message}", file=sys.stderr)
-    raise typer.Exit(2)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Whose fault is a wrong pose: the search's or the objective's? From the table of all runs.
+"""Attribute every wrong pose to the search or to the objective, from the table of all runs.
 
-Runs are compared on one instance with one number of pairs, by the harness's own value of the
-objective at each pose. `records.runs_columns` shows the columns made here.
+Runs of one instance with the same number of pairs are compared by the objective that the harness
+computes at each pose. `records.runs_columns` shows the columns added here.
 """
 
 from __future__ import annotations
@@ -9,78 +9,78 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from workflows.metrics import POSE_SCOPES
+from dcreg.names import POSE_SCOPES
 from workflows.outcomes import STARTED
+from workflows.records import Column
 
 # verdict -> (heading, explanation)
 VERDICTS = {
-    "right": ("right pose", "success, objective as good as any known"),
-    "right_not_optimal": ("right, not optimal", "success although a lower objective is known"),
+    "right": ("right pose", "success, and no clearly lower objective is known"),
+    "right_not_optimal": ("right, not optimal", "success, although a lower objective is known"),
     "search_error": (
         "search error",
         "wrong pose, and a pose with a clearly lower objective exists: E(found) > E(best) + tol",
     ),
     "model_error": (
         "model error",
-        "wrong pose that the objective prefers to the reference: E(found) ≤ E(reference)",
+        "wrong pose with an objective no higher than the reference's: E(found) ≤ E(reference)",
     ),
     "undecided": (
         "undecided",
-        "wrong pose, objective within the tolerance of the best known but above E(reference)",
+        "wrong pose; its objective is within the tolerance of the best known, but above E(reference)",
     ),
-    "inadmissible": ("inadmissible", "wrong pose, outside the told range of scales"),
+    "inadmissible": ("inadmissible", "wrong pose with a scale outside the given range"),
     "not_evaluated": (
         "not evaluated",
-        "a pose of clouds too large for the objective, or of a method that was given fewer points",
+        "clouds too large to compute the objective, or a method that received fewer points",
     ),
-    "no_pose": ("no pose", "the run was started and gave no pose"),
+    "no_pose": ("no pose", "the run was started and returned no pose"),
 }
 
-COLUMNS: dict[str, tuple[type, str]] = {
-    "verdict": (str, f"one of {', '.join(VERDICTS)}; empty if the run was not started"),
-    "optimum_at_least": (
+COLUMNS: dict[str, Column] = {
+    "verdict": Column(str, f"one of {', '.join(VERDICTS)}; empty if the run was not started"),
+    "optimum_at_least": Column(
         float,
-        "greatest lower bound any run certified for this objective (scope: the pose itself), instance "
-        "and n_inliers; empty if none did",
+        "maximum lower bound that any run certified for the pose objective of this instance and "
+        "n_inliers; empty if none did",
     ),
-    "regret_at_most": (
+    "regret_at_most": Column(
         float,
         "objective - optimum_at_least: with objective_regret a certified interval of the regret",
     ),
 }
-_ALIKE = ["instance_id", "n_inliers"]
+_PROBLEM = ["instance_id", "n_inliers"]
 
 
 def attribute(runs: pd.DataFrame) -> pd.DataFrame:
-    """The runs with `COLUMNS`; of theirs it needs raw results, metrics and ``outcome``."""
+    """Add `COLUMNS` to runs that have raw results, metrics and ``outcome``."""
     lower = optimum_at_least(runs)
     return runs.assign(
         verdict=verdicts(runs),
         optimum_at_least=lower,
-        # As empty as the regret: a pose outside the range may lie below every bound.
+        # Empty like the regret: a pose outside the range may have an objective below every bound.
         regret_at_most=(runs["objective"] - lower).where(runs["admissible"].astype(bool)),
     )
 
 
 def optimum_at_least(runs: pd.DataFrame) -> pd.Series:
-    """The greatest lower bound certified for a run's problem by any run of the same scope."""
+    """Return the maximum lower bound certified for a run's problem by any run of the pose scopes."""
     bound = runs["lower_bound"].where(runs["certificate_scope"].isin(POSE_SCOPES))
-    greatest = bound.groupby([runs[key] for key in _ALIKE]).transform("max")
-    # An exact search meets its optimum up to rounding, which must not make an interval empty.
+    maximum = bound.groupby([runs[key] for key in _PROBLEM]).transform("max")
+    # An exact search reaches its optimum up to rounding, which must not make an interval empty.
     best = runs["objective_best"]
-    rounding = (greatest > best) & (greatest <= best + _rounding(best))
-    return greatest.mask(rounding, best)
+    rounding = (maximum > best) & (maximum <= best + _rounding(best))
+    return maximum.mask(rounding, best)
 
 
 def tolerance(runs: pd.DataFrame) -> pd.Series:
-    """What counts as equal objectives: the least tolerance of a gap on this problem, of proofs first.
+    """Return the difference up to which two objectives count as equal.
 
-    Tolerances of other objectives, of which some are counts, say nothing of this one. Without any, 1 % of
-    the objective at the reference.
+    This is the minimum tolerance of the gap of the runs on the problem, of certified ones if there are
+    any. Tolerances of other objectives do not apply. Without any: 1 % of the objective at the reference.
     """
-    groups = [runs[key] for key in _ALIKE]
-    speaks = runs["certificate_scope"].isin(POSE_SCOPES)
-    gap_tol = runs["gap_tol"].where(speaks)
+    groups = [runs[key] for key in _PROBLEM]
+    gap_tol = runs["gap_tol"].where(runs["certificate_scope"].isin(POSE_SCOPES))
     of_proofs = gap_tol.where(runs["status"].eq("optimal")).groupby(groups).transform("min")
     of_any = gap_tol.groupby(groups).transform("min")
     stated = of_proofs.fillna(of_any).fillna(0.01 * runs["objective_true"].abs()).fillna(0.0)
@@ -88,10 +88,10 @@ def tolerance(runs: pd.DataFrame) -> pd.Series:
 
 
 def verdicts(runs: pd.DataFrame) -> pd.Series:
-    """One of `VERDICTS` for every run that was started.
+    """Return one of `VERDICTS` for every run that was started.
 
-    The best known objective is an upper bound on the optimum: a value above it by more than the
-    tolerance proves an error of the search, whether the optimum is certified or not.
+    The best known objective is an upper bound on the optimum: a value that exceeds it by more than the
+    tolerance proves a search error, whether or not the optimum is certified.
     """
     success, admissible = runs["success"].astype(bool), runs["admissible"].astype(bool)
     behind = runs["objective"] - runs["objective_best"] > tolerance(runs)

@@ -1,17 +1,17 @@
-"""Keeps small tables of a version, and judges a later version against them.
+"""Record the small tables of a version, and compare a later version with them.
 
 Verdicts, per experiment, method and metric:
 
-- Work counters are integers that no machine changes: a single differing run is a real change.
-- A pose that is lost is a regression, whatever took it.
+- Work counters are integers that do not depend on the machine: a single differing run is a real change.
+- A lost pose is a regression, whatever the cause.
 - Quality (RMSE, objective, success) is paired over the same instances and judged by a sign test;
-  a difference the test cannot tell from chance is shown as ``unclear``, not hidden.
-- Runs that the clock ended are left out of counters, RMSE and objective, as they differ from one
-  execution to the next; they count in poses, success and the certified share.
-- Runs of a method that is not installed on one side are left out.
+  a difference that may be due to chance is shown as ``unclear``.
+- Runs that hit the time or memory limit are excluded from counters, RMSE and objective, as they end at
+  another point in each execution; they count in poses, success and the certified share.
+- Runs of a method that is not installed on one side are excluded.
 - Times are compared within one machine only, and never fail a comparison.
 
-``worse`` is a regression; every other verdict is not.
+Only the verdict ``worse`` is a regression.
 """
 
 from __future__ import annotations
@@ -28,46 +28,18 @@ import pandas as pd
 from dcreg.files import whole_file
 from workflows import UserError, provenance, records
 from workflows.metrics import METRICS
+from workflows.outcomes import TIMED
 
-RECORDED = [
-    "run_id",
-    "method",
-    "instance_id",
-    "instance_digest",
-    "dataset",
-    "shape",
-    "test",
-    "level",
-    "trial",
-    "model",
-    "n_inliers",
-    "status",
-    "message",
-    "n_nodes",
-    "n_assignments",
-    "lower_bound",
-    "upper_bound",
-    "gap",
-    "objective",
-    "objective_true",
-    "rmse",
-    "success",
-    "bound_violation",
-    "time_solve_s",
-    "machine_id",
-    "fingerprint",
-]
 COUNTERS = ("n_nodes", "n_assignments")
 QUALITY = ("rmse", "objective")
-CLOCKED = ("time_limit", "memory_limit")  # statuses that another execution may not repeat
-EXPERIMENTS = ("demo", "real2d")  # kept by default
-SAME = 1e-6  # relative difference below which two floating results are one
+EXPERIMENTS = ("demo", "real2d")  # recorded by default
+SAME = 1e-6  # relative difference up to which two floating-point results are equal
 SIGNIFICANT = 0.05
 NOTICEABLE = 1.2  # ratio of times
 
 
 class CompareError(UserError):
-    """Two versions cannot be compared; the message names file, value and remedy."""
+    """Two sets of results cannot be compared; the message names file, value and remedy."""
 
 
 @dataclass(frozen=True)
@@ -83,31 +55,33 @@ class Verdict:
     detail: str
 
 
-# --- keeping -----------------------------------------------------------------------------------
+# --- recording ---------------------------------------------------------------------------------
 
 
 def results_to_record(results: Path = Path("results")) -> list[Path]:
-    """Results of the experiments that are kept by default."""
+    """Return the results of the experiments that are recorded by default."""
     folders = [results / name for name in EXPERIMENTS if (results / name / "tables").is_dir()]
     if not folders:
-        raise CompareError(f"{results}: no results of {' or '.join(EXPERIMENTS)}; run one first")
+        raise CompareError(
+            f"{results}: no results of {' or '.join(EXPERIMENTS)}; run one of them first"
+        )
     return folders
 
 
 def record(folder: Path, history: Path, version: str = "") -> Path:
-    """Keep the small table of an experiment; returns the folder it is in."""
+    """Store the small table of an experiment under a version; return its folder."""
     runs = records.read(folder / "tables" / "runs.parquet", records.runs_columns())
     known = json.loads((folder / "tables" / "provenance.json").read_text(encoding="utf-8"))
     if known["selection"]:
         raise CompareError(
-            f"{folder}: holds a selection of the experiment ({known['selection']}); "
-            "run all of it before recording"
+            f"{folder}: contains a part of the experiment ({known['selection']}); "
+            "run and record the whole experiment"
         )
     version = version or provenance.default_version()
     out = history / version / known["experiment"]
     out.mkdir(parents=True, exist_ok=True)
     with whole_file(out / "runs.csv") as part:
-        runs[RECORDED].to_csv(part, index=False)
+        runs[list(records.recorded_columns())].to_csv(part, index=False)
     about = {key: known[key] for key in ("schema_version", "experiment", "machine", "versions")}
     about |= {"version": version, "git": known["git"], "created": known["created"]}
     with whole_file(out / "about.json") as part:
@@ -116,7 +90,7 @@ def record(folder: Path, history: Path, version: str = "") -> Path:
 
 
 def read_version(name: str, history: Path) -> dict[str, pd.DataFrame]:
-    """Tables of a recorded version (or of a folder), by experiment."""
+    """Read the tables of a recorded version, or of a folder of records, by experiment."""
     folder = history / name
     if not folder.is_dir():
         folder = Path(name)
@@ -131,41 +105,48 @@ def read_version(name: str, history: Path) -> dict[str, pd.DataFrame]:
 
 
 def _read(path: Path) -> pd.DataFrame:
+    about = path.with_name("about.json")
+    known = json.loads(about.read_text(encoding="utf-8")) if about.is_file() else {}
+    version, commit = known.get("schema_version"), known.get("git", {}).get("commit")
+    at_commit = f" at commit {commit}" if commit else ""
+    records.check_version(version, str(path), f"run and record the experiment again{at_commit}")
     try:
         table = pd.read_csv(path, dtype={"instance_digest": str, "instance_id": str})
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise CompareError(f"{path}: not a readable table ({error}); record it again") from error
-    missing = [column for column in RECORDED if column not in table]
+    missing = [column for column in records.recorded_columns() if column not in table]
     if missing:
         raise CompareError(f"{path}: column {missing[0]!r} is missing; record it again")
     return table
 
 
-# --- judging -----------------------------------------------------------------------------------
+# --- comparing ---------------------------------------------------------------------------------
 
 
 def compare(base: str, head: str, history: Path) -> pd.DataFrame:
-    """Verdicts on all experiments that both versions have."""
+    """Return the verdicts on all experiments that both versions have."""
     old, new = read_version(base, history), read_version(head, history)
     shared = [name for name in old if name in new]
     if not shared:
         raise CompareError(
-            f"{base} has {', '.join(old)} and {head} has {', '.join(new)}: nothing in common"
+            f"{base} has {', '.join(old)} and {head} has {', '.join(new)}: no experiment in common; "
+            "record the same experiment for both"
         )
     verdicts = [
         verdict for name in shared for verdict in judge_experiment(name, old[name], new[name])
     ]
     if all(verdict.verdict == "not compared" for verdict in verdicts):
-        raise CompareError(f"{base} and {head} share no instance; record both with one config")
+        raise CompareError(f"{base} and {head} share no instance; record both with the same config")
     return pd.DataFrame(map(asdict, verdicts))
 
 
 def regressed(verdicts: pd.DataFrame) -> bool:
+    """Whether any verdict is a regression."""
     return bool((verdicts["verdict"] == "worse").any())
 
 
 def judge_experiment(name: str, base: pd.DataFrame, head: pd.DataFrame) -> Iterator[Verdict]:
-    """Verdicts on every method of one experiment."""
+    """Yield the verdicts on every method of one experiment."""
     for method in dict.fromkeys([*base["method"], *head["method"]]):
         yield from judge_method(
             name, method, base[base["method"] == method], head[head["method"] == method]
@@ -175,18 +156,18 @@ def judge_experiment(name: str, base: pd.DataFrame, head: pd.DataFrame) -> Itera
 def judge_method(
     experiment: str, method: str, base: pd.DataFrame, head: pd.DataFrame
 ) -> Iterator[Verdict]:
-    """Verdicts on one method, over the runs that both versions made of the same content."""
+    """Yield the verdicts on one method, over the runs that both versions have with the same input."""
     keys = ["instance_id", "instance_digest", "n_inliers"]
     pairs = base.merge(head, on=keys, suffixes=("_base", "_head"), validate="one_to_one")
     absent = pairs[["status_base", "status_head"]].isin(["unavailable"]).any(axis=1)
     pairs = pairs[~absent]
-    alone = len(base) + len(head) - 2 * len(pairs)
-    left_out = f"{alone} runs without counterpart" if alone else ""
+    unmatched = len(base) + len(head) - 2 * len(pairs)
+    excluded = f"{unmatched} runs without a counterpart" if unmatched else ""
 
     def verdict(
         metric: str, unit: str, better: str, old: float, new: float, word: str, why: str
     ) -> Verdict:
-        detail = "; ".join(part for part in (why, left_out) if part)
+        detail = "; ".join(part for part in (why, excluded) if part)
         return Verdict(
             experiment, method, metric, unit, better, float(old), float(new), word, detail
         )
@@ -200,9 +181,9 @@ def judge_method(
         yield verdict("certified", "runs", "higher", *_certified(pairs))
     yield verdict("success", "runs", "higher", *_success(pairs))
 
-    clocked = pairs[["status_base", "status_head"]].isin(CLOCKED).any(axis=1)
-    steady = pairs[~clocked]
-    note = f"{clocked.sum()} runs ended by the clock left out" if clocked.any() else ""
+    timed = pairs[["status_base", "status_head"]].isin(TIMED).any(axis=1)
+    steady = pairs[~timed]
+    note = f"{timed.sum()} runs at a time or memory limit excluded" if timed.any() else ""
     for counter in COUNTERS:
         counted = steady[steady[[f"{counter}_base", f"{counter}_head"]].notna().all(axis=1)]
         if len(counted):
@@ -218,7 +199,7 @@ def judge_method(
 
 
 def sign_test(better: int, worse: int) -> str:
-    """``same`` without a difference, a side where chance would rarely tip so far, else unclear."""
+    """Return ``same``, or ``better`` or ``worse`` if the difference is significant, else ``unclear``."""
     from scipy.stats import binomtest
 
     if better == worse == 0:
@@ -244,14 +225,14 @@ def _poses(pairs: pd.DataFrame) -> Judged:
 
 
 def _wrong_bounds(pairs: pd.DataFrame) -> Judged:
-    """Lower bounds above a value that the truth attains: one is one too many."""
+    """Compare the numbers of lower bounds above the objective at the reference pose."""
     old, new = (int(pairs[f"bound_violation_{side}"].gt(0).sum()) for side in ("base", "head"))
     word = "worse" if new > old else "better" if new < old else "same"
     return old, new, word, ""
 
 
 def _certified(pairs: pd.DataFrame) -> Judged:
-    """A certificate lost to anything but the clock is a change; lost to the clock, maybe not."""
+    """Compare certificates; one lost to the time limit counts only if the run was also much slower."""
     old, new = (pairs[f"status_{side}"].eq("optimal") for side in ("base", "head"))
     lost, gained = pairs[old & ~new], int((new & ~old).sum())
     one_machine = lost["machine_id_base"] == lost["machine_id_head"]
@@ -313,7 +294,7 @@ def _times(pairs: pd.DataFrame) -> Judged:
         word = "slower" if ratio > 1 else "faster"
     else:
         word = "unclear"
-    return *means, word, f"ratio {ratio:.2f}; never a failure"
+    return *means, word, f"ratio {ratio:.2f}; never a regression"
 
 
 def _joined(*parts: str) -> str:
@@ -326,7 +307,7 @@ STYLES = {"worse": "bold red", "better": "green", "changed": "yellow", "unclear"
 
 
 def print_verdicts(verdicts: pd.DataFrame, base: str, head: str) -> None:
-    """Everything that is not the same, then one line on the whole."""
+    """Print every verdict that is not ``same``, and a summary line."""
     from rich.console import Console
     from rich.table import Table
 

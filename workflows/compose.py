@@ -1,4 +1,4 @@
-"""From the text of an experiment to plain content: its quick part, and lists of methods it shares."""
+"""Read the content of a config: its quick part, and the shared lists of methods that it names."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from dcreg.problem import suggestion
 from workflows import UserError, shown
 
 QUICK = "-quick"  # ends the name of the quick part of an experiment
-METHOD_LISTS = "methods"  # folder, beside the configs, of the lists they share
+METHOD_LISTS = "methods"  # folder of shared lists, next to the configs
 OWN_LISTS = Path(__file__).parent / "configs" / METHOD_LISTS
 
 
 class ConfigError(UserError):
-    """The experiment cannot be run; the message names file, key, value and remedy."""
+    """The config cannot be used; the message names file, key, value and remedy."""
 
 
 def read(path: Path, quick: bool = False) -> dict[str, Any]:
-    """The content of a config, or of its quick part, with the shared lists it names written out.
+    """Return the content of a config, or of its quick part, with shared lists expanded.
 
-    The key ``quick`` holds what the quick part has instead: ``limits`` key by key, all else as a whole.
-    Its ``limits_of`` are limits of single methods. A text among ``methods`` is the name of a list
-    in ``methods/`` beside the config, or else beside this project's own.
+    The key ``quick`` replaces keys of the config: ``limits`` key by key, all others as a whole. Its
+    ``limits_of`` are limits of single methods. A text among ``methods`` is the name of a list in
+    ``methods/`` next to the config, or in ``workflows/configs/methods``.
 
     Raises
     ------
     ConfigError
-        The file cannot be read, has no quick part, or names no list or method.
+        The file cannot be read, has no quick part, or names an unknown list or method.
     """
     content = _yaml(path)
     if not isinstance(content, dict):
@@ -55,12 +55,12 @@ def read(path: Path, quick: bool = False) -> dict[str, Any]:
 
 
 def has_quick_part(path: Path) -> bool:
-    """Whether a config, which can be read, has the key ``quick``, whatever it holds."""
+    """Whether a readable config has the key ``quick``."""
     return "quick" in _yaml(path)
 
 
 def _limit(listed: list[Any], limits_of: Any, path: Path) -> None:
-    """Give single methods the limits that the quick part states for them."""
+    """Set the limits that the quick part states for single methods."""
     by_name = {str(each.get("name")): each for each in listed if isinstance(each, dict)}
     if not isinstance(limits_of, dict):
         raise ConfigError(f"{shown(path)}: quick.limits_of: must be a mapping of methods to limits")
@@ -72,12 +72,12 @@ def _limit(listed: list[Any], limits_of: Any, path: Path) -> None:
         if not isinstance(limits, dict):
             raise ConfigError(f"{shown(path)}: quick.limits_of.{name}: must be a mapping of limits")
         own = by_name[name].get("limits", {})
-        if isinstance(own, dict):  # else it is refused with the rest of the method
+        if isinstance(own, dict):  # otherwise the method is refused later
             by_name[name]["limits"] = {**own, **limits}
 
 
 def _methods(entry: Any, path: Path) -> list[Any]:
-    """One entry of ``methods``: itself, or the shared list of that name."""
+    """Return an entry of ``methods``, or the shared list of that name."""
     if not isinstance(entry, str):
         return [entry]
     folders = dict.fromkeys((OWN_LISTS, path.parent / METHOD_LISTS))  # the last one wins
@@ -105,7 +105,7 @@ def _yaml(path: Path) -> Any:
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """YAML in which a key given twice is an error, not a silent override."""
+    """YAML in which a duplicate key is an error."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         seen = set()
@@ -113,7 +113,7 @@ class _StrictLoader(yaml.SafeLoader):
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, Hashable):
                 raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key!r} is no name", key_node.start_mark
+                    None, None, f"key {key!r} is not a name", key_node.start_mark
                 )
             if key in seen:
                 raise yaml.constructor.ConstructorError(

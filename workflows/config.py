@@ -1,4 +1,4 @@
-"""What an experiment is: one YAML file in ``workflows/configs``, checked before anything runs."""
+"""Experiments: YAML files in ``workflows/configs``, checked before anything runs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
+from baselines import registry
 from baselines.contract import Instance, Limits
+from data.parameters import explain
 from dcreg.problem import suggestion
-from workflows import CHECKOUT, methods, shown
+from workflows import CHECKOUT, shown
 from workflows.compose import QUICK, ConfigError, has_quick_part, read
 from workflows.grid import DatasetSettings, Model, check_datasets, check_size
 from workflows.parts import Part, part_of
@@ -22,24 +24,24 @@ Seconds = Annotated[float, Field(gt=0, le=1e7)]
 
 
 class LimitSettings(Part):
-    """What one run may use. A worker that has not answered well after ``time_s`` is killed."""
+    """Limits of one run. A worker without an answer is killed some time after ``time_s``."""
 
     time_s: Seconds = 10.0
-    # Of the whole worker, its libraries included: with less than 100 none could start.
+    # Of the whole worker, including its libraries; below 100 none could start.
     memory_mb: Annotated[int, Field(ge=100, le=10**8)] = 2048
     nodes: Annotated[int, Field(gt=0, le=10**15)] | None = None
-    # The same for clouds of 100 points; of others as many as take as long, by assignments' cubic time.
+    # The same at 100 points; scaled to take as long for other sizes (assignments take cubic time).
     nodes_at_100: Annotated[int, Field(gt=0, le=10**15)] | None = None
     threads: Annotated[int, Field(gt=0, le=1024)] = 1
     warm_up_s: Seconds = 300.0  # imports and JIT compilation, once per worker
 
     @property
     def kill_after_s(self) -> float:
-        """A method that obeys the limit itself has this long to say so."""
+        """Seconds until a worker is killed; a method that keeps the limit answers before."""
         return 1.5 * self.time_s + 1.0
 
     def of_run(self, instance: Instance) -> Limits:
-        """What a run on `instance` may use, as the method is told."""
+        """Return the limits of a run on `instance`, as given to the method."""
         nodes = self.nodes
         if self.nodes_at_100 is not None:
             size = len(instance.source) * len(instance.target) / 100**2
@@ -49,17 +51,20 @@ class LimitSettings(Part):
 
 
 class MethodSettings(Part):
-    """One line of the figures: a method of ``baselines/`` with options and prior."""
+    """One line of the figures: a method of ``baselines/`` with its options and n_inliers."""
 
-    name: Name  # names the line and its folder of results
+    name: Name  # of the line and of its folder of results
     baseline: str
-    label: str = ""  # shown in figures; by default the card's name
+    label: str = ""  # in figures; default: the card's name
     options: dict[str, Any] = Field(default={})
-    # The solver is told round(ratio * true count) pairs, as in the paper, which derives the prior
-    # from the truth: 1 and 0.5 there.
+    # The solver receives n_inliers = round(ratio * true number), as in the paper, with 1 and 0.5.
     n_inliers_ratio: Annotated[float, Field(gt=0, le=2)] = 1.0
-    n_points: Annotated[int, Field(ge=3)] | None = None  # of each cloud, far apart; all
-    models: Annotated[list[Model], Field(min_length=1)] | None = None  # it is asked to treat; all
+    n_points: Annotated[int, Field(ge=3)] | None = (
+        None  # per cloud, farthest-point sampling; default: all
+    )
+    models: Annotated[list[Model], Field(min_length=1)] | None = (
+        None  # that it is run on; default: all
+    )
     limits: dict[str, float | None] = Field(default={})  # overrides of the experiment's limits
 
 
@@ -67,7 +72,7 @@ _AXES_HELP = "give AXIS=VALUE,VALUE with a known axis"
 
 
 class Selection(Part):
-    """A part of the grid, chosen on the command line; an empty list selects everything."""
+    """A part of the grid, selected on the command line; an empty list selects everything."""
 
     methods: list[str] = Field(default=[])
     datasets: list[str] = Field(default=[])
@@ -85,8 +90,8 @@ class Experiment(Part):
     limits: LimitSettings = LimitSettings()
     datasets: Annotated[list[DatasetSettings], Field(min_length=1)]
     methods: Annotated[list[MethodSettings], Field(min_length=1)]
-    # A method that takes such a setting, n_inliers_ratio or an option that is not null by default and
-    # does something beside its others, runs once with each value.
+    # A setting is n_inliers_ratio, or an option that has a default other than null and an effect. Methods
+    # with the setting run once with each value.
     vary: dict[str, Annotated[list[int | float | str], Field(min_length=1)]] = Field(default={})
 
     def method(self, name: str) -> MethodSettings:
@@ -97,9 +102,9 @@ class Experiment(Part):
 
 
 def find(experiment: str) -> tuple[Path, bool]:
-    """Path of a config given by name (``demo``) or by path, and whether its quick part is meant.
+    """Return the path of a config, given by name (``demo``) or path, and whether its quick part is meant.
 
-    The name of the quick part ends with ``-quick``.
+    The name of a quick part ends with ``-quick``.
     """
     path = Path(experiment)
     if path.suffix in (".yaml", ".yml") and path.is_file():
@@ -112,21 +117,21 @@ def find(experiment: str) -> tuple[Path, bool]:
 
 
 def origin(experiment: str) -> str:
-    """Name of a config of the checkout, or path of another one: what finds it again."""
+    """Return the name of a config of the checkout, or the path of another one."""
     path, quick = find(experiment)
     path = path.resolve()
     return path.stem + QUICK * quick if path.parent == CONFIGS else shown(path)
 
 
 def load(experiment: str) -> Experiment:
-    """Read an experiment by name or path and check all of it against cards and datasets.
+    """Read an experiment by name or path and check it against cards and datasets.
 
-    With the whole of one its quick part is checked as well.
+    The quick part of a whole experiment is checked as well.
 
     Raises
     ------
     ConfigError
-        Lists everything that is wrong, not only the first thing.
+        Lists all problems.
     """
     path, quick = find(experiment)
     settings = _load(path, quick)
@@ -134,13 +139,13 @@ def load(experiment: str) -> Experiment:
         try:
             _load(path, quick=True)
         except ConfigError as error:
-            remedy = "this is of the quick part; correct it, or leave the key quick out"
+            remedy = "this is in the quick part; correct it, or remove the key quick"
             raise ConfigError(f"{error}\n{shown(path)}: {remedy}") from error
     return settings
 
 
 def _load(path: Path, quick: bool) -> Experiment:
-    """The experiment of a file, or its quick part, checked."""
+    """Read and check the experiment of a file, or its quick part."""
     content = read(path, quick)
     try:
         settings = Experiment.model_validate(content)
@@ -164,7 +169,7 @@ def _load(path: Path, quick: bool) -> Experiment:
 
 
 def parse_selection(texts: Iterable[str]) -> Selection:
-    """A `Selection` from texts such as ``tests=noise,deformation``; an empty list selects all."""
+    """Return a `Selection` from texts such as ``tests=noise,deformation``; none selects everything."""
     chosen: dict[str, list[str]] = {}
     for text in texts:
         axis, separator, values = text.partition("=")
@@ -182,31 +187,29 @@ def parse_selection(texts: Iterable[str]) -> Selection:
 
 
 def _check_name(settings: Experiment, path: Path) -> Iterable[str]:
-    """Results are kept by name: no other config may have that of one of the checkout."""
+    """Yield a name that belongs to a config of the checkout: results are stored by name."""
     namesake = CONFIGS / f"{settings.name}.yaml"
     if namesake.is_file() and namesake != path.resolve():
-        yield f"name: {settings.name!r} is that of {shown(namesake)}; give another name"
+        yield f"name: {settings.name!r} is the name of {shown(namesake)}; give another name"
 
 
 def _check_methods(settings: Experiment) -> Iterable[str]:
-    from baselines.registry import BaselineError
-
-    known = methods.names()
+    known = registry.names()
     for index, method in enumerate(settings.methods):
         key = f"methods[{index}]"
         if method.baseline not in known:
             yield f"{key}.baseline: no method {method.baseline!r}{suggestion(method.baseline, known)}"
             continue
         try:
-            card = methods.card(method.baseline)
-        except BaselineError as error:
+            card = registry.read_card(method.baseline)
+        except registry.BaselineError as error:
             yield f"{key}.baseline: {error}"
             continue
         parameters = card.parameters
         if method.n_inliers_ratio != 1.0 and not card.uses_n_inliers:
             yield (
-                f"{key}.n_inliers_ratio: {method.n_inliers_ratio:g} does nothing, as "
-                f"{method.baseline} does not use the number of pairs; leave it out"
+                f"{key}.n_inliers_ratio: {method.n_inliers_ratio:g} has no effect, as "
+                f"{method.baseline} does not use n_inliers; remove it"
             )
         unknown = sorted(set(method.options) - set(parameters))
         for option in unknown:
@@ -228,7 +231,7 @@ def _check_labels(settings: Experiment) -> Iterable[str]:
 
 
 def _varied(settings: Experiment) -> Iterable[MethodSettings]:
-    """The methods, each that takes a setting of ``vary`` once with every value of it."""
+    """Yield the methods; each with a setting of ``vary`` once per value."""
     for method in settings.methods:
         takes = [key for key in settings.vary if _takes(method, key)]
         if not takes:
@@ -238,19 +241,19 @@ def _varied(settings: Experiment) -> Iterable[MethodSettings]:
 
 
 def _takes(method: MethodSettings, key: str) -> bool:
-    card = methods.card(method.baseline)
+    card = registry.read_card(method.baseline)
     if key == "n_inliers_ratio":
         return card.uses_n_inliers and key not in method.model_fields_set
     if card.parameters.get(key) is None or key in method.options:
         return False
-    return key not in methods.idle_options(method.baseline, method.options)
+    return key not in registry.idle_options(method.baseline, method.options)
 
 
 def _with_setting(method: MethodSettings, key: str, value: float | str) -> MethodSettings:
     text = isinstance(value, str)
-    label = method.label or methods.card(method.baseline).display_name
-    said = value if text else f"{'n_p' if key == 'n_inliers_ratio' else key} × {value:g}"
-    label = f"{label[:-1]}, {said})" if label.endswith(")") else f"{label} ({said})"
+    label = method.label or registry.read_card(method.baseline).display_name
+    shown_value = value if text else f"{'n_p' if key == 'n_inliers_ratio' else key} × {value:g}"
+    label = f"{label[:-1]}, {shown_value})" if label.endswith(")") else f"{label} ({shown_value})"
     changed = {"name": f"{method.name}-{value if text else f'{key}{value:g}'}", "label": label}
     if key == "n_inliers_ratio":
         return MethodSettings(**{**method.model_dump(), **changed, key: value})
@@ -259,11 +262,11 @@ def _with_setting(method: MethodSettings, key: str, value: float | str) -> Metho
 
 
 def _check_variations(settings: Experiment) -> Iterable[str]:
-    """Settings that no method takes, and values that one of them refuses."""
+    """Yield settings that no method has, and values that a method refuses."""
     for key, values in settings.vary.items():
         takers = [method for method in settings.methods if _takes(method, key)]
         if not takers:
-            yield f"vary.{key}: no method takes it; name n_inliers_ratio or an option, or leave it out"
+            yield f"vary.{key}: no method has it; name n_inliers_ratio or an option, or remove it"
         for method, value in ((method, value) for method in takers for value in values):
             try:
                 varied = _with_setting(method, key, value)
@@ -274,18 +277,16 @@ def _check_variations(settings: Experiment) -> Iterable[str]:
 
 
 def _check_options(key: str, method: MethodSettings) -> Iterable[str]:
-    """Values that the method itself refuses, and numbers that are none."""
-    from baselines.registry import BaselineError
-
+    """Yield values that the method refuses, and numbers that are not finite."""
     for option, value in method.options.items():
         if isinstance(value, float) and not math.isfinite(value):
-            yield f"{key}.options.{option}: {value} is no number; give a finite one"
+            yield f"{key}.options.{option}: {value} is not finite; give a number"
     try:
-        methods.load(method.baseline, method.options)
-    except BaselineError as error:
+        registry.load(method.baseline, **method.options)
+    except registry.BaselineError as error:
         yield f"{key}.options: {error}"
     except ImportError:
-        pass  # not installed here: its runs say so
+        pass  # not installed here: its runs end as unavailable
 
 
 def _config_error(path: Path, problems: Sequence[str]) -> ConfigError:
@@ -293,23 +294,15 @@ def _config_error(path: Path, problems: Sequence[str]) -> ConfigError:
 
 
 def _explain(problem: Any) -> str:
-    """One pydantic problem as ``key.path: what is wrong; remedy``."""
-    location = problem["loc"]
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
-    key = key.removeprefix(".")
-    if problem["type"] == "extra_forbidden":
-        return f"{key}: unknown key{suggestion(str(location[-1]), _keys_at(location[:-1]))}"
-    if problem["type"] == "missing":
-        return f"{key}: missing; add it"
-    if problem["type"] == "value_error":
-        return f"{key}: {problem['ctx']['error']}".removeprefix(": ")
+    """Describe one pydantic problem of a config."""
+    key = ".".join(map(str, problem["loc"]))
     if problem["type"] in ("too_short", "list_type") and key.endswith((".shapes", ".models")):
         return f"{key}: is {problem['input']!r}; list at least one, or leave it out for all"
-    return f"{key}: {problem['msg']}, is {problem['input']!r}"
+    return explain(problem, _keys_at)
 
 
 def _keys_at(location: Sequence[str | int]) -> Iterable[str]:
-    """Keys that a config may have at this place."""
+    """Return the keys that a config may have at this location."""
     model: Any = Experiment
     for part in location:
         if isinstance(part, str) and part in getattr(model, "model_fields", {}):

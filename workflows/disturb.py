@@ -1,18 +1,17 @@
-"""From a prototype to a registration problem with known truth: disturbance, pose, shuffle.
+"""From a prototype to a registration problem with known ground truth: disturbance, pose, shuffle.
 
 All lengths are in units of the normalised prototype (bounding box centred at 0, longest side 1),
-before the pose. The default levels and constants are an assumed grid, not the paper's: the paper
-shows its axes, but does not state them.
+before the pose. The default levels and constants are assumed: the paper shows its axes, but does not
+state them.
 
-A disturbance is a pure function ``(prototype, level, rng, **options) -> Disturbed`` with an entry
-in `DISTURBANCES`; a new one needs nothing else. `make_instance` serves every dataset, also the
-recorded ones. The pose of an instance is drawn, but the truth it is judged by is the
-`data.sampling.reference_pose`.
+A disturbance is a pure function ``(prototype, level, rng, **options) -> Disturbed`` with an entry in
+`DISTURBANCES`. `make_instance` serves prototypes and recorded datasets. The pose of an instance is
+random; the reference for errors is `data.sampling.reference_pose`.
 
-Random numbers come from `seed_for`, a hash of the axes that a draw may depend on. The method is
-not among them, so all methods see the same instances. The pose depends on dataset, shape, test and
-trial, not on the level: along a curve of the report the level is all that changes. The
-disturbance's draws depend on the level as well and are independent of the pose's.
+Random numbers are seeded by `seed_for`, a hash of the axes that a draw may depend on. The method is not
+among them, so all methods receive the same instances. The pose depends on dataset, shape, test and trial,
+not on the level: only the level changes along a curve of the report. The random numbers of the
+disturbance depend on the level as well and are independent of the pose.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ from dcreg.problem import suggestion
 
 SCALE_RANGE_2D = (0.5, 1.5)
 MAX_SHIFT = 0.5  # translation per axis
-WARP_WIDTH = 0.5  # of the deformation's radial basis functions
-BASE_DEFORMATION = 0.01  # coefficient of the warp under the outlier tests; 0 switches it off
+WARP_WIDTH = 0.5  # of the radial basis functions of the deformation
+BASE_DEFORMATION = 0.01  # coefficient of the deformation in the outlier tests; 0: none
 MIXED_INFLATION = 1.2  # of the bounding box that mixed outliers fill
 SEPARATE_CENTRE = 0.75  # of the outliers' box: -x for the source, +x for the target
 SEPARATE_SIDE = 0.5
@@ -70,12 +69,12 @@ class Disturbance:
 def deformation(
     prototype: np.ndarray, level: float, rng: np.random.Generator, *, width: float = WARP_WIDTH
 ) -> Disturbed:
-    """Smooth warp of the target with coefficient `level`; everything else exact."""
+    """Deform the target smoothly with coefficient `level`."""
     return _one_to_one(prototype, warp(prototype, level, rng, width))
 
 
 def noise(prototype: np.ndarray, level: float, rng: np.random.Generator) -> Disturbed:
-    """Gaussian noise with standard deviation `level` per axis on the target."""
+    """Add Gaussian noise with standard deviation `level` per axis to the target."""
     return _one_to_one(prototype, prototype + level * rng.standard_normal(prototype.shape))
 
 
@@ -86,7 +85,7 @@ def mixed_outliers(
     *,
     base_deformation: float = BASE_DEFORMATION,
 ) -> Disturbed:
-    """Outliers all over both sets: `level` times the number of prototype points in each."""
+    """Add uniform outliers to both sets: `level` times the number of prototype points in each."""
     target = warp(prototype, base_deformation, rng)
     count = _count(level, prototype)
     centre = (prototype.min(axis=0) + prototype.max(axis=0)) / 2
@@ -105,9 +104,9 @@ def separate_outliers(
     *,
     base_deformation: float = BASE_DEFORMATION,
 ) -> Disturbed:
-    """The same number of outliers, beside the shape: at -x in the source, at +x in the target."""
+    """Add as many outliers next to the shape: at -x in the source, at +x in the target."""
     target = warp(prototype, base_deformation, rng)
-    return _beside(_one_to_one(prototype, target), _count(level, prototype), rng)
+    return _with_separate_outliers(_one_to_one(prototype, target), _count(level, prototype), rng)
 
 
 def occlusion_outliers(
@@ -119,10 +118,10 @@ def occlusion_outliers(
     outlier_ratio: float = OCCLUSION_OUTLIERS,
     base_deformation: float = BASE_DEFORMATION,
 ) -> Disturbed:
-    """A share `level` of the points cut off along a random direction, then separate outliers.
+    """Remove a share `level` of the points along a random direction, then add separate outliers.
 
-    By default the target is cut (N (1 - level) inliers). With `two_sided` the source loses as many
-    at its opposite end (N (1 - 2 level) inliers), which leaves nothing at level 0.5.
+    By default the target loses points (N (1 - level) inliers). With `two_sided` the source loses as many
+    at its opposite end (N (1 - 2 level) inliers), which leaves none at level 0.5.
     """
     n, d = prototype.shape
     n_cut = _count(level, prototype)
@@ -138,13 +137,13 @@ def occlusion_outliers(
     in_source = np.sort(order[n_cut:]) if two_sided else np.arange(n)
     _, i, j = np.intersect1d(in_source, in_target, return_indices=True)
     cut = Disturbed(prototype[in_source], target[in_target], np.column_stack([i, j]))
-    return _beside(cut, _count(outlier_ratio, prototype), rng)
+    return _with_separate_outliers(cut, _count(outlier_ratio, prototype), rng)
 
 
 _RATIOS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 _SMALL = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05)
 DISTURBANCES: dict[str, Disturbance] = {
-    "deformation": Disturbance(deformation, _SMALL, "warp, in longest sides"),
+    "deformation": Disturbance(deformation, _SMALL, "deformation, in longest sides"),
     "noise": Disturbance(noise, _SMALL, "noise σ, in longest sides"),
     "mixed_outliers": Disturbance(mixed_outliers, _RATIOS, "outliers per inlier, each set"),
     "separate_outliers": Disturbance(separate_outliers, _RATIOS, "outliers per inlier, each set"),
@@ -158,7 +157,7 @@ DISTURBANCES: dict[str, Disturbance] = {
 def warp(
     points: np.ndarray, coefficient: float, rng: np.random.Generator, width: float = WARP_WIDTH
 ) -> np.ndarray:
-    """``x + K g c``: Gaussian kernel K of `width`, standard normal g, coefficient c."""
+    """Return ``x + K g c`` with a Gaussian kernel K of `width`, standard normal g, coefficient c."""
     kernel = np.exp(-cdist(points, points, "sqeuclidean") / (2 * width**2))
     return points + kernel @ rng.standard_normal(points.shape) * coefficient
 
@@ -176,7 +175,7 @@ def _uniform(rng: np.random.Generator, count: int, centre: np.ndarray, side: Any
     return centre + (rng.random((count, len(centre))) - 0.5) * side
 
 
-def _beside(clean: Disturbed, count: int, rng: np.random.Generator) -> Disturbed:
+def _with_separate_outliers(clean: Disturbed, count: int, rng: np.random.Generator) -> Disturbed:
     centre = SEPARATE_CENTRE * np.eye(clean.source.shape[1])[0]
     return _with_outliers(
         clean,
@@ -195,7 +194,7 @@ def _with_outliers(clean: Disturbed, to_source: np.ndarray, to_target: np.ndarra
 
 
 def random_pose(dim: int, rng: np.random.Generator) -> np.ndarray:
-    """2D: uniform angle, uniform scale; 3D: uniform rotation. Uniform shift per axis."""
+    """Return a random pose: uniform angle and scale (2D) or rotation (3D), uniform shift per axis."""
     T = np.eye(dim + 1)
     if dim == 2:
         angle, scale = rng.uniform(0, 2 * np.pi), rng.uniform(*SCALE_RANGE_2D)

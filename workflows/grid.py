@@ -1,4 +1,4 @@
-"""What an experiment asks of data sets, and whether they have it."""
+"""The datasets and tests of an experiment, and their checks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from workflows.parts import Part
 Model = Literal["similarity2d", "rigid3d"]
 
 MAX_RUNS = 1_000_000  # of an experiment; a plan holds all of them in memory
-MAX_LEVEL = 10.0  # of our own tests: lengths in sides of the shape, or points per point
+MAX_LEVEL = 10.0  # of disturbances: lengths in sides of the shape, or points per point
 
 
 class DatasetSettings(Part):
@@ -34,19 +34,19 @@ class DatasetSettings(Part):
             if not levels or len(set(levels)) < len(levels):
                 raise ValueError(f"{test}: give one or more different levels, not {levels}")
             if wrong := [level for level in levels if not math.isfinite(level)]:
-                raise ValueError(f"{test}: level {wrong[0]} is no number; give a finite one")
+                raise ValueError(f"{test}: level {wrong[0]} is not finite; give a number")
         return tests
 
     @field_validator("shapes")
     @classmethod
     def _shapes_differ(cls, shapes: list[str] | None) -> list[str] | None:
         if shapes and len(set(shapes)) < len(shapes):
-            raise ValueError("a shape is given twice; name each once")
+            raise ValueError("a shape is listed twice; list each once")
         return shapes
 
 
 def check_datasets(asked: Sequence[DatasetSettings]) -> Iterable[str]:
-    """Data sets, shapes, tests, levels and trials that there are not."""
+    """Yield unknown datasets, shapes, tests, levels and trials."""
     from data import registry
     from data.contract import Axis, DataError, RecordedDataset
     from workflows.disturb import DISTURBANCES
@@ -89,7 +89,7 @@ def check_datasets(asked: Sequence[DatasetSettings]) -> Iterable[str]:
 
 
 def _check_level(key: str, test: str, level: float, n_points: int | None) -> Iterable[str]:
-    """Levels that the disturbance cannot have, or refuses for so many points."""
+    """Yield levels that the disturbance refuses for this number of points."""
     from workflows.disturb import DISTURBANCES
 
     if not 0 <= level <= MAX_LEVEL:
@@ -105,7 +105,7 @@ def _check_level(key: str, test: str, level: float, n_points: int | None) -> Ite
 def check_size(
     asked: Sequence[DatasetSettings], models: Sequence[list[Model] | None]
 ) -> Iterable[str]:
-    """Experiments that no one could plan, and methods that nothing is asked of."""
+    """Yield an experiment that is too large, and methods without an instance."""
     from data import registry
 
     known = registry.datasets()

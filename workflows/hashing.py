@@ -12,18 +12,18 @@ import numpy as np
 
 
 def digest(value: Any, length: int = 12) -> str:
-    """Hash of a JSON-like value; keys in any order, floats by their shortest exact text."""
+    """Hash a JSON-like value; keys in any order, floats by their shortest exact text."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:length]
 
 
 def seed(*axes: Any) -> int:
-    """A 32-bit seed from the axes it may depend on."""
+    """Return a 32-bit seed from the axes that it may depend on."""
     return int(digest(list(axes), 8), 16)
 
 
 def digest_arrays(*arrays: Any, length: int = 12) -> str:
-    """Hash of the exact content of arrays or numbers."""
+    """Hash the exact content of arrays or numbers."""
     total = hashlib.sha256()
     for array in map(np.ascontiguousarray, arrays):
         total.update(f"{array.dtype.str}{array.shape}".encode() + array.tobytes())
@@ -31,7 +31,7 @@ def digest_arrays(*arrays: Any, length: int = 12) -> str:
 
 
 def digest_files(root: Path, entries: Iterable[str], length: int = 12) -> str:
-    """Hash of files and folders below `root`: names and text, no times; absent ones count too."""
+    """Hash files and folders below `root` by names and content; missing ones are allowed."""
     total = hashlib.sha256()
     for entry in entries:
         path = root / entry

@@ -1,4 +1,4 @@
-"""Packed files: the instances, and apart from them their truth, which no solver sees."""
+"""Packed files: the instances, and separately their ground truth, which no solver receives."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from workflows.hashing import digest_arrays, seed
 
 @dataclass(frozen=True)
 class Problem:
-    """An instance as the harness keeps it; `for_solver` is what a worker gets.
+    """An instance as the harness stores it; `for_solver` returns what a worker receives.
 
-    ``n_inliers_prior`` is the true number of pairs, or what the rule of a data set gives. The paper
-    derives the prior n_p from it, so the solver is told a stated ratio of it, and nothing else that comes
-    from the truth but ``noise_bound``, the same for all. ``matches`` are the putative pairs that all
+    ``n_inliers_prior`` is the true number of pairs, or that of the dataset's rule. As in the paper, the
+    solver receives a stated ratio of it as n_inliers. The only other value that derives from the ground
+    truth is ``noise_bound``, the same for all methods. ``matches`` are the putative pairs that all
     methods share, if any.
     """
 
@@ -38,7 +38,7 @@ class Problem:
     def for_solver(
         self, n_inliers_ratio: float, experiment_seed: int, n_points: int | None = None
     ) -> Instance:
-        """What a solver is given; with `n_points` only so many points of each cloud, far apart."""
+        """Return the input of a solver; with `n_points`, by farthest-point sampling of each cloud."""
         source, target, matches = self.source, self.target, self.matches
         whole = min(len(source), len(target))
         if n_points is not None:
@@ -64,9 +64,9 @@ class Problem:
 
 @dataclass(frozen=True)
 class Truth:
-    """What only the evaluation sees: the pose and the true pairs (rows of source and target).
+    """What only the evaluation receives: the pose and the true pairs (rows of source and target).
 
-    ``marks``: points of both side by side, (k, 2 d), that poses are judged by instead of the pairs.
+    ``marks``: (k, 2 d) corresponding points of both clouds that replace the pairs in the evaluation.
     """
 
     instance_id: str
@@ -76,7 +76,7 @@ class Truth:
 
 
 def with_oracle(instance: Instance, truth: Truth, outliers: float) -> Instance:
-    """The instance with true and random pairs, unmarked: for methods with the oracle front end."""
+    """Add true and random pairs, unmarked, for methods with the oracle front end."""
     n, m = len(instance.source), len(instance.target)
     draw = seed("oracle", instance.instance_id)
     pairs = oracle_pairs(truth.pairs, n, m, outliers, draw)
@@ -84,7 +84,7 @@ def with_oracle(instance: Instance, truth: Truth, outliers: float) -> Instance:
 
 
 def content_digest(instance: Instance) -> str:
-    """Hash of everything in an instance that a solver could react to."""
+    """Hash everything in an instance that a solver receives."""
     low, high = instance.scale_range
     numbers = np.array([instance.n_inliers, low, high, instance.noise_bound, instance.seed], float)
     pairs = () if instance.oracle_pairs is None else (instance.oracle_pairs,)
@@ -167,7 +167,7 @@ def _no_marks(truth: Truth) -> np.ndarray:
 
 
 def _packed(name: str, arrays: list[np.ndarray]) -> dict[str, Any]:
-    """Arrays of different lengths as one, with the row at which each ends."""
+    """Return arrays of different lengths as one, with the row at which each ends."""
     return {name: np.concatenate(arrays), f"{name}_ends": np.cumsum([len(a) for a in arrays])}
 
 

@@ -1,13 +1,45 @@
-"""The five groups in which every planned run is counted."""
+"""The groups of statuses: what each means for the accounting, and whether a repetition has it too."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import pandas as pd
 
-STARTED = ("finished", "limited", "failed")
-OUTCOMES = (*STARTED, "unsupported", "unavailable")
+from dcreg.status import Status
+from workflows import UserError
+
+
+class Group(NamedTuple):
+    """What a status means for the accounting and for comparisons."""
+
+    outcome: str
+    is_timed: bool = False  # time or memory decided: another execution may end elsewhere
+
+
+GROUPS: dict[Status, Group] = {
+    Status.OPTIMAL: Group("finished"),
+    Status.CONVERGED: Group("finished"),
+    Status.TIME_LIMIT: Group("limited", is_timed=True),
+    Status.MEMORY_LIMIT: Group("limited", is_timed=True),
+    Status.NODE_LIMIT: Group("limited"),
+    Status.STOPPED: Group("limited"),
+    Status.FAILED: Group("failed"),
+    Status.UNSUPPORTED: Group("unsupported"),
+    Status.UNAVAILABLE: Group("unavailable"),
+}
+OUTCOMES = tuple(dict.fromkeys(group.outcome for group in GROUPS.values()))
+STARTED = OUTCOMES[: OUTCOMES.index("failed") + 1]
+TIMED = tuple(status.value for status, group in GROUPS.items() if group.is_timed)
+
+
+def outcome(status: str) -> str:
+    """Return the outcome that a status counts as."""
+    if group := GROUPS.get(Status(status)):
+        return group.outcome
+    raise UserError(f"status {status!r} of a run has no outcome; solve the run again")
 
 
 def attempted(runs: pd.DataFrame) -> pd.DataFrame:
-    """Runs that were really started: neither unsupported nor unavailable."""
+    """Return the runs that were started: neither unsupported nor unavailable."""
     return runs[runs["outcome"].isin(STARTED)]

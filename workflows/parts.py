@@ -1,4 +1,4 @@
-"""A part of an experiment's file: known keys only, and no flags where numbers are meant."""
+"""A part of an experiment's config: known keys only, and no flags instead of numbers."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ class Part(BaseModel):
         for key, value in values.items() if isinstance(values, dict) else ():
             field = cls.model_fields.get(key)
             if field and (part_of(field.annotation) or Any in get_args(field.annotation)):
-                continue  # parts see to themselves, and a method may take flags
-            for place, flag in _flags(key, value):  # which would pass for 0 or 1
+                continue  # parts check themselves, and a method may take flags
+            for place, flag in _flags(key, value):  # which pydantic takes for 0 or 1
                 raise ValueError(f"{place} is {str(flag).lower()}; give a number or text")
         return values
 
 
 def part_of(annotation: Any) -> Any:
-    """The `Part` inside an annotation such as ``Annotated[list[Part], ...]``."""
+    """Return the `Part` inside an annotation such as ``Annotated[list[Part], ...]``."""
     if isinstance(annotation, type) and issubclass(annotation, Part):
         return annotation
     return next((part for inner in get_args(annotation) if (part := part_of(inner))), None)
 
 
 def _flags(place: str, value: Any) -> Iterator[tuple[str, bool]]:
-    """All ``true`` and ``false`` in the value, at any depth, with their places."""
+    """Yield all ``true`` and ``false`` in the value, at any depth, with their places."""
     if isinstance(value, bool):
         yield place, value
     elif isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Where results come from: machine, versions, state of the checkout."""
+"""The origin of results: machine, versions, state of the checkout."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PACKAGES = [
 
 @cache
 def machine_card() -> dict[str, Any]:
-    """What of a machine decides how long a run takes. Names no host and no user."""
+    """Return the facts of the machine that determine run times, without names of host or user."""
     import psutil
 
     card = {
@@ -50,7 +50,7 @@ def machine_card() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Installed versions of the packages that matter; absent ones are named as such."""
+    """Return the versions of the relevant packages; missing ones are marked."""
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -61,14 +61,14 @@ def versions() -> dict[str, str]:
 
 
 def git_state() -> dict[str, Any]:
-    """Commit of the checkout and whether tracked files differ from it; empty outside git."""
+    """Return the commit and whether tracked files differ from it; empty outside git."""
     commit = _git("rev-parse", "HEAD")
     changed = _git("status", "--porcelain", "--untracked-files=no")
     return {"commit": commit or "", "dirty": bool(changed)}
 
 
 def default_version() -> str:
-    """Name under which results are recorded: ``git describe``, or version of the library."""
+    """Return the name for recorded results: from ``git describe``, or the version of the library."""
     from dcreg._version import __version__
 
     described = _git("describe", "--always", "--dirty", "--tags")

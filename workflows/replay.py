@@ -1,4 +1,4 @@
-"""One run again, alone and in this process: for debugging what a table shows."""
+"""Repeat one run in this process, for debugging."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from workflows import methods
+from baselines import registry
 from workflows.config import ConfigError
 from workflows.stages.generate import instance_of
 from workflows.stages.plan import Plan
@@ -14,7 +14,7 @@ from workflows.stages.worker import COUNTERS
 
 
 def replay(plan: Plan, run_id: str) -> dict[str, Any]:
-    """Make the instance anew, solve it, and say what came out, with the pose and the bounds."""
+    """Make the instance again, solve it, and return the result with pose and bounds."""
     run = next((run for run in plan.runs() if run.run_id == run_id), None)
     if run is None:
         raise ConfigError(
@@ -25,10 +25,10 @@ def replay(plan: Plan, run_id: str) -> dict[str, Any]:
         run.instance,
         run.method.n_inliers_ratio,
         plan.experiment.seed,
-        methods.oracle_outliers(run.method.baseline, run.method.options),
+        registry.oracle_outliers(run.method.baseline, run.method.options),
         run.method.n_points,
     )
-    method = methods.load(run.method.baseline, run.method.options)
+    method = registry.load(run.method.baseline, **run.method.options)
     if reason := method.available() or method.supports(instance):
         raise ConfigError(f"{run.method.name}: {reason}")
     method.warm_up(instance)

@@ -1,4 +1,4 @@
-"""Runs Snakemake over an experiment: once at a time in a folder of results, and ended in order."""
+"""Run Snakemake over an experiment: one run at a time per folder of results, with an orderly end."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from typing import IO
 
 from workflows import CHECKOUT, UserError, provenance
 
-INTERRUPTED = 130  # exit code, as of shells
-PATIENCE_S = 20.0  # in which Snakemake ends after it was told to
+INTERRUPTED = 130  # exit code, as in shells
+PATIENCE_S = 20.0  # for Snakemake to end after SIGTERM
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class BusyError(UserError):
-    """Another run works on these results; the message says which."""
+    """Another run uses these results; the message names it."""
 
 
 def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
-    """Run Snakemake on experiment `name` below `directory`; the exit code, `INTERRUPTED` at Ctrl-C.
+    """Run Snakemake on experiment `name` below `directory`; return its exit code, or `INTERRUPTED`.
 
-    The arguments end with those of ``--config``.
+    The arguments must end with those of ``--config``.
 
-    Snakemake and its jobs are a process group of their own. At Ctrl-C, SIGTERM and SIGHUP they are told
-    to end (SIGTERM, at which Snakemake starts no new job) and waited for; at a second one, or after
-    `PATIENCE_S`, they are killed. Either costs the unfinished runs only.
+    Snakemake and its jobs form a separate process group. At Ctrl-C, SIGTERM or SIGHUP they receive
+    SIGTERM, at which Snakemake starts no new job. At a second signal, or after `PATIENCE_S`, they are
+    killed. Only unfinished runs are lost.
 
     Raises
     ------
@@ -42,10 +42,10 @@ def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
     command = [
         *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
         *("--keep-going", "--rerun-incomplete", "--quiet", "all"),
-        # Locked by `the_only_run`: Snakemake's own lock outlives a Snakemake that was killed.
+        # `the_only_run` has the lock: Snakemake's own lock would remain after a kill.
         *("--nolock", "--directory", str(directory), *arguments),
     ]
-    deadline = float("inf")  # of Snakemake, once it is told to end
+    deadline = float("inf")  # for Snakemake to end
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal deadline
@@ -53,7 +53,7 @@ def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
             deadline = 0.0
             return
         deadline = time.monotonic() + PATIENCE_S
-        print("\nstopping … (once more: at once)", file=sys.stderr, flush=True)
+        print("\nstopping … (press again to kill)", file=sys.stderr, flush=True)
         os.killpg(process.pid, signal.SIGTERM)
 
     with the_only_run(directory, name) as lock, NamedTemporaryFile("r", encoding="utf-8") as errors:
@@ -81,12 +81,12 @@ def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
 
 @contextmanager
 def the_only_run(directory: Path, name: str) -> Iterator[IO[str]]:
-    """The lock of an experiment's results, held. It goes with the last process that has it open.
+    """Hold the lock of an experiment's results; it is released with the last process that has it open.
 
     Raises
     ------
     BusyError
-        Another process holds it, or a Snakemake that was started by hand works on the results.
+        Another process holds it, or a Snakemake that was started manually uses the results.
     """
     folder = directory / "results" / name
     folder.mkdir(parents=True, exist_ok=True)
@@ -97,13 +97,13 @@ def the_only_run(directory: Path, name: str) -> Iterator[IO[str]]:
             lock.seek(0)
             holder = lock.read().strip() or "another process"
             raise BusyError(
-                f"{folder}: another run works on these results, {holder}; wait for it, or stop it "
-                "(kill with that number)"
+                f"{folder}: another run uses these results: {holder}; wait for it, or stop it with "
+                "`kill` and that number"
             ) from None
-        if started_by_hand := _snakemake_locks(directory, name):
+        if manual := _snakemake_locks(directory, name):
             raise BusyError(
-                f"{folder}: a Snakemake that was started by hand has locked these results "
-                f"({started_by_hand[0]}). Wait for it; if it runs no more, remove its lock with "
+                f"{folder}: a Snakemake that was started manually has locked these results "
+                f"({manual[0]}). Wait for it; if it no longer runs, remove its lock with "
                 f"`{Path(sys.executable).name} -m snakemake --unlock --directory {directory} "
                 f"--config experiment={name}`"
             )
@@ -118,7 +118,7 @@ def _write(lock: IO[str], holder: str) -> None:
 
 
 def _snakemake_locks(directory: Path, name: str) -> list[Path]:
-    """Locks of Snakemake's own on files of this experiment; runs of ours leave none."""
+    """Return Snakemake's own locks on files of this experiment; `workflows run` leaves none."""
     ours = f"results/{name}/"
     return [
         path

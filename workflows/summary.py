@@ -1,4 +1,4 @@
-"""What is printed at the end of a run, and the list of methods."""
+"""The summary after a run, the table of a plan, and the list of methods."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from baselines import registry
 from dcreg.status import Status
-from workflows import methods, records
+from workflows import records
 from workflows.compose import QUICK, ConfigError
 from workflows.config import Experiment, MethodSettings, load
 from workflows.metrics import METRICS
@@ -26,17 +27,17 @@ from workflows.stages.solve import journalled
 
 
 def summarise(runs: pd.DataFrame) -> pd.DataFrame:
-    """Per method and test, over all runs that were possible.
+    """Summarise the attempted runs per method and test.
 
-    A run without a pose counts with the worst RMSE and as no success: dropping it would make a
-    method look better the more it fails.
+    A run without a pose counts with the worst RMSE and as no success; otherwise a method would look
+    better the more often it fails.
     """
     tried = attempted(runs)
     tried = tried.assign(
         rmse=tried["rmse"].fillna(METRICS["rmse"].worst),
         bounding=tried["gap"].notna(),
         certified=tried["status"].eq("optimal"),
-        # Per pair and as a length, so that instances with different numbers of pairs compare.
+        # RMS per pair: comparable between instances with different numbers of pairs.
         gap_rms=np.sqrt(tried["gap"] / tried["n_inliers"]),
     )
     keys = ["model", "test", "method"]
@@ -55,17 +56,17 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     return table.reset_index()
 
 
-def _told_apart(runs: pd.DataFrame) -> pd.DataFrame:
-    """The runs with the names of methods that are displayed alike behind what is displayed."""
+def _distinct_names(runs: pd.DataFrame) -> pd.DataFrame:
+    """Add the names of methods that share a displayed name."""
     shared = runs.groupby("display_name")["method"].transform("nunique") > 1
     both = runs["display_name"] + " [" + runs["method"] + "]"
     return runs.assign(display_name=runs["display_name"].mask(shared, both))
 
 
 def print_summary(folder: Path, console: Console | None = None) -> None:
-    """The table method × test, what could not run and why, and where the report is."""
+    """Print results per method and test, runs without a result and why, and the path of the report."""
     console = console or Console(width=None if os.isatty(1) else 120)
-    runs = _told_apart(records.read(folder / "tables" / "runs.parquet", records.runs_columns()))
+    runs = _distinct_names(records.read(folder / "tables" / "runs.parquet", records.runs_columns()))
     for model, part in summarise(runs).groupby("model", sort=False):
         console.print(_table(str(model), part))
     console.print(
@@ -78,17 +79,17 @@ def print_summary(folder: Path, console: Console | None = None) -> None:
             console.print(f"{outcome}: {name} ({len(group)} runs): {message}", markup=False)
     report = folder / "report" / "index.html"
     if folder.parent.name == "parts":
-        _print_path("a part; all of the experiment is in", folder.parents[1], console)
-    _print_path("report:" if report.is_file() else "no report yet at", report, console)
+        _print_path("this is a part; the whole experiment is in", folder.parents[1], console)
+    _print_path("report:" if report.is_file() else "no report yet:", report, console)
 
 
 def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = None) -> None:
-    """The table of planned runs with the time they need, and where their report will be."""
+    """Print the planned runs with their estimated time, and the path of their report."""
     console = console or Console(width=None if os.isatty(1) else 120)
     table = Table(title=f"{plan.experiment.name}", title_justify="left", title_style="bold")
     for name in ("method", "model", "tests"):
         table.add_column(name)
-    for name in ("runs", "finished", "time of the others"):
+    for name in ("runs", "finished", "time of the rest"):
         table.add_column(name, justify="right")
     outlook = outlook_of(plan, folder)
     for row in outlook:
@@ -102,24 +103,24 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
     at_most = "" if all(row.known for row in outlook) else "at most "
     console.print(
         f"{sum(row.runs for row in outlook)} runs, {sum(row.finished for row in outlook)} of them "
-        f"finished; the others take {at_most}about {_duration(seconds / cores)} on {cores} cores, "
-        "start and compilation of methods aside"
+        f"finished; the rest takes {at_most}about {_duration(seconds / cores)} on {cores} cores, "
+        "without the start and the compilation of methods"
     )
     _print_path("report:", folder / plan.view / "report" / "index.html", console)
 
 
 def _print_path(words: str, path: Path, console: Console) -> None:
-    """On one line of whatever length, so that it can be copied."""
+    """Print on a single line, so that the path can be copied."""
     console.print(f"{words} {os.path.relpath(path)}", soft_wrap=True, markup=False)
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What runs of a method on one model are to be expected, and the seconds of those not finished.
+    """The planned runs of a method on one model, and the estimated seconds of the unfinished ones.
 
-    ``known``: each takes the median time of the method's runs on its test so far, those of the quick part
-    of the experiment included, a run that met its limit counted as long as the limit allows; otherwise
-    the limit.
+    ``known``: every unfinished run is estimated by the median time of the method's finished runs on its
+    test, including those of the quick part; a run that hit its time limit counts as the current limit.
+    Runs without an estimate count as the time limit.
     """
 
     method: str
@@ -132,7 +133,7 @@ class Outlook:
 
 
 def outlook_of(plan: Plan, folder: Path) -> list[Outlook]:
-    """What is to be expected of each method and model of a plan, given the runs in `folder`."""
+    """Estimate the time of each method and model of a plan, given the finished runs in `folder`."""
     planned = list(plan.runs())
     rows: dict[tuple[str, str], list[PlannedRun]] = {}
     for run in planned:
@@ -146,14 +147,14 @@ def outlook_of(plan: Plan, folder: Path) -> list[Outlook]:
     outlook = []
     for (name, model), runs in rows.items():
         method = runs[0].method
-        fingerprint = methods.fingerprint(method.baseline)
+        fingerprint = registry.fingerprint(method.baseline)
         runs_here = _runs_here(method)
         finished, seconds, known = 0, 0.0, True
         for run in runs:
             if kept.get(run.run_id, {}).get("fingerprint") == fingerprint:
                 finished += 1
                 continue
-            if not runs_here:  # it only says so
+            if not runs_here:  # ends at once as unavailable
                 continue
             taken = measured.get((name, model, run.instance.test))
             known = known and taken is not None
@@ -165,13 +166,13 @@ def outlook_of(plan: Plan, folder: Path) -> list[Outlook]:
 
 def _runs_here(method: MethodSettings) -> bool:
     try:
-        return methods.load(method.baseline, method.options).available() is None
+        return registry.load(method.baseline, **method.options).available() is None
     except ImportError:
         return False
 
 
 def _kept(plan: Plan, folder: Path) -> dict[str, dict[str, Any]]:
-    """Finished runs of the plan's methods by their run_id."""
+    """Return the finished runs of the plan's methods by run_id."""
     return {
         row["run_id"]: row
         for method in plan.methods
@@ -182,9 +183,9 @@ def _kept(plan: Plan, folder: Path) -> dict[str, dict[str, Any]]:
 def _times(
     runs: Iterable[PlannedRun], kept: dict[str, dict[str, Any]], experiment: Experiment
 ) -> dict[tuple[str, str, str], list[float]]:
-    """Seconds of finished runs per method, model and test, as if under the limits of an experiment.
+    """Return the seconds of finished runs per method, model and test under the limits of an experiment.
 
-    A search that ended by its boxes goes on to the end of the time where the experiment limits no boxes.
+    A run that hit a node limit counts as the time limit if the experiment has no node limit.
     """
     limits_of = {method.name: experiment.limits_of(method) for method in experiment.methods}
     times: dict[tuple[str, str, str], list[float]] = {}
@@ -192,9 +193,9 @@ def _times(
         row, limits = kept.get(run.run_id, {}), limits_of.get(run.method.name)
         if limits is None or (time := row.get("time_solve_s")) is None:
             continue
-        by_boxes = limits.nodes is not None or limits.nodes_at_100 is not None
+        limits_nodes = limits.nodes is not None or limits.nodes_at_100 is not None
         if row["status"] == Status.TIME_LIMIT or (
-            row["status"] == Status.NODE_LIMIT and not by_boxes
+            row["status"] == Status.NODE_LIMIT and not limits_nodes
         ):
             time = limits.time_s
         key = run.method.name, run.chunk.model, run.instance.test
@@ -203,23 +204,20 @@ def _times(
 
 
 def _quick_part(plan: Plan) -> Iterator[Plan]:
-    """The plan of the experiment's quick part, where it has one and is not it itself."""
+    """Yield the plan of the experiment's quick part, if it has one."""
     with suppress(ConfigError):
         yield expand(load(f"{plan.config}{QUICK}"))
 
 
 def print_baselines(console: Console | None = None) -> None:
-    """Table of all methods, those of extra folders included."""
-    from baselines import registry
-
+    """Print a table of all methods, including those of extra folders."""
     table = Table("baseline", "method", "models", "version", "provenance", "certifies", "available")
     citations = []
-    for root in methods.roots():
-        for row in registry.availability(root):
-            available = "yes" if row["available"] else f"no: {row['reason']}"
-            facts = ("name", "method", "models", "version", "provenance", "bounds")
-            table.add_row(*(str(row[key]) for key in facts), escape(available))
-            citations.append(f"{row['method']}: {row['citation']}")
+    for row in registry.availability():
+        available = "yes" if row["available"] else f"no: {row['reason']}"
+        facts = ("name", "method", "models", "version", "provenance", "bounds")
+        table.add_row(*(str(row[key]) for key in facts), escape(available))
+        citations.append(f"{row['method']}: {row['citation']}")
     console = console or Console(width=None if os.isatty(1) else 180)
     console.print(table)
     console.print("In a config: methods: [{name: any, baseline: BASELINE}]\n", highlight=False)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from baselines.contract import Instance
+from dcreg import problem
 from dcreg.problem import nearest_rotation, unit_length
 
 
@@ -33,9 +33,6 @@ def unit_of(instance: Instance) -> float:
 
 
 def median_spacing(points: np.ndarray) -> float:
-    """Median distance of a point to its nearest neighbour, duplicates left out."""
+    """Median distance of a point to its nearest neighbour, without duplicates; 1 for a single point."""
     distinct = np.unique(points, axis=0)
-    if len(distinct) < 2:
-        return 1.0
-    distances, _ = cKDTree(distinct).query(distinct, k=2)
-    return float(np.median(distances[:, 1]))
+    return problem.median_spacing(distinct, len(distinct)) or 1.0

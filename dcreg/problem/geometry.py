@@ -84,11 +84,11 @@ _NEIGHBOURS = 3
 _ISOLATED = 6.0  # times the median distance to the third neighbour
 
 
-def median_spacing(points: np.ndarray) -> float:
-    """Return the median nearest-neighbour distance of up to `_LOOKED_AT` points; 0 for one point."""
+def median_spacing(points: np.ndarray, max_queries: int = _LOOKED_AT) -> float:
+    """Return the median nearest-neighbour distance of up to `max_queries` points; 0 for one point."""
     if len(points) < 2:
         return 0.0
-    some = points[:: -(-len(points) // _LOOKED_AT)]
+    some = points[:: -(-len(points) // max_queries)]
     return float(np.median(cKDTree(points).query(some, k=2)[0][:, 1]))
 
 
@@ -110,15 +110,24 @@ def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
     """
     if count >= len(points):
         return np.arange(len(points))
+    first = int(np.argmin(((points - points.mean(axis=0)) ** 2).sum(axis=1)))
+    return np.unique(farthest_point_order(points, count, first))
+
+
+def farthest_point_order(points: np.ndarray, count: int, first: int) -> np.ndarray:
+    """Return the rows of `count` points in the order of farthest-point sampling from row `first`.
+
+    Ties go to the lower row.
+    """
     chosen = np.empty(count, np.int64)
-    chosen[0] = np.argmin(((points - points.mean(axis=0)) ** 2).sum(axis=1))
+    chosen[0] = first
     axes = np.ascontiguousarray(points.T)  # summing axis by axis takes a sixth of the time
     nearest = np.full(len(points), np.inf)
     for at in range(1, count):
         gaps = axes - axes[:, chosen[at - 1], None]
         np.minimum(nearest, (gaps * gaps).sum(axis=0), out=nearest)
         chosen[at] = np.argmax(nearest)
-    return np.unique(chosen)
+    return chosen
 
 
 def isolated(points: np.ndarray) -> np.ndarray:

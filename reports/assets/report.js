@@ -243,7 +243,7 @@ function runTraces(run, stage, work) {
       line(stage.upper, top, "dash", "upper bound"),
       line(gap, bottom, "solid", "gap"),
       ...(run.gap_tol ? [flat(run.gap_tol, bottom, "tolerance", run.method, "dot")] : []),
-      ...(run.truth !== null ? [flat(run.truth, top, "objective at the truth", undefined, "dot")] : []),
+      ...(run.truth !== null ? [flat(run.truth, top, "objective at the true pose", undefined, "dot")] : []),
     ];
   });
 }
@@ -251,7 +251,7 @@ function runTraces(run, stage, work) {
 function tellRuns(instance, stage) {
   const text = (tag, content) => Object.assign(document.createElement(tag), { textContent: content });
   const head = document.createElement("tr");
-  head.append(...["method", "status", "bounds speak of", "lower bound", "upper bound", "gap", "tolerance", "nodes", "run"].map((title) => text("th", title)));
+  head.append(...["method", "status", "scope of the bounds", "lower bound", "upper bound", "gap", "tolerance", "nodes", "run"].map((title) => text("th", title)));
   const rows = instance.runs.filter((run) => run.stages[stage]).map((run) => {
     const { lower, upper, nodes } = run.stages[stage];
     const [low, high] = [lower.at(-1), upper.at(-1)];

@@ -1,1 +1,1 @@
-"""One figure per file: a query on the tables, as data for the page and, where wanted, in print."""
+"""One figure per file: a query on the tables, as data for the page and for print."""

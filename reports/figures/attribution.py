@@ -1,4 +1,4 @@
-"""Whose fault is an error: the search's or the model's? Objective regret, per method."""
+"""Search errors and model errors, by the objective regret per method."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from workflows.attribution import VERDICTS, tolerance
 
 
 def count(runs: pd.DataFrame, methods: list[str]) -> pd.DataFrame:
-    """Started runs per method (rows) and verdict, and what certified intervals say of their regret.
+    """Count started runs per method (rows) and verdict, and summarise certified intervals of the regret.
 
-    ``certified`` runs have an interval, ``proven`` ones such that no pose is better by more than the
-    tolerance. The medians of both ends are over them, as lengths per pair.
+    ``certified`` runs have such an interval; the pose of ``proven`` ones is optimal within the tolerance.
+    The medians of both ends are over the certified runs, as lengths per pair.
     """
     counts = pd.crosstab(runs["method"], runs["verdict"])
     counts = counts.reindex(index=methods, columns=list(VERDICTS), fill_value=0)
@@ -33,7 +33,7 @@ def count(runs: pd.DataFrame, methods: list[str]) -> pd.DataFrame:
 
 
 def build(runs: pd.DataFrame, styles: dict[str, Style]) -> Figure:
-    """RMSE against objective regret, one point per run: search errors right, model errors left."""
+    """Draw RMSE against objective regret, a point per run: search errors right, model errors left."""
     judged = runs[runs["objective_regret"].notna()]
     grid, traces = Grid(column_titles=list(dict.fromkeys(judged["model"]))), []
     for column, model in enumerate(grid.column_titles):

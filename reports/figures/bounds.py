@@ -6,17 +6,17 @@ from typing import Any
 
 import pandas as pd
 
+from dcreg.names import POSE_SCOPES
 from reports.figures.grid import Grid, Panel
 from reports.page import Figure
 from reports.tables import Tables, row_names, thin_trace
 from reports.theme import Style, words
-from workflows.metrics import POSE_SCOPES
 
-MOST_EVENTS = 60_000  # what one page carries; the rest is in the downloadable table
+MAX_EVENTS = 60_000  # in one page; the rest is in the downloadable table
 
 
 def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
-    """Histories grouped by instance; None when no run kept one."""
+    """Return the histories grouped by instance; None if no run has one."""
     traced = tables.traces[tables.traces["run_id"].isin(set(tables.runs["run_id"]))]
     if traced.empty:
         return None
@@ -26,7 +26,7 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
     for (run_id, stage), part in traced.groupby(["run_id", "stage"], sort=False):
         histories.setdefault(str(run_id), {})[str(stage)] = thin_trace(part)
     instances: list[dict[str, Any]] = []
-    left, total = MOST_EVENTS, runs["instance_id"].nunique()
+    left, total = MAX_EVENTS, runs["instance_id"].nunique()
     for _, group in runs.groupby("instance_id", sort=False):
         size = sum(len(part) for run_id in group["run_id"] for part in histories[run_id].values())
         if size > left and instances:
@@ -64,7 +64,7 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
 
 
 def _length(instance: dict[str, Any]) -> int:
-    """Events of all methods in their first stage: the longest history is the one to open with."""
+    """Count the events of all methods in their first stage; the page opens with the longest history."""
     return sum(len(next(iter(run["stages"].values()))["time"]) for run in instance["runs"])
 
 

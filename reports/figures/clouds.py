@@ -1,4 +1,4 @@
-"""Panels with a source (red circles) and a target (blue crosses), as the paper draws them."""
+"""Panels with a source (red circles) and a target (blue crosses), as in the paper."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from reports.figures.grid import Grid, Panel
 from reports.page import Figure
 
 DRAWN = ("source", "target")
-_OBLIQUE = np.array([[0.866, -0.5, 0.0], [0.3, 0.52, 0.8]])  # as the page sees solid clouds
+_OBLIQUE = np.array([[0.866, -0.5, 0.0], [0.3, 0.52, 0.8]])  # the page's view of 3D clouds
 
 
 def assemble(
@@ -19,7 +19,7 @@ def assemble(
     columns: list[str],
     panels: list[tuple[int, int, str, np.ndarray, np.ndarray]],
 ) -> Figure:
-    """A figure of panels: row, column, name of the row, source and target."""
+    """Return a figure of panels, each with row, column, name of the row, source and target."""
     grid, traces = Grid(column_titles=columns), []
     for row, column, name, source, target in panels:
         axes = grid.add(
@@ -28,12 +28,6 @@ def assemble(
         traces += [_points("source", source, axes), _points("target", target, axes)]
     payload = {"views": {"": {"data": traces, "layouts": grid.layouts()}}, "scales": {}}
     return Figure(identity, title, "plain", payload, grid)
-
-
-def move(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """The points after a pose."""
-    d = points.shape[1]
-    return points @ pose[:d, :d].T + pose[:d, d]
 
 
 def _points(role: str, points: np.ndarray, axes: tuple[str, str]) -> dict[str, Any]:

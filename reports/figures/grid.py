@@ -22,20 +22,20 @@ class Panel:
     share_x: bool = True
     share_y: bool = True
     y_from_zero: bool = False
-    x_ticks: list[float] = field(default_factory=list)  # where empty, the axis chooses
+    x_ticks: list[float] = field(default_factory=list)  # empty: automatic
     equal: bool = False  # both axes in the same unit
     hidden: bool = False  # axes without numbers, for clouds
 
 
 @dataclass
 class Grid:
-    """Axes of a small-multiples figure, with a wide and a narrow arrangement of the same axes."""
+    """Axes of a small-multiples figure, with a wide and a narrow layout of the same axes."""
 
     column_titles: list[str]
     panels: list[Panel] = field(default_factory=list)
 
     def add(self, panel: Panel) -> tuple[str, str]:
-        """Append a panel; returns the names its traces refer to, e.g. ``("x2", "y2")``."""
+        """Append a panel; return the names of its axes for traces, such as ``("x2", "y2")``."""
         self.panels.append(panel)
         return _axis("x", len(self.panels)), _axis("y", len(self.panels))
 
@@ -43,7 +43,7 @@ class Grid:
         return {"wide": self._wide(), "narrow": self._narrow()}
 
     def axes(self, letter: str, rows: set[int]) -> list[str]:
-        """Layout names of the axes in `rows`, for the scale switches."""
+        """Return the layout names of the axes in `rows`, for the scale switches."""
         return [
             _key(letter, index) for index, panel in enumerate(self.panels, 1) if panel.row in rows
         ]
@@ -146,7 +146,7 @@ class Grid:
         layout[_key("x", index)], layout[_key("y", index)] = x_axis, y_axis
 
     def first_of_column(self, which: int) -> int:
-        """Place in `panels` of the first one that shares its x axis with this one."""
+        """Return the index of the first panel that shares its x axis with this one."""
         panel = self.panels[which]
         if not panel.share_x:
             return which
@@ -157,7 +157,7 @@ class Grid:
         )
 
     def first_of_row(self, which: int) -> int:
-        """Place in `panels` of the first one that shares its y axis with this one."""
+        """Return the index of the first panel that shares its y axis with this one."""
         panel = self.panels[which]
         if not panel.share_y:
             return which

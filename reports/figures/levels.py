@@ -1,4 +1,4 @@
-"""Error and time versus level: the paper's figure, a column per test, error rows, a time row."""
+"""Error and time against level, as in the paper: a column per test, error rows, a time row."""
 
 from __future__ import annotations
 
@@ -12,28 +12,23 @@ from reports.figures.printing import LIMITED, NO_POSE
 from reports.page import Figure
 from reports.tables import Tables, level_titles, row_names
 from reports.theme import Style, number, seconds, words
+from workflows.metrics import METRICS
 from workflows.outcomes import attempted
 
-# column -> (menu text, axis title)
-ERRORS = {
-    "rmse": ("RMSE", "RMSE"),
-    "rmse_excess": ("RMSE above the floor", "above the floor"),
-    "rmse_over_scale": ("RMSE / scale", "RMSE / scale"),
-    "rotation_error_deg": ("rotation error", "rotation (°)"),
-    "translation_error": ("translation error", "translation"),
-    "scale_error": ("scale error", "scale"),
-}
+ERRORS = {name: metric.axis for name, metric in METRICS.items() if metric.axis}  # column -> title
 BAND = (0.1, 0.9)
 FLOOR = "fit to the true pairs"
-LEAST = 1e-3  # errors below it are drawn there: a logarithmic axis should show what differs
+MIN_ERROR = (
+    1e-3  # smaller errors are drawn here, so that a logarithmic axis shows relevant differences
+)
 MOST_TICKS = 8
 _COLUMNS = ["run_id", "instance_id", "dataset", "method", "test", "level", "outcome", "row"]
 _COLUMNS += ["time_solve_s", "rmse_floor"]
 
 
 def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:
-    """The figure for all runs of one transformation model."""
-    title = f"Error and time versus level, {model}"
+    """Draw all runs of one transformation model."""
+    title = f"Error and time against level, {model}"
     return assemble(f"levels-{model}", title, prepare(tables, model), styles)
 
 
@@ -45,20 +40,20 @@ def assemble(
     scale: str = "log",
     x_titles: dict[str, str] | None = None,
 ) -> Figure:
-    """The figure of these runs: a column per test, a row per shape and one for the time."""
+    """Draw these runs: a column per test, a row per shape and one for the time."""
     x_titles = x_titles or level_titles(runs)
     errors = available_errors(runs)
     rows = list(dict.fromkeys(runs["row"]))
     views = {}
     for error in errors:
-        grid, cells = _axes(runs, rows, ERRORS[error][1], scale, x_titles)
+        grid, cells = _axes(runs, rows, ERRORS[error], scale, x_titles)
         traces = []
         for (test, row), axes in cells.items():
             cell = runs[(runs["test"] == test) & ((row == "") | (runs["row"] == row))]
             column = error if row else "time_solve_s"
             traces += _cell_traces(cell, column, axes, styles)
         views[error] = {"data": traces, "layouts": grid.layouts()}
-    grid, _ = _axes(runs, rows, ERRORS["rmse"][1], scale, x_titles)
+    grid, _ = _axes(runs, rows, ERRORS["rmse"], scale, x_titles)
     payload = {
         "views": views,
         "scales": {
@@ -70,14 +65,14 @@ def assemble(
 
 
 def prepare(tables: Tables, model: str) -> pd.DataFrame:
-    """Attempted runs of `model`, with their figure row."""
+    """Return the attempted runs of `model` with their figure row."""
     runs = tables.runs[tables.runs["model"] == model]
     runs = attempted(runs.assign(row=row_names(runs)))
     return runs[[*_COLUMNS, *(name for name in ERRORS if name in runs)]]
 
 
 def available_errors(runs: pd.DataFrame) -> list[str]:
-    """Error columns that hold anything beyond what the plain RMSE says already."""
+    """Return the error columns that add information to the RMSE."""
     found = [name for name in ERRORS if name in runs and runs[name].notna().any()]
     same = "rmse_over_scale" in found and np.allclose(
         runs["rmse"], runs["rmse_over_scale"], equal_nan=True
@@ -90,7 +85,7 @@ def available_errors(runs: pd.DataFrame) -> list[str]:
 def _axes(
     runs: pd.DataFrame, rows: list[str], error_title: str, scale: str, x_titles: dict[str, str]
 ) -> tuple[Grid, dict[tuple[str, str], tuple[str, str]]]:
-    """Panels for every (test, row) with data; the row named "" is the time."""
+    """Return panels for every (test, row) with data; the row named "" is the time."""
     present = set(zip(runs["test"], runs["row"], strict=True))
     tests = list(dict.fromkeys(runs["test"]))
     grid, cells = Grid(column_titles=[words(test) for test in tests]), {}
@@ -120,7 +115,7 @@ def _cell_traces(
         part = cell[cell["method"] == method]
         if part[column].notna().any():
             traces += _method_traces(part, column, axes, style)
-    if column == "rmse":  # last: a curve on the floor must not hide it
+    if column == "rmse":  # last, so that no curve hides the floor
         traces += _floor(cell, axes)
     return traces
 
@@ -144,7 +139,7 @@ def _method_traces(
 ) -> list[dict[str, Any]]:
     posed = part[part[column].notna()]
     if column != "time_solve_s":
-        posed = posed.assign(**{column: posed[column].clip(lower=LEAST)})
+        posed = posed.assign(**{column: posed[column].clip(lower=MIN_ERROR)})
     groups = posed.groupby("level")[column]
     low, high = groups.quantile(BAND[0]), groups.quantile(BAND[1])
     median, mean = groups.median(), groups.mean()
@@ -177,7 +172,7 @@ def _method_traces(
 
 
 def _ending(part: pd.DataFrame) -> str:
-    """How a marker says that not all of its runs finished."""
+    """Return the ending of the symbol that marks runs that did not finish."""
     if part["outcome"].eq("failed").any():
         return NO_POSE
     return LIMITED if part["outcome"].eq("limited").any() else ""

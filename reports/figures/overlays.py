@@ -1,4 +1,4 @@
-"""Source and target before and after, for best, median and worst run per method and test."""
+"""Source and target before and after, for the best, median and worst run per method and test."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from reports.theme import Style, number, words
 
 
 def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
-    """Point sets, each kept once, and the poses that refer to them; None without overlays."""
+    """Return point sets, each stored once, and the poses that refer to them; None without overlays."""
     if not tables.overlays:
         return None
     names = dict(zip(tables.runs["run_id"], row_names(tables.runs), strict=True))
@@ -63,6 +63,6 @@ def _case(
 
 
 def _share(clouds: dict[str, int], points: np.ndarray, digits: int) -> int:
-    """Index of a point set among those already kept."""
+    """Return the index of a point set among those already stored."""
     text = json.dumps(points.round(digits).tolist())
     return clouds.setdefault(text, len(clouds))

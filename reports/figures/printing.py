@@ -1,12 +1,14 @@
-"""An interactive figure in print: the same traces and axes, drawn with matplotlib.
+"""Print an interactive figure: the same traces and axes, drawn with matplotlib.
 
-What a reader sees on the page and on paper is one description, so the two cannot differ. Open markers
-say that runs ended at a limit, open ones with a dot that runs gave no pose.
+The page and the printed figure share one description, so they cannot differ. Open markers mark runs at a
+limit, open markers with a dot runs without a pose.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import io
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,25 +26,45 @@ FLOOR_COLOR = "#666666"
 LIMITED, NO_POSE = "-open", "-open-dot"  # endings of plotly's symbols
 _LEGEND_COLUMNS = 3  # at least
 _LEGEND_ROW = 0.18  # inches
-_SETTINGS: dict[Any, Any] = {
-    "font.size": 8,
-    "axes.titlesize": 9,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "dcreg",
-    "figure.constrained_layout.use": True,
-}
+INK = {"light": "#1b2229", "dark": "#e6eaef"}
+GRID = {"light": "#e8ebee", "dark": "#272e37"}
 
 
-def save(figure: MplFigure, stem: Path) -> list[Path]:
+@contextmanager
+def style(surface: str | None = None) -> Iterator[None]:
+    """Draw in the style of all printed figures; on a light or dark `surface` without a background."""
+    settings: dict[Any, Any] = {
+        "font.size": 8,
+        "axes.titlesize": 9,
+        "svg.fonttype": "none",
+        "svg.hashsalt": f"dcreg-{surface}",  # ids differ, as both drawings may share a page
+        "figure.constrained_layout.use": True,
+    }
+    if surface:
+        inked = ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color")
+        settings |= dict.fromkeys(inked, INK[surface]) | {"grid.color": GRID[surface]}
+        settings |= {"axes.facecolor": "none", "figure.facecolor": "none"}
+    with sns.axes_style("whitegrid"), matplotlib.rc_context(settings):
+        yield
+
+
+def save(figure: MplFigure, stem: Path, surface: str | None = None) -> list[Path]:
     """Write the figure as SVG and PDF; the same tables give the same files."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in ("svg", "pdf")]
     for path in paths:
-        date = "Date" if path.suffix == ".svg" else "CreationDate"
-        with matplotlib.rc_context(_SETTINGS):
-            figure.savefig(path, metadata={date: None})
-        figure.set_layout_engine("none")  # the layout is done; the second file shares it
+        path.write_bytes(rendered(figure, path.suffix[1:], surface))
     return paths
+
+
+def rendered(figure: MplFigure, kind: str, surface: str | None = None) -> bytes:
+    """Return the figure as a file of a kind, without a creation date."""
+    stream = io.BytesIO()
+    date = "CreationDate" if kind == "pdf" else "Date"
+    with style(surface):
+        figure.savefig(stream, format=kind, metadata={date: None})
+    figure.set_layout_engine("none")  # the layout is done; the next file shares it
+    return stream.getvalue()
 
 
 def draw(
@@ -52,10 +74,10 @@ def draw(
     title: str,
     roles: Collection[str] | None = None,
 ) -> MplFigure:
-    """The panels of `grid` with `traces`, those of `roles` where given."""
+    """Draw the panels of `grid` with `traces`, or only those of `roles`."""
     rows = max(panel.row for panel in grid.panels) + 1
     columns = len(grid.column_titles)
-    with sns.axes_style("whitegrid"), matplotlib.rc_context(_SETTINGS):
+    with style():
         keys = _keys(traces, styles, roles)
         ncols = max(_LEGEND_COLUMNS, columns - 1)
         height = 1.7 * rows + 0.7 + _LEGEND_ROW * -(-len(keys) // ncols)
@@ -82,7 +104,7 @@ def draw(
 
 
 def _index(name: str) -> int:
-    """Panel of an axis called x, x2, x3, ..."""
+    """Return the index of the panel with an axis x, x2, x3, ..."""
     return int(name[1:] or 1) - 1
 
 
@@ -139,7 +161,7 @@ def _draw(axis: Any, trace: dict[str, Any], styles: Mapping[str, Style]) -> None
 
 
 def _line(dash: str) -> Any:
-    """A dash as matplotlib knows it."""
+    """Return a dash in matplotlib's notation."""
     return (0, DASHES[dash]) if DASHES[dash] else "-"
 
 
@@ -165,7 +187,7 @@ _COLORS = {"source": SOURCE_COLOR["light"], "target": TARGET_COLOR["light"]}
 def _keys(
     traces: list[dict[str, Any]], styles: Mapping[str, Style], roles: Collection[str] | None
 ) -> list[Line2D]:
-    """Keys of the methods drawn, and of what no method's line explains: floor, clouds, open markers."""
+    """Return the legend entries of methods, floor, clouds and open markers."""
     drawn = [trace for trace in traces if roles is None or trace["meta"]["role"] in roles]
     methods = dict.fromkeys(trace["meta"].get("method") for trace in drawn)
     keys = [_key(styles[method]) for method in methods if method]
@@ -183,7 +205,7 @@ def _keys(
         for symbol in np.atleast_1d(trace["marker"]["symbol"])
     }
     for ending, text in (
-        (LIMITED, "open: some runs at a limit"),
+        (LIMITED, "open: some runs hit a limit"),
         (NO_POSE, "dotted: some runs without a pose"),
     ):
         if any(symbol.endswith(ending) for symbol in symbols):

@@ -1,4 +1,4 @@
-"""One glance over everything: share of the attempted runs that are at least this good."""
+"""Empirical distribution of error and time over the attempted runs, per method."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MOST_STEPS = 250
 
 
 def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:
-    """Empirical distribution of error and time per method; runs without a pose count as missing."""
+    """Draw the distributions; runs without a pose count in the denominator only."""
     runs = attempted(tables.runs)
     runs = runs[runs["model"] == model]
     grid, traces = Grid(column_titles=["error", "time"]), []

@@ -1,4 +1,4 @@
-"""The claims of the paper, as checks over tables: ``claims.yaml`` states them, `checks` decides them.
+"""The claims of the paper as checks over tables: ``claims.yaml`` states them, `checks` computes them.
 
-`reports.ledger.judging` gives every claim a verdict; `reports.claims` is the command.
+`reports.ledger.judging` gives every claim a verdict; ``python -m reports claims`` is the command.
 """

@@ -1,6 +1,6 @@
-"""The kinds of checks that `claims.yaml` uses. A new kind is a function here with a name.
+"""The kinds of checks that `claims.yaml` uses: each is a function with the decorator `check`.
 
-Parameters that all of them share: `reports.ledger.finding`.
+`reports.ledger.finding` describes the common parameters.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from reports.ledger import intervals
-from reports.ledger.evidence import FOR_EVER
+from reports.ledger.evidence import UNLIMITED
 from reports.ledger.finding import (
     Finding,
     Parameters,
@@ -35,9 +35,9 @@ UNITS = {
     "n_nodes": "boxes",
 }
 SHARES = ("success", "search_error")  # quantities of which a mean is a share
-# Relative gap of a search that has no bound but that squares are not negative.
+# Relative gap of a search with no lower bound above 0.
 NO_BOUND = 1.0 - 1e-9
-SHARED = ["dataset", "shape", "trial"]  # what draws of different levels have in common
+SHARED = ["dataset", "shape", "trial"]  # identify the same trial at different levels
 
 
 # --- over runs ----------------------------------------------------------------------------------
@@ -45,9 +45,9 @@ SHARED = ["dataset", "shape", "trial"]  # what draws of different levels have in
 
 @check("ratio")
 def ratio(source: Source, p: Parameters) -> Finding:
-    """Ratio of means of a subject and each rival, paired by instance.
+    """Ratio of the means of a subject and of each rival, paired by instance.
 
-    ``closed``: of instances that both prove, by more than that squares are not negative.
+    ``closed``: only instances that both certify and whose optimum exceeds the tolerance.
     """
     quantity: str = p.get("quantity", "error")
     finding = Finding(f"ratio of mean {UNITS.get(quantity, words(quantity)).partition(' (')[0]}")
@@ -61,9 +61,9 @@ def ratio(source: Source, p: Parameters) -> Finding:
                     proven = both["certified"] & both["instance_id"].isin(closed)
                     both = both[proven & (both["objective"] > both["gap_tol"])]
                     if both.empty:
-                        finding.missing.append(f"instances that {name} and {rival} close")
+                        finding.missing.append(f"instances that {name} and {rival} certify")
                 kept = set(both["instance_id"])
-                finding.rest_on(*(t[t["instance_id"].isin(kept)] for t in (runs, theirs)))
+                finding.use(*(t[t["instance_id"].isin(kept)] for t in (runs, theirs)))
                 for where, part in groups(both, p):
                     values = part[quantity].to_numpy(), part[f"{quantity}_rival"].to_numpy()
                     finding.add(
@@ -74,12 +74,12 @@ def ratio(source: Source, p: Parameters) -> Finding:
 
 @check("value")
 def value(source: Source, p: Parameters) -> Finding:
-    """Mean (or median, or greatest value) of a quantity of every method against a threshold."""
+    """Mean (or median, or maximum) of a quantity of every method, against a threshold."""
     quantity, statistic = p.get("quantity", "error"), p.get("statistic", "mean")
     finding = Finding(f"{statistic} {UNITS.get(quantity, words(quantity))}")
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
-            finding.rest_on(runs)
+            finding.use(runs)
             for where, part in groups(runs, p):
                 values = part[quantity].to_numpy(dtype=float)
                 values = values[np.isfinite(values)]
@@ -92,9 +92,9 @@ def value(source: Source, p: Parameters) -> Finding:
     return finding
 
 
-@check("rise", fates=both_ways(top))
+@check("rise", scenarios=both_ways(top))
 def rise(source: Source, p: Parameters) -> Finding:
-    """Error at a level over that at a lower one, paired by trial. Levels: two, or top and the next."""
+    """Error at a level over the error at a lower one, paired by trial: two levels, or the two highest."""
     finding = Finding("error at the higher level / at the lower")
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
@@ -106,7 +106,7 @@ def rise(source: Source, p: Parameters) -> Finding:
                 both = high.merge(low[[*SHARED, "error"]], on=SHARED, suffixes=("", "_low"))
                 if both.empty:
                     continue
-                finding.rest_on(low, high)
+                finding.use(low, high)
                 interval = intervals.ratio(both["error"].to_numpy(), both["error_low"].to_numpy())
                 where = f"{name}, {words(str(test))} {levels[1]:g} / {levels[0]:g}"
                 finding.add(where, interval, p["claimed"])
@@ -118,15 +118,15 @@ Statistic = Callable[
 ]  # of level means (draws × levels), levels
 
 
-@check("spread", fates=())
+@check("spread", scenarios=())
 def spread(source: Source, p: Parameters) -> Finding:
-    """Greatest over least level mean of the error; with ``rivals``, that of the subject over theirs."""
-    return _over_levels(source, p, "greatest / least level error", _spread, np.divide)
+    """Maximum over minimum level mean of the error; with ``rivals``, divided by theirs."""
+    return _over_levels(source, p, "maximum / minimum level error", _spread, np.divide)
 
 
-@check("slope", fates=both_ways(upper))
+@check("slope", scenarios=both_ways(upper))
 def slope(source: Source, p: Parameters) -> Finding:
-    """Slope of the error over the level; with ``rivals``, that of the subject less theirs."""
+    """Slope of the error over the level; with ``rivals``, minus theirs."""
     return _over_levels(source, p, "slope of error over level", _slope, np.subtract)
 
 
@@ -142,14 +142,14 @@ def _slope(means: np.ndarray, levels: np.ndarray) -> np.ndarray:
 def _over_levels(
     source: Source, p: Parameters, figure: str, statistic: Statistic, against: np.ufunc
 ) -> Finding:
-    """A statistic of the level means, alone or against that of rivals, a part per test."""
+    """A statistic of the level means, alone or against that of rivals; a part per test."""
     finding = Finding(figure)
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
             rivals = [
                 item for rival in p.get("rivals", []) for item in source.runs(rival, p, finding)
             ]
-            finding.rest_on(runs, *(theirs for _, theirs in rivals))
+            finding.use(runs, *(theirs for _, theirs in rivals))
             for test, part in runs.groupby("test", sort=False):
                 mine = _by_level(part, p)
                 if mine is None:
@@ -170,12 +170,12 @@ def _over_levels(
 
 
 def _of_rows(statistic: Statistic, table: pd.DataFrame) -> Callable[[np.ndarray], np.ndarray]:
-    """The statistic of the level means, for drawn rows of the table."""
+    """Return the statistic of the level means as a function of drawn rows of the table."""
     values, levels = table.to_numpy(), table.columns.to_numpy(dtype=float)
 
     def of(rows: np.ndarray) -> np.ndarray:
         with warnings.catch_warnings():
-            # a level at which no drawn row has a value: NaN is what is wanted
+            # NaN is intended for a level at which no drawn row has a value
             warnings.filterwarnings("ignore", "Mean of empty slice", RuntimeWarning)
             return statistic(np.nanmean(values[rows], axis=1), levels)
 
@@ -192,7 +192,7 @@ def _compared(
 
 
 def _by_level(runs: pd.DataFrame, p: Parameters) -> pd.DataFrame | None:
-    """A column per level and a row per trial, drawn together; without pairs, a row per instance."""
+    """Return a column per level and a row per trial; a row per instance if levels are not paired."""
     paired_levels = p.get("paired_levels", True)
     index = SHARED if paired_levels else "instance_id"
     table = runs.pivot_table(index=index, columns="level", values=p.get("quantity", "error"))
@@ -200,13 +200,13 @@ def _by_level(runs: pd.DataFrame, p: Parameters) -> pd.DataFrame | None:
     return table if table.shape[1] > 1 and len(table) else None
 
 
-@check("trend", fates=())
+@check("trend", scenarios=())
 def trend(source: Source, p: Parameters) -> Finding:
-    """Spearman's rank correlation of time or work with the level."""
+    """Spearman's rank correlation of time or boxes with the level."""
     finding = Finding("rank correlation with the level")
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
-            finding.rest_on(runs)
+            finding.use(runs)
             for quantity in p["quantities"]:
                 for test, part in runs.dropna(subset=quantity).groupby("test", sort=False):
                     if part["level"].nunique() < 2 or part[quantity].nunique() < 2:
@@ -230,8 +230,7 @@ def _correlations(ranks: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def race(source: Source, p: Parameters) -> Finding:
     """Ratio of times to the smallest relative gap that both searches of an instance reached.
 
-    Where one of them came to no bound at all: to the gap that the other reached, and it needs at least
-    the time that it took.
+    If only one search has a bound above 0, its gap counts; the other one needs at least its whole time.
     """
     finding = Finding("ratio of mean time to equal gap")
     assert source.experiment is not None
@@ -239,8 +238,10 @@ def race(source: Source, p: Parameters) -> Finding:
     traces = traces[traces["upper_bound"] > 0]
     gap = (traces["upper_bound"] - traces["lower_bound"]) / traces["upper_bound"]
     histories = dict(list(traces.assign(gap=gap).groupby("run_id")))
-    never = pd.Series([0.0])  # a level: what becomes of searches without a bound is that of all
-    factors = [FOR_EVER if fate(never).all() else 1.0 for fate in source.fates or (none, none)]
+    never = pd.Series([0.0])  # any level: a scenario applies to all searches without a bound
+    factors = [
+        UNLIMITED if scenario(never).all() else 1.0 for scenario in source.scenarios or (none, none)
+    ]
     for name, runs in source.runs(p["subject"], p, finding):
         for role in p["rivals"]:
             for rival, theirs in source.runs(role, p, finding):
@@ -252,7 +253,7 @@ def race(source: Source, p: Parameters) -> Finding:
                     if (found := _times_to_equal_gap(histories[mine], histories[other], factors))
                 }
                 for part, kept in zip((runs, theirs), zip(*times, strict=True), strict=False):
-                    finding.rest_on(part[part["run_id"].isin(set(kept))])
+                    finding.use(part[part["run_id"].isin(set(kept))])
                 if times:
                     mine, other = np.array(list(times.values())).T
                     finding.add(f"{name} / {rival}", intervals.ratio(mine, other), p["claimed"])
@@ -264,9 +265,9 @@ def race(source: Source, p: Parameters) -> Finding:
 def _times_to_equal_gap(
     one: pd.DataFrame, other: pd.DataFrame, factors: Sequence[float]
 ) -> list[float] | None:
-    """Seconds to the gap at which two searches are compared; None: neither has a bound.
+    """Return the seconds to the gap at which two searches are compared; None if neither has a bound.
 
-    `factors`: of the whole time of a search that has none, which might have needed that much longer.
+    A search without a bound counts its whole time, multiplied by its factor in `factors`.
     """
     smallest = [one["gap"].min(), other["gap"].min()]
     reached = max(smallest) if max(smallest) < NO_BOUND else min(smallest)
@@ -284,7 +285,7 @@ def _times_to_equal_gap(
 
 @check("regret")
 def regret(source: Source, p: Parameters) -> Finding:
-    """Share of instances that a reference closed where the subject's objective is within its gap."""
+    """Share of the instances certified by a reference whose optimum the subject reaches."""
     finding = Finding("share within the tolerance")
     for name, runs in source.runs(p["subject"], p, finding):
         for against, theirs in source.runs(p["reference"], p, finding):
@@ -295,12 +296,12 @@ def regret(source: Source, p: Parameters) -> Finding:
                 suffixes=("", "_ref"),
             )
             within = both["objective"] - both["objective_ref"] <= both["gap_tol_ref"] * (1 + 1e-9)
-            finding.rest_on(runs[runs["instance_id"].isin(set(both["instance_id"]))])
+            finding.use(runs[runs["instance_id"].isin(set(both["instance_id"]))])
             if len(both):
                 interval = intervals.share(within.to_numpy(dtype=float))
-                finding.add(f"{name} where {against} closed", interval, p["claimed"])
+                finding.add(f"{name} where {against} certified", interval, p["claimed"])
             else:
-                finding.missing.append(f"runs that {against} closed")
+                finding.missing.append(f"runs that {against} certified")
     return finding
 
 
@@ -309,7 +310,7 @@ def regret(source: Source, p: Parameters) -> Finding:
 
 @check("boxes", of_study=True)
 def boxes(source: Source, p: Parameters) -> Finding:
-    """Share of the same boxes in which one bound is at least the others, a part per width."""
+    """Share of the boxes in which one bound is at least another one; a part per width."""
     finding = Finding("share of boxes")
     table = source.evidence.study["boxes"].dropna(subset="value")
     axes = ["instance", "place", "draw", "width"]
@@ -344,7 +345,7 @@ def orders(source: Source, p: Parameters) -> Finding:
 
 @check("work", of_study=True)
 def work(source: Source, p: Parameters) -> Finding:
-    """Ratio of gaps after as many assignments as both searches of an instance solved."""
+    """Ratio of gaps after the number of assignments that both searches of an instance solved."""
     finding = Finding("ratio of mean gap at equal assignments")
     table = source.evidence.study["searches"]
     for rival in p["rivals"]:

@@ -1,4 +1,4 @@
-"""The tables that claims are judged by: runs of experiments, and the study of bounds."""
+"""The tables that claims are checked against: runs of experiments, and the study of bounds."""
 
 from __future__ import annotations
 
@@ -12,23 +12,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.tables import Tables, counted_time
-from workflows.metrics import POSE_SCOPES
+from dcreg.names import POSE_SCOPES
+from reports.tables import Tables, check_study, counted_time
 from workflows.outcomes import attempted
 
-STUDY = "bounds"  # of which no runs are planned: its tables lie beside the experiments'
+STUDY = "bounds"  # has no planned runs: its tables are next to those of the experiments
 QUICK = "-quick"
 _ROUNDING = 1e-12
-LONGEST = (
-    1.0  # errors in longest sides are capped there, which is also that of a run without a pose
-)
-SHORTEST = 1e-3  # below it, errors count as equal
-FOR_EVER = 1e3  # times what a run took, of one that ended at a limit and might never have ended
+MAX_ERROR = 1.0  # longest sides: larger errors, and those of runs without a pose, count as this
+MIN_ERROR = 1e-3  # smaller errors count as equal
+UNLIMITED = 1e3  # factor of the time that a run at a limit may take without one
 
 
 @dataclass(frozen=True)
 class Role:
-    """A part that methods play in claims, and by what they are recognised in any experiment."""
+    """A role of methods in claims, and how they are recognised in any experiment."""
 
     name: str
     title: str
@@ -36,12 +34,12 @@ class Role:
     n_inliers_ratio: float = 1.0
     options: Mapping[str, Sequence[Any]] = field(
         default_factory=dict
-    )  # admitted values, best first
+    )  # accepted values, best first
     without: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     every: bool = False  # all that fit take part; otherwise the best one
 
     def fit(self, card: Mapping[str, Any]) -> tuple[int, ...] | None:
-        """Ranks of a method's baseline and options in this role; None: it does not play it."""
+        """Return the ranks of a method's baseline and options in this role; None if it does not fit."""
         options, baseline = card.get("options", {}), card.get("baseline")
         if baseline not in self.baseline or card.get("n_inliers_ratio", 1) != self.n_inliers_ratio:
             return None
@@ -56,49 +54,49 @@ class Role:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Runs of one experiment with the quantities that claims speak of."""
+    """Runs of one experiment with the quantities that claims refer to."""
 
     tables: Tables
 
     @property
     def is_quick(self) -> bool:
-        """Whether this is the quick part of the experiment that claims name."""
+        """Whether this is the quick part of an experiment."""
         return self.tables.experiment.endswith(QUICK)
 
     @cached_property
     def runs(self) -> pd.DataFrame:
-        """Attempted runs with the quantities of claims, and of those at a limit which are ``settled``.
+        """Attempted runs with the quantities of claims.
 
-        A settled run found what is proven optimal, within its tolerance: more time would hardly
-        change an error. Only runs whose bounds speak of the pose are, as only they search for it.
+        A run at a limit is ``settled`` if its pose is proven optimal within its tolerance: more time
+        would hardly change its error. This applies only to runs with bounds on the objective of the pose.
         """
         runs = attempted(self.tables.runs)
         scale = np.array([_scale(text) for text in runs["T_reference"]])
-        sides = (runs["rmse_excess"] / scale).fillna(LONGEST)
+        sides = (runs["rmse_excess"] / scale).fillna(MAX_ERROR)
         limited = runs["outcome"].eq("limited")
         violated = (runs["bound_violation"] > 0) | (
             runs["lower_bound"] > runs["objective_best"] * (1 + 1e-9) + 1e-12
         )
         worst = runs["rmse"].max()
-        speaks = runs["certificate_scope"].isin(POSE_SCOPES)
+        of_pose = runs["certificate_scope"].isin(POSE_SCOPES)
         return runs.assign(
-            error=sides.clip(SHORTEST, LONGEST),
+            error=sides.clip(MIN_ERROR, MAX_ERROR),
             rmse=runs["rmse"].fillna(worst),
-            rmse_most=worst,
+            rmse_max=worst,
             time=counted_time(runs, self.tables.cards),
             success=runs["success"].astype(float),
             wrong=~runs["success"].astype(bool),
             search_error=runs["verdict"].eq("search_error").astype(float),
-            certified=(runs["status"].eq("optimal") & speaks),
-            violation=(violated & speaks).astype(float),
+            certified=(runs["status"].eq("optimal") & of_pose),
+            violation=(violated & of_pose).astype(float),
             limited=limited,
-            settled=limited & speaks & (runs["regret_at_most"] <= runs["gap_tol"] + _ROUNDING),
+            settled=limited & of_pose & (runs["regret_at_most"] <= runs["gap_tol"] + _ROUNDING),
             source=runs["shape"].str.extract(r"^(sun3d|7-scenes|rgbd-scenes|bundlefusion|analysis)",
                                              expand=False).fillna(runs["dataset"]),
         )  # fmt: skip
 
-    def playing(self, role: Role) -> list[str]:
-        """Methods of the experiment that play `role` and were attempted, best first."""
+    def methods_in(self, role: Role) -> list[str]:
+        """Return the attempted methods of the experiment that fit `role`, best first."""
         present = set(attempted(self.tables.runs)["method"])
         ranked = sorted(
             (rank, label)
@@ -108,22 +106,25 @@ class Experiment:
         return [label for _, label in (ranked if role.every else ranked[:1])]
 
 
-def imagined(runs: pd.DataFrame, most: np.ndarray) -> pd.DataFrame:
-    """The runs as if those at a limit had gone on and come to the least, or `most`, that they could."""
+def hypothetical(runs: pd.DataFrame, at_maximum: np.ndarray) -> pd.DataFrame:
+    """Return the runs with the extreme results that those at a limit could reach without it.
+
+    `at_maximum` selects the runs that reach the maximum; the others reach the minimum.
+    """
     open_time = runs["limited"].to_numpy()
     open_pose = open_time & ~runs["settled"].to_numpy()
     ends: dict[str, tuple[Any, Any, np.ndarray]] = {
-        "error": (SHORTEST, LONGEST, open_pose),
-        "rmse": (SHORTEST, runs["rmse_most"], open_pose),
+        "error": (MIN_ERROR, MAX_ERROR, open_pose),
+        "rmse": (MIN_ERROR, runs["rmse_max"], open_pose),
         "success": (0.0, 1.0, open_pose),
         "search_error": (0.0, 1.0, open_pose),
         "objective": (-np.inf, np.inf, open_pose),
-        "time": (runs["time_solve_s"], FOR_EVER * runs["time"], open_time),
-        "n_nodes": (runs["n_nodes"], FOR_EVER * runs["n_nodes"], open_time),
+        "time": (runs["time_solve_s"], UNLIMITED * runs["time"], open_time),
+        "n_nodes": (runs["n_nodes"], UNLIMITED * runs["n_nodes"], open_time),
     }
     return runs.assign(
         **{
-            name: runs[name].astype(float).mask(is_open, np.where(most, high, low))
+            name: runs[name].astype(float).mask(is_open, np.where(at_maximum, high, low))
             for name, (low, high, is_open) in ends.items()
         }
     )
@@ -131,15 +132,15 @@ def imagined(runs: pd.DataFrame, most: np.ndarray) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Evidence:
-    """All tables at hand: experiments by name, and tables of the study of bounds by name."""
+    """All available tables: experiments by name, and tables of the study of bounds by name."""
 
     experiments: dict[str, Experiment]
     study: dict[str, pd.DataFrame]
-    notes: tuple[str, ...] = ()  # which of several tables of an experiment were taken
+    notes: tuple[str, ...] = ()  # which of several tables of an experiment are used
 
     @classmethod
     def of_tables(cls, tables: Tables) -> Evidence:
-        """The tables of one report, and those of the study of bounds beside them."""
+        """Return the tables of one report, and those of the study of bounds next to them."""
         root = next(
             (p.parent for p in tables.directory.parents if p.name == tables.experiment), None
         )
@@ -148,10 +149,10 @@ class Evidence:
 
     @classmethod
     def of_folders(cls, folders: Sequence[Path]) -> Evidence:
-        """Tables below `folders`: results of experiments, or folders of such results.
+        """Return the tables below `folders`: results of experiments, or folders of such results.
 
-        The folder of an experiment's own name goes before others with its tables, the whole of it before
-        its quick part.
+        Of several tables of an experiment, those in the folder of its name are preferred, then the whole
+        experiment to its quick part.
         """
         found: dict[str, tuple[Path, Tables]] = {}
         study: dict[str, pd.DataFrame] = {}
@@ -166,9 +167,9 @@ class Evidence:
             name = _plain(tables[place].experiment)
             taken, _ = found.setdefault(name, (place, tables[place]))
             if taken != place:
-                notes.append(f"{name}: the tables of {taken} are judged, not those of {place}")
+                notes.append(f"{name}: the tables in {taken} are used, not those in {place}")
             elif place.name != tables[place].experiment:
-                notes.append(f"{name}: the tables of {place}, a folder of another name, are judged")
+                notes.append(f"{name}: the tables in {place}, a folder of another name, are used")
         for place in sorted(places, key=lambda path: path.name.endswith(QUICK)):
             study = study or _read_study(place)
         experiments = {name: Experiment(own) for name, (_, own) in found.items()}
@@ -176,7 +177,7 @@ class Evidence:
 
 
 def _rank(place: Path, experiment: str) -> tuple[bool, bool]:
-    """Which of several folders with tables of one experiment goes first."""
+    """Sort key of folders with tables of one experiment: the preferred one first."""
     return place.name != experiment, experiment.endswith(QUICK)
 
 
@@ -188,11 +189,13 @@ def _read_study(folder: Path) -> dict[str, pd.DataFrame]:
     paths = {name: folder / f"{name}.csv" for name in ("boxes", "orders", "searches")}
     if not all(path.is_file() for path in paths.values()):
         return {}
-    return {name: pd.read_csv(path) for name, path in paths.items()}
+    study = {name: pd.read_csv(path) for name, path in paths.items()}
+    check_study(study["searches"], folder)
+    return study
 
 
 def _scale(text: str) -> float:
-    """Scale of a reference pose: lengths over it are in units of the source."""
+    """Return the scale of a reference pose."""
     pose = np.array(json.loads(text or "[]"), dtype=float)
     if pose.size == 0:
         return 1.0

@@ -1,10 +1,10 @@
-"""What a check of the ledger finds, and what runs at a limit leave open of it.
+"""The result of a check of the ledger, and whether runs at a limit could change it.
 
-A check takes the tables of one experiment and its parameters from the ledger, and returns a
-`Finding`: parts with a figure and an interval each, and which runs they rest on. Common parameters:
-``tests``, ``levels`` (a list, or ``top``, ``bottom`` of several, ``disturbed``: above 0; levels beyond
-the paper's own axes only where a list names them), ``by`` (columns: a part per group), ``any`` (one part
-is enough), and ``claimed``, the side on which a figure has to lie.
+A check takes the tables of one experiment and its parameters from the ledger. It returns a `Finding`:
+parts with a figure and an interval each, and the runs that they are based on. Parameters: ``tests``;
+``levels`` (a list, or ``top``, ``bottom`` of several, ``disturbed``: above 0; levels beyond the paper's
+axes only if a list names them); ``by`` (columns: a part per group); ``any`` (one part is enough); and
+``claimed``, the side on which a figure must lie.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import numpy as np
 import pandas as pd
 
 from reports.ledger import intervals
-from reports.ledger.evidence import QUICK, Evidence, Experiment, Role, imagined
+from reports.ledger.evidence import QUICK, Evidence, Experiment, Role, hypothetical
 from reports.ledger.intervals import Interval
 from reports.theme import words
 
 Parameters = Mapping[str, Any]
-LIMITED, SETTLED = "limited", "settled"  # ends of runs; settled: at a limit, but proven optimal
+LIMITED, SETTLED = "limited", "settled"  # settled: at a limit, but proven optimal
 BEST_FIRST = (intervals.REPRODUCED, intervals.OPEN, intervals.NOT)
 
 
@@ -35,12 +35,12 @@ class Part:
     interval: Interval
     verdict: str
     margin: float
-    hangs: bool = False  # open for runs at a limit: they might have turned it
+    depends: bool = False  # open because runs at a limit could change it
 
 
 @dataclass
 class Finding:
-    """What a check found: its parts, the runs they rest on, and methods that were not there."""
+    """The result of a check: its parts, the runs they are based on, and what is missing."""
 
     figure: str  # what the numbers are
     parts: list[Part] = field(default_factory=list)
@@ -52,15 +52,15 @@ class Finding:
         verdict = intervals.judge(interval, claimed)
         self.parts.append(Part(where, interval, verdict, intervals.distance(interval, claimed)))
 
-    def rest_on(self, *tables: pd.DataFrame) -> None:
+    def use(self, *tables: pd.DataFrame) -> None:
         for table in tables:
             ends = table["outcome"].mask(table["settled"], SETTLED)
             self.runs.update(zip(table["run_id"], ends, strict=True))
             self.methods += [m for m in table["method"].unique() if m not in self.methods]
 
 
-# What became of runs at a limit, as a mask over their levels: to their least (False) or their most.
-Fate = Callable[[pd.Series], pd.Series]
+# A scenario of runs at a limit, by their levels: each reaches its minimum (False) or maximum (True).
+Scenario = Callable[[pd.Series], pd.Series]
 
 
 def none(levels: pd.Series) -> pd.Series:
@@ -75,27 +75,27 @@ def upper(levels: pd.Series) -> pd.Series:
     return levels > levels.unique().mean()
 
 
-def both_ways(fate: Fate) -> tuple[Fate, Fate]:
-    """A fate and its contrary."""
-    return fate, lambda levels: ~fate(levels)
+def both_ways(scenario: Scenario) -> tuple[Scenario, Scenario]:
+    """Return a scenario and its opposite."""
+    return scenario, lambda levels: ~scenario(levels)
 
 
 @dataclass(frozen=True)
 class Source:
-    """What a check may look at."""
+    """The tables and roles that a check may use."""
 
     evidence: Evidence
     experiment: Experiment | None
     roles: Mapping[str, Role]
     axes: Mapping[str, float] = field(default_factory=dict)  # test -> last level the paper shows
-    fates: tuple[Fate, Fate] | None = None  # of the subject's and of the rivals' runs at a limit
+    scenarios: tuple[Scenario, Scenario] | None = None  # of the subject and of the rivals
 
     def runs(
         self, role: str, p: Parameters, finding: Finding
     ) -> Iterator[tuple[str, pd.DataFrame]]:
-        """Name and chosen runs of every method in a role; noted as missing if there is none."""
+        """Yield name and selected runs of every method in a role; note a role without any."""
         assert self.experiment is not None
-        labels = self.experiment.playing(self.roles[role])
+        labels = self.experiment.methods_in(self.roles[role])
         tried = self.experiment.runs
         if not isinstance(p.get("levels"), list):
             tried = tried[tried["level"] <= tried["test"].map(self.axes).fillna(np.inf)]
@@ -108,25 +108,27 @@ class Source:
             finding.missing.append(what)
         names = self.experiment.runs.drop_duplicates("method").set_index("method")["display_name"]
         for label, runs in filled:
-            if self.fates:
-                fate = self.fates[role in p.get("rivals", ())]
-                runs = imagined(runs, runs.groupby("test")["level"].transform(fate).to_numpy())
+            if self.scenarios:
+                scenario = self.scenarios[role in p.get("rivals", ())]
+                at_maximum = runs.groupby("test")["level"].transform(scenario).to_numpy()
+                runs = hypothetical(runs, at_maximum)
             yield names[label], runs
 
 
 Check = Callable[[Source, Parameters], Finding]
 CHECKS: dict[str, Check] = {}
-STUDY_CHECKS: set[str] = set()  # those over the study of bounds
-FATES: dict[str, tuple[Fate, ...]] = {}  # that hold the extremes of a kind of check; none: unknown
+STUDY_CHECKS: set[str] = set()  # checks of the study of bounds
+# Scenarios whose combinations contain the extremes of a kind of check; empty: unknown.
+SCENARIOS: dict[str, tuple[Scenario, ...]] = {}
 
 
 def check(
-    name: str, *, of_study: bool = False, fates: tuple[Fate, ...] = both_ways(none)
+    name: str, *, of_study: bool = False, scenarios: tuple[Scenario, ...] = both_ways(none)
 ) -> Callable[[Check], Check]:
-    """Register a kind of check. Its figure is monotone in every run unless told otherwise."""
+    """Register a kind of check; with the default scenarios, its figure is monotone in every run."""
 
     def register(function: Check) -> Check:
-        CHECKS[name], FATES[name] = function, fates
+        CHECKS[name], SCENARIOS[name] = function, scenarios
         if of_study:
             STUDY_CHECKS.add(name)
         return function
@@ -135,39 +137,39 @@ def check(
 
 
 def found(source: Source, p: Parameters, *, limits_decide: bool = False) -> Finding:
-    """What a check finds; a part is open where runs at a limit, gone on, could have turned it.
+    """Run a check; a part is inconclusive if runs at a limit could change its verdict.
 
-    With ``any``, one part on the claimed side is enough: of the parts those that speak best for it count.
+    With ``any``, one part on the claimed side is enough: only the parts with the best verdict count.
     """
     finding = CHECKS[p["kind"]](source, p)
     if not limits_decide and (LIMITED in finding.runs.values() or _of_work(p, finding)):
-        _doubt(finding, source, p)
+        _open_dependent(finding, source, p)
     if p.get("any"):
         best = min((BEST_FIRST.index(part.verdict) for part in finding.parts), default=0)
         finding.parts = [part for part in finding.parts if BEST_FIRST.index(part.verdict) == best]
     return finding
 
 
-def _doubt(finding: Finding, source: Source, p: Parameters) -> None:
-    """Open the parts that runs at a limit could have turned."""
+def _open_dependent(finding: Finding, source: Source, p: Parameters) -> None:
+    """Make the parts inconclusive that runs at a limit could change."""
     kind = p["kind"]
-    worlds = [
-        CHECKS[kind](replace(source, fates=(mine, theirs)), p).parts
-        for mine, theirs in product(FATES[kind], repeat=2)
+    cases = [
+        CHECKS[kind](replace(source, scenarios=(mine, theirs)), p).parts
+        for mine, theirs in product(SCENARIOS[kind], repeat=2)
     ]
     finding.parts = [
         part
-        if worlds and _stands(part, [world[at] for world in worlds], p["claimed"])
-        else replace(part, verdict=intervals.OPEN, hangs=part.verdict != intervals.OPEN)
+        if cases and _stands(part, [case[at] for case in cases], p["claimed"])
+        else replace(part, verdict=intervals.OPEN, depends=part.verdict != intervals.OPEN)
         for at, part in enumerate(finding.parts)
     ]
 
 
 def _stands(part: Part, extremes: Sequence[Part], claimed: Parameters) -> bool:
-    """Whether a verdict is that of all extremes, and of what lies between them."""
+    """Whether a verdict holds for all extremes and for the values between them."""
     if any(other.verdict != part.verdict for other in extremes):
         return False
-    # on either side of a claimed range, or value: between them lies the range
+    # extremes on both sides of a claimed range contain the range
     low = min(other.interval.low for other in extremes)
     high = max(other.interval.high for other in extremes)
     hull = replace(part.interval, low=low, high=high)
@@ -175,9 +177,9 @@ def _stands(part: Part, extremes: Sequence[Part], claimed: Parameters) -> bool:
 
 
 def _of_work(p: Parameters, finding: Finding) -> bool:
-    """Whether a figure of time or boxes rests on runs at a limit, settled ones too.
+    """Whether a figure of time or boxes is based on runs at a limit, settled ones included.
 
-    Or, in a race, on searches that ended without a bound, by themselves as well.
+    A race also depends on searches that finished without a bound.
     """
     quantities = {p.get("quantity"), *p.get("quantities", ())}
     if p["kind"] == "race":
@@ -186,8 +188,8 @@ def _of_work(p: Parameters, finding: Finding) -> bool:
 
 
 def _absent(runs: pd.DataFrame, p: Parameters) -> Iterator[str]:
-    """Tests and levels that a check names and no run of the experiment is of."""
-    # a list and its quick part are the same test
+    """Yield tests and levels that a check names and the experiment does not have."""
+    # the quick part of a list counts as the same test
     present = {test.removesuffix(QUICK) for test in runs["test"].unique()}
     for test in dict.fromkeys(test.removesuffix(QUICK) for test in p.get("tests", ())):
         if test not in present:
@@ -200,7 +202,7 @@ def _absent(runs: pd.DataFrame, p: Parameters) -> Iterator[str]:
 
 
 def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
-    """Runs of a method in the tests and levels of a check, as far as the experiment has them."""
+    """Return the runs of a method in the tests and levels of a check."""
     part = runs[
         (runs["method"] == method) & runs["test"].isin(p.get("tests", runs["test"].unique()))
     ]
@@ -208,7 +210,7 @@ def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
     match p.get("levels"):
         case "top":
             part = part[part["level"] == levels.transform("max")]
-        case "bottom":  # the only level of a test is its top
+        case "bottom":  # a single level counts as the top
             part = part[
                 (part["level"] == levels.transform("min")) & (levels.transform("nunique") > 1)
             ]
@@ -222,7 +224,7 @@ def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
 
 
 def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The parts of a table by the columns of ``by``, with a name each."""
+    """Yield the parts of a table by the columns of ``by``, each with a name."""
     by = p.get("by", ["test", "level"])
     if not by:
         if len(table):
@@ -235,6 +237,6 @@ def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[str, pd.DataFra
 
 
 def paired(one: pd.DataFrame, other: pd.DataFrame, quantity: str) -> pd.DataFrame:
-    """Both values on every common instance; axes of the instance from the first."""
+    """Return both values on every common instance."""
     both = one.merge(other[["instance_id", quantity]], on="instance_id", suffixes=("", "_rival"))
     return both.dropna(subset=[quantity, f"{quantity}_rival"])

@@ -1,4 +1,4 @@
-"""Intervals, bootstrap but for shares, and what they say of a claimed side."""
+"""Confidence intervals (bootstrap, Wilson for shares) and their verdict on a claimed side."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from scipy.stats import binomtest
 
 DRAWS = 2000
 SEED = 20260326
-LEAST_PAIRS = 5  # with fewer instances an interval says nothing
+MIN_INSTANCES = 5  # fewer make an interval inconclusive
 COVERED = (0.025, 0.975)
-DECIMALS = 12  # a slope of rounding alone is none
+DECIMALS = 12  # removes slopes that are rounding only
 
 REPRODUCED, NOT, OPEN, NOT_RUN = "reproduced", "not reproduced", "inconclusive", "not run"
 VERDICTS = (REPRODUCED, NOT, OPEN, NOT_RUN)
@@ -33,7 +33,7 @@ class Interval:
 
 
 def bootstrap(statistic: Callable[[np.ndarray], np.ndarray], n: int) -> Interval:
-    """Interval of `statistic`, which maps rows of indices (draws × n) to one number a row."""
+    """Return the interval of `statistic`, which maps rows of indices (draws × n) to a number per row."""
     rng = np.random.default_rng(SEED)
     drawn = np.concatenate(
         [statistic(rng.integers(n, size=(part, n))) for part in (DRAWS // 4,) * 4]
@@ -46,34 +46,34 @@ def bootstrap(statistic: Callable[[np.ndarray], np.ndarray], n: int) -> Interval
 
 
 def mean(values: np.ndarray) -> Interval:
-    """The mean."""
+    """Return the interval of the mean."""
     return bootstrap(lambda rows: values[rows].mean(axis=1), len(values))
 
 
 def share(values: np.ndarray) -> Interval:
-    """The share of ones, with Wilson's interval: of draws from nothing but ones none has a zero."""
+    """Return the share of ones with Wilson's interval: a bootstrap of ones only has no width."""
     found = binomtest(int(values.sum()), len(values))
     ends = found.proportion_ci(COVERED[1] - COVERED[0], method="wilson")
     return Interval(float(values.mean()), float(ends.low), float(ends.high), len(values))
 
 
 def median(values: np.ndarray) -> Interval:
-    """The median."""
+    """Return the interval of the median."""
     return bootstrap(lambda rows: np.median(values[rows], axis=1), len(values))
 
 
-def greatest(values: np.ndarray) -> Interval:
-    """The greatest value, which one counterexample decides: no other draw takes it back."""
+def maximum(values: np.ndarray) -> Interval:
+    """Return the maximum without an interval: one counterexample is enough."""
     most = float(values.max())
     return Interval(most, most, most, len(values))
 
 
 def ratio(above: np.ndarray, below: np.ndarray) -> Interval:
-    """The ratio of means of paired values."""
+    """Return the interval of the ratio of means of paired values."""
     return bootstrap(lambda rows: above[rows].mean(axis=1) / below[rows].mean(axis=1), len(above))
 
 
-# side -> (wholly on the claimed side, wholly on the other); a tie is not below, nor above
+# side -> (entirely on the claimed side, entirely on the other); a tie is neither below nor above
 _SIDES: dict[str, Callable[[Interval, Any], tuple[bool, bool]]] = {
     "below": lambda i, t: (i.high < t, i.low >= t),
     "above": lambda i, t: (i.low > t, i.high <= t),
@@ -84,8 +84,8 @@ _SIDES: dict[str, Callable[[Interval, Any], tuple[bool, bool]]] = {
 
 
 def judge(interval: Interval, claimed: Mapping[str, Any]) -> str:
-    """Reproduced, not reproduced or inconclusive: where the interval lies, by the claimed side."""
-    if interval.n < LEAST_PAIRS:
+    """Return reproduced, not reproduced or inconclusive, by the side on which the interval lies."""
+    if interval.n < MIN_INSTANCES:
         return OPEN
     ((side, threshold),) = claimed.items()
     on_it, on_the_other = _SIDES[side](interval, threshold)
@@ -93,7 +93,7 @@ def judge(interval: Interval, claimed: Mapping[str, Any]) -> str:
 
 
 def distance(interval: Interval, claimed: Mapping[str, Any]) -> float:
-    """How far the figure lies inside the claimed side: the least one of several is shown."""
+    """Return how far the figure lies inside the claimed side; of several, the minimum is shown."""
     ((side, threshold),) = claimed.items()
     if side in ("below", "at_most"):
         return threshold - interval.value

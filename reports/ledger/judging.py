@@ -23,7 +23,7 @@ from reports.ledger.finding import (
     Source,
     found,
 )
-from reports.ledger.intervals import LEAST_PAIRS, NOT, NOT_RUN, OPEN, REPRODUCED, VERDICTS
+from reports.ledger.intervals import MIN_INSTANCES, NOT, NOT_RUN, OPEN, REPRODUCED, VERDICTS
 from reports.tables import ReportError
 
 LEDGER = Path(__file__).parents[1] / "claims.yaml"
@@ -31,21 +31,21 @@ LEDGER = Path(__file__).parents[1] / "claims.yaml"
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper, and how this project checks it. Thresholds are this project's."""
+    """One claim of the paper, and how this project checks it."""
 
     id: str
     quote: str
-    test: str  # the check in words
+    test: str  # the check in words; its threshold is this project's
     experiment: str
     checks: tuple[dict[str, Any], ...]
     note: str = ""
-    limits_decide: bool = False  # runs at their limit are what the claim is about
-    reconstruction: str = ""  # beside what the cards of the deciding methods say
+    limits_decide: bool = False  # the claim is about runs at their limit
+    reconstruction: str = ""  # in addition to the cards of the deciding methods
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """A verdict with the figure that decides it, the command that makes the tables, and the reason."""
+    """A verdict with the deciding figure, the reason, and the command that makes the tables."""
 
     id: str
     verdict: str
@@ -53,7 +53,7 @@ class Judgement:
     test: str
     evidence: str
     reason: str
-    reconstruction: str  # what the verdict relies on that is a reconstruction; empty: nothing
+    reconstruction: str  # reconstructed methods that the verdict relies on
     runs: int
     limited: int
     command: str
@@ -64,13 +64,13 @@ class Judgement:
 class Ledger:
     claims: tuple[Claim, ...]
     roles: dict[str, Role]
-    axes: dict[str, float]  # test -> last level of the paper's own axis
+    axes: dict[str, float]  # test -> highest level in the paper
     commands: dict[str, str]
     facts: tuple[str, ...]
 
     @classmethod
     def read(cls, path: Path = LEDGER) -> Ledger:
-        """Read the ledger; raises ReportError for a claim that names what does not exist."""
+        """Read the ledger; raise ReportError for a claim that names an unknown check, role or command."""
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
         roles = {name: Role(name, **role) for name, role in content["roles"].items()}
         claims = tuple(
@@ -96,17 +96,19 @@ class Ledger:
                 if role not in self.roles:
                     raise ReportError(f"{path}: {claim.id}: no role {role!r}; add it to roles")
         if claim.experiment not in self.commands:
-            raise ReportError(f"{path}: {claim.id}: no command makes {claim.experiment!r}; add it")
+            raise ReportError(
+                f"{path}: {claim.id}: no command makes {claim.experiment!r}; add it to commands"
+            )
 
 
 @cache
 def ledger() -> Ledger:
-    """The ledger of this project."""
+    """Return the ledger of this project."""
     return Ledger.read()
 
 
 def judge(book: Ledger, evidence: Evidence, experiments: set[str] | None = None) -> list[Judgement]:
-    """A verdict for every claim, or for those about `experiments`."""
+    """Return the verdict of every claim, or of those about `experiments`."""
     return [
         judge_claim(book, claim, evidence)
         for claim in book.claims
@@ -115,7 +117,7 @@ def judge(book: Ledger, evidence: Evidence, experiments: set[str] | None = None)
 
 
 def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
-    """The verdict of one claim."""
+    """Return the verdict of one claim."""
     experiment = evidence.experiments.get(claim.experiment)
     findings: list[Finding] = []
     if (claim.experiment == STUDY and evidence.study) or experiment is not None:
@@ -129,7 +131,7 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     command = book.commands[claim.experiment]
     quick = experiment is not None and experiment.is_quick
     if verdict == NOT_RUN:
-        reason += f"; {'the whole of it' if quick else 'tables'} by {command}"
+        reason += f"; {'run the whole experiment' if quick else 'make the tables'} with {command}"
     elif quick:
         command += " QUICK=1"
     return Judgement(
@@ -148,13 +150,13 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
 
 
 def count(judgements: list[Judgement]) -> list[tuple[str, int]]:
-    """How many claims have each verdict."""
+    """Count the claims per verdict."""
     counts = Counter(judgement.verdict for judgement in judgements)
     return [(verdict, counts[verdict]) for verdict in VERDICTS]
 
 
 def as_table(judgements: list[Judgement]) -> pd.DataFrame:
-    """One row per claim."""
+    """Return a table with a row per claim."""
     return pd.DataFrame([asdict(judgement) for judgement in judgements])
 
 
@@ -170,14 +172,14 @@ def _verdict(claim: Claim, findings: list[Finding]) -> tuple[str, str]:
     lacking = [f.figure for f in findings if not f.parts]
     if verdict == REPRODUCED and (missing or lacking):
         what = ", ".join(missing or lacking)
-        return OPEN, f"holds as far as it could be tried; not in the tables: {what}"
+        return OPEN, f"the available part is as claimed; not in the tables: {what}"
     if missing:
         reason += f"; not in the tables: {', '.join(missing)}"
     return verdict, reason
 
 
 def _of_parts(parts: list[Part]) -> tuple[str, str]:
-    """All parts must be on the claimed side; one wholly on the other refutes."""
+    """All parts must be on the claimed side; a single part on the other side refutes the claim."""
     count = {name: sum(p.verdict == name for p in parts) for name in (REPRODUCED, NOT, OPEN)}
     verdict = NOT if count[NOT] else OPEN if count[OPEN] else REPRODUCED
     if len(parts) == 1:
@@ -185,32 +187,36 @@ def _of_parts(parts: list[Part]) -> tuple[str, str]:
         texts = {
             REPRODUCED: "the interval lies on the claimed side",
             NOT: "the interval lies on the other side",
-            OPEN: "runs that ended at a limit could turn it"
-            if parts[0].hangs
-            else f"the interval holds both sides (n = {n})",
+            OPEN: "runs at a limit could change the verdict"
+            if parts[0].depends
+            else f"the interval contains both sides (n = {n})",
         }
         return verdict, texts[verdict]
-    told = [
+    shown = [
         f"{count[name]} {text}"
-        for name, text in ((REPRODUCED, "as claimed"), (NOT, "against"), (OPEN, "open"))
+        for name, text in (
+            (REPRODUCED, "as claimed"),
+            (NOT, "against the claim"),
+            (OPEN, "inconclusive"),
+        )
         if count[name]
     ]
-    few = sum(p.verdict == OPEN and p.interval.n < LEAST_PAIRS for p in parts)
-    hangs = sum(p.hangs for p in parts)
+    few = sum(p.verdict == OPEN and p.interval.n < MIN_INSTANCES for p in parts)
+    depends = sum(p.depends for p in parts)
     why = [
         f"{number} {text}"
         for number, text in (
-            (hangs, "for runs that ended at a limit and could turn them"),
-            (few, f"for fewer than {LEAST_PAIRS} instances"),
+            (depends, "because of runs at a limit that could change them"),
+            (few, f"with fewer than {MIN_INSTANCES} instances"),
         )
         if number
     ]
-    told[-1] += f" ({', '.join(why)})" if why else ""
-    return verdict, f"of {len(parts)} comparisons {', '.join(told)}"
+    shown[-1] += f" ({', '.join(why)})" if why else ""
+    return verdict, f"of {len(parts)} comparisons {', '.join(shown)}"
 
 
 def _shown(findings: list[Finding], verdict: str) -> str:
-    """The figure that decides each check: the one farthest from the claimed side."""
+    """Return the deciding figure of each check: the one farthest from the claimed side."""
     texts = []
     for finding in findings:
         parts = [p for p in finding.parts if p.verdict == verdict] or finding.parts

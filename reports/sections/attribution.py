@@ -1,4 +1,4 @@
-"""Search error or model error, by objective regret, with certified intervals of it."""
+"""Search and model errors, by objective regret with certified intervals."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from workflows.attribution import VERDICTS
 
 ID = "attribution"
 TITLE = "Attribution of errors"
+POSITION = 80
 
 
 def context(page: Page) -> dict[str, Any]:

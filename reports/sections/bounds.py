@@ -1,4 +1,4 @@
-"""Bound and gap histories of every certifying solver."""
+"""Bound and gap histories of every certifying method."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from reports.page import Page
 
 ID = "bounds"
 TITLE = "Bounds and gaps"
+POSITION = 50
 
 
 def context(page: Page) -> dict[str, Any]:

@@ -13,8 +13,9 @@ from reports.tables import thin_trace
 
 ID = "downloads"
 TITLE = "Raw tables"
+POSITION = 110
 
-MOST_TRACE_BYTES = 2_000_000  # compressed; beyond it the page carries the step changes only
+MAX_TRACE_BYTES = 2_000_000  # compressed; longer histories are reduced to the changes of a bound
 
 
 def context(page: Page) -> dict[str, Any]:
@@ -23,7 +24,7 @@ def context(page: Page) -> dict[str, Any]:
         "runs.csv", _csv(tables.directory / "runs.csv", tables.runs), "one row per planned run"
     )
     full = _csv(tables.directory / "traces.csv", tables.traces)
-    if len(gzip.compress(full)) <= MOST_TRACE_BYTES:
+    if len(gzip.compress(full)) <= MAX_TRACE_BYTES:
         page.add_download("traces.csv", full, "bound histories, every event")
     else:
         groups = tables.traces.groupby(["run_id", "stage"], sort=False)
@@ -31,8 +32,7 @@ def context(page: Page) -> dict[str, Any]:
         page.add_download(
             "traces-steps.csv",
             _csv(None, thin),
-            "bound histories, step changes only; all events are in tables/traces.csv "
-            "beside the report",
+            "bound histories, changes of a bound only; tables/traces.csv has all events",
         )
     page.add_download(
         "accounting.csv",
@@ -47,7 +47,7 @@ def context(page: Page) -> dict[str, Any]:
 
 
 def _csv(path: Path | None, table: pd.DataFrame) -> bytes:
-    """The very file of the aggregate stage where there is one."""
+    """Return the file of the aggregate stage, or the table as CSV if there is none."""
     if path is not None and path.exists():
         return path.read_bytes()
     return table.to_csv(index=False).encode("utf-8")

@@ -1,4 +1,4 @@
-"""Every run that did not finish, with its reason; equal reasons share a row."""
+"""Every run that did not finish, grouped by reason."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from workflows.outcomes import OUTCOMES
 
 ID = "failures"
 TITLE = "Runs that did not finish"
+POSITION = 70
 
 
 def context(page: Page) -> dict[str, Any]:
@@ -46,7 +47,7 @@ def context(page: Page) -> dict[str, Any]:
 
 
 def _reason(status: str, message: str, card: dict[str, Any]) -> str:
-    """Why runs did not finish: the limit they ended at, or what they say."""
+    """Return why runs did not finish: the limit that they hit, or their message."""
     if limit := limits_of(card).get(status):
-        return f"met its limit of {limit}" + (f" ({message})" if message else "")
+        return f"hit its limit of {limit}" + (f" ({message})" if message else "")
     return message or "no reason given"

@@ -1,4 +1,4 @@
-"""Overlays before and after, best, median and worst, each with its replay command."""
+"""Overlays before and after of the best, median and worst runs, with replay commands."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from reports.page import Page
 
 ID = "gallery"
 TITLE = "Overlays"
+POSITION = 60
 
 
 def context(page: Page) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Error and time versus level, interactive and in print."""
+"""Error and time against level, interactive and for print."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from reports.figures import levels
 from reports.page import Page
 
 ID = "levels"
-TITLE = "Error and time versus level"
+TITLE = "Error and time against level"
+POSITION = 40
 
 SUFFIX = {"median": "", "mean": "-mean"}
 
@@ -35,7 +36,7 @@ def context(page: Page) -> dict[str, Any]:
             {
                 "figure": figure,
                 "model": model,
-                "errors": {name: levels.ERRORS[name][0] for name in levels.available_errors(runs)},
+                "errors": {name: levels.ERRORS[name] for name in levels.available_errors(runs)},
                 "prints": prints,
                 "floor": bool(runs["rmse_floor"].notna().any()),
             }

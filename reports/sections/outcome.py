@@ -1,4 +1,4 @@
-"""What was run, what it says of the paper's claims, and one row per method: the first screen."""
+"""The first screen: the experiment, its claims of the paper, and a row per method."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from reports.ledger.evidence import STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
 from reports.tables import PENALTY, Tables, counted_time
-from workflows.metrics import SUCCESS_LENGTH, SUCCESS_SHARE
+from workflows.metrics.errors import SUCCESS_SHARE
 from workflows.outcomes import attempted
+from workflows.stages.evaluate import success_rmse
 
 ID = "outcome"
 TITLE = "Outcome"
-MOST_NAMED = 4
+POSITION = 10
+MAX_NAMED = 4
 
 
 def context(page: Page) -> dict[str, Any]:
@@ -30,7 +32,7 @@ def context(page: Page) -> dict[str, Any]:
         "counts": count(judgements),
         "claims": len(ledger().claims),
         "outcomes": outcomes(tables),
-        "any_told": any(tables.told_true_pairs(method) for method in tables.methods),
+        "any_oracle": any(tables.is_oracle(method) for method in tables.methods),
         "penalty": PENALTY,
         "wrong_certificates": list(
             tables.runs.loc[tables.runs["bound_violation"].fillna(0) > 0, "run_id"]
@@ -39,7 +41,7 @@ def context(page: Page) -> dict[str, Any]:
 
 
 def facts(tables: Tables) -> list[tuple[str, str]]:
-    """Data, points, limit, threshold and prior of the experiment, in a few words each."""
+    """Return data, points, limit, threshold and prior of the experiment, in a few words each."""
     runs, data, points = tables.runs, [], []
     for (dataset, model), part in runs.groupby(["dataset", "model"], sort=False):
         tests = part["test"].nunique()
@@ -58,21 +60,21 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
 
 def _prior(runs: pd.DataFrame) -> str:
     ratios = sorted(runs["n_inliers_ratio"].unique(), reverse=True)
-    told = runs.loc[runs["n_inliers_ratio"] == 1.0]
-    # methods that are given some of the points are told as many pairs less
-    is_whole = told["n_source"] == told.groupby("instance_id")["n_source"].transform("max")
-    differs = is_whole & (told["n_inliers"] != told["n_inliers_true"])
-    tests = told.loc[differs, "test"].unique()
-    other = f" ({', '.join(tests)}: × the number of its data set's rule)" if len(tests) else ""
-    fewer = "" if is_whole.all() else "; of fewer points in proportion"
+    full = runs.loc[runs["n_inliers_ratio"] == 1.0]
+    # methods that receive fewer points also receive a proportionally smaller number of pairs
+    is_whole = full["n_source"] == full.groupby("instance_id")["n_source"].transform("max")
+    differs = is_whole & (full["n_inliers"] != full["n_inliers_true"])
+    tests = full.loc[differs, "test"].unique()
+    other = f" ({', '.join(tests)}: × the number of the dataset's rule)" if len(tests) else ""
+    fewer = "" if is_whole.all() else "; in proportion for methods that receive fewer points"
     return " and ".join(f"{ratio:g}" for ratio in ratios) + " × the true pairs" + other + fewer
 
 
 def _named(names: np.ndarray, dataset: str) -> str:
     if list(names) == [dataset]:
         return dataset
-    few = [str(name) for name in names[:MOST_NAMED]]
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    few = [str(name) for name in names[:MAX_NAMED]]
+    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
     return ", ".join(few) + more + f" of {dataset}"
 
 
@@ -80,10 +82,10 @@ def _limit(tables: Tables) -> str:
     limits = [card.get("limits", {}) for card in tables.cards.values()]
     known = sorted({each["time_s"] for each in limits if each.get("time_s") is not None})
     by_boxes = sum(any(each.get(key) for key in ("nodes", "nodes_at_100")) for each in limits)
-    boxes = f"; {by_boxes} of {len(limits)} methods also a number of boxes or starts" * (
+    boxes = f"; {by_boxes} of {len(limits)} methods also a limit on boxes or initial poses" * (
         by_boxes > 0
     )
-    return (_range(known, " s a run") if known else "not stated") + boxes
+    return (_range(known, " s per run") if known else "not stated") + boxes
 
 
 def _range(values: list[float], unit: str) -> str:
@@ -92,17 +94,18 @@ def _range(values: list[float], unit: str) -> str:
 
 
 def _success(runs: pd.DataFrame) -> str:
-    published = [name for name in runs["dataset"].unique() if name in SUCCESS_LENGTH]
-    texts = [f"RMSE < {SUCCESS_LENGTH[name]:g} m ({name}, as published)" for name in published]
-    if len(published) < runs["dataset"].nunique():
+    names = runs["dataset"].unique()
+    published = {name: limit for name in names if (limit := success_rmse(name)) is not None}
+    texts = [f"RMSE < {limit:g} ({name}, as published)" for name, limit in published.items()]
+    if len(published) < len(names):
         texts.append(f"error above the floor < {SUCCESS_SHARE:g} of the longest side")
     return "; ".join(texts)
 
 
 def outcomes(tables: Tables) -> list[dict[str, Any]]:
-    """Per model and method: shares over attempted runs; a run without a pose is no success.
+    """Return shares over attempted runs per model and method; a run without a pose is no success.
 
-    The most right ones first, but those that are told the true pairs after all others.
+    Rows are sorted by success rate; methods that receive the true pairs come last.
     """
     runs = attempted(tables.runs)
     runs = runs.assign(time=counted_time(runs, tables.cards))
@@ -116,8 +119,8 @@ def outcomes(tables: Tables) -> list[dict[str, Any]]:
     models = list(runs["model"].unique())
 
     def rank(row: dict[str, Any]) -> tuple[int, bool, float]:
-        told = tables.told_true_pairs(row["method"])
-        return models.index(row["model"]), told, -row["success"]
+        is_oracle = tables.is_oracle(row["method"])
+        return models.index(row["model"]), is_oracle, -row["success"]
 
     return sorted(rows, key=rank)
 

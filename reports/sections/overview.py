@@ -1,4 +1,4 @@
-"""Accounting, one row per method and test, and the profile over everything."""
+"""Accounting, a row per method and test, and the distributions of error and time."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from workflows.summary import summarise
 
 ID = "overview"
 TITLE = "Accounting"
+POSITION = 30
 
 
 def context(page: Page) -> dict[str, Any]:
@@ -36,7 +37,7 @@ def context(page: Page) -> dict[str, Any]:
 
 
 def summary(tables: Tables) -> list[dict[str, Any]]:
-    """Model × test × method, as the harness summarises them, with what could not be attempted."""
+    """Return a row per model, test and method, including runs that could not be attempted."""
     keys = ["model", "test", "method"]
     planned = tables.runs.groupby(keys, sort=False)["outcome"].agg(_outcomes).reset_index()
     floors = tables.runs.groupby(keys, sort=False)["rmse_floor"].median()
@@ -54,7 +55,7 @@ def summary(tables: Tables) -> list[dict[str, Any]]:
                 "result": done.loc[key] if key in done.index else None,
             }
         )
-    # a block of methods per test, as a reader compares them
+    # a block of methods per test
     groups = list(dict.fromkeys((row["model"], row["test"]) for row in rows))
     return sorted(rows, key=lambda row: groups.index((row["model"], row["test"])))
 

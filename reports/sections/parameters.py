@@ -1,4 +1,4 @@
-"""Every method's parameters: what ran, and the default where the experiment changed it."""
+"""The parameters of every method, with the default of those that the experiment changed."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from reports.tables import limits_of
 
 ID = "parameters"
 TITLE = "Parameters"
+POSITION = 90
 
 
 def context(page: Page) -> dict[str, Any]:
@@ -36,16 +37,16 @@ def context(page: Page) -> dict[str, Any]:
 
 
 def parameters(card: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Name, value and, where it differs, the default; limits and told share of pairs first.
+    """Return name, value and, if it differs, the default; limits and n_inliers first.
 
-    Parameters that do nothing beside the others are left out.
+    Parameters without effect are excluded.
     """
     defaults, options = card.get("parameters", {}), card.get("options", {})
     rows = [
         ("limits", ", ".join(limits_of(card).values()) or "not stated", ""),
         (
             "n_inliers",
-            f"{card.get('n_inliers_ratio', 1):g} × true pairs, or its data set's rule",
+            f"{card.get('n_inliers_ratio', 1):g} × true pairs, or the dataset's rule",
             "",
         ),
     ]

@@ -10,6 +10,7 @@ from reports.page import Page
 
 ID = "provenance"
 TITLE = "Provenance"
+POSITION = 100
 
 _LONG = ("config", "methods", "versions")
 

@@ -35,7 +35,7 @@ CHANGES = {
     "no tests": ("{noise: [0.01], occlusion_outliers: [0.1]}", "{}", "tests", "at least 1"),
     "no levels": ("[0.01]", "[]", "datasets[0].tests", "give one or more"),
     "negative level": ("[0.01]", "[-1]", "tests.noise", "-1"),
-    "level nan": ("[0.01]", "[.nan]", "level nan is no number", "give a finite one"),
+    "level nan": ("[0.01]", "[.nan]", "level nan is not finite", "give a number"),
     "level of words": ("[0.01]", "[low]", "tests.noise", "'low'"),
     "occlusion of twice": ("[0.1]", "[2.0]", "tests.occlusion_outliers", "2.0"),
     "no trials": ("trials: 1", "trials: 0", "trials", "greater than"),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from workflows import attribution, records
+from workflows import attribution, outcomes, records
 from workflows.stages.aggregate import accounting
 
 CARDS = {
@@ -51,7 +51,7 @@ def write_tables(folder: Path, experiment: str = "made-up") -> Path:
     best = table.groupby(["instance_id", "n_inliers"])["objective"].transform("min")
     table["objective_best"] = best
     table["objective_regret"] = table["objective"] - best
-    table["outcome"] = table["status"].map(records.outcome)
+    table["outcome"] = table["status"].map(outcomes.outcome)
     table = attribution.attribute(table)
     table = records.frame(table.to_dict("records"), records.runs_columns())
     records.write(table, folder / "runs.parquet", csv=True)

@@ -12,7 +12,7 @@ import pytest
 import report_fixture
 from typer.testing import CliRunner
 
-from reports import claims
+from reports.__main__ import app
 from reports.ledger import intervals
 from reports.ledger.evidence import Evidence, Experiment
 from reports.ledger.finding import CHECKS, STUDY_CHECKS, Source, select
@@ -217,7 +217,7 @@ def test_what_a_bound_of_zero_proves_says_nothing_of_bounds():
     assert figures(closed, trivial, runs_of("rival")) == [(pytest.approx(1.0), TRIALS)]
     found = judged(evidence(runs_of("ours", objective=0.1), runs_of("rival")), closed)
     assert found.verdict == NOT_RUN
-    assert "instances that ours and rival close" in found.reason
+    assert "instances that ours and rival certify" in found.reason
 
 
 def test_spread_is_set_against_that_of_rivals():
@@ -291,7 +291,7 @@ def test_without_the_method_a_claim_is_not_run(check):
 def test_a_method_that_never_ran_is_not_in_the_tables():
     absent = runs_of("rival", outcome="unavailable", status="unavailable")
     found = judged(evidence(runs_of("ours"), absent), RATIO)
-    reason = "not in the tables: RPM-HTB; tables by make paper-2d"
+    reason = "not in the tables: RPM-HTB; make the tables with make paper-2d"
     assert (found.verdict, found.reason) == (NOT_RUN, reason)
 
 
@@ -307,7 +307,7 @@ def test_holding_at_some_levels_only_is_inconclusive():
     assert judged(ours, {**VALUE, "levels": [0.1, 0.2]}).verdict == REPRODUCED
     found = judged(ours, {**VALUE, "levels": [0.2, 0.3]})
     assert (found.verdict, found.reason) == (
-        OPEN, "holds as far as it could be tried; not in the tables: level 0.3",
+        OPEN, "the available part is as claimed; not in the tables: level 0.3",
     )  # fmt: skip
     found = judged(ours, {**VALUE, "tests": ["noise", "deformation"]})
     assert found.verdict == OPEN
@@ -358,7 +358,7 @@ def test_runs_at_a_limit_that_could_turn_the_verdict_leave_it_open_and_say_so():
     rival = limited(runs_of("rival", rmse_excess=0.1), TRIALS)
     found = judged(evidence(runs_of("ours"), rival), RATIO)
     assert (found.verdict, found.limited) == (OPEN, 90)
-    assert "3 for runs that ended at a limit and could turn them" in found.reason
+    assert "3 because of runs at a limit that could change them" in found.reason
     assert judged(evidence(runs_of("ours"), rival), RATIO, limits_decide=True).verdict == REPRODUCED
 
 
@@ -391,7 +391,7 @@ def test_a_range_between_the_ends_of_runs_at_a_limit_leaves_it_open(check):
     assert judged(evidence(limited(mine, TRIALS), other), check).verdict == OPEN
 
 
-def test_a_run_at_a_limit_may_come_to_the_greatest_rmse_of_all():
+def test_a_run_at_a_limit_may_reach_the_maximum_rmse():
     check = {**VALUE, "quantity": "rmse", "claimed": {"below": 0.2}}
     mine = runs_of("ours", rmse=0.1)
     assert judged(evidence(mine, runs_of("rival", rmse=5.0)), check).verdict == REPRODUCED
@@ -424,7 +424,7 @@ def test_one_part_against_refutes_and_is_the_evidence():
     found = judged(evidence(ours, runs_of("rival", rmse_excess=error(0.1))), RATIO)
     assert found.verdict == NOT
     assert "noise, 0.1, the least favourable of 3" in found.evidence
-    assert found.reason == "of 3 comparisons 2 as claimed, 1 against"
+    assert found.reason == "of 3 comparisons 2 as claimed, 1 against the claim"
 
 
 @pytest.mark.parametrize(("least", "verdict"), [(0.1, REPRODUCED), (0.5, NOT)])
@@ -456,7 +456,7 @@ def test_few_instances_decide_nothing():
     ]
     found = judged(evidence(*few), RATIO)
     assert found.verdict == OPEN
-    assert found.reason == "of 3 comparisons 3 open (3 for fewer than 5 instances)"
+    assert found.reason == "of 3 comparisons 3 inconclusive (3 with fewer than 5 instances)"
 
 
 def test_instances_are_paired():
@@ -477,7 +477,7 @@ def test_no_pose_counts_as_a_longest_side_and_lengths_as_sides_of_the_source():
     np.testing.assert_allclose(errors.iloc[1:], 0.05)
 
 
-def test_wrong_poses_search_errors_and_certificates_are_told_apart():
+def test_wrong_poses_search_errors_and_certificates_are_distinguished():
     runs = runs_of("ours")
     runs.loc[0, ["success", "verdict", "rmse"]] = False, "search_error", np.nan
     runs.loc[1, ["success", "verdict", "rmse"]] = False, "model_error", 3.0
@@ -499,7 +499,7 @@ def test_times_of_unfinished_runs_count_as_twice_the_limit():
 
 def test_statistics_are_what_they_are_called():
     values = np.array([0.0, 1.0, 2.0, 3.0, 94.0])
-    assert [getattr(intervals, name)(values).value for name in ("mean", "median", "greatest")] == [
+    assert [getattr(intervals, name)(values).value for name in ("mean", "median", "maximum")] == [
         20.0, 2.0, 94.0,
     ]  # fmt: skip
 
@@ -604,18 +604,18 @@ def test_claims_of_the_paper_are_about_its_own_bound_where_that_ran(role, ratio)
     assert published < ours
 
 
-def test_no_claim_is_judged_by_bounds_of_ours_unless_it_says_so():
+def test_only_claims_that_say_so_use_the_bounds_of_this_project():
     for claim in ledger().claims:
         roles = [check.get(key, []) for check in claim.checks for key in ("subject", "methods")]
         named = {role for names in roles for role in ([names] if isinstance(names, str) else names)}
-        assert "dcreg" not in named or "ours" in claim.test
+        assert "dcreg" not in named or "this project's" in claim.test
 
 
-def test_a_folder_of_another_name_does_not_take_the_place_of_an_experiment_in_silence(tmp_path):
+def test_a_folder_of_another_name_is_noted(tmp_path):
     for folder in ("a-trial", "paper2d"):
         report_fixture.write_tables(tmp_path / folder / "tables", experiment="paper2d")
     (note,) = Evidence.of_folders([tmp_path]).notes
-    assert f"those of {tmp_path / 'a-trial'}" in note
+    assert f"those in {tmp_path / 'a-trial'}" in note
     (note,) = Evidence.of_folders([tmp_path / "a-trial"]).notes
     assert f"{tmp_path / 'a-trial'}, a folder of another name" in note
 
@@ -631,7 +631,7 @@ def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick
     assert set(found.experiments) == {"paper2d", "other"}
     assert found.experiments["paper2d"].tables.experiment == "paper2d"
     whole, quick = tmp_path / "paper2d", tmp_path / "paper2d-quick"
-    assert found.notes == (f"paper2d: the tables of {whole} are judged, not those of {quick}",)
+    assert found.notes == (f"paper2d: the tables in {whole} are used, not those in {quick}",)
     named = Evidence.of_folders([tmp_path / "paper2d-quick", tmp_path / "paper2d"])
     assert named.experiments["paper2d"].tables.experiment == "paper2d"
     of_quick = [
@@ -645,7 +645,7 @@ def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick
     beside = Evidence.of_tables(found.experiments["paper2d"].tables)
     assert set(beside.study) == {name for _, name, _ in STUDY}
     out = tmp_path / "out"
-    answer = CliRunner().invoke(claims_app(), [str(tmp_path), "--out", str(out)])
+    answer = CliRunner().invoke(app, ["claims", str(tmp_path), "--out", str(out)])
     assert answer.exit_code == 0, answer.output
     table = pd.read_csv(out / "claims.csv")
     assert len(table) == 36
@@ -658,21 +658,13 @@ def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick
     assert table[["command", "reason"]].notna().all(axis=None)
     assert table.loc[table["verdict"] != NOT_RUN, "evidence"].notna().all()
     page = (out / "index.html").read_text(encoding="utf-8")
-    assert "Tables at hand: paper2d, other, bounds." in page.replace(
+    assert "Available tables: paper2d, other, bounds." in page.replace(
         "other, paper2d", "paper2d, other"
     )
     assert all(identity in page for identity in table["id"])
 
 
-def claims_app():
-    import typer
-
-    app = typer.Typer()
-    app.command()(claims.main)
-    return app
-
-
 def test_a_folder_that_is_not_there_is_named(tmp_path):
-    answer = CliRunner().invoke(claims_app(), [str(tmp_path / "nosuch"), "--out", str(tmp_path)])
+    answer = CliRunner().invoke(app, ["claims", str(tmp_path / "nosuch"), "--out", str(tmp_path)])
     assert answer.exit_code == 2
     assert "nosuch: no such folder" in answer.output

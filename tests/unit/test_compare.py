@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from workflows.__main__ import app
 from workflows.compare import (
-    RECORDED,
     CompareError,
     compare,
     judge_experiment,
     read_version,
     sign_test,
 )
+from workflows.records import SCHEMA_VERSION, recorded_columns
 
 N_RUNS = 20
 
 
 def table(rng: np.random.Generator, method: str = "dcreg") -> pd.DataFrame:
-    """A recorded version of one bounding method: certified runs, the last two ended by the clock."""
+    """A recorded version of one bounding method: certified runs, the last two at the time limit."""
     runs = pd.DataFrame(
         {
             "run_id": [f"r{i}" for i in range(N_RUNS)],
@@ -40,7 +42,12 @@ def table(rng: np.random.Generator, method: str = "dcreg") -> pd.DataFrame:
             "machine_id": "m",
         }
     )
-    return runs.reindex(columns=RECORDED)
+    return runs.reindex(columns=list(recorded_columns()))
+
+
+def about(folder, version=SCHEMA_VERSION):
+    content = {"schema_version": version, "git": {"commit": "abc123"}}
+    (folder / "about.json").write_text(json.dumps(content))
 
 
 def verdicts(base: pd.DataFrame, head: pd.DataFrame) -> dict[str, str]:
@@ -56,20 +63,21 @@ def test_an_unchanged_version_has_no_finding(base):
     assert set(verdicts(base, base.copy()).values()) == {"same"}
 
 
-def test_a_version_recorded_with_columns_of_old_is_still_read(base, tmp_path):
+def test_a_record_with_an_additional_column_is_read(base, tmp_path):
     folder = tmp_path / "old" / "e"
     folder.mkdir(parents=True)
     base.assign(n_bound_evals=base["n_nodes"]).to_csv(folder / "runs.csv", index=False)
+    about(folder)
     old = read_version("old", tmp_path)["e"]
     assert set(verdicts(old, base).values()) == {"same"}
 
 
-def test_a_rerun_differs_by_the_clock_only(base, rng):
+def test_a_rerun_differs_in_times_and_limits_only(base, rng):
     head = base.copy()
     head["time_solve_s"] *= rng.uniform(0.9, 1.1, N_RUNS)
     clocked = head["status"] == "time_limit"
     for column in ("n_nodes", "n_assignments", "gap", "rmse", "objective"):
-        head.loc[clocked, column] *= 2  # what the clock cuts off is different every time
+        head.loc[clocked, column] *= 2  # a time limit cuts each execution elsewhere
     assert "worse" not in verdicts(base, head).values()
     assert verdicts(base, head)["n_nodes"] == "same"
 
@@ -124,8 +132,8 @@ def test_one_lost_pose_is_a_regression_whatever_ended_the_run(base, status):
     assert verdicts(head, base)["without pose"] == "better"
 
 
-def test_success_lost_to_the_clock_is_a_regression(base):
-    """12 of 12 in one version, 6 of 12 in the next, the other 6 ended by the clock."""
+def test_success_lost_to_the_time_limit_is_a_regression(base):
+    """12 of 12 in one version, 6 of 12 in the next, the other 6 at the time limit."""
     base = base.iloc[:12].assign(status="optimal")
     head = base.copy()
     head.loc[:5, ["status", "success"]] = ["time_limit", False]
@@ -151,7 +159,7 @@ def test_a_bound_above_the_truth_is_a_regression(base):
     ("status", "slower", "expected"),
     [("node_limit", 1.0, "worse"), ("time_limit", 1.1, "unclear"), ("time_limit", 3.0, "worse")],
 )
-def test_a_lost_certificate_is_a_regression_unless_the_clock_may_have_taken_it(
+def test_a_lost_certificate_is_a_regression_unless_the_time_limit_may_explain_it(
     base, status, slower, expected
 ):
     head = base.copy()
@@ -186,6 +194,7 @@ def history(base, tmp_path):
         folder = tmp_path / version / "demo"
         folder.mkdir(parents=True)
         runs.to_csv(folder / "runs.csv", index=False)
+        about(folder)
 
     keep("v1", base)
     keep("same", base)
@@ -195,6 +204,9 @@ def history(base, tmp_path):
     keep("elsewhere", base.assign(instance_digest="new"))
     (tmp_path / "broken" / "demo").mkdir(parents=True)
     (tmp_path / "broken" / "demo" / "runs.csv").write_text("a,b\n1,2\n")
+    about(tmp_path / "broken" / "demo")
+    keep("old", base)
+    about(tmp_path / "old" / "demo", 3)
     return tmp_path
 
 
@@ -203,9 +215,10 @@ def history(base, tmp_path):
     [
         ("same", 0, "no regression"),
         ("worse", 1, "1 regressions"),
-        ("none", 2, "known: broken, elsewhere, same, v1, worse"),
+        ("none", 2, "known: broken, elsewhere, old, same, v1, worse"),
         ("broken", 2, "column 'run_id' is missing"),
         ("elsewhere", 2, "share no instance"),
+        ("old", 2, "run and record the experiment again at commit abc123"),
     ],
 )
 def test_exit_codes_for_ci(history, capfd, head, code, says):

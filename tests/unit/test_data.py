@@ -237,7 +237,7 @@ def test_farthest_points_cover_a_grid():
     corners = grid[farthest_points(grid, 4)]
     assert {tuple(corner) for corner in corners} == {(0, 0), (0, 4), (4, 0), (4, 4)}
     assert sorted(farthest_points(grid, 25)) == list(range(25))
-    with pytest.raises(ValueError, match="26 points asked of a set of 25"):
+    with pytest.raises(ValueError, match="n=26 exceeds the 25 points"):
         farthest_points(grid, 26)
 
 

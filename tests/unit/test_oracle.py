@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from workflows import methods
+from baselines import registry
 from workflows.config import Experiment
 from workflows.instances import (
     Problem,
@@ -78,11 +78,11 @@ def test_no_other_method_does_even_when_the_truth_is_at_hand(
 
 
 def test_the_share_of_outliers_is_read_from_options_and_card() -> None:
-    assert methods.oracle_outliers("gnc_tls", {}) is None
-    assert methods.oracle_outliers("icp", {}) is None
-    assert methods.oracle_outliers("gnc_tls", {"front_end": "oracle"}) == 0.5
+    assert registry.oracle_outliers("gnc_tls", {}) is None
+    assert registry.oracle_outliers("icp", {}) is None
+    assert registry.oracle_outliers("gnc_tls", {"front_end": "oracle"}) == 0.5
     asked = {"front_end": "oracle", "oracle_outliers": 0.9}
-    assert methods.oracle_outliers("gnc_tls", asked) == 0.9
+    assert registry.oracle_outliers("gnc_tls", asked) == 0.9
 
 
 def test_oracle_pairs_change_the_digest_and_their_absence_does_not(rng) -> None:

@@ -141,8 +141,11 @@ def test_poses_that_no_model_has_are_refused(mine, folder, dim, linear, expected
 @pytest.mark.parametrize(
     ("parameters", "expected"),
     [
-        ({}, "parameters.folder: missing; add it, as the loader pairs takes folder, tolerance,"),
-        ({"folder": ".", "tolerance": 0.1, "size": 1}, "parameters.size: unknown; known: folder"),
+        ({}, "parameters.folder: missing; add it"),
+        (
+            {"folder": ".", "tolerance": 0.1, "size": 1},
+            "parameters.size: unknown key; known: folder",
+        ),
         (
             {"folder": ".", "tolerance": 0},
             "parameters.tolerance: 0; input should be greater than 0",

@@ -126,9 +126,7 @@ def test_marks_of_the_first_photograph_are_the_first_of_the_others(shape):
     made = make_instance(dataset("lian_images"), shape, "marked", 2.0, 0)
     source, target = made.judged
     rms = METRICS["rmse_floor"].compute(
-        Case(
-            made.T_true, made.T_true, made.source, made.target, made.pairs, 9, made.scale_range, ""
-        )
+        Case(made.T_true, made.T_true, made.source, made.target, made.pairs, 9, made.scale_range)
     )
     assert len(made.pairs) == len(source) < len(made.target)
     assert rms < 0.06 * np.ptp(target, axis=0).max()
@@ -150,7 +148,7 @@ def test_edges_are_told_nine_tenths_and_judged_by_the_marks(tmp_path):
 
     def rmse(T: np.ndarray) -> float:
         case = Case(
-            T, raw.T_true, raw.source, raw.target, raw.pairs, 72, raw.scale_range, "",
+            T, raw.T_true, raw.source, raw.target, raw.pairs, 72, raw.scale_range,
             marks=truth.marks,
         )  # fmt: skip
         return METRICS["rmse"].compute(case)

@@ -269,7 +269,7 @@ def test_print_shows_what_the_page_shows_and_its_open_markers(tables):
     opened = sum(len(m.get_ydata()) for m in full if m.get_markerfacecolor() == "white")
     assert opened == sum("-open" in symbol for t in shown for symbol in t["marker"]["symbol"]) > 0
     texts = [text.get_text() for text in drawn.legends[0].get_texts()]
-    assert "open: some runs at a limit" in texts
+    assert "open: some runs hit a limit" in texts
 
 
 def test_levels_with_a_failed_run_are_dotted_on_the_page_and_in_print(tables):
@@ -307,21 +307,21 @@ def test_outcome_counts_limits_and_missing_poses(tables):
     assert success == sorted(success, reverse=True)
 
 
-def test_methods_that_are_told_the_true_pairs_come_after_all_others(tables):
+def test_methods_that_receive_the_true_pairs_come_last(tables):
     best = outcome.outcomes(tables)[0]
     cards = {
         name: {**card, "options": {"front_end": "oracle"}} if name == best["method"] else card
         for name, card in tables.cards.items()
     }
-    told = dataclasses.replace(tables, provenance={**tables.provenance, "methods": cards})
-    ranked = [r["method"] for r in outcome.outcomes(told) if r["model"] == best["model"]]
+    changed = dataclasses.replace(tables, provenance={**tables.provenance, "methods": cards})
+    ranked = [r["method"] for r in outcome.outcomes(changed) if r["model"] == best["model"]]
     assert len(ranked) > 1
     assert ranked[-1] == best["method"]
 
 
 def test_first_screen_says_what_was_run(html):
     shown = re.sub(r"<[^>]*>", " ", html.split('class="run"')[1].split("</dl>")[0])
-    for text in ("fish-like, glyph-like of demo", "98", "10 s a run", "0.05 of the longest side",
+    for text in ("fish-like, glyph-like of demo", "98", "10 s per run", "0.05 of the longest side",
                  "1 and 0.5 × the true pairs"):  # fmt: skip
         assert text in shown
     assert html.index('id="outcomes"') < html.index('id="accounting"')
@@ -339,7 +339,7 @@ def test_ledger_is_on_the_first_page_of_its_experiment(folder, tmp_path):
 
 def test_a_run_at_its_limit_says_so_and_how_to_repeat_it(html):
     text = html.split('id="unfinished"')[1].split("</table>")[0]
-    assert "met its limit of 10 s (made-up bound)" in text
+    assert "hit its limit of 10 s (made-up bound)" in text
     assert "–" not in re.findall(r'class="reason">([^<]*)', text)
     assert "python -m workflows replay made-up" in text
 
@@ -361,13 +361,13 @@ def test_the_page_tells_the_limit_that_a_run_met(tmp_path):
     build(folder, tmp_path / "index.html")
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     first = page.split('class="run"')[1].split("</dl>")[0]
-    assert f"10 s a run; 2 of {len(known['methods'])} methods also a number of boxes" in first
+    assert f"10 s per run; 2 of {len(known['methods'])} methods also a limit on boxes" in first
     assert "10 s, 700 boxes at 100 points" in page.split('id="parameters"')[1]
 
     unfinished = page.split('id="unfinished"')[1].split("</table>")[0]
-    for limit in ("700 boxes at 100 points", "8 boxes or starts"):
-        assert f"met its limit of {limit} (made-up bound)" in unfinished
-    assert unfinished.count("met its limit of 10 s") == 1  # the third method that bounds
+    for limit in ("700 boxes at 100 points", "8 boxes or initial poses"):
+        assert f"hit its limit of {limit} (made-up bound)" in unfinished
+    assert unfinished.count("hit its limit of 10 s") == 1  # the third method that bounds
 
 
 @pytest.mark.parametrize(
@@ -376,7 +376,7 @@ def test_the_page_tells_the_limit_that_a_run_met(tmp_path):
         ({}, "1 × the true pairs"),
         (
             {"n_inliers": [90, 90]},
-            "1 × the true pairs (canny: × the number of its data set's rule)",
+            "1 × the true pairs (canny: × the number of the dataset's rule)",
         ),
         (
             {"n_source": [400, 100], "n_inliers": [20, 5]},
@@ -384,7 +384,7 @@ def test_the_page_tells_the_limit_that_a_run_met(tmp_path):
         ),
     ],
 )
-def test_the_number_of_pairs_told_is_named_as_what_it_is(changes, words):
+def test_the_given_number_of_pairs_is_described(changes, words):
     made = {"n_inliers_ratio": 1.0, "instance_id": "i", "test": "canny", "n_inliers_true": 20}
     runs = pd.DataFrame({"n_source": [100, 100], "n_inliers": [20, 20], **changes}).assign(**made)
     assert outcome._prior(runs) == words
@@ -470,7 +470,7 @@ def test_a_method_looks_the_same_in_every_experiment(tables):
             assert getattr(style, look) == getattr(styles[label], look), label
 
 
-def test_methods_of_all_cards_are_told_apart_by_colour_and_marker():
+def test_methods_of_all_cards_differ_in_colour_or_marker():
     cards = {name: registry.read_card(name) for name in registry.names()}
     assert len(cards) > 20
     assert {card.marker for card in cards.values()} <= set(theme.MARKERS)

@@ -37,7 +37,7 @@ def test_a_lock_of_a_snakemake_started_by_hand_is_named_with_a_remedy(tmp_path):
     lock.parent.mkdir(parents=True)
     lock.write_text("results/a/plan/plan.parquet\n")
     with (
-        pytest.raises(BusyError, match=r"started by hand .*0\.output\.lock.*snakemake --unlock"),
+        pytest.raises(BusyError, match=r"started manually .*0\.output\.lock.*snakemake --unlock"),
         the_only_run(tmp_path, "a"),
     ):
         pass

@@ -9,7 +9,7 @@ import pandas as pd
 import report_fixture
 from rich.console import Console
 
-from workflows import methods
+from baselines import registry
 from workflows.config import Experiment, parse_selection
 from workflows.stages.plan import expand
 from workflows.summary import outlook_of, print_baselines, print_summary
@@ -18,7 +18,7 @@ FAULTS = Path(__file__).parents[1] / "workflow" / "baselines"
 
 
 def test_the_list_of_methods_shows_the_key_that_a_config_needs(monkeypatch):
-    monkeypatch.setattr(methods, "roots", lambda: [FAULTS])
+    monkeypatch.setattr(registry, "roots", lambda: [FAULTS])
     console = Console(record=True, width=160)
     print_baselines(console)
     lines = console.export_text().splitlines()
@@ -50,7 +50,7 @@ def test_the_outlook_counts_finished_runs_and_takes_their_times(tmp_path):
     plan = expand(experiment)
     first, second, _ = [run.run_id for run in plan.runs() if run.method.name == "a"]
     rows = [
-        {"run_id": first, "fingerprint": methods.fingerprint("icp"), "time_solve_s": 2.0},
+        {"run_id": first, "fingerprint": registry.fingerprint("icp"), "time_solve_s": 2.0},
         {"run_id": second, "fingerprint": "of an older version", "time_solve_s": 4.0},
         {"run_id": "of another config", "fingerprint": "", "time_solve_s": 100.0},
     ]

@@ -17,6 +17,7 @@ from data.contract import RawInstance, UnknownNameError
 from data.registry import dataset
 from data.threedmatch.loader import read_csv
 from dcreg.status import Status
+from reports.threedmatch import draw
 from workflows.config import DatasetSettings, Experiment, MethodSettings, load, parse_selection
 from workflows.instances import Problem, content_digest, read_problems, write_problems
 from workflows.metrics import METRICS, Case
@@ -24,7 +25,6 @@ from workflows.stages import generate
 from workflows.stages.plan import InstanceSpec, expand, run_identity
 from workflows.studies.threedmatch import (
     against_overlap,
-    draw,
     not_attempted,
     recalls,
     with_pairs,
@@ -228,7 +228,7 @@ def test_objective_of_whole_clouds_is_left_out():
     for cloud, is_known in ((few, True), (many, False)):
         case = Case(
             T=np.eye(4), T_true=np.eye(4), source=cloud, target=cloud, pairs=MATCHES[:5],
-            n_inliers=5, scale_range=(1, 1), dataset="threedmatch",
+            n_inliers=5, scale_range=(1, 1),
         )  # fmt: skip
         assert np.isfinite(METRICS["objective"].compute(case)) == is_known
         assert METRICS["rmse"].compute(case) == 0.0
@@ -263,5 +263,5 @@ def test_both_recalls_are_the_published_ones(tmp_path):
     assert row["recall_scenes_pct"] == pytest.approx(100 * np.mean(shares))
     bins = against_overlap(runs)
     assert (bins["pairs"].sum(), bins["poses"].sum()) == (40, 39)
-    draw(bins, tmp_path / "figure")
+    draw(bins, tmp_path / "figure", 0.2)
     assert {path.suffix for path in tmp_path.iterdir()} == {".pdf", ".svg"}

@@ -327,7 +327,7 @@ def test_a_run_that_is_stopped_or_killed_goes_on_from_there(checkout):
     first = checkout.start(*run)
     kept = waiting.allow(2)
     refused = checkout.command(*run, ok=False)
-    assert f"another run works on these results, process {first.pid} " in refused
+    assert f"another run uses these results: process {first.pid} " in refused
 
     family = psutil.Process(first.pid).children(recursive=True)
     assert len(family) >= 3  # Snakemake, the job, its worker

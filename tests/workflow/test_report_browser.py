@@ -148,7 +148,7 @@ def test_first_screen_is_the_outcome(page):
         "return $('#outcomes tbody tr:nth-child(4)').getBoundingClientRect().bottom"
     )
     assert 0 < lowest < 900
-    assert "10 s a run" in page.find_element("css selector", ".run").text
+    assert "10 s per run" in page.find_element("css selector", ".run").text
     times = [float(value) for value in column(page, "outcomes", 6)]
     assert max(times) > 1.0  # limits and missing poses count twice the limit
 

@@ -1,4 +1,4 @@
-# One folder with every table the report, a comparison or a reader needs.
+# One folder with every table that a report, a comparison or a reader needs.
 rule aggregate:
     input:
         f"{VIEW}/plan/plan.parquet",
@@ -11,7 +11,7 @@ rule aggregate:
         f"{VIEW}/tables/overlays.json",
     params:
         config=digest(EXPERIMENT.model_dump()),
-        cards=digest([methods.card(method.baseline).model_dump() for method in PLAN.methods]),
+        cards=digest([registry.read_card(method.baseline).model_dump() for method in PLAN.methods]),
         sources=sources(
             "workflows/stages/aggregate.py", "workflows/attribution.py", "workflows/records.py"
         ),

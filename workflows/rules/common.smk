@@ -1,4 +1,4 @@
-# What all stages share. The experiment and the selection are checked here, before anything runs.
+# Shared by all stages. The experiment and the selection are checked here, before anything runs.
 
 import logging
 import os
@@ -10,7 +10,7 @@ sys.path.insert(0, workflow.basedir)
 from snakemake.exceptions import WorkflowError
 from snakemake.logging import logger
 
-from workflows import methods
+from baselines import registry
 from workflows.config import ConfigError, load, origin, parse_selection
 from workflows.hashing import digest, digest_files
 from workflows.stages.plan import expand, method_identity
@@ -18,7 +18,7 @@ from workflows.stages.plan import expand, method_identity
 CONFIG = str(config.get("experiment", "demo"))
 SELECT = str(config.get("select") or "").split()  # as in "methods=icp,cpd tests=noise"
 
-# Snakemake shows all of its messages or none. A run of ours shows none, and the errors if it fails.
+# Snakemake shows either all of its messages or none. `workflows run` shows none, and the errors on failure.
 if "errors" in config:
     to_file = logging.FileHandler(config["errors"], encoding="utf-8")
     to_file.setLevel(logging.ERROR)
@@ -34,7 +34,7 @@ OUT = f"results/{EXPERIMENT.name}"  # instances and runs
 VIEW = str(Path(OUT) / PLAN.view)  # plan, metrics, tables and report: of the whole, or of a part
 JOBS = [(method.name, chunk.name) for method, chunk in PLAN.jobs()]
 
-# Every stage is `{STAGE} <name> {CHOICE} ...` in a process of its own.
+# Every stage is `{STAGE} <name> {CHOICE} ...` in a separate process.
 CHOICE = " ".join([f"'{CONFIG}'", *(f"--select '{part}'" for part in SELECT)])
 STAGE = f"'{sys.executable}' -m workflows"
 os.environ["PYTHONPATH"] = os.pathsep.join(
@@ -43,8 +43,8 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 os.environ["DCREG_PARALLEL_JOBS"] = str(workflow.cores or 1)
 
 
-# Snakemake compares `params` with those of the last run. A hash of the sources that decide a
-# stage's output makes exactly the stages run again that a change concerns.
+# Snakemake compares `params` with those of the last run. A hash of the sources that determine the output
+# of a stage repeats exactly the stages that a change affects.
 def sources(*entries):
     return digest_files(Path(workflow.basedir), entries)
 
@@ -54,7 +54,7 @@ def solve_identity(wildcards):
 
 
 def solve_fingerprint(wildcards):
-    return methods.fingerprint(EXPERIMENT.method(wildcards.method).baseline)
+    return registry.fingerprint(EXPERIMENT.method(wildcards.method).baseline)
 
 
 wildcard_constraints:

@@ -1,4 +1,4 @@
-# Keeps the small tables of this experiment under a version: snakemake record --config version=v1
+# Records the small tables of this experiment under a version: snakemake record --config version=v1
 rule record:
     input:
         rules.aggregate.output,

@@ -1,4 +1,4 @@
-# Metrics from pose and truth: a new metric repeats no run.
+# Metrics from pose and ground truth: a new metric repeats no run.
 rule evaluate:
     input:
         f"{VIEW}/plan/plan.parquet",
@@ -7,6 +7,6 @@ rule evaluate:
     output:
         f"{VIEW}/metrics/metrics.parquet",
     params:
-        sources=sources("workflows/stages/evaluate.py", "workflows/metrics.py"),
+        sources=sources("workflows/stages/evaluate.py", "workflows/metrics"),
     shell:
         "{STAGE} evaluate {OUT} --plan {VIEW}/plan/plan.parquet --out {output}"

@@ -1,4 +1,4 @@
-# Brings in the files that the instances of a chunk need, verified; one at a time, as chunks share files.
+# Fetches and verifies the files that the instances of a chunk need; one at a time, as chunks share files.
 def fetch_cards(wildcards):
     return sources(*(f"data/{name}" for name in PLAN.chunk(wildcards.chunk).datasets))
 

@@ -1,5 +1,5 @@
-# Instances, and apart from them their truth, which no solve job has among its inputs,
-# but those of methods with the front end `oracle`.
+# Instances, and their ground truth in a separate file, which is an input only of solve jobs of methods
+# with the front end `oracle`.
 def generate_sources(wildcards):
     from workflows.stages.generate import sources_digest
 

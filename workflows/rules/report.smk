@@ -1,4 +1,4 @@
-# Editing a figure reruns this and nothing else.
+# Editing a figure repeats this stage only.
 rule report:
     input:
         rules.aggregate.output,
@@ -7,4 +7,4 @@ rule report:
     params:
         sources=sources("reports"),
     shell:
-        "{STAGE} report {VIEW}/tables {output}"
+        "'{sys.executable}' -m reports experiment {VIEW}/tables {output}"

@@ -1,10 +1,10 @@
-# The only expensive and only timed stage: one job per method and chunk, in workers that can be lost.
-# `--resources timing=1` lets no two of them run beside each other, for undisturbed times.
-# Methods with the front end `oracle` get true pairs among random ones, and no other method does.
+# The only expensive and only timed stage: one job per method and chunk, in worker processes that may die.
+# `--resources timing=1` runs one job at a time, for undisturbed times.
+# Only methods with the front end `oracle` receive true pairs, among random ones.
 def oracle_truth(wildcards):
     method = EXPERIMENT.method(wildcards.method)
-    favoured = methods.oracle_outliers(method.baseline, method.options) is not None
-    return [f"{OUT}/truth/{wildcards.chunk}.npz"] if favoured else []
+    has_oracle = registry.oracle_outliers(method.baseline, method.options) is not None
+    return [f"{OUT}/truth/{wildcards.chunk}.npz"] if has_oracle else []
 
 
 rule solve:

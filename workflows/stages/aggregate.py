@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from baselines import registry
 from dcreg.files import whole_file
-from workflows import attribution, methods, provenance, records
+from workflows import attribution, outcomes, provenance, records
 from workflows.config import MethodSettings
 from workflows.instances import read_problems
 from workflows.outcomes import OUTCOMES
@@ -52,14 +53,14 @@ def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
             "repeat the solve and evaluate stages"
         )
     by_name = {method.name: method for method in plan.methods}
-    cards = {name: methods.card(method.baseline) for name, method in by_name.items()}
+    cards = {name: registry.read_card(method.baseline) for name, method in by_name.items()}
     runs = runs.assign(
         schema_version=records.SCHEMA_VERSION,
         experiment=plan.experiment.name,
         display_name=runs["method"].map(lambda name: display_name(by_name[name])),
         provenance=runs["method"].map(lambda name: cards[name].provenance),
         n_inliers_ratio=runs["method"].map(lambda name: by_name[name].n_inliers_ratio),
-        outcome=runs["status"].map(records.outcome),
+        outcome=runs["status"].map(outcomes.outcome),
     )
     runs = attribution.attribute(runs)
     return records.conform(runs, records.runs_columns(), "tables/runs.parquet")
@@ -70,7 +71,7 @@ def display_name(method: MethodSettings) -> str:
 
     A reconstruction is called one, whatever its label says.
     """
-    card = methods.card(method.baseline)
+    card = registry.read_card(method.baseline)
     if method.label:
         hidden = card.provenance == "reconstruction" and "reconstruct" not in method.label.lower()
         return f"{method.label} (reconstructed)" if hidden else method.label
@@ -180,11 +181,11 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
         "replay": f"python -m workflows replay {shlex.quote(plan.config)}",
         "methods": {
             method.name: {
-                **methods.card(method.baseline).model_dump(),
+                **registry.read_card(method.baseline).model_dump(),
                 "baseline": method.baseline,
                 "display_name": display_name(method),
                 "options": method.options,
-                "idle_options": sorted(methods.idle_options(method.baseline, method.options)),
+                "idle_options": sorted(registry.idle_options(method.baseline, method.options)),
                 "n_inliers_ratio": method.n_inliers_ratio,
                 "limits": plan.experiment.limits_of(method).model_dump(),
                 "unavailable": reasons.get(method.name, ""),

@@ -1,4 +1,4 @@
-"""Raw results and truth to metrics: pure, cheap, and repeatable without any new run."""
+"""From raw results and ground truth to metrics: pure, cheap, and repeatable without any new run."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from data import registry
 from workflows import records
 from workflows.instances import Problem, Truth, read_problems, read_truths
 from workflows.metrics import METRICS, Case
 
 
 def evaluate(folder: Path, plan_path: Path) -> pd.DataFrame:
-    """One row of metrics for every planned run, from the instances and runs in `folder`."""
+    """Return one row of metrics for every planned run, from the instances and runs in `folder`."""
     plan = records.read(plan_path, records.PLAN)
     tables = []
     for chunk_id, planned in plan.groupby("chunk_id", sort=False):
@@ -26,16 +27,24 @@ def evaluate(folder: Path, plan_path: Path) -> pd.DataFrame:
         for method in planned["method"].unique():
             raw = records.read(folder / f"runs/{method}/{chunk_id}.parquet", records.RAW)
             rows = [
-                judge(run, problems[run["instance_id"]], truths[run["instance_id"]], dataset)
+                judge(run, problems[key], truths[key], success_rmse(datasets[key]))
                 for run in raw.to_dict("records")
-                if (dataset := datasets.get(run["instance_id"])) is not None
+                if (key := run["instance_id"]) in datasets
             ]
             tables.append(pd.DataFrame(rows))
     return relate(pd.concat(tables, ignore_index=True))
 
 
-def judge(run: Mapping[Any, Any], problem: Problem, truth: Truth, dataset: str) -> dict[str, Any]:
-    """Metrics of one run. Without a pose all of them are empty, and those of yes or no are no."""
+def success_rmse(dataset: str) -> float | None:
+    """Return the threshold that the benchmark of a dataset defines, if it defines one."""
+    found = registry.datasets().get(dataset)
+    return found.card.success_rmse if found else None
+
+
+def judge(
+    run: Mapping[Any, Any], problem: Problem, truth: Truth, success_rmse: float | None = None
+) -> dict[str, Any]:
+    """Return the metrics of one run; without a pose they are empty, and those of yes or no are no."""
     row: dict[str, Any] = {
         "run_id": run["run_id"],
         "instance_id": run["instance_id"],
@@ -55,13 +64,14 @@ def judge(run: Mapping[Any, Any], problem: Problem, truth: Truth, dataset: str) 
         marks=truth.marks,
         n_inliers=run["n_inliers"],
         scale_range=problem.scale_range,
-        dataset=dataset,
+        success_rmse=success_rmse,
         lower_bound=run["lower_bound"],
         scope=run["certificate_scope"],
-        is_thinned=(run["n_source"], run["n_target"]) != (len(problem.source), len(problem.target)),
+        is_downsampled=(run["n_source"], run["n_target"])
+        != (len(problem.source), len(problem.target)),
     )
     for name, metric in METRICS.items():
-        # Metrics of the truth alone have a value also where the method found no pose.
+        # Metrics of the ground truth alone also have a value where the method found no pose.
         known = found is not None or metric.better == "none"
         row[name] = metric.compute(case) if metric.compute and known else np.nan
         if metric.unit == "yes/no":
@@ -70,7 +80,7 @@ def judge(run: Mapping[Any, Any], problem: Problem, truth: Truth, dataset: str) 
 
 
 def relate(metrics: pd.DataFrame) -> pd.DataFrame:
-    """Add the metrics that compare a run with the others on its instance and prior."""
+    """Add the metrics that compare a run with the others on its instance and n_inliers."""
     attained = metrics["objective"].where(metrics["admissible"])
     alike = attained.groupby([metrics["instance_id"], metrics["n_inliers"]])
     best = np.fmin(alike.transform("min"), metrics["objective_true"])

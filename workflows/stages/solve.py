@@ -15,10 +15,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from baselines import registry
 from baselines.contract import Instance
 from dcreg.files import whole_file
 from dcreg.status import Status
-from workflows import methods, provenance, records
+from workflows import provenance, records
 from workflows.config import Experiment, MethodSettings
 from workflows.instances import content_digest, read_problems, read_truths, with_oracle
 from workflows.stages.plan import run_identity
@@ -44,7 +45,7 @@ def solve(
         problem.for_solver(method.n_inliers_ratio, experiment.seed, method.n_points)
         for problem in read_problems(instances_path)
     ]
-    outliers = methods.oracle_outliers(method.baseline, method.options)
+    outliers = registry.oracle_outliers(method.baseline, method.options)
     if outliers is not None and truth_path is not None:
         truths = read_truths(truth_path)
         instances = [with_oracle(each, truths[each.instance_id], outliers) for each in instances]
@@ -94,7 +95,7 @@ def _rows(
 ) -> Iterator[dict[str, Any]]:
     """A row per instance, in order: from a journal, or solved now."""
     constant = {
-        "fingerprint": methods.fingerprint(method.baseline),
+        "fingerprint": registry.fingerprint(method.baseline),
         "machine_id": provenance.machine_card()["machine_id"],
         "parallel_jobs": float(os.environ.get("DCREG_PARALLEL_JOBS", 1)),
     }

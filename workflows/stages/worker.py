@@ -46,10 +46,10 @@ class Server:
 
     def open(self, baseline: str, options: dict[str, Any], threads: int) -> dict[str, Any]:
         """Import and configure the method; ``reason`` says why it cannot run here."""
-        from workflows import methods
+        from baselines import registry
 
         self.threads = threads
-        self.method = methods.load(baseline, options)
+        self.method = registry.load(baseline, **options)
         reason = self.method.available()
         _cap_threads(threads)
         return {"reason": reason}

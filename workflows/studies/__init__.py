@@ -1,1 +1,3 @@
-"""Comparisons beside the workflow: bounds on the same boxes, our solvers beside recorded others."""
+"""Studies outside the workflow: bounds, 3D modes, real clouds, recorded results of other solvers."""
+
+REFERENCE = "dc"  # the bound whose loss is the unit of the losses in the study of bounds

@@ -1,13 +1,13 @@
-"""``python -m workflows.studies.bounds OUT``: lower bounds side by side, on the same boxes and problems.
+"""Compare lower bounds on the same boxes and problems: ``python -m workflows.studies.bounds OUT``.
 
 Compared are the library's bounds (`dcreg.families.registry`) and the bounds of every other
 method that can bound a box of poses (`baselines.contract.BoxBounding`). A new one of either kind takes
 part without a change here. Writes to OUT
 
-- ``boxes.csv``: the bound on every box, and the least objective met in it. Boxes of one width are
-  centred on the certified optimum, hold it elsewhere, or lie away from it.
-- ``losses.csv``: the mean of ``least - bound`` over the boxes of one width and place, also as a multiple
-  of the loss of the published DC bound.
+- ``boxes.csv``: the bound of every box, and the minimum objective found in it. Boxes of one width are
+  centred on the certified optimum, contain it elsewhere, or lie away from it.
+- ``losses.csv``: the mean of ``least - bound`` over the boxes of one width and place, and its ratio to
+  the loss of the published DC bound.
 - ``orders.csv``: the empirical order of convergence, the slope of log loss against log width.
 - ``searches.csv``: gap against nodes and assignments, one search per bound of the library, and per bound
   of methods that have several.
@@ -41,13 +41,13 @@ from dcreg.names import BOUND_NAMES
 from dcreg.problem import Frame, Problem, default_gap_tol
 from dcreg.search import Box, Budget, Outcome, minimise
 from workflows.disturb import make_instance
+from workflows.studies import REFERENCE
 
 WIDTHS = np.geomspace(2.0, 0.0002, 13)  # of the whole box, in RMS radii of the target
-# Boxes per width that hold the optimum off their centre, and that lie away from it: of the cases in the
-# plane these are 39 boxes, enough to show a share of 0.9.
+# Boxes per width that contain the optimum off their centre, and that lie away from it: 39 boxes of the 2D
+# cases, enough to show a share of 0.9.
 N_DRAWS = 6
 SEED = 20260326
-REFERENCE = "dc"  # the losses of the others are given as multiples of its loss
 COMBINED = ("tight+interval", "dc+interval")  # take part in the searches
 N_FITTED = 6  # an order is fitted to the smallest widths ...
 SHOWING = 1e-3  # ... at which the loss is above this share of the optimum
@@ -63,7 +63,7 @@ CASES = {  # shape, disturbance, level, points, options of the disturbance
 
 @dataclass(frozen=True)
 class Case:
-    """A normalised problem and the optimum of its objective."""
+    """A normalised problem and the minimum of its objective."""
 
     instance: Instance
     space: FeatureSpace
@@ -73,7 +73,7 @@ class Case:
 
     @classmethod
     def of(cls, name: str) -> Case:
-        """The case called `name` in `CASES`, solved to a thousandth of the default tolerance."""
+        """Solve the case `name` of `CASES` to a thousandth of the default tolerance."""
         shape, test, level, n_points, options = CASES[name]
         raw = make_instance(dataset("embedded"), shape, test, level, 0, n_points, **options)
         k = len(raw.pairs)
@@ -91,7 +91,7 @@ class Case:
 
 
 def placements(theta: np.ndarray, width: float) -> dict[str, list[Box]]:
-    """Boxes of one width by where the optimum `theta` lies in them; widths differ in nothing else."""
+    """Return boxes of one width by the place of the optimum `theta`; random draws do not depend on it."""
     rng = np.random.default_rng(SEED)
     half, dim = 0.5 * width, theta.size
     held = [theta + half * rng.uniform(-1.0, 1.0, dim) for _ in range(N_DRAWS)]
@@ -102,7 +102,7 @@ def placements(theta: np.ndarray, width: float) -> dict[str, list[Box]]:
     away = [elsewhere + rng.uniform(-0.2, 0.2, dim) for _ in range(N_DRAWS)]
     away = [
         centre for centre in away if (abs(theta - centre) > half).any()
-    ]  # large ones may reach back
+    ]  # large boxes may contain it
     centres = {"centred": [theta], "holding": held, "away": away}
     return {
         place: [Box(centre - half, centre + half) for centre in these]
@@ -111,7 +111,7 @@ def placements(theta: np.ndarray, width: float) -> dict[str, list[Box]]:
 
 
 def least_met(case: Case, box: Box) -> float:
-    """Least objective met in the box: its minimum where it holds the optimum, else at least that."""
+    """Return the minimum objective found in the box, which is exact if the box contains the optimum."""
     space = case.space
     thetas = np.vstack([box.centre, box.vertices(), box.sample(np.random.default_rng(SEED), 60)])
     descents = [np.clip(space.refine(theta)[0], box.lower, box.upper) for theta in thetas[:10]]
@@ -141,7 +141,7 @@ def library_bound(name: str, case: Case, box: Box) -> tuple[float, float]:
 
 
 def method_bound(method: BoxBounding, case: Case, box: Box) -> tuple[float, float]:
-    """What a method says of the box."""
+    """Return the bound of a method."""
     return float(method.box_bound(case.instance, box.lower, box.upper)), np.nan
 
 
@@ -168,7 +168,7 @@ def lines(case: Case) -> Iterator[Line]:
 
 
 def boxes_table(name: str, case: Case) -> pd.DataFrame:
-    """Every bound on every box of one case that holds an admissible pose."""
+    """Evaluate every bound on every box of one case that contains an admissible pose."""
     compared = list(lines(case))
     rows = []
     for width in map(float, WIDTHS):
@@ -191,7 +191,7 @@ def boxes_table(name: str, case: Case) -> pd.DataFrame:
 
 
 def losses_table(boxes: pd.DataFrame) -> pd.DataFrame:
-    """Mean loss per bound, place and width, and its ratio to the loss of `REFERENCE`."""
+    """Return the mean loss per bound, place and width, and its ratio to the loss of `REFERENCE`."""
     axes = ["instance", "place", "width"]
     mean = (
         boxes.assign(loss=boxes["least"] - boxes["value"])
@@ -205,9 +205,9 @@ def losses_table(boxes: pd.DataFrame) -> pd.DataFrame:
 
 
 def orders_table(losses: pd.DataFrame) -> pd.DataFrame:
-    """Slope of log loss over log width, of boxes that hold the optimum.
+    """Return the slope of log loss over log width for boxes that contain the optimum.
 
-    NaN where fewer than three widths show a loss: a bound that loses nothing has no order.
+    NaN if fewer than three widths show a loss: an exact bound has no order.
     """
     held = losses[losses["place"] != "away"]
     rows = []
@@ -261,7 +261,7 @@ def searches_table(name: str, case: Case, time_s: float) -> pd.DataFrame:
 
 
 def run(out: Path, time_s: float) -> None:
-    """All tables, into `out`."""
+    """Write all tables to `out`."""
     boxes, searches = [], []
     for name in CASES:
         case = Case.of(name)

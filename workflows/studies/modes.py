@@ -1,7 +1,7 @@
-"""``python -m workflows.studies.modes OUT``: how often each 3D mode finds the right pose, and how soon.
+"""Success rate and time of each 3D mode: ``python -m workflows.studies.modes OUT``.
 
-What `dcreg.modes.choose_mode` is chosen by. OUT gets ``modes.csv``, a row per solve, and the table that
-is printed: a row per size, share of the true pairs asked for, limit and mode.
+The choice of mode ``auto`` is based on this study. It writes ``modes.csv``, a row per solve, and
+``modes_summary.csv``, a row per size, n_inliers over the true pairs, time limit and mode.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -19,9 +19,9 @@ import dcreg
 from data.contract import RawInstance
 from data.registry import dataset
 from workflows.disturb import make_instance
-from workflows.metrics import Case, rmse_excess
+from workflows.metrics import Case
 
-RIGHT = 0.05  # RMSE above that of the best fit to the true pairs, in longest sides of the prototype
+RIGHT = 0.05  # error above the floor, in longest sides of the prototype
 TESTS = {
     "deformation": (0.02, 0.05),
     "noise": (0.02, 0.05),
@@ -30,7 +30,7 @@ TESTS = {
     "occlusion_outliers": (0.1, 0.3, 0.5),
 }
 SHAPES = {"horse": None, "dino": None, "bunny": None, "embedded": "pony"}
-SAME = 1.0 + 1e-3  # objectives within this factor are one place
+SAME = 1.0 + 1e-3  # objectives within this factor count as the same pose
 
 
 def main(
@@ -38,13 +38,13 @@ def main(
     points: Annotated[list[int], typer.Option(help="points per cloud")] = [100],  # noqa: B006
     share: Annotated[list[float], typer.Option(help="n_inliers over true pairs")] = [1.0, 0.5],  # noqa: B006
     limit: Annotated[list[float], typer.Option(help="seconds per solve")] = [10.0],  # noqa: B006
-    mode: Annotated[list[str], typer.Option()] = ["auto", "full", "paper"],  # noqa: B006
-    shapes: Annotated[str, typer.Option(help="data sets, by comma")] = ",".join(SHAPES),
-    trials: Annotated[int, typer.Option()] = 1,
+    mode: Annotated[list[str], typer.Option(help="modes to compare")] = ["auto", "full", "paper"],  # noqa: B006
+    shapes: Annotated[str, typer.Option(help="datasets, comma-separated")] = ",".join(SHAPES),
+    trials: Annotated[int, typer.Option(help="trials per test and level")] = 1,
 ) -> None:
-    """Solve every problem in every mode, one thread each; print and store the tables."""
+    """Solve every problem in every mode with one thread; print and store the tables."""
     rows = [
-        _solved(*problem, name, seconds)
+        _solved(problem, name, seconds)
         for n_points in points
         for part in share
         for problem in _problems(shapes.split(","), n_points, part, trials)
@@ -61,12 +61,12 @@ def main(
 
 
 def summary(solves: pd.DataFrame) -> pd.DataFrame:
-    """A row per size, share, limit and mode."""
+    """Return a row per size, share, limit and mode."""
     solves = solves.assign(best=solves.groupby("problem")["value"].transform("min"))
     solves["best"] = solves[["best", "reference_value"]].min(axis=1)
     wrong = ~solves["right"]
     solves["search_error"] = wrong & (solves["value"] > SAME * solves["best"])
-    # a wrong pose that fits better than the truth: no search for this objective finds the right one
+    # a wrong pose with a lower objective than the reference: an exact search returns it as well
     solves["model_error"] = wrong & ~solves["search_error"]
     grouped = solves.groupby(["points", "share", "limit_s", "mode"], sort=False)
     table = grouped.agg(
@@ -82,10 +82,16 @@ def summary(solves: pd.DataFrame) -> pd.DataFrame:
     return table.round(2).reset_index()
 
 
-def _problems(
-    names: list[str], n_points: int, part: float, trials: int
-) -> Iterator[tuple[str, RawInstance, float]]:
-    """Labelled instances of every shape, test and level."""
+class Labelled(NamedTuple):
+    """An instance and the share of its true pairs that is given as n_inliers."""
+
+    label: str
+    instance: RawInstance
+    n_points: int
+    share: float
+
+
+def _problems(names: list[str], n_points: int, part: float, trials: int) -> Iterator[Labelled]:
     for name in names:
         source = dataset(name)
         shape = SHAPES.get(name) or source.shapes()[0]
@@ -94,14 +100,12 @@ def _problems(
                 for trial in range(trials):
                     instance = make_instance(source, shape, test, level, trial, n_points)
                     label = f"{name} {test} {level} {trial} {n_points} {part}"
-                    yield label, instance, part
+                    yield Labelled(label, instance, n_points, part)
 
 
-def _solved(
-    label: str, instance: RawInstance, part: float, mode: str, limit: float
-) -> dict[str, object]:
-    pairs = instance.pairs
-    k = max(3, int(part * len(pairs)))
+def _solved(problem: Labelled, mode: str, limit: float) -> dict[str, object]:
+    instance, pairs = problem.instance, problem.instance.pairs
+    k = max(3, int(problem.share * len(pairs)))
     trace: list[dcreg.Event] = []
     began = time.perf_counter()
     result = dcreg.register(
@@ -114,16 +118,16 @@ def _solved(
     )
     judged = Case(
         result.T_target_source, instance.T_true, instance.source, instance.target, pairs, k,
-        (1.0, 1.0), label.split()[0],
+        (1.0, 1.0),
     )  # fmt: skip
-    error = rmse_excess(judged)
-    # in the other modes upper bounds are those of another objective
+    error = judged.rmse_excess
+    # in the other modes the upper bounds are of another objective
     found = [event.time_s for event in trace if event.upper_bound <= SAME * result.upper_bound]
     first = min(found, default=np.nan) if result.mode == "full" else np.nan
     return {
-        "problem": label,
-        "points": int(label.split()[-2]),
-        "share": part,
+        "problem": problem.label,
+        "points": problem.n_points,
+        "share": problem.share,
         "limit_s": limit,
         "mode": mode,
         "ran": result.mode,

@@ -1,8 +1,8 @@
-"""``python -m workflows.studies.walk OUT``: what a new user meets on real clouds with default options.
+"""``dcreg register`` with default options on real clouds: ``python -m workflows.studies.walk OUT``.
 
-Every pair of clouds is written to files at several sizes and given to ``dcreg register`` with nothing but
-the model, a share of pairs and a time limit. OUT gets ``walk.csv``: pose error, status, time against
-the limit, warnings. Needs the data that `data/` fetches.
+Every pair of clouds is written to files at several sizes and registered with nothing but the model, a
+share of pairs and a time limit. The study writes ``walk.csv``: pose error, status, time, warnings. It
+needs the data that `data/` fetches.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from dcreg.io import read_points
 from dcreg.problem import rotation_angle_deg
 
 SIZES = [100, 300, 1000, 5000, 0]
-KILLED_AFTER = 5.0  # limits; a run still there is killed and counted as a hang
+KILLED_AFTER = 5.0  # time limits; a run that takes longer is killed and counts as a hang
 
 
 @dataclass(frozen=True)
 class CloudPair:
-    """Two whole clouds, the share of the smaller one that is asked for, and the pose if it is known."""
+    """Two whole clouds, n_inliers as a share of the smaller one, and the pose if it is known."""
 
     name: str
     source: np.ndarray
@@ -66,13 +66,13 @@ def main(
 
 
 def cloud_pairs() -> Iterator[CloudPair]:
-    """Scans with published poses, and scans of one object turned by a drawn pose."""
+    """Yield scans with published poses, and scans of one object moved by a random pose."""
     rng = np.random.default_rng(7)
-    bunny = cast(PrototypeDataset, dataset("bunny"))
+    bunny = _prototypes("bunny")
     model, data = bunny.points("goicp_model", 35_947), bunny.points("goicp_data", 30_379)
     yield CloudPair("go-icp bunny", data, model, 0.8, None)
     for name in ("horse", "dino"):
-        shapes = cast(PrototypeDataset, dataset(name))
+        shapes = _prototypes(name)
         cloud = shapes.points(shapes.shapes()[0], 2_000)
         yield _turned(name, cloud, rng)
     scenes = dataset("threedmatch").shapes()
@@ -81,8 +81,14 @@ def cloud_pairs() -> Iterator[CloudPair]:
     yield _scans("small_gicp", "street", "pair", 0.0)
 
 
+def _prototypes(name: str) -> PrototypeDataset:
+    found = dataset(name)
+    assert isinstance(found, PrototypeDataset)
+    return found
+
+
 def _turned(name: str, cloud: np.ndarray, rng: np.random.Generator) -> CloudPair:
-    """Two halves that share four fifths of the object, with noise, the second one moved."""
+    """Return two overlapping parts of an object, the second one with noise and moved."""
     along = np.argsort(cloud @ rng.standard_normal(3))
     cut = len(cloud) // 10
     first, second = cloud[along[:-cut]], cloud[along[cut:]]
@@ -95,7 +101,8 @@ def _turned(name: str, cloud: np.ndarray, rng: np.random.Generator) -> CloudPair
 
 
 def _scans(name: str, shape: str, test: str, level: float) -> CloudPair:
-    scans = cast(RecordedDataset, dataset(name))
+    scans = dataset(name)
+    assert isinstance(scans, RecordedDataset)
     raw = scans.load(shape, test, level, 0, 100)
     files = scans.files(shape, test, level, 0)
     source, target = (
@@ -108,7 +115,7 @@ def _scans(name: str, shape: str, test: str, level: float) -> CloudPair:
 
 
 def _cloud(path: Path, number: float | str | None) -> np.ndarray:
-    """A whole cloud of a data set: a numbered fragment, or a file of points."""
+    """Read a whole cloud of a dataset: a numbered fragment, or a file of points."""
     return read_points(path) if number is None else fragment(path, int(number))
 
 

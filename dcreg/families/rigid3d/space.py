@@ -29,6 +29,7 @@ from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_m
 from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
 from dcreg.jit import NEVER
 from dcreg.problem.geometry import apply_pose
+from dcreg.names import RIGID_POSE
 from dcreg.search import Box, Budget
 
 _SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored
@@ -71,7 +72,7 @@ class Rigid3D(CloudSpace):
     # A unit step of a facet coordinate turns by 1 to 2 radians, which moves points at the RMS radius
     # by about this much; a unit step of the translation moves them by one.
     axis_weights = np.array([1.3, 1.3, 1.3, 1.3, 1.0, 1.0, 1.0])
-    scope = "rigid pose"
+    scope = RIGID_POSE
     n_descents = 24
 
     def __init__(

@@ -15,6 +15,7 @@ from dcreg.families.kernels import Clouds
 from dcreg.families.protocol import infeasibility_penalty, means_of_subsets, radius
 from dcreg.families.similarity2d.starts import similar_poses
 from dcreg.jit import NEVER
+from dcreg.names import SIMILARITY_POSE
 from dcreg.search import Box, Budget
 
 # Descents that end with k pairs begin with so many of the pairs beyond k that there are.
@@ -53,7 +54,7 @@ class Similarity2D(FeatureSpace):
         Set from another thread, it ends everything that takes long.
     """
 
-    scope = "similarity pose"
+    scope = SIMILARITY_POSE
     identity = np.array([1.0, 0.0, 0.0, 0.0])
 
     def __init__(

@@ -17,6 +17,7 @@ from dcreg.families.protocol import (
 from dcreg.families.translation3d.kernels.fit import fit_norm3d
 from dcreg.families.translation3d.kernels.line import match_on_line, objectives_on_line
 from dcreg.jit import NEVER
+from dcreg.names import NORM_TRANSLATION
 from dcreg.search import Box
 
 _AT_ONCE = 20_000  # points, `COLUMNS` times: that takes hundredths of a second
@@ -42,7 +43,7 @@ class Translation3D(FeatureSpace):
         Set from another thread, it ends everything that takes long.
     """
 
-    scope = "translation in norm space"
+    scope = NORM_TRANSLATION
     fixes_rotation = False
     identity = np.zeros(3)
 

@@ -1,4 +1,4 @@
-"""Two executions of a config: what differs is found, and told apart by whose fault it is."""
+"""Two executions of a config: every difference is found and gets a reason."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from workflows.__main__ import app
 from workflows.compare import CompareError
-from workflows.same import TIMES, differences, read
+from workflows.exact import TIMES, differences, read
 
 
 @pytest.fixture
@@ -23,12 +23,12 @@ def folder(tmp_path):
 
 @pytest.fixture
 def runs(folder) -> pd.DataFrame:
-    return read(folder / "a").assign(clocked=False)
+    return read(folder / "a").assign(is_timed=False)
 
 
-def kinds(one, other) -> dict[str, set[str]]:
+def reasons(one, other) -> dict[str, set[str]]:
     cells = differences(one, other).cells
-    return {kind: set(part["run_id"]) for kind, part in cells.groupby("kind")}
+    return {reason: set(part["run_id"]) for reason, part in cells.groupby("reason")}
 
 
 def changed(runs, row, **values):
@@ -41,7 +41,7 @@ def changed(runs, row, **values):
 def test_times_may_differ_and_missing_numbers_are_equal(runs):
     other = runs.copy()
     for column in TIMES:
-        other[column] = {"machine_id": "elsewhere", "clocked": True, "random": True}.get(
+        other[column] = {"machine_id": "elsewhere", "is_timed": True, "is_random": True}.get(
             column, 7.0
         )
     found = differences(runs, other)
@@ -55,61 +55,61 @@ def test_the_last_digit_of_one_run_is_found(runs):
     other = changed(runs, 3, objective=runs["objective"].iloc[3] * (1 + 1e-15))
     found = differences(runs, other)
     assert list(found.cells["column"]) == ["objective"]
-    assert kinds(runs, other) == {"unexplained": {runs.index[3]}}
+    assert reasons(runs, other) == {"unexplained": {runs.index[3]}}
     assert found.unexplained
 
 
-def test_what_the_clock_ended_is_told_apart_and_so_is_what_is_measured_by_it(runs):
-    late = changed(runs, 3, clocked=True, objective=0.5)
+def test_a_run_at_its_limit_explains_itself_and_what_is_compared_with_it(runs):
+    late = changed(runs, 3, is_timed=True, objective=0.5)
     instance = runs["instance_id"].iloc[3]
     beside = next(i for i in range(len(runs)) if runs["instance_id"].iloc[i] == instance and i != 3)
     late = changed(late, beside, objective_best=0.5)
-    assert kinds(runs, late) == {"clock": {runs.index[3]}, "others": {runs.index[beside]}}
+    assert reasons(runs, late) == {"limit": {runs.index[3]}, "others": {runs.index[beside]}}
     assert not differences(runs, late).unexplained
-    # Without a run that differs by itself nothing explains another best.
-    assert kinds(runs, changed(runs, beside, objective_best=0.5)) == {
+    # Without a run that differs by itself nothing explains a different best value.
+    assert reasons(runs, changed(runs, beside, objective_best=0.5)) == {
         "unexplained": {runs.index[beside]}
     }
 
 
-def test_other_code_is_told_first_and_is_no_excuse(runs):
-    other = changed(runs, 3, fingerprint="another", clocked=True, objective=0.5)
-    assert kinds(runs, other) == {"code": {runs.index[3]}}
+def test_changed_code_is_the_first_reason_and_no_excuse(runs):
+    other = changed(runs, 3, fingerprint="another", is_timed=True, objective=0.5)
+    assert reasons(runs, other) == {"code": {runs.index[3]}}
     assert differences(runs, other).unexplained
 
 
-def test_runs_of_one_alone_and_another_order_are_found(runs):
+def test_unmatched_runs_and_another_order_are_found(runs):
     fewer = runs[runs["method"] != runs["method"].iloc[0]]
     found = differences(runs, fewer)
-    assert found.alone == [runs["method"].iloc[0]]
+    assert found.unmatched == [runs["method"].iloc[0]]
     assert found.unexplained
     assert not differences(runs, runs.iloc[::-1]).same_order
-    with pytest.raises(CompareError, match="no run in common; run one config twice"):
+    with pytest.raises(CompareError, match="no run in common; run the same config twice"):
         differences(runs[:1], runs[1:2])
 
 
-def test_a_run_is_ended_by_the_clock_whatever_it_says_of_itself(folder):
+def test_a_run_that_took_its_time_limit_counts_as_limited_whatever_its_status(folder):
     path = folder / "a" / "tables" / "provenance.json"
     known = json.loads(path.read_text())
     runs = pd.read_parquet(folder / "a" / "tables" / "runs.parquet")
     limit = {method: {"limits": {"time_s": 0.5}} for method in runs["method"].unique()}
     path.write_text(json.dumps({**known, "methods": limit}))
-    assert (read(folder / "a")["clocked"].to_numpy() == expected(runs)).all()
+    assert (read(folder / "a")["is_timed"].to_numpy() == expected(runs)).all()
     assert 0 < expected(runs).sum() < len(runs)
 
 
-def test_a_method_that_does_not_repeat_itself_says_so_on_its_card(folder, runs):
+def test_a_random_method_is_recognised_by_its_card(folder, runs):
     path = folder / "a" / "tables" / "provenance.json"
     known = json.loads(path.read_text())
     method, other = runs["method"].unique()[:2]
     known["methods"][method]["deterministic"] = False
     known["methods"][other]["deterministic"] = True
     path.write_text(json.dumps(known))
-    told = read(folder / "a").assign(clocked=False)
-    of = [list(told["method"]).index(name) for name in (method, other)]
-    differ = changed(changed(told, of[0], objective=0.5), of[1], objective=0.5)
-    assert kinds(told, differ) == {
-        "random": {told.index[of[0]]}, "unexplained": {told.index[of[1]]},
+    marked = read(folder / "a").assign(is_timed=False)
+    of = [list(marked["method"]).index(name) for name in (method, other)]
+    differ = changed(changed(marked, of[0], objective=0.5), of[1], objective=0.5)
+    assert reasons(marked, differ) == {
+        "random": {marked.index[of[0]]}, "unexplained": {marked.index[of[1]]},
     }  # fmt: skip
 
 
@@ -118,10 +118,13 @@ def expected(runs) -> np.ndarray:
     return (late | runs["status"].isin(["time_limit", "memory_limit"])).to_numpy()
 
 
-def test_command_prints_who_differs_in_what(folder):
+def test_command_prints_methods_columns_and_reasons(folder):
     report_fixture.write_tables(folder / "b" / "tables")
     path = folder / "b" / "tables" / "runs.parquet"
-    invoke = lambda: CliRunner().invoke(app, ["same", str(folder / "a"), str(folder / "b")])  # noqa: E731
+
+    def invoke():
+        return CliRunner().invoke(app, ["compare", "--exact", str(folder / "a"), str(folder / "b")])
+
     answer = invoke()
     assert (answer.exit_code, "0 differ" in answer.output) == (0, True), answer.output
     table = pd.read_parquet(path)
@@ -130,7 +133,7 @@ def test_command_prints_who_differs_in_what(folder):
     table.to_parquet(path)
     answer = invoke()
     assert answer.exit_code == 1
-    assert "1 differ, times apart: 1 for no reason known" in answer.output
+    assert "1 differ, times aside: 1 unexplained" in answer.output
     assert all(t in answer.output for t in ("n_nodes", str(table.loc[finished, "method"])))
-    missing = CliRunner().invoke(app, ["same", str(folder), str(folder / "b")])
+    missing = CliRunner().invoke(app, ["compare", "--exact", str(folder), str(folder / "b")])
     assert (missing.exit_code, "no such table" in missing.output) == (2, True)

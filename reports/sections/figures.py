@@ -1,16 +1,16 @@
-"""The figures of the paper, as far as this experiment has their runs."""
+"""The standalone figures that this experiment has runs for."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from reports.figures import paper_2d, paper_3d, paper_examples, paper_images, paper_scans
+from reports.figures import standalone
 from reports.page import Page
+from workflows.discovery import modules
 
-ID = "paper"
-TITLE = "The paper's figures"
-FIGURES = (paper_examples, paper_2d, paper_images, paper_3d, paper_scans)
-
+ID = "figures"
+TITLE = "Figures"
+POSITION = 20
 
 ROLES = {
     "mean": "mean",
@@ -22,7 +22,7 @@ ROLES = {
 
 def context(page: Page) -> dict[str, Any]:
     figures = []
-    for module in FIGURES:
+    for module in sorted(modules(standalone), key=lambda module: module.POSITION):
         figure = module.build(page.tables, page.styles)
         if figure is None:
             continue

@@ -1,4 +1,4 @@
-"""The paper's figure of 3DMatch: mean error against the overlap of the two scans, per source of scans."""
+"""The figure of 3DMatch in the paper: mean error against the overlap of the scans, per source."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from reports.page import Figure
 from reports.tables import Tables
 from reports.theme import Style
 
-TITLE = "Scans: error against overlap"
+POSITION = 50
+TITLE = "Paper: scans, error against overlap"
 CAPTION = (
-    "Means over pairs of scans, a column per source that has public clouds. DC-Reg on raw points; the "
-    "front end of the others is in their names. Bands: 10 to 90 % of the pairs."
+    "Means over pairs of scans; one column per source with public clouds. DC-Reg uses the raw points; "
+    "the names of the other methods state their front end. Bands: 10 to 90 % of the pairs."
 )
 DRAWN = ("mean", "band")
 METHODS = ("dcreg_scan", "rpm_htb", "goicp", "frs", "gores", "teasers")
 
 
 def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
-    """The figure; None where the experiment has no scans."""
+    """Draw the figure; None if the experiment has no scans."""
     experiment, known = Experiment(tables), ledger().roles
-    methods = [method for role in METHODS for method in experiment.playing(known[role])]
+    methods = [method for role in METHODS for method in experiment.methods_in(known[role])]
     runs = experiment.runs[experiment.runs["model"].eq("rigid3d")]
-    # the published setting: normals as they come, not turned towards the sensor
+    # the published setting: normals are not oriented towards the sensor
     published = runs["dataset"].eq("threedmatch") & ~runs["test"].str.endswith("oriented")
     runs = runs[published & runs["method"].isin(methods)]
     if runs.empty:

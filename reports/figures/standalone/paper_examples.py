@@ -1,4 +1,4 @@
-"""The paper's figure of the tests themselves: a source and a target of each, brought back together."""
+"""The figure of the tests in the paper: a source and a target of each at the reference pose."""
 
 from __future__ import annotations
 
@@ -7,21 +7,23 @@ from typing import Any
 
 import numpy as np
 
+from data.sampling import transform
 from reports.figures import clouds
 from reports.page import Figure
 from reports.tables import Tables
 from reports.theme import Style, words
 from workflows.disturb import DISTURBANCES
 
-TITLE = "Examples of the tests"
+POSITION = 10
+TITLE = "Paper: examples of the tests"
 CAPTION = (
-    "Source (red circles) and target (blue crosses) at the reference pose, highest level kept."
+    "Source (red circles) and target (blue crosses) at the reference pose, at the highest level."
 )
 DRAWN = clouds.DRAWN
 
 
 def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
-    """A row per shape and a column per test; None where no overlay of such a test was kept."""
+    """Draw a row per shape and a column per test; None without overlays of such tests."""
     poses = tables.runs.set_index("run_id")["T_reference"]
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for item in tables.overlays:
@@ -38,6 +40,6 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
         pose = np.array(json.loads(poses[item["run_id"]]))
         source, target = np.array(item["source"]), np.array(item["target"])
         row, column = shapes.index(shape), tests.index(test)
-        back = clouds.move(target, np.linalg.inv(pose))
+        back = transform(np.linalg.inv(pose), target)
         panels.append((row, column, f"{shape}<br>{item['level']:g}", source, back))
     return clouds.assemble("paper-examples", TITLE, [words(test) for test in tests], panels)

@@ -1,4 +1,4 @@
-"""The paper's figure of edges of photographs: the turned source laid over the target by each method."""
+"""The figure of photographs in the paper: the source at the pose of each method, over the target."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 
+from data.sampling import transform
 from reports.figures import clouds
 from reports.ledger.evidence import QUICK, Experiment
 from reports.ledger.judging import ledger
@@ -13,7 +14,8 @@ from reports.page import Figure
 from reports.tables import Tables
 from reports.theme import Style
 
-TITLE = "Edges of photographs"
+POSITION = 30
+TITLE = "Paper: edges of photographs"
 CAPTION = "Best, median and worst run of each method: source (red circles), target (blue crosses)."
 DRAWN = clouds.DRAWN
 METHODS = ("dcreg", "rpm_htb", "rpm_pa", "rpm_cav")
@@ -22,18 +24,18 @@ TEST = "canny"
 
 
 def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
-    """A row per rank and a column per method; None in other experiments."""
+    """Draw a row per rank and a column per method; None in other experiments."""
     if tables.experiment.removesuffix(QUICK) != EXPERIMENT:
         return None
     experiment, known = Experiment(tables), ledger().roles
-    methods = [method for role in METHODS for method in experiment.playing(known[role])]
+    methods = [method for role in METHODS for method in experiment.methods_in(known[role])]
     shown = [item for item in tables.overlays if item["method"] in methods and item["test"] == TEST]
     ranks = list(dict.fromkeys(item["rank"] for item in shown))
     panels = []
     for item in shown:
         pose = item["T_target_source"]
         pose = np.array(json.loads(pose) if isinstance(pose, str) else pose)
-        moved = clouds.move(np.array(item["source"]), pose)
+        moved = transform(pose, np.array(item["source"]))
         row, column = ranks.index(item["rank"]), methods.index(item["method"])
         panels.append(
             (row, column, f"{item['rank']}<br>{item['shape']}", moved, np.array(item["target"]))

@@ -1,0 +1,85 @@
+"""Build the pages that show results: ``python -m reports``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from workflows import CHECKOUT
+from workflows.cli import Experiment, say, user_errors
+
+app = typer.Typer(
+    help=__doc__, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
+)
+
+Part = Annotated[str, typer.Option(help="As in `python -m workflows run`.")]
+
+
+@app.command()
+@user_errors
+def experiment(
+    tables: Annotated[Path, typer.Argument(help="Folder with the tables of an experiment.")],
+    out: Annotated[Path, typer.Argument(help="HTML file to write.")],
+) -> None:
+    """Build the report of one experiment."""
+    from reports.build import build
+
+    build(tables, out)
+    say(f"report    {out} ({out.stat().st_size / 1e6:.1f} MB)")
+
+
+@app.command()
+@user_errors
+def claims(
+    results: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Folders of results, or folders that contain them; default: results."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the table and the page.")] = Path(
+        "results/claims"
+    ),
+) -> None:
+    """Check the claims of the paper against the available results."""
+    from reports.claims import check
+
+    check(results or [Path("results")], out)
+
+
+@app.command()
+@user_errors
+def bounds(
+    folder: Annotated[Path, typer.Argument(help="Folder with the tables of the study.")] = Path(
+        "results/bounds"
+    ),
+) -> None:
+    """Draw the study of bounds (`python -m workflows.studies.bounds`)."""
+    from reports.bounds_study import build
+
+    page = build(folder)
+    typer.echo(f"{page} ({page.stat().st_size / 1e6:.1f} MB)")
+
+
+@app.command()
+@user_errors
+def threedmatch(
+    experiment: Experiment = "threedmatch",
+    methods: Part = "",
+    datasets: Part = "",
+    tests: Part = "",
+    directory: Annotated[Path, typer.Option(help="Folder that contains results/.")] = CHECKOUT,
+) -> None:
+    """Compute and draw the recalls of an experiment on the official 3DMatch lists."""
+    from reports.threedmatch import write
+    from workflows.config import load, parse_selection
+    from workflows.stages.plan import expand
+
+    axes = {"methods": methods, "datasets": datasets, "tests": tests}
+    select = [f"{axis}={values}" for axis, values in axes.items() if values]
+    plan = expand(load(experiment), parse_selection(select))
+    write(directory / "results" / plan.experiment.name / plan.view / "tables")
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,48 @@
+"""What the command lines of `workflows` and `reports` share."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from functools import wraps
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from data.contract import DataError
+from workflows import UserError
+
+BEGAN = time.perf_counter()
+
+Experiment = Annotated[
+    str, typer.Argument(help="Name of a config in workflows/configs, or a path.")
+]
+
+
+def user_errors(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Report an error that the user can fix as one line, with exit code 2 and no traceback."""
+
+    @wraps(command)
+    def checked(*arguments: Any, **options: Any) -> Any:
+        try:
+            return command(*arguments, **options)
+        except (ValueError, DataError) as error:
+            from baselines.registry import BaselineError
+
+            if isinstance(error, UserError | BaselineError | DataError):
+                stop(str(error))
+            raise
+
+    return checked
+
+
+def say(text: str) -> None:
+    """Print a line of progress with the seconds that this process has taken."""
+    print(f"{text}; {time.perf_counter() - BEGAN:.1f} s", flush=True)
+
+
+def stop(message: str) -> NoReturn:
+    """Print an error message and end with exit code 2."""
+    print(f"error: {message}", file=sys.stderr)
+    raise typer.Exit(2)
