@@ -1,4 +1,4 @@
-"""``python -m data list`` shows what there is, ``python -m data fetch NAME`` brings it here."""
+"""List and fetch the datasets of the benchmark."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ console = Console()
 
 @app.command("list")
 def list_all() -> None:
-    """Every dataset with its shapes, tests and licence."""
+    """List every dataset with its shapes, tests and licence."""
     table = Table("name", "shapes", "tests (levels x trials)", "licence", title="Datasets")
     known = datasets()
     for name in known:
         try:
             found = known[name]
             shapes = ", ".join(found.shapes())
-        except DataError as error:  # one wrong card hides no others
+        except DataError as error:  # a wrong card must not hide the others
             table.add_row(name, f"[red]error:[/] {escape(str(error))}")
             continue
         tests = [f"{t} ({len(a.levels)} x {a.n_trials})" for t, a in found.tests().items()]
-        table.add_row(name, shapes, "\n".join(tests) or "ours", found.card.licence)
+        table.add_row(name, shapes, "\n".join(tests) or "disturbances", found.card.licence)
     console.print(table)
 
 
 @app.command()
 def fetch(
-    name: str,
+    name: Annotated[str, typer.Argument(help="Folder of data/.")],
     shape: Annotated[list[str] | None, typer.Option(help="Only these shapes.")] = None,
     test: Annotated[list[str] | None, typer.Option(help="Only these tests.")] = None,
     trials: Annotated[int | None, typer.Option(help="Only the first trials of a level.")] = None,
@@ -59,7 +59,7 @@ def _fetch(
         if not axes:
             paths.update(map(str, found.fetch(shape)))
         for test in (tests or list(axes)) if axes else []:
-            # An unknown test has no axis; fetch then names it and those there are.
+            # An unknown test has no axis; `fetch` then reports it.
             axis = axes.get(test)
             for level in axis.levels if axis else (0.0,):
                 for trial in range(min(trials or axis.n_trials, axis.n_trials) if axis else 1):

@@ -1,4 +1,4 @@
-"""What a dataset is: its card, the two kinds of dataset, and the instance a record gives."""
+"""Datasets: their cards, their two kinds, and recorded instances."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class UnknownNameError(DataError, ValueError):
 class File(BaseModel):
     """One file of a dataset.
 
-    ``path`` is its place in a mirror folder and, below the dataset's name, in the cache. ``url`` is
-    its official origin at a pinned commit; None for a pack that only a mirror holds (the loader
-    then knows the original files it was packed from).
+    ``path`` is its location in a mirror folder and, below the dataset's name, in the cache. ``url`` is
+    its official origin at a pinned commit; None for a pack that exists in a mirror only (the loader then
+    knows the original files).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -52,7 +52,7 @@ class File(BaseModel):
 
 
 class Card(BaseModel):
-    """Validated ``card.yaml``: where the data comes from and on what terms."""
+    """Validated ``card.yaml``: origin, licence and loader of the data."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -79,17 +79,17 @@ class Card(BaseModel):
     def _states_the_terms_of_files(self) -> Card:
         for term in ("licence", "citation") if self.files else ():
             if term not in self.model_fields_set:
-                raise ValueError(f"{term}: missing; files of others come on terms, state them")
+                raise ValueError(f"{term}: missing; add it, as the files are third-party data")
         return self
 
     def file(self, path: str) -> File:
-        """The file with this mirror path."""
+        """Return the file with this mirror path."""
         return next(file for file in self.files if file.path == path)
 
 
 @dataclass(frozen=True)
 class RawInstance:
-    """A registration problem together with its truth.
+    """A registration problem with its ground truth.
 
     Attributes
     ----------
@@ -101,21 +101,21 @@ class RawInstance:
         Reference pose, homogeneous, ``target ≈ T_true @ [source, 1]`` at the true pairs: the fit to
         them (`data.sampling.reference_pose`), or the published one of a benchmark that has its own.
     scale_range : (low, high)
-        Admissible scale a solver is told; (1, 1) in 3D.
+        Admissible scales, given to solvers; (1, 1) in 3D.
     info : dict
-        Facts worth showing (overlap, ...); never needed for solving or scoring.
+        Facts for display (overlap, ...), not used for solving or evaluation.
     noise_bound : float, optional
-        Inlier distance that the benchmark's protocol gives all methods; default: from the true pairs.
+        Inlier distance of the benchmark's protocol; default: from the true pairs.
     match_radii : (of normals, of features), optional
-        Where all methods share matches by FPFH features: the radii of these.
+        Radii of the FPFH features if all methods share matches.
     n_inliers : int, optional
-        The number of pairs that the benchmark's protocol tells methods; default: the true one.
+        Number of pairs that the benchmark's protocol gives to methods; default: the true one.
     marks : ((k, d), (k, d)) arrays, optional
-        Points of source and target that belong together and that poses are judged by, where they are
-        not among the points to register; default: the true pairs.
+        Corresponding points of source and target for the evaluation, if they are not among the points to
+        register; default: the true pairs.
     viewpoint : (3,) floats, optional
-        Of the features of shared matches: the sensor's place in the frame of either cloud, towards which
-        normals are turned. None: their signs are left as they come.
+        Sensor position in the frame of each cloud, towards which the normals of the features of shared
+        matches are oriented. None: no orientation.
     """
 
     source: np.ndarray
@@ -132,7 +132,7 @@ class RawInstance:
 
     @property
     def judged(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points of source and target that belong together, row by row: what poses are judged by."""
+        """Corresponding points of source and target, row by row, for the evaluation."""
         if self.marks is not None:
             return self.marks
         return self.source[self.pairs[:, 0]], self.target[self.pairs[:, 1]]
@@ -153,7 +153,7 @@ class Axis:
 
 
 class Dataset(abc.ABC):
-    """Common to both kinds: a card and named shapes. Methods fetch what they need, when needed."""
+    """A card and named shapes; files are fetched when they are needed."""
 
     def __init__(self, card: Card) -> None:
         self.card = card
@@ -163,35 +163,35 @@ class Dataset(abc.ABC):
         return self.card.name
 
     def dim(self, shape: str) -> Dim:
-        """Dimension of the points of `shape`."""
+        """Return the dimension of the points of `shape`."""
         return self.card.dim[shape] if isinstance(self.card.dim, dict) else self.card.dim
 
     def model(self, shape: str) -> Literal["similarity2d", "rigid3d"]:
-        """The transformation model under which `shape` is registered."""
+        """Return the transformation model of `shape`."""
         return "similarity2d" if self.dim(shape) == 2 else "rigid3d"
 
     @abc.abstractmethod
     def shapes(self) -> list[str]:
-        """Names of the shapes (of scenes, for scans)."""
+        """Return the names of the shapes (of scenes, for scans)."""
 
     @abc.abstractmethod
     def fetch(self, shape: str, test: str = "", level: float = 0.0, trial: int = 0) -> list[Path]:
-        """Fetch just the files that this instance needs (prototypes: that this shape needs).
+        """Fetch the files that this instance (prototypes: this shape) needs; return their paths.
 
-        Loading does it by itself; a workflow calls it first, where there is a network. The paths
-        are those of verified files in the cache.
+        The files are verified and in the cache. Loading calls this; a workflow may call it before, while
+        there is a network.
         """
 
     def tests(self) -> dict[str, Axis]:
-        """Recorded tests by name; empty for prototypes, which are disturbed by our own code."""
+        """Return the recorded tests by name; empty for prototypes, to which disturbances are applied."""
         return {}
 
     def local_files(self) -> list[Path]:
-        """Files outside of the data set's folder and the cache that decide its instances."""
+        """Return files outside the dataset's folder and the cache that determine its instances."""
         return []
 
     def has(self, shape: str, test: str, level: float, trial: int) -> bool:
-        """Whether there is such an instance; a grid of levels and trials may have holes."""
+        """Whether the instance exists; a grid of levels and trials may be incomplete."""
         return True
 
     def _known(self, what: str, value: Any, choices: Iterable[Any]) -> None:
@@ -207,26 +207,26 @@ class Dataset(abc.ABC):
 
 
 class PrototypeDataset(Dataset):
-    """Shapes that our own disturbances turn into instances."""
+    """Shapes that the disturbances of `workflows.disturb` turn into instances."""
 
     @abc.abstractmethod
     def points(self, shape: str, n_points: int | None = None) -> np.ndarray:
-        """Points of `shape` in the coordinates of its origin."""
+        """Return points of `shape` in its original coordinates."""
 
     def prototype(self, shape: str, n_points: int | None = None) -> np.ndarray:
-        """The normalised shape: bounding box centred at 0, its longest side 1.
+        """Return the normalised shape: bounding box centred at 0, longest side 1.
 
         Parameters
         ----------
         shape : str
             One of `shapes()`.
         n_points : int, optional
-            Number of points (farthest point sampling for data from files); by default all of a 2D
-            shape, and 100 points of a 3D shape.
+            Number of points, by farthest-point sampling for data from files; default: all points of a
+            2D shape, 100 points of a 3D shape.
 
         Returns
         -------
-        (n_points, d) float64 array, the same in every call.
+        (n_points, d) float64 array, identical in every call.
         """
         from data.sampling import normalise
 
@@ -237,19 +237,19 @@ class PrototypeDataset(Dataset):
 
 
 class RecordedDataset(Dataset):
-    """Recorded instances: source and target come from files, with known truth.
+    """Recorded instances: source and target from files, with known ground truth.
 
     Attributes
     ----------
     fixed_size : bool
-        Whether the number of points is that of the record, and n_points is refused.
+        Whether the number of points is fixed, so that n_points is refused.
     """
 
     fixed_size = False
 
     @abc.abstractmethod
     def tests(self) -> dict[str, Axis]:
-        """Recorded tests by name."""
+        """Return the recorded tests by name."""
 
     @abc.abstractmethod
     def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
@@ -268,7 +268,7 @@ class RecordedDataset(Dataset):
     def instance(
         self, shape: str, test: str, level: float, trial: int, n_points: int | None = None
     ) -> RawInstance:
-        """One recorded instance, in the order of its files.
+        """Return one recorded instance, in the order of its files.
 
         Parameters
         ----------
@@ -277,7 +277,7 @@ class RecordedDataset(Dataset):
         trial : int
             0 .. ``tests()[test].n_trials - 1``.
         n_points : int, optional
-            Points per set for scans; sets recorded with a fixed size accept None only.
+            Points per set for scans; sets of a fixed size accept None only.
         """
         self._check(shape, test, level, trial)
         return self.load(shape, test, level, trial, n_points)

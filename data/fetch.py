@@ -1,11 +1,11 @@
-"""Brings a dataset's files into the cache, verified: cache, then mirror, then official origin.
+"""Fetch and verify files of a dataset: from the cache, then a mirror, then the official origin.
 
 Environment
 -----------
 DCREG_DATA_CACHE
     Folder of the cache; by default ``resources`` in the checkout.
 DCREG_DATA_MIRROR
-    A folder or an http(s) address with the paths of the cards below it; tried before the origin.
+    A folder or an http(s) address that contains the paths of the cards; tried before the origin.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TIMEOUT_S = 30  # per connection and per silence, not per file
 
 
 class ChecksumError(DataError):
-    """A file is there but is not the one the card speaks of."""
+    """A file exists but differs from the one on the card."""
 
 
 class UnavailableError(DataError):
@@ -39,31 +39,31 @@ class UnavailableError(DataError):
 
 
 def cache_root() -> Path:
-    """Where fetched files lie."""
+    """Return the folder of fetched files."""
     return Path(os.environ.get("DCREG_DATA_CACHE") or CHECKOUT / "resources")
 
 
 def cache_path(file: File) -> Path:
-    """Where this file lies once fetched, and where to put it by hand."""
+    """Return the path of this file in the cache, also for files that are put there manually."""
     return cache_root() / file.dataset / file.path
 
 
 def fetch(file: File, *alternatives: File) -> Path:
-    """Path of a verified local copy of `file`.
+    """Return the path of a verified local copy of `file`.
 
     Parameters
     ----------
     file : File
     *alternatives : File
-        Other files that serve as well (an original file where `file` is a pack of many). All are
-        looked for in the cache, then all in the mirror, then all at their origins.
+        Alternative files (an original file if `file` is a pack of many). All are searched in the cache,
+        then all in the mirror, then all at their origins.
 
     Raises
     ------
     ChecksumError
-        The mirror's or the origin's file differs from the card. It is not kept.
+        The file of the mirror or the origin differs from the card. It is not kept.
     UnavailableError
-        Nothing could be reached; the message names address and place.
+        No source could be reached; the message names address and path.
     """
     files = (file, *alternatives)
     tried: list[str] = []
@@ -88,7 +88,7 @@ def _from_cache(file: File, tried: list[str]) -> Path | None:
     found = _digest(path, file.git_sha1 is not None, stat.st_mtime_ns, stat.st_size)
     if found == _expected(file):
         return path
-    # A damaged copy is replaced by a good one; if there is none, the final error names it.
+    # A damaged copy is replaced by a valid one; if there is none, the final error names it.
     tried.append(f"{path}: its checksum is {found}, expected {_expected(file)}")
     return None
 
@@ -132,7 +132,7 @@ def _reason(error: requests.RequestException) -> str:
 
 
 def _place(file: File, origin: str, write: Callable[[Path], object]) -> Path:
-    """Write, and keep the file only if it is the one of the card."""
+    """Write the file, and keep it only if its checksum is that of the card."""
     path = cache_path(file)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as part:
@@ -140,11 +140,11 @@ def _place(file: File, origin: str, write: Callable[[Path], object]) -> Path:
         found = _digest_of(part, git=file.git_sha1 is not None)
         if found != _expected(file):
             raise ChecksumError(
-                f"dataset {file.dataset}: {origin} is not the file of the card.\n"
+                f"dataset {file.dataset}: {origin} differs from the file on the card.\n"
                 f"  expected {_expected(file)} ({file.size or 'unknown'} bytes)\n"
                 f"  found    {found} ({part.stat().st_size} bytes); not kept\n"
-                "Remedy: repair or drop the mirror (DCREG_DATA_MIRROR); if the origin itself has "
-                f"changed, obtain the file of that checksum and put it at {path}."
+                "Remedy: repair the mirror or unset DCREG_DATA_MIRROR; if the origin has changed, "
+                f"obtain the file with that checksum and put it at {path}."
             )
     return path
 
@@ -155,7 +155,7 @@ def _expected(file: File) -> str:
 
 @lru_cache(maxsize=4096)
 def _digest(path: Path, git: bool, mtime_ns: int, size: int) -> str:
-    """As `_digest_of`, once per process and state of the file."""
+    """`_digest_of`, once per process and state of the file."""
     return _digest_of(path, git)
 
 

@@ -1,4 +1,4 @@
-"""Stock loaders: a dataset that one of these fits needs a card only."""
+"""Stock loaders: a dataset that uses one of them needs a card only."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _read(path: Path, skip_rows: int) -> np.ndarray:
 
 class PointFile(Parameters):
     file: str  # a path among the card's files
-    skip_rows: Annotated[int, Field(ge=0, strict=True)] = 0  # of a header
+    skip_rows: Annotated[int, Field(ge=0, strict=True)] = 0  # header lines
 
 
 class PointParameters(Parameters):
@@ -44,7 +44,7 @@ class PointParameters(Parameters):
 
 
 class PointFiles(PrototypeDataset):
-    """Prototypes that each are one file (any format that ``dcreg register`` reads).
+    """Prototypes with one file each, in any format that ``dcreg register`` reads.
 
     Card parameters: ``shapes``, a mapping from name to ``file`` (a path among the card's files)
     and, for text with a header, ``skip_rows``.
@@ -69,8 +69,8 @@ class PointFiles(PrototypeDataset):
             n_points = len(points) if self.dim(shape) == 2 else DEFAULT_POINTS_3D
         if n_points > len(points):
             raise DataError(
-                f"dataset {self.name}: shape {shape} has {len(points)} points; "
-                f"n_points={n_points}, give at most that"
+                f"dataset {self.name}: shape {shape} has {len(points)} points, "
+                f"fewer than n_points={n_points}; lower n_points"
             )
         if n_points == len(points):
             return points.copy()

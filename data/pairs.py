@@ -1,4 +1,4 @@
-"""Pairs of clouds of one's own: a folder for each pair, with the two clouds and the pose between them."""
+"""The user's own pairs of clouds: a folder per pair, with both clouds and the pose."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dcreg.problem import InputError, scale_of
 
 MAX_POINTS = 200  # of a cloud, by default
 SCALE_RANGE_2D = (0.5, 1.5)  # the default
-RIGID = 1e-3  # how far the rotation of a pose may be from one
+RIGID = 1e-3  # tolerance of the check that the pose has a rotation
 
 
 class PairParameters(Parameters):
@@ -37,12 +37,12 @@ class CloudPairs(RecordedDataset):
     """One shape per folder ``<pair>/`` with ``source.*``, ``target.*``, ``pose.txt``; one test, ``pair``.
 
     The clouds are in any format that ``dcreg register`` reads. The pose maps source to target, as rows
-    of its homogeneous matrix; it is a similarity in the plane and rigid in space. True pairs are the
-    points that are each other's nearest neighbour at the pose, at most ``tolerance`` apart.
+    of its homogeneous matrix; it is a similarity in 2D and rigid in 3D. True pairs are mutual nearest
+    neighbours at the pose, at most ``tolerance`` apart.
 
-    Card parameters: ``folder`` (of the pairs; from the card's own, if relative), ``tolerance`` in the
-    clouds' unit; optionally ``n_points`` (a cloud with more is thinned to so many; default 200) and, in
-    the plane, ``scale_range`` (default 0.5 to 1.5).
+    Card parameters: ``folder`` (of the pairs; relative to the card), ``tolerance`` in the clouds' unit;
+    optionally ``n_points`` (larger clouds are downsampled to it; default 200) and, in 2D,
+    ``scale_range`` (default 0.5 to 1.5).
     """
 
     def __init__(self, card: Card) -> None:
@@ -56,7 +56,7 @@ class CloudPairs(RecordedDataset):
     def shapes(self) -> list[str]:
         if not self.folder.is_dir():
             raise DataError(
-                f"{self.where}: parameters.folder: {self.folder} is no folder; correct it"
+                f"{self.where}: parameters.folder: {self.folder} is not a folder; correct it"
             )
         names = sorted(path.parent.name for path in self.folder.glob("*/pose.txt"))
         for path in sorted(self.folder.glob("*/source.*")):
@@ -67,7 +67,7 @@ class CloudPairs(RecordedDataset):
                 )
         if not names:
             raise DataError(
-                f"{self.folder}: no pair; each is a folder with source.*, target.* and pose.txt"
+                f"{self.folder}: no pairs; add folders with source.*, target.* and pose.txt"
             )
         return names
 
@@ -75,7 +75,7 @@ class CloudPairs(RecordedDataset):
         return {"pair": Axis(levels=(0.0,), values=(0.0,), label="-", n_trials=1)}
 
     def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
-        """The clouds of source and target, and the pose."""
+        """Return the paths of source, target and pose."""
         place = self.folder / shape
         found = []
         for role in ("source", "target"):
@@ -118,7 +118,7 @@ class CloudPairs(RecordedDataset):
         return points[farthest_points(points, min(n_points, len(points)))]
 
     def _pose(self, path: Path) -> tuple[np.ndarray, tuple[float, float]]:
-        """The pose, checked, and the range of scales a solver is told."""
+        """Return the checked pose and the range of scales given to solvers."""
         d = self.dim("")
         try:
             T = np.loadtxt(path, ndmin=2)
@@ -136,9 +136,11 @@ class CloudPairs(RecordedDataset):
         if not np.allclose(
             linear @ linear.T, scale**2 * np.eye(d), atol=RIGID * max(1.0, scale**2)
         ):
-            raise DataError(f"{path}: its {d} x {d} part is no rotation times a scale; correct it")
+            raise DataError(
+                f"{path}: its {d} x {d} part is not a rotation times a scale; correct it"
+            )
         if np.linalg.det(linear) < 0:
-            raise DataError(f"{path}: it mirrors; give a pose without a reflection")
+            raise DataError(f"{path}: the pose contains a reflection; give one without")
         if not low - RIGID <= scale <= high + RIGID:
             remedy = (
                 "rescale a cloud" if d == 3 else f"widen parameters.scale_range in {self.where}"

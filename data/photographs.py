@@ -1,4 +1,4 @@
-"""Photographs as point sets: edge points, also of a picture turned by 180 degrees."""
+"""Photographs as point sets: edge points, also of an image rotated by 180 degrees."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from data.fetch import UnavailableError, cache_root
 from data.parameters import Count, Length, Parameters, Points, parameters_of
 from data.sampling import farthest_points, mutual_nearest, transform
 
-SHARE = 0.9  # of the smaller set: the number of pairs that methods are told
-TOLERANCE = 0.02  # of the longest side: edge points so near at the reference pose are pairs
+SHARE = 0.9  # of the smaller set: n_inliers given to methods
+TOLERANCE = 0.02  # of the longest side: maximum distance of pairs at the reference pose
 SCALE_RANGE = (0.5, 1.5)
 PICTURES = {".jpg", ".jpeg", ".png"}
 
 
 @lru_cache(maxsize=32)
 def edge_points(path: Path, sigma: float, n_points: int, parity: int | None = None) -> np.ndarray:
-    """Canny edges of a picture, thinned to `n_points` spread ones; pixels x to the right, y down.
+    """Return `n_points` Canny edge points of an image, by farthest-point sampling; x right, y down.
 
     Parameters
     ----------
     path : Path
     sigma : float
-        Of the Gaussian before the gradient, in pixels.
+        Standard deviation of the Gaussian filter, in pixels.
     n_points : int
     parity : 0 or 1, optional
-        Only of pixels with x + y even or odd: two sets of one picture without a common point.
+        Use only pixels with x + y even or odd: two sets of one image without a common point.
 
     Raises
     ------
     DataError
-        The picture cannot be read, or has fewer edge points.
+        The image cannot be read, or has fewer edge points.
     """
     y, x = np.nonzero(_edges(_grey(path), sigma))
     points = np.column_stack([x, y]).astype(float)
@@ -44,25 +44,25 @@ def edge_points(path: Path, sigma: float, n_points: int, parity: int | None = No
         points = points[(x + y) % 2 == parity]
     if len(points) < n_points:
         raise DataError(
-            f"{path}: {len(points)} edge points at sigma {sigma:g}; {n_points} were asked for, lower "
-            "n_points or sigma"
+            f"{path}: {len(points)} edge points at sigma {sigma:g}, fewer than n_points={n_points}; "
+            "lower n_points or sigma"
         )
     return points[farthest_points(points, n_points)]
 
 
 def half_turn(path: Path) -> np.ndarray:
-    """The pose that turns a picture by 180 degrees about its centre; its own inverse."""
+    """Return the pose that rotates an image by 180 degrees about its centre."""
     height, width = _grey(path).shape
     return np.array([[-1.0, 0.0, width - 1], [0.0, -1.0, height - 1], [0.0, 0.0, 1.0]])
 
 
-def told_pairs(source: np.ndarray, target: np.ndarray) -> int:
-    """The number of pairs that methods are told, as the paper sets it for photographs."""
+def given_pairs(source: np.ndarray, target: np.ndarray) -> int:
+    """Return n_inliers for photographs, as in the paper."""
     return round(SHARE * min(len(source), len(target)))
 
 
 def near_pairs(T_true: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Points that coincide at the reference pose; not what poses are judged by."""
+    """Return points that coincide at the reference pose; the evaluation does not use them."""
     reach = TOLERANCE * float(np.ptp(target, axis=0).max())
     return mutual_nearest(transform(T_true, source), target, reach)
 
@@ -77,12 +77,12 @@ class PhotographParameters(Parameters):
 
 
 class Photographs(RecordedDataset):
-    """A folder of VOC2007 or Caltech-256: each photograph against itself, turned by 180 degrees.
+    """A folder of VOC2007 or Caltech-256: each photograph against itself, rotated by 180 degrees.
 
-    Source and target are of different pixels. Test ``turned``, level 0; a shape is a class, trial k its
+    Source and target use different pixels. Test ``turned``, level 0; a shape is a class, trial k its
     k-th photograph.
 
-    Card parameters: ``folder`` (below the data set's place in the cache), ``layout`` (``voc`` or
+    Card parameters: ``folder`` (below the dataset's folder in the cache), ``layout`` (``voc`` or
     ``caltech``), ``shapes``, ``n_trials``, ``n_points``, ``sigma``.
     """
 
@@ -100,8 +100,8 @@ class Photographs(RecordedDataset):
         listed = self._listed(shape)
         if trial >= len(listed):
             raise DataError(
-                f"dataset {self.name}: {shape} has {len(listed)} photographs, none of number {trial}; "
-                "lower trials"
+                f"dataset {self.name}: {shape} has {len(listed)} photographs, so there is no trial "
+                f"{trial}; lower trials"
             )
         return [listed[trial]]
 
@@ -115,11 +115,11 @@ class Photographs(RecordedDataset):
         target = edge_points(path, sigma, count, parity=0).copy()
         pairs = near_pairs(turn, source, target)
         return RawInstance(
-            source, target, pairs, turn, SCALE_RANGE, n_inliers=told_pairs(source, target)
+            source, target, pairs, turn, SCALE_RANGE, n_inliers=given_pairs(source, target)
         )
 
     def _listed(self, shape: str) -> list[Path]:
-        """The photographs of a class, in the order of the data set's own lists."""
+        """Return the photographs of a class, in the order of the dataset's own lists."""
         place = cache_root() / self.name / self.parameters.folder
         if not place.is_dir():
             raise UnavailableError(
@@ -144,7 +144,7 @@ def _grey(path: Path) -> np.ndarray:
     try:
         picture = io.imread(path)
     except (OSError, ValueError) as error:
-        raise DataError(f"{path}: no picture that can be read ({error})") from error
+        raise DataError(f"{path}: not a readable image ({error})") from error
     return color.rgb2gray(picture[..., :3]) if picture.ndim == 3 else picture / 255.0
 
 

@@ -1,4 +1,4 @@
-"""Finds every dataset: a folder of ``data/`` that holds a ``card.yaml``."""
+"""Find the datasets: every folder of ``data/`` with a ``card.yaml``."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def read_card(path: Path) -> Card:
     except ValidationError as error:
         wrong = error.errors()[0]
         key = ".".join(map(str, wrong["loc"])) or "card"
-        told = wrong["msg"][0].lower() + wrong["msg"][1:]
-        raise DataError(f"{path}: {key}: {told}; {_EXAMPLE}") from error
+        text = wrong["msg"][0].lower() + wrong["msg"][1:]
+        raise DataError(f"{path}: {key}: {text}; {_EXAMPLE}") from error
     except yaml.YAMLError as error:
         raise DataError(f"{path}: not valid YAML: {error}; {_EXAMPLE}") from error
     if card.name != path.parent.name:
@@ -44,7 +44,7 @@ def _build(card: Card) -> Dataset:
             loader: type[Dataset] = import_module(module).Loader
         except (ImportError, SyntaxError, AttributeError) as error:
             raise DataError(
-                f"data/{card.name}/loader.py: {error}; loader: own takes the class Loader from there"
+                f"data/{card.name}/loader.py: {error}; with loader: own, define the class Loader there"
             ) from error
     elif card.loader in STOCK:
         loader = STOCK[card.loader]
@@ -57,7 +57,7 @@ def _build(card: Card) -> Dataset:
 
 
 class Found(Mapping[str, Dataset]):
-    """Datasets by name, whose cards are read when they are asked for: a wrong one stops no others."""
+    """Datasets by name; a card is read on first access, so a wrong one does not affect others."""
 
     def __init__(self, root: Path) -> None:
         self._cards = {path.parent.name: path for path in sorted(root.glob("*/card.yaml"))}
@@ -80,12 +80,12 @@ class Found(Mapping[str, Dataset]):
 
 @cache
 def datasets() -> Found:
-    """All datasets by name. Reads cards only; fetches nothing."""
+    """Return all datasets by name, without fetching files."""
     return Found(HERE)
 
 
 def dataset(name: str) -> Dataset:
-    """The dataset of this name, or an error that lists those there are."""
+    """Return the dataset of this name, or raise an error that lists the known ones."""
     found = datasets()
     if name not in found:
         raise UnknownNameError(f"no dataset {name!r}{suggestion(name, found)}")

@@ -10,13 +10,13 @@ from dcreg.problem.geometry import fit_pose
 
 
 def normalise(points: np.ndarray) -> np.ndarray:
-    """Move the bounding box's midpoint to the origin and scale its longest side to 1."""
+    """Centre the bounding box at the origin and scale its longest side to 1."""
     low, high = points.min(axis=0), points.max(axis=0)
     return (points - (low + high) / 2) / (high - low).max()
 
 
 def farthest_points(points: np.ndarray, n: int) -> np.ndarray:
-    """Indices of `n` points, each the farthest from those before it.
+    """Return the indices of `n` points, each the farthest from those before it.
 
     The first is the point farthest from the centroid; ties go to the lower index.
     """
@@ -27,7 +27,7 @@ def farthest_points(points: np.ndarray, n: int) -> np.ndarray:
 
 
 def voxel_downsample(points: np.ndarray, size: float) -> np.ndarray:
-    """Mean of the points in every occupied cell of a grid of cubes with side `size`."""
+    """Return the mean of the points in every occupied cell of a grid of cubes with side `size`."""
     cells = np.floor(points / size).astype(np.int64)
     _, cell_of, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     sums = np.zeros((len(counts), points.shape[1]))
@@ -36,7 +36,7 @@ def voxel_downsample(points: np.ndarray, size: float) -> np.ndarray:
 
 
 def mutual_nearest(a: np.ndarray, b: np.ndarray, tolerance: float) -> np.ndarray:
-    """Pairs (i, j) that are each other's nearest neighbour, at most `tolerance` apart."""
+    """Return pairs (i, j) of mutual nearest neighbours at most `tolerance` apart."""
     distance, j_of_i = cKDTree(b).query(a)
     _, i_of_j = cKDTree(a).query(b)
     i = np.flatnonzero((i_of_j[j_of_i] == np.arange(len(a))) & (distance <= tolerance))

@@ -1,4 +1,4 @@
-"""From a pair of scans with a known pose to an instance of a few hundred points."""
+"""Reduce a pair of scans with a known pose to an instance of a few hundred points."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def scan_instance(
     tolerance: float,
     info: dict[str, float | str],
 ) -> RawInstance:
-    """Voxel grid, then farthest point sampling, each scan on its own.
+    """Downsample each scan separately: voxel grid, then farthest-point sampling.
 
-    The two samples share no physical points. ``pairs`` are therefore the points that are each
-    other's nearest neighbour under `T_true`, at most `tolerance` apart: they have residuals up to
-    `tolerance` even at the true pose, and their number depends on `n_points`.
+    The two samples share no physical points. ``pairs`` are mutual nearest neighbours under `T_true` at
+    most `tolerance` apart. They have residuals up to `tolerance` even at the true pose, and their number
+    depends on `n_points`.
     """
     few = [_sample(cloud, voxel, n_points) for cloud in (source, target)]
     pairs = mutual_nearest(transform(T_true, few[0]), few[1], tolerance)

@@ -12,32 +12,9 @@ from typing import Any
 
 from dcreg.files import plain
 from reports.figures import printing
-from reports.figures.grid import Grid
+from reports.figures.figure import Figure
 from reports.tables import Tables
 from reports.theme import Style
-
-
-@dataclass(frozen=True)
-class Figure:
-    """An interactive figure: data for one of the builders in ``assets/report.js``."""
-
-    id: str
-    title: str
-    builder: str
-    payload: dict[str, Any]
-    grid: Grid | None = None  # for figures that are also printed
-
-    @property
-    def heights(self) -> dict[str, int]:
-        """Heights in pixels of the wide and the narrow layout, reserved until the figure is drawn."""
-        first = next(iter(self.payload.get("views", {}).values()), self.payload)
-        return {name: layout["height"] for name, layout in first["layouts"].items()}
-
-    @property
-    def methods(self) -> set[str]:
-        """Labels of the methods that any view of the figure draws."""
-        drawn = [trace for view in self.payload.get("views", {}).values() for trace in view["data"]]
-        return {trace["meta"]["method"] for trace in drawn if "method" in trace["meta"]}
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import pandas as pd
 
 from dcreg.names import POSE_SCOPES
 from workflows.outcomes import STARTED
-from workflows.records import Column
 
 # verdict -> (heading, explanation)
 VERDICTS = {
@@ -37,14 +36,15 @@ VERDICTS = {
     "no_pose": ("no pose", "the run was started and returned no pose"),
 }
 
-COLUMNS: dict[str, Column] = {
-    "verdict": Column(str, f"one of {', '.join(VERDICTS)}; empty if the run was not started"),
-    "optimum_at_least": Column(
+# name -> kind and meaning, see `workflows.records.Column`
+COLUMNS: dict[str, tuple[type, str]] = {
+    "verdict": (str, f"one of {', '.join(VERDICTS)}; empty if the run was not started"),
+    "optimum_at_least": (
         float,
         "maximum lower bound that any run certified for the pose objective of this instance and "
         "n_inliers; empty if none did",
     ),
-    "regret_at_most": Column(
+    "regret_at_most": (
         float,
         "objective - optimum_at_least: with objective_regret a certified interval of the regret",
     ),

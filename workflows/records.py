@@ -127,7 +127,8 @@ def runs_columns() -> dict[str, Column]:
         name: Column(bool if metric.unit == "yes/no" else float, metric.meaning, metric.recorded)
         for name, metric in METRICS.items()
     }
-    return {**identity, **PLAN, **RAW, **metrics, **COLUMNS}
+    attribution = {name: Column(*column) for name, column in COLUMNS.items()}
+    return {**identity, **PLAN, **RAW, **metrics, **attribution}
 
 
 def recorded_columns() -> dict[str, Column]:

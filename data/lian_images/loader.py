@@ -10,7 +10,7 @@ from scipy.io import loadmat
 
 from data.contract import Axis, DataError, RawInstance, RecordedDataset
 from data.fetch import fetch
-from data.photographs import edge_points, half_turn, near_pairs, told_pairs
+from data.photographs import edge_points, given_pairs, half_turn, near_pairs
 from data.sampling import reference_pose, transform
 
 LEVELS = (1.0, 2.0, 3.0, 4.0, 5.0)
@@ -60,7 +60,7 @@ class Loader(RecordedDataset):
         pairs = near_pairs(T_true, source, target)
         return RawInstance(
             source, target, pairs, T_true, scale_range,
-            n_inliers=told_pairs(source, target), marks=marked,
+            n_inliers=given_pairs(source, target), marks=marked,
         )  # fmt: skip
 
     def _paths(self, shape: str, test: str, level: float) -> list[str]:

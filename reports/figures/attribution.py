@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
+from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
-from reports.page import Figure
 from reports.theme import Style, words
 from workflows.attribution import VERDICTS, tolerance
 

@@ -7,8 +7,8 @@ from typing import Any
 import pandas as pd
 
 from dcreg.names import POSE_SCOPES
+from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
-from reports.page import Figure
 from reports.tables import Tables, row_names, thin_trace
 from reports.theme import Style, words
 

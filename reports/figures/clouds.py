@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
-from reports.page import Figure
 
 DRAWN = ("source", "target")
 _OBLIQUE = np.array([[0.866, -0.5, 0.0], [0.3, 0.52, 0.8]])  # the page's view of 3D clouds

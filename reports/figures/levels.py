@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
 from reports.figures.printing import LIMITED, NO_POSE
-from reports.page import Figure
 from reports.tables import Tables, level_titles, row_names
 from reports.theme import Style, number, seconds, words
 from workflows.metrics import METRICS

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from reports.page import Figure
+from reports.figures.figure import Figure
 from reports.tables import Tables, row_names
 from reports.theme import Style, number, words
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
-from reports.page import Figure
 from reports.tables import Tables
 from reports.theme import Style
 from workflows.outcomes import attempted

@@ -108,7 +108,7 @@ def test_quick_part_limits_single_methods_before_they_are_varied(write, monkeypa
     assert {config.load(path).limits_of(m).nodes for m in config.load(path).methods} == {None}
 
 
-def test_boxes_are_told_for_clouds_of_100_points_and_fewer_for_larger_ones():
+def test_boxes_are_given_at_100_points_and_reduced_for_larger_clouds():
     def told(n_source, n_target, **limits):
         points = np.zeros((max(n_source, n_target), 2))
         instance = Instance(

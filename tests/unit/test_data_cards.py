@@ -114,7 +114,7 @@ def test_all_cards_of_the_checkout_are_valid():
         ("name: [\n", r"not valid YAML"),
     ],
 )
-def test_a_wrong_card_is_told_in_one_line_with_an_example(tmp_path, text, message):
+def test_a_wrong_card_is_reported_in_one_line_with_an_example(tmp_path, text, message):
     path = tmp_path / "mine" / "card.yaml"
     path.parent.mkdir()
     path.write_text(text)

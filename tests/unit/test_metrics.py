@@ -167,7 +167,7 @@ def test_a_published_threshold_is_kept_without_the_floor(rng):
     assert not METRICS["success"].compute(warped(rng, np.eye(3), 0.2))
 
 
-def test_poses_outside_the_told_range_are_not_admissible(rng):
+def test_poses_outside_the_given_range_are_not_admissible(rng):
     def allowed(T, scale_range):
         return METRICS["admissible"].compute(case(T, T, rng, scale_range=scale_range))
 

@@ -124,7 +124,7 @@ def test_clouds_of_another_dimension_are_refused(mine, folder, dim):
 @pytest.mark.parametrize(
     ("linear", "expected"),
     [
-        (np.diag([1.0, -1.0]), "it mirrors"),
+        (np.diag([1.0, -1.0]), "the pose contains a reflection"),
         (np.diag([1.0, 0.5]), "no rotation times a scale"),
         (np.eye(2) * 3.0, "its scale is 3, not "),
     ],
@@ -171,7 +171,7 @@ def test_a_card_that_cannot_work_is_refused(parameters, expected):
 
 @pytest.mark.parametrize(
     ("folder", "expected"),
-    [("/no/such/folder", "is no folder; correct it"), ("empty", "no pair; each is a folder with")],
+    [("/no/such/folder", "is not a folder; correct it"), ("empty", "no pairs; add folders with")],
 )
 def test_a_folder_without_pairs_is_refused(tmp_path, folder, expected):
     (tmp_path / "empty").mkdir()

@@ -54,10 +54,12 @@ def test_edges_lie_on_the_outline_in_pixels_x_first(tmp_path):
 
 
 def test_too_few_edges_and_broken_pictures_are_named(tmp_path):
-    with pytest.raises(DataError, match=r"a\.png: \d+ edge points at sigma 2; 5000 were asked for"):
+    with pytest.raises(
+        DataError, match=r"a\.png: \d+ edge points at sigma 2, fewer than n_points=5000"
+    ):
         edge_points(paint(tmp_path / "a.png"), 2.0, 5000)
     (tmp_path / "b.png").write_text("no picture")
-    with pytest.raises(DataError, match=r"b\.png: no picture that can be read"):
+    with pytest.raises(DataError, match=r"b\.png: not a readable image"):
         edge_points(tmp_path / "b.png", 2.0, 10)
 
 
@@ -106,7 +108,7 @@ def test_folders_of_the_public_form_are_read(make, name, shape, second, cache):
     )
     assert away.max() < 15
     assert away.min() >= 1
-    with pytest.raises(DataError, match="has 2 photographs, none of number 2; lower trials"):
+    with pytest.raises(DataError, match="has 2 photographs, so there is no trial 2; lower trials"):
         make_instance(dataset(name), shape, "turned", 0.0, 2, 40)
 
 
@@ -133,7 +135,7 @@ def test_marks_of_the_first_photograph_are_the_first_of_the_others(shape):
 
 
 @needs_mirror
-def test_edges_are_told_nine_tenths_and_judged_by_the_marks(tmp_path):
+def test_edges_get_nine_tenths_and_are_evaluated_by_the_marks(tmp_path):
     spec = InstanceSpec("lian_images", "eiffel", "canny", 2.0, 0, 80, "similarity2d")
     raw = make_instance(dataset("lian_images"), *("eiffel", "canny", 2.0, 0, 80))
     assert problem_of(spec, raw).n_inliers_prior == 72

@@ -120,7 +120,7 @@ def test_a_selection_is_a_part_of_the_whole_in_chunks_of_its_own():
 def test_a_selection_that_matches_nothing_says_what_there_is():
     with pytest.raises(ConfigError, match="METHODS=ipc matches nothing"):
         expand(experiment(), parse_selection(["methods=ipc"]))
-    with pytest.raises(ConfigError, match="leaves no run"):
+    with pytest.raises(ConfigError, match="contains no run"):
         expand(experiment(), parse_selection(["methods=bnb", "shapes=pony"]))
 
 

@@ -22,16 +22,8 @@ import report_fixture
 from baselines import registry
 from reports import theme
 from reports.build import build
-from reports.figures import (
-    attribution,
-    levels,
-    paper_2d,
-    paper_3d,
-    paper_examples,
-    paper_images,
-    paper_scans,
-    printing,
-)
+from reports.figures import attribution, levels, printing
+from reports.figures.standalone import paper_2d, paper_3d, paper_examples, paper_images, paper_scans
 from reports.ledger.judging import ledger
 from reports.page import pack_json
 from reports.sections import outcome

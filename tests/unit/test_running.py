@@ -9,7 +9,7 @@ import pytest
 from workflows.running import BusyError, the_only_run
 
 
-def test_a_second_run_is_told_which_is_the_first(tmp_path):
+def test_the_message_to_a_second_run_names_the_first(tmp_path):
     with the_only_run(tmp_path, "a"):
         with (
             pytest.raises(

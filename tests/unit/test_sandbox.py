@@ -51,18 +51,18 @@ def faulty(tmp_path_factory):
     ("n_points", "status", "message"),
     [
         pytest.param(20, "converged", "", id="none"),
-        pytest.param(21, "time_limit", "s, the limit is 0.3 s", id="is late"),
+        pytest.param(21, "time_limit", "s; the limit is 0.3 s", id="is late"),
         pytest.param(22, "failed", "ZeroDivisionError: planted (adapter.py:", id="raises"),
         pytest.param(23, "failed", "the limit is 0.3 s", id="hangs"),
         pytest.param(24, "failed", "MemoryError", id="bursts"),
         pytest.param(25, "failed", "worker ended with exit code 3", id="exits"),
         pytest.param(26, "failed", "worker died of SIGKILL", id="is killed"),
         pytest.param(27, "failed", "worker died of SIGSEGV", id="crashes"),
-        pytest.param(28, "failed", "said optimal but gave no pose", id="gives no pose"),
+        pytest.param(28, "failed", "returned optimal without a pose", id="gives no pose"),
         pytest.param(
-            29, "failed", "a lower bound of 5 above an upper one of 1", id="crosses bounds"
+            29, "failed", "the lower bound 5 above the upper bound 1", id="crosses bounds"
         ),
-        pytest.param(30, "failed", "said time_limit but gave no pose", id="gives up"),
+        pytest.param(30, "failed", "returned time_limit without a pose", id="gives up"),
         pytest.param(31, "failed", "not finite", id="gives NaN"),
     ],
 )
@@ -92,7 +92,7 @@ def test_a_run_that_compiled_is_repeated_and_not_timed(tmp_path):
     assert unlucky["time_solve_s"] < unlucky["time_warmup_s"]
     assert unlucky["time_warmup_s"] > before["time_warmup_s"] + 3.0  # where the time went
     assert after["time_warmup_s"] == unlucky["time_warmup_s"]  # one worker all along
-    assert (tmp_path / "log").read_text().count("repeated, since it compiled code") == 1
+    assert (tmp_path / "log").read_text().count("repeated, as it compiled code") == 1
 
 
 def test_a_method_that_always_compiles_is_timed_in_the_end(tmp_path):

@@ -26,7 +26,7 @@ def test_the_list_of_methods_shows_the_key_that_a_config_needs(monkeypatch):
     assert row.split("│")[1].strip() == "fault"
 
 
-def test_methods_displayed_alike_are_told_apart(tmp_path):
+def test_methods_with_one_displayed_name_are_distinguished(tmp_path):
     report_fixture.write_tables(tmp_path / "tables")
     path = tmp_path / "tables" / "runs.parquet"
     runs = pd.read_parquet(path)

@@ -22,7 +22,7 @@ import pandas as pd
 import psutil
 import pytest
 
-import workflows.metrics
+import workflows.metrics.errors
 from workflows.running import the_only_run
 
 CHECKOUT = Path(__file__).parents[2]
@@ -188,7 +188,7 @@ FIGURE = next((CHECKOUT / "reports" / "figures").glob("[a-z]*.py"))
     [
         (FIGURE, ["report"]),
         (CHECKOUT / "baselines/icp/adapter.py", [*AFTER_SOLVE, "solve icp"]),
-        (Path(workflows.metrics.__file__), AFTER_SOLVE),
+        (Path(workflows.metrics.errors.__file__), AFTER_SOLVE),
     ],
     ids=["figure", "method", "metric"],
 )

@@ -1,4 +1,4 @@
-"""Everything the report needs, in one folder of tables."""
+"""Write the folder of tables from which the report is built."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_OVERLAY_POINTS = 400  # per set
 
 
 def aggregate(plan: Plan, folder: Path) -> None:
-    """Join plan, raw results and metrics, and write ``tables/`` of the plan's view."""
+    """Join plan, raw results and metrics, and write the folder ``tables/`` of the plan."""
     out = folder / plan.view / "tables"
     runs = join_runs(plan, folder)
     records.write(runs, out / "runs.parquet", csv=True)
@@ -34,7 +34,7 @@ def aggregate(plan: Plan, folder: Path) -> None:
 
 
 def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
-    """Exactly one row per planned run, in the documented columns."""
+    """Return exactly one row per planned run, in the documented columns."""
     planned = plan_table(plan)
     raw = _raw(plan, folder, "", records.RAW)
     metrics = pd.read_parquet(folder / plan.view / "metrics" / "metrics.parquet")
@@ -50,7 +50,7 @@ def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
     if len(without):
         raise records.SchemaError(
             f"{folder}: {len(without)} planned runs of {without.iloc[0]} have no result; "
-            "repeat the solve and evaluate stages"
+            "run the experiment again"
         )
     by_name = {method.name: method for method in plan.methods}
     cards = {name: registry.read_card(method.baseline) for name, method in by_name.items()}
@@ -67,27 +67,29 @@ def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
 
 
 def display_name(method: MethodSettings) -> str:
-    """How figures and tables call a line: its label, or the card's name and an unusual prior.
+    """Return the displayed name of a line: its label, or the card's name with an unusual n_inliers.
 
-    A reconstruction is called one, whatever its label says.
+    A reconstruction is always marked as such.
     """
     card = registry.read_card(method.baseline)
     if method.label:
-        hidden = card.provenance == "reconstruction" and "reconstruct" not in method.label.lower()
-        return f"{method.label} (reconstructed)" if hidden else method.label
+        is_unmarked = (
+            card.provenance == "reconstruction" and "reconstruct" not in method.label.lower()
+        )
+        return f"{method.label} (reconstructed)" if is_unmarked else method.label
     name = card.display_name
     return name if method.n_inliers_ratio == 1 else f"{name} (n_p × {method.n_inliers_ratio:g})"
 
 
 def join_traces(plan: Plan, folder: Path, runs: pd.DataFrame) -> pd.DataFrame:
-    """Bound histories of all runs, in the order of the runs."""
+    """Return the bound histories of all runs, in the order of the runs."""
     traces = _raw(plan, folder, ".trace", records.RAW_TRACES)
     traces = traces.merge(runs[["run_id", "method"]], on="run_id", validate="many_to_one")
     return records.conform(traces, records.TRACES, "traces")
 
 
 def accounting(runs: pd.DataFrame) -> pd.DataFrame:
-    """Planned runs and how they ended, per method; asserted to add up."""
+    """Count planned runs and their outcomes per method, and check that they add up."""
     counts = pd.crosstab(runs["method"], runs["outcome"])
     counts = counts.reindex(runs["method"].unique())
     counts = counts.reindex(columns=list(OUTCOMES), fill_value=0)
@@ -98,7 +100,7 @@ def accounting(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def overlays(plan: Plan, folder: Path, runs: pd.DataFrame) -> list[dict[str, Any]]:
-    """Points and pose of the best, median and worst run of every method and test."""
+    """Return points and pose of the best, median and worst run of every method and test."""
     problems = {
         problem.instance_id: problem
         for chunk in plan.chunks
@@ -127,14 +129,14 @@ def overlays(plan: Plan, folder: Path, runs: pd.DataFrame) -> list[dict[str, Any
 
 
 def _picks(count: int) -> dict[str, int]:
-    """Which of `count` ranked runs are shown, none twice."""
+    """Return the positions of the shown runs among `count` ranked ones, without repetition."""
     if count < 3:
         return {"only": 0} if count == 1 else {"best": 0, "worst": 1}
     return {"best": 0, "median": (count - 1) // 2, "worst": count - 1}
 
 
 def run_command(plan: Plan) -> str:
-    """The command line that makes these tables."""
+    """Return the command line that makes these tables."""
     parts = [
         f"--{axis} {shlex.quote(','.join(map(str, values)))}"
         for axis, values in plan.selection
@@ -144,12 +146,12 @@ def run_command(plan: Plan) -> str:
 
 
 def replay_command(plan: Plan, run_id: str) -> str:
-    """A command line that repeats exactly this run and shows it."""
+    """Return the command line that repeats this run."""
     return f"python -m workflows replay {shlex.quote(plan.config)} {run_id}"
 
 
 def _points(points: np.ndarray) -> list[list[float]]:
-    """Rounded to four digits after the leading ones of the set's size; evenly thinned if many."""
+    """Round points to four digits of the extent of the set; keep evenly spaced ones of many."""
     step = -(-len(points) // MAX_OVERLAY_POINTS)
     digits = 4 - int(np.floor(np.log10(max(np.ptp(points, axis=0).max(), 1e-12))))
     return np.round(points[::step], max(0, digits)).tolist()

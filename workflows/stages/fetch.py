@@ -1,4 +1,4 @@
-"""Brings in the files that the instances of a chunk need."""
+"""Fetch the files that the instances of a chunk need."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from workflows.stages.plan import Chunk
 
 
 def fetch(chunk: Chunk, out: Path) -> None:
-    """Fetch and verify what a chunk needs, and note in `out` the terms on which it comes."""
+    """Fetch and verify the files of a chunk, and write their licences and citations to `out`."""
     cards = {name: registry.dataset(name).card for name in chunk.datasets}
     for spec in chunk.instances:
         if cards[spec.dataset].files:

@@ -1,4 +1,4 @@
-"""Makes the instances of a chunk, and apart from them their truth."""
+"""Make the instances of a chunk and, in a separate file, their ground truth."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from workflows.instances import Problem, Truth, with_oracle, write_problems, wri
 if TYPE_CHECKING:
     from workflows.stages.plan import Chunk, InstanceSpec
 
-# Least inlier threshold told to methods, as a share of the target's longest side: without noise the
+# Minimum inlier threshold given to methods, as a share of the target's longest side: without noise the
 # residual is 0, and no method that thresholds residuals could work.
-LEAST_NOISE_BOUND = 0.01
+MIN_NOISE_BOUND = 0.01
 
 
 def generate(chunk: Chunk, instances_path: Path, truth_path: Path) -> None:
@@ -34,7 +34,7 @@ def generate(chunk: Chunk, instances_path: Path, truth_path: Path) -> None:
 
 
 def problem_of(spec: InstanceSpec, raw: RawInstance) -> Problem:
-    """What may be known of an instance: points, and the two priors that all methods share."""
+    """Return what solvers may receive: points, and the two priors that all methods share."""
     return Problem(
         instance_id=spec.instance_id,
         model=spec.model,
@@ -58,7 +58,7 @@ def instance_of(
     oracle_outliers: float | None = None,
     n_points: int | None = None,
 ) -> Instance:
-    """Exactly what a worker is given for this spec; oracle pairs only where they are asked for."""
+    """Return exactly what a worker receives for this spec; oracle pairs only if requested."""
     raw = raw_instance(spec)
     instance = problem_of(spec, raw).for_solver(n_inliers_ratio, experiment_seed, n_points)
     if oracle_outliers is None:
@@ -72,15 +72,15 @@ def truth_of(spec: InstanceSpec, raw: RawInstance) -> Truth:
 
 
 def noise_bound(raw: RawInstance) -> float:
-    """`NOISE_FACTOR` times the RMS residual of the true pairs at the reference pose, or a floor."""
+    """Return `NOISE_FACTOR` times the RMS residual at the reference pose, or a minimum."""
     source, target = raw.judged
     residuals = transform(raw.T_true, source) - target
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
-    return max(NOISE_FACTOR * rms, LEAST_NOISE_BOUND * float(np.ptp(raw.target, axis=0).max()))
+    return max(NOISE_FACTOR * rms, MIN_NOISE_BOUND * float(np.ptp(raw.target, axis=0).max()))
 
 
 def sources_digest(datasets: list[str]) -> str:
-    """Hash of all code and cards that decide the content of instances from these datasets."""
+    """Hash all code and cards that determine the instances of these datasets."""
     own = [path for name in datasets for path in (CHECKOUT / "data" / name).rglob("*")]
     roots = [Path(__file__), *(path for path in own if path.is_file() and path.suffix != ".pyc")]
     behind = files_behind(roots, CHECKOUT, ("baselines", "data", "dcreg", "workflows"))
@@ -91,6 +91,6 @@ def sources_digest(datasets: list[str]) -> str:
 
 
 def raw_instance(spec: InstanceSpec) -> RawInstance:
-    """The instance with its truth; loading it fetches and verifies the files it needs, and no others."""
+    """Return the instance with its ground truth; fetches and verifies only the files that it needs."""
     dataset = registry.dataset(spec.dataset)
     return make_instance(dataset, spec.shape, spec.test, spec.level, spec.trial, spec.n_points)

@@ -1,8 +1,8 @@
-"""Expands an experiment into its instances, chunks of instances, and planned runs.
+"""Expand an experiment into its instances, chunks of instances, and planned runs.
 
-A pure function of the config and the selection: the same plan on every machine. A chunk is a list
-of instances of one model that travel together; its name carries a hash of its content, so that a
-partial selection never overwrites the results of the whole.
+The plan depends on the config and the selection only, so it is the same on every machine. A chunk is a
+list of instances of one model that share a file and a solve job. Its name contains a hash of its content,
+so a partial selection never overwrites the results of the whole.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SHORT = {"similarity2d": "2d", "rigid3d": "3d"}
 
 @dataclass(frozen=True)
 class InstanceSpec:
-    """One registration problem, by the axes that decide it."""
+    """One registration problem, by the axes that determine it."""
 
     dataset: str
     shape: str
@@ -76,7 +76,7 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to run. ``config`` is the name or path under which the experiment is found again."""
+    """The planned runs. ``config`` is the name or path of the experiment's config."""
 
     config: str
     experiment: Experiment
@@ -85,13 +85,13 @@ class Plan:
     methods: tuple[MethodSettings, ...]
 
     def jobs(self) -> Iterator[tuple[MethodSettings, Chunk]]:
-        """Methods with the chunks they are asked to treat."""
+        """Yield the methods with the chunks that they are run on."""
         for method, chunk in product(self.methods, self.chunks):
             if not method.models or chunk.model in method.models:
                 yield method, chunk
 
     def runs(self) -> Iterator[PlannedRun]:
-        """All of them; a hash each, so seconds for an experiment of the paper."""
+        """Yield all runs; takes seconds for an experiment of the paper, as each is hashed."""
         for method, chunk in self.jobs():
             for instance in chunk.instances:
                 run_id = run_identity(self.experiment, method, instance.instance_id)
@@ -99,10 +99,10 @@ class Plan:
 
     @property
     def view(self) -> Path:
-        """Where plan, metrics, tables and report lie, below the experiment's folder of results.
+        """Folder of plan, metrics, tables and report, below the results of the experiment.
 
-        A part has a folder of its own, so that it never replaces tables of the whole. Instances and
-        runs are shared.
+        A part has a separate folder and never replaces tables of the whole. Instances and runs are
+        shared.
         """
         chosen = {axis: values for axis, values in self.selection if values}
         if not chosen:
@@ -116,12 +116,12 @@ class Plan:
 
 
 def run_identity(experiment: Experiment, method: MethodSettings, instance_id: str) -> str:
-    """The ``run_id``: a hash of everything in the config that can change the run's result."""
+    """Return the ``run_id``: a hash of everything in the config that can change the result."""
     return digest([instance_id, method_identity(experiment, method)])
 
 
 def method_identity(experiment: Experiment, method: MethodSettings) -> dict[str, Any]:
-    """What of a method's settings can change its results: not its label, nor where it is asked."""
+    """Return the settings of a method that can change its results."""
     return {
         "method": method.name,
         "baseline": method.baseline,
@@ -134,12 +134,12 @@ def method_identity(experiment: Experiment, method: MethodSettings) -> dict[str,
 
 
 def expand(experiment: Experiment, selection: Selection | None = None, config: str = "") -> Plan:
-    """All instances and runs of the selected part of an experiment.
+    """Return the plan of the selected part of an experiment.
 
     Raises
     ------
     ConfigError
-        When the selection names something the experiment does not have, or leaves nothing.
+        If the selection names something that the experiment does not have, or selects no run.
     """
     selection = selection or Selection()
     instances = _instances(experiment)
@@ -154,14 +154,14 @@ def expand(experiment: Experiment, selection: Selection | None = None, config: s
     plan = Plan(config or experiment.name, experiment, selection, chunks, chosen_methods)
     if next(plan.jobs(), None) is None:
         raise ConfigError(
-            f"experiment {experiment.name}: the selection leaves no run; "
+            f"experiment {experiment.name}: the selection contains no run; "
             "select a method and tests of the same model"
         )
     return plan
 
 
 def plan_table(plan: Plan) -> pd.DataFrame:
-    """The plan as a table, one row per planned run."""
+    """Return the plan as a table with one row per planned run."""
     rows = [
         {
             "run_id": run.run_id,
@@ -210,7 +210,7 @@ def _chunks(instances: Sequence[InstanceSpec], size: int) -> Iterator[Chunk]:
         alike = [instance for instance in instances if instance.model == model]
         n_chunks = -(-len(alike) // size)
         for index in range(n_chunks):
-            # Every n-th instance: chunks get alike shares of easy and hard levels.
+            # Every n-th instance, so that chunks have similar shares of easy and hard levels.
             members = tuple(alike[index::n_chunks])
             content = digest([member.instance_id for member in members], 6)
             yield Chunk(f"{SHORT[model]}-{index:02d}-{content}", model, members)

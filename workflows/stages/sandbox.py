@@ -1,9 +1,9 @@
-"""Runs a method in a worker process that can be lost without losing anything else.
+"""Run a method in a worker process whose loss costs one run only.
 
-The worker lives through many instances, so that imports and JIT compilation are paid once. It is
-killed, with all its children, at the hard time limit or the memory limit, and replaced for the
-next instance; a crash is noticed as the end of the pipe. Each of these costs one run its pose: it is
-`failed`. A run in which code was compiled is not timed but repeated.
+The worker solves many instances, so that imports and JIT compilation are needed once. It is killed, with
+all its children, at the hard time limit or the memory limit, and replaced for the next instance; a crash
+shows as the end of the pipe. In each case one run ends as `failed`. A run in which code was compiled is
+repeated.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from workflows import CHECKOUT
 from workflows.config import LimitSettings, MethodSettings
 from workflows.stages.worker import COMPILING
 
-WATCH_S = 0.05  # a busy worker's memory is measured this often
-FAMILY_S = 1.0  # its child processes are listed this often
-MAX_REPEATS = 5  # of a run that compiled code; a method that always does is timed all the same
+WATCH_S = 0.05  # between two measurements of a busy worker's memory
+FAMILY_S = 1.0  # between two lists of its child processes
+MAX_REPEATS = 5  # of a run that compiled code; then it counts in any case
 MB = 2**20
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -42,7 +42,7 @@ THREAD_VARIABLES = (
 
 
 class WorkerLostError(Exception):
-    """The worker was killed or died, and with it the pose; the message says how."""
+    """The worker was killed or died; the message gives the reason."""
 
 
 class Worker:
@@ -82,12 +82,12 @@ class Worker:
         limit: str,
         compile_s: float = 0.0,
     ) -> dict[str, Any]:
-        """The worker's answer to a request, within `timeout_s`, or `compile_s` more if it compiles.
+        """Return the worker's answer within `timeout_s`, plus `compile_s` if it compiles.
 
         Raises
         ------
         WorkerLostError
-            At the time or memory limit, or when the worker dies. It is gone then.
+            At the time or memory limit, or if the worker dies. It cannot be used any more.
         """
         self.compiled = False
         try:
@@ -98,11 +98,11 @@ class Worker:
                 answer = self._received(timeout_s + compile_s, f"{limit}, and it compiled code")
             return answer
         except (EOFError, OSError) as error:
-            self.kill(patience_s=2.0)  # let it exit by itself: its exit code is the diagnosis
+            self.kill(patience_s=2.0)  # let it exit by itself to get its exit code
             raise WorkerLostError(f"worker {self._end()}") from error
 
     def _received(self, timeout_s: float, limit: str) -> Any:
-        """What the worker sends next; until then its time and memory are watched."""
+        """Return what the worker sends next; until then, watch its time and memory."""
         deadline = time.monotonic() + timeout_s
         while not self.connection.poll(max(0.0, min(WATCH_S, deadline - time.monotonic()))):
             used_mb = self._memory_mb()
@@ -113,11 +113,11 @@ class Worker:
                 )
             if time.monotonic() >= deadline:
                 self.kill()
-                raise WorkerLostError(f"killed after {timeout_s:.1f} s without answer; {limit}")
+                raise WorkerLostError(f"killed after {timeout_s:.1f} s without an answer; {limit}")
         return self.connection.recv()
 
     def kill(self, patience_s: float = 0.0) -> None:
-        """End the worker and all its children; with patience, one that is ending ends by itself."""
+        """End the worker and all its children, after `patience_s` in which it may exit by itself."""
         if not self._alive:
             return
         self._alive = False
@@ -129,12 +129,12 @@ class Worker:
         self.connection.close()
 
     def close(self) -> None:
-        """Hang up, let the worker end by itself, then make sure of it."""
+        """Close the pipe and end the worker."""
         self.connection.close()
         self.kill(patience_s=2.0)
 
     def _memory_mb(self) -> float:
-        """Resident memory of the worker and its children."""
+        """Return the resident memory of the worker and its children."""
         total = 0
         if time.monotonic() > self._family_until:  # listing children reads all of /proc
             self._family_until = time.monotonic() + FAMILY_S
@@ -154,21 +154,20 @@ class Worker:
 
 
 class Sandbox:
-    """A method ready to solve, one instance after the other, whatever happens to its worker."""
+    """A method that solves one instance after the other, whatever happens to its worker."""
 
     def __init__(self, method: MethodSettings, limits: LimitSettings, log: Path) -> None:
         self.method = method
         self.limits = limits
         self.log = log
-        # Time the present worker took to start and to compile, and the same summed over all workers.
+        # Time to start and compile of the present worker, and the sum over all workers.
         self.time_warmup_s = float("nan")
         self.time_started_s = 0.0
         self._worker: Worker | None = None
-        self._verdict: tuple[Status, str] | None = (
-            None  # where the method cannot run here: the answer for all runs
-        )
+        # The result of all runs if the method cannot run here.
+        self._verdict: tuple[Status, str] | None = None
         self._warm_up = True
-        self._since = 0.0  # when the present run began
+        self._since = 0.0  # start of the present run
 
     def __enter__(self) -> Sandbox:
         return self
@@ -181,16 +180,16 @@ class Sandbox:
     ) -> None:
         if self._worker and kind is None:
             self._worker.close()
-        elif self._worker:  # interrupted in mid-run: do not wait for its answer
+        elif self._worker:  # interrupted: do not wait for its answer
             self._worker.kill()
 
     def prepare(self, instance: Instance) -> None:
-        """Have a worker that has imported and compiled what instances of this kind need.
+        """Start a worker that has imported and compiled what instances of this kind need.
 
         Raises
         ------
         WorkerLostError
-            When the worker was lost meanwhile.
+            If the worker was lost meanwhile.
         """
         if self._worker or self._verdict:
             return
@@ -212,8 +211,8 @@ class Sandbox:
             elif answer["reason"]:
                 self._verdict = Status.UNAVAILABLE, answer["reason"]
             elif self._warm_up:
-                # An exception in the warm-up is ignored: the run may succeed all the same. If the
-                # warm-up kills the worker it is left out from then on, so that it costs one run only.
+                # An exception in the warm-up is ignored: the run may still succeed. A warm-up that loses
+                # the worker is skipped from then on, so that it costs one run only.
                 self._warm_up = False
                 worker.ask("warm_up", instance, self.limits.memory_mb, **patience)
                 self._warm_up = True
@@ -226,7 +225,7 @@ class Sandbox:
         return worker
 
     def solve(self, instance: Instance) -> dict[str, Any]:
-        """The worker's answer or, where it was lost, the status of the run; a run never raises."""
+        """Return the worker's answer or, if it was lost, the status of the run; never raises."""
         self._since = time.perf_counter()
         try:
             self.prepare(instance)
@@ -247,7 +246,7 @@ class Sandbox:
             }
 
     def _answer(self, worker: Worker, instance: Instance) -> dict[str, Any]:
-        """The answer of the first run in which nothing is compiled."""
+        """Return the answer of the first run in which nothing is compiled."""
         limits = self.limits
         for compile_s in (*[limits.warm_up_s] * MAX_REPEATS, 0.0):
             self._since = time.perf_counter()
@@ -265,5 +264,5 @@ class Sandbox:
             self.time_warmup_s += lost
             self.time_started_s += lost
             with self.log.open("a") as stream:
-                print(f"{instance.instance_id}: repeated, since it compiled code", file=stream)
+                print(f"{instance.instance_id}: repeated, as it compiled code", file=stream)
         return answer

@@ -1,8 +1,8 @@
-"""One solve job: a method on a chunk of instances, every finished run kept at once.
+"""One solve job: a method on a chunk of instances; every finished run is stored at once.
 
-Beside the final file lies a journal with one line per finished run. A job that was interrupted,
-or whose chunk has changed, takes from the method's journals all runs whose run_id, given content
-and method fingerprint are the same, and solves the rest.
+Next to the final file is a journal with one line per finished run. A job that was interrupted, or whose
+chunk has changed, takes from the journals of the method all runs with the same run_id, input and method
+fingerprint, and solves the rest.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def solve(
 ) -> None:
     """Write ``<chunk>.parquet`` and ``<chunk>.trace.parquet`` with a row for every instance.
 
-    The truth is read for methods with the oracle front end only, which are favoured by it and say
-    so; they get it as pairs among random ones.
+    The ground truth is read only for methods with the oracle front end, which receive its pairs among
+    random ones.
     """
     instances = [
         problem.for_solver(method.n_inliers_ratio, experiment.seed, method.n_points)
@@ -74,7 +74,7 @@ def solve(
 
 
 def forget(runs_folder: Path, statuses: set[str]) -> int:
-    """Drop runs that ended so from a folder of results, so that the next run repeats them."""
+    """Delete runs with these statuses from a folder of results, so that the next run repeats them."""
     dropped = 0
     for path in sorted(runs_folder.glob("*/*.journal.jsonl")):
         kept, lines = [], path.read_text(encoding="utf-8").splitlines()
@@ -93,7 +93,7 @@ def forget(runs_folder: Path, statuses: set[str]) -> int:
 def _rows(
     experiment: Experiment, method: MethodSettings, instances: list[Instance], runs_path: Path
 ) -> Iterator[dict[str, Any]]:
-    """A row per instance, in order: from a journal, or solved now."""
+    """Yield a row per instance, in order: from a journal, or solved now."""
     constant = {
         "fingerprint": registry.fingerprint(method.baseline),
         "machine_id": provenance.machine_card()["machine_id"],
@@ -134,7 +134,7 @@ def _rows(
 
 
 def _plain(answer: dict[str, Any]) -> dict[str, Any]:
-    """A worker's answer in the columns of `records.RAW`."""
+    """Return a worker's answer in the columns of `records.RAW`."""
     lower, upper = answer.get("lower_bound"), answer.get("upper_bound")
     pose = answer.get("T_target_source")
     return {
@@ -147,12 +147,12 @@ def _plain(answer: dict[str, Any]) -> dict[str, Any]:
 
 
 def _key(row: dict[str, Any]) -> tuple[str, str, str]:
-    """What must be equal for an old result to stand for a new run."""
+    """Return what must be equal for an old result to be used again."""
     return row["run_id"], row["instance_digest"], row["fingerprint"]
 
 
 def journalled(folder: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
-    """Finished runs of all journals of a method, by run_id, content and fingerprint; the last counts."""
+    """Return the finished runs of a method by run_id, input and fingerprint; the last one counts."""
     rows = {}
     for path in sorted(folder.glob("*.journal.jsonl")):
         for line in path.read_text(encoding="utf-8").splitlines():
@@ -162,7 +162,7 @@ def journalled(folder: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
 
 
 def _parsed(line: str) -> dict[str, Any] | None:
-    """A line of a journal, or None for one that was cut off by a kill."""
+    """Return a line of a journal, or None for one that was cut off."""
     try:
         return json.loads(line)
     except json.JSONDecodeError:
@@ -170,7 +170,7 @@ def _parsed(line: str) -> dict[str, Any] | None:
 
 
 def _appending(path: Path) -> IO[str]:
-    """The journal, open for whole lines, also after one that was cut off."""
+    """Open the journal for new lines, also after one that was cut off."""
     cut_off = path.is_file() and not path.read_bytes().endswith(b"\n") and path.stat().st_size > 0
     stream = path.open("a", encoding="utf-8")
     if cut_off:

@@ -1,8 +1,8 @@
-"""The process in which a method runs. It gets instances through a pipe, and never any truth.
+"""The process in which a method runs. It receives instances through a pipe, never the ground truth.
 
-``python -m workflows.stages.worker FD`` serves requests on the inherited connection FD until it closes.
-Every request is answered with a dict, or the process dies; the parent (`sandbox`) copes with both. Before
-the answer may come `COMPILING`: code is compiled within the request, whose time therefore says nothing.
+``python -m workflows.stages.worker FD`` answers requests on the inherited connection FD until it closes.
+Every request is answered with a dict, or the process dies; the parent (`sandbox`) handles both. The
+answer may be preceded by `COMPILING`: code is compiled within the request, so its time is not valid.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ COUNTERS = ("n_nodes", "n_assignments")
 MB = 2**20
 COMPILING = "compiling"
 CROSSED = 1e-6  # relative rounding of two bounds that meet
-# A method that has finished this much later than its limit had more time than those that obey.
+# A method that exceeds its limit by this factor had an advantage over those that keep it.
 LATE = 1.1
 
 
 class Server:
-    """Answers the parent's requests; one method, opened once.
+    """Answers the parent's requests for one method.
 
-    `tell` sends the parent a word before the answer.
+    `notify` sends the parent a message before the answer.
     """
 
     method: Baseline
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self.tell = tell
+    def __init__(self, notify: Callable[[str], None]) -> None:
+        self.notify = notify
 
     def open(self, baseline: str, options: dict[str, Any], threads: int) -> dict[str, Any]:
-        """Import and configure the method; ``reason`` says why it cannot run here."""
+        """Import and configure the method; ``reason`` explains why it cannot run here."""
         from baselines import registry
 
         self.threads = threads
@@ -55,21 +55,21 @@ class Server:
         return {"reason": reason}
 
     def warm_up(self, instance: Instance, memory_mb: int) -> dict[str, Any]:
-        """Compile and import what instances of this kind need, before anything is timed."""
+        """Compile and import what instances of this kind need, outside of the timed runs."""
         if self.method.supports(instance) is None:
             self.method.warm_up(instance)
-        _cap_threads(self.threads)  # also of libraries that the warm-up loaded
+        _cap_threads(self.threads)  # also for libraries that the warm-up loaded
         _cap_memory(memory_mb)
         return {}
 
     def solve(self, instance: Instance, limits: Limits) -> dict[str, Any]:
-        """Solve one instance; whatever Python can catch becomes a status."""
+        """Solve one instance; every exception becomes a status."""
         if reason := self.method.supports(instance):
             return {"status": Status.UNSUPPORTED, "message": reason}
         _reset_peak()
         start = time.perf_counter()
         try:
-            with _when_compiling(lambda: self.tell(COMPILING)):
+            with _when_compiling(lambda: self.notify(COMPILING)):
                 solution = self.method.solve(instance, limits)
             time_solve_s = time.perf_counter() - start
             answer = _in_time(_checked(solution, instance.dim), time_solve_s, limits.time_s)
@@ -85,7 +85,7 @@ class Server:
 
 
 def serve(connection: Connection) -> None:
-    """Answer requests ``(command, arguments)`` until the parent hangs up."""
+    """Answer requests ``(command, arguments)`` until the parent closes the connection."""
     server = Server(connection.send)
     while True:
         try:
@@ -102,21 +102,24 @@ def serve(connection: Connection) -> None:
 
 
 def _checked(solution: Solution, dim: int) -> dict[str, Any]:
-    """A solution as plain values; one without a usable pose is a failure, whatever it claims."""
+    """Return a solution as plain values; one without a usable pose counts as failed."""
     status, message, pose = Status(solution.status), solution.message, solution.T_target_source
     if status in (Status.UNSUPPORTED, Status.UNAVAILABLE):
         return {"status": status, "message": message}
     if status is not Status.FAILED:
         shape = (dim + 1, dim + 1)
         if pose is None:
-            message, status = f"said {status} but gave no pose", Status.FAILED
+            message, status = f"returned {status} without a pose", Status.FAILED
         elif np.shape(pose) != shape:
-            message, status = f"gave a pose of shape {np.shape(pose)}, not {shape}", Status.FAILED
+            message, status = (
+                f"returned a pose of shape {np.shape(pose)}, not {shape}",
+                Status.FAILED,
+            )
         elif not np.isfinite(pose).all():
-            message, status = "gave a pose that is not finite", Status.FAILED
+            message, status = "returned a pose that is not finite", Status.FAILED
         elif _is_crossed(solution):
-            bounds = f"{solution.lower_bound:.6g} above an upper one of {solution.upper_bound:.6g}"
-            message, status = f"gave a lower bound of {bounds}", Status.FAILED
+            bounds = f"{solution.lower_bound:.6g} above the upper bound {solution.upper_bound:.6g}"
+            message, status = f"returned the lower bound {bounds}", Status.FAILED
     if status is Status.FAILED:
         pose = None
     return {
@@ -134,7 +137,7 @@ def _checked(solution: Solution, dim: int) -> dict[str, Any]:
 
 
 def _is_crossed(solution: Solution) -> bool:
-    """Whether the bounds cannot both hold, by more than rounding."""
+    """Whether the bounds contradict each other by more than rounding."""
     lower, upper = solution.lower_bound, solution.upper_bound
     if lower is None or upper is None:
         return False
@@ -142,30 +145,30 @@ def _is_crossed(solution: Solution) -> bool:
 
 
 def _in_time(answer: dict[str, Any], time_s: float, limit_s: float) -> dict[str, Any]:
-    """The answer, one of a method that did not stop at the limit marked as limited."""
+    """Mark the answer of a method that exceeded the time limit as limited."""
     if answer["status"] not in (Status.OPTIMAL, Status.CONVERGED) or time_s <= LATE * limit_s:
         return answer
-    message = f"came after {time_s:.3g} s, the limit is {limit_s:g} s"
-    told = "; ".join(filter(None, (answer["message"], message)))
-    return {**answer, "status": Status.TIME_LIMIT, "message": told}
+    message = f"returned after {time_s:.3g} s; the limit is {limit_s:g} s"
+    both = "; ".join(filter(None, (answer["message"], message)))
+    return {**answer, "status": Status.TIME_LIMIT, "message": both}
 
 
-def _when_compiling(tell: Callable[[], None]) -> AbstractContextManager[None]:
-    """A context in which `tell` is called once, before Numba compiles (not: loads) the first function.
+def _when_compiling(notify: Callable[[], None]) -> AbstractContextManager[None]:
+    """Return a context that calls `notify` once, before Numba first compiles (not: loads) a function.
 
-    A process that has not loaded Numba by the end of its warm-up is left without it.
+    It does nothing in a process that has not loaded Numba by the end of its warm-up.
     """
     if "numba" not in sys.modules:
         return nullcontext()
     from numba.core import event
 
     class Listener(event.Listener):
-        told = False
+        notified = False
 
         def on_start(self, event: Any) -> None:
-            if not self.told:
-                self.told = True
-                tell()
+            if not self.notified:
+                self.notified = True
+                notify()
 
         def on_end(self, event: Any) -> None:
             pass
@@ -174,7 +177,7 @@ def _when_compiling(tell: Callable[[], None]) -> AbstractContextManager[None]:
 
 
 def _thinned(events: list[Any]) -> list[Any]:
-    """At most `MAX_TRACE` events: the first, the last, and an even share between."""
+    """Return at most `MAX_TRACE` events, evenly spaced, with the first and the last."""
     if len(events) <= MAX_TRACE:
         return events
     kept = np.unique(np.linspace(0, len(events) - 1, MAX_TRACE).round().astype(int))
@@ -182,7 +185,7 @@ def _thinned(events: list[Any]) -> list[Any]:
 
 
 def _described(error: Exception) -> str:
-    """Type and text of an error, with the innermost line that raised it, free of escape codes."""
+    """Return type, text and innermost line of an error, without escape codes."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     text = "".join(c if c.isprintable() or c == "\n" else "?" for c in str(error))
@@ -196,9 +199,9 @@ def _cap_threads(threads: int) -> None:
 
 
 def _cap_memory(memory_mb: int) -> None:
-    """A backstop for one huge allocation, which the parent's watch would see too late.
+    """Cap huge allocations, which the parent would notice too late.
 
-    It lies well above the limit, as libraries reserve more than they touch.
+    The cap is well above the limit, as libraries reserve more than they use.
     """
     import resource
 
@@ -210,13 +213,13 @@ def _cap_memory(memory_mb: int) -> None:
 
 
 def _reset_peak() -> None:
-    """Let the kernel's record of the peak start anew, where it can (Linux)."""
+    """Reset the kernel's record of the peak, if possible (Linux)."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def _peak_memory_mb() -> float:
-    """Most resident memory since `_reset_peak`, or since the start where that is not possible."""
+    """Return the maximum resident memory since `_reset_peak`, or since the start of the process."""
     import resource
 
     return _proc_status("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -231,7 +234,7 @@ def _proc_status(field: str) -> float | None:
 
 
 def _die_with_parent() -> None:
-    """A worker whose parent was killed must not go on alone (Linux)."""
+    """End this process when its parent is killed (Linux)."""
     with suppress(OSError, AttributeError):
         PR_SET_PDEATHSIG = 1
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -240,5 +243,5 @@ def _die_with_parent() -> None:
 if __name__ == "__main__":
     faulthandler.enable()
     _die_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     serve(Connection(int(sys.argv[1])))

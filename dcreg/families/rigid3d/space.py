@@ -28,8 +28,8 @@ from dcreg.families.rigid3d.starts import SCALES, best_descents, congruent_poses
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
 from dcreg.jit import NEVER
-from dcreg.problem.geometry import apply_pose
 from dcreg.names import RIGID_POSE
+from dcreg.problem.geometry import apply_pose
 from dcreg.search import Box, Budget
 
 _SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored

@@ -2,5 +2,5 @@
 
 A module has ``POSITION`` (figures are shown in this order), ``CAPTION``, ``DRAWN`` (the roles of traces
 that are visible at first and in print) and ``build(tables, styles)``, which returns a
-`reports.page.Figure`, or None if the experiment has no runs for it.
+`reports.figures.figure.Figure`, or None if the experiment has no runs for it.
 """

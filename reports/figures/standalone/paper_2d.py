@@ -5,9 +5,9 @@ from __future__ import annotations
 import pandas as pd
 
 from reports.figures import levels
+from reports.figures.figure import Figure
 from reports.ledger.evidence import Experiment
 from reports.ledger.judging import ledger
-from reports.page import Figure
 from reports.tables import Tables
 from reports.theme import Style
 from workflows.disturb import DISTURBANCES

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from reports.figures import levels
+from reports.figures.figure import Figure
 from reports.figures.standalone import paper_2d
-from reports.page import Figure
 from reports.tables import Tables
 from reports.theme import Style
 

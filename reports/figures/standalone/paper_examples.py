@@ -9,7 +9,7 @@ import numpy as np
 
 from data.sampling import transform
 from reports.figures import clouds
-from reports.page import Figure
+from reports.figures.figure import Figure
 from reports.tables import Tables
 from reports.theme import Style, words
 from workflows.disturb import DISTURBANCES

@@ -8,9 +8,9 @@ import numpy as np
 
 from data.sampling import transform
 from reports.figures import clouds
+from reports.figures.figure import Figure
 from reports.ledger.evidence import QUICK, Experiment
 from reports.ledger.judging import ledger
-from reports.page import Figure
 from reports.tables import Tables
 from reports.theme import Style
 

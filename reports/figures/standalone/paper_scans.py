@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from reports.figures import levels
+from reports.figures.figure import Figure
 from reports.ledger.evidence import Experiment
 from reports.ledger.judging import ledger
-from reports.page import Figure
 from reports.tables import Tables
 from reports.theme import Style
 
