@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from data.contract import Axis, Card, DataError, RawInstance, RecordedDataset
 from data.parameters import Length, Parameters, Points, parameters_of, place_of
-from data.sampling import farthest_points, mutual_nearest, transform
+from data.sampling import farthest_points, mutual_nearest
 from dcreg.io import read_points
-from dcreg.problem import InputError, scale_of
+from dcreg.problem import InputError, apply_pose, scale_of
 
 MAX_POINTS = 200  # of a cloud, by default
 SCALE_RANGE_2D = (0.5, 1.5)  # the default
@@ -94,9 +94,9 @@ class CloudPairs(RecordedDataset):
         *paths, pose_path = self.files(shape, test, level, trial)
         source, target = (self._cloud(path, n_points or self.parameters.n_points) for path in paths)
         T_true, scale_range = self._pose(pose_path)
-        pairs = mutual_nearest(transform(T_true, source), target, self.parameters.tolerance)
+        pairs = mutual_nearest(apply_pose(T_true, source), target, self.parameters.tolerance)
         if len(pairs) <= self.dim(shape):
-            distance, _ = cKDTree(target).query(transform(T_true, source))
+            distance, _ = cKDTree(target).query(apply_pose(T_true, source))
             raise DataError(
                 f"{pose_path}: only {len(pairs)} points of the {len(source)} and {len(target)} lie "
                 f"within tolerance {self.parameters.tolerance:g} of each other at this pose (median "

@@ -12,7 +12,8 @@ from pydantic import Field
 from data.contract import Axis, Card, DataError, RawInstance, RecordedDataset
 from data.fetch import UnavailableError, cache_root
 from data.parameters import Count, Length, Parameters, Points, parameters_of
-from data.sampling import farthest_points, mutual_nearest, transform
+from data.sampling import farthest_points, mutual_nearest
+from dcreg.problem import apply_pose
 
 SHARE = 0.9  # of the smaller set: n_inliers given to methods
 TOLERANCE = 0.02  # of the longest side: maximum distance of pairs at the reference pose
@@ -64,7 +65,7 @@ def given_pairs(source: np.ndarray, target: np.ndarray) -> int:
 def near_pairs(T_true: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return points that coincide at the reference pose; the evaluation does not use them."""
     reach = TOLERANCE * float(np.ptp(target, axis=0).max())
-    return mutual_nearest(transform(T_true, source), target, reach)
+    return mutual_nearest(apply_pose(T_true, source), target, reach)
 
 
 class PhotographParameters(Parameters):
@@ -111,7 +112,7 @@ class Photographs(RecordedDataset):
         (path,) = self.files(shape, test, level, trial)
         count = n_points or self.parameters.n_points
         sigma, turn = self.parameters.sigma, half_turn(path)
-        source = transform(turn, edge_points(path, sigma, count, parity=1))
+        source = apply_pose(turn, edge_points(path, sigma, count, parity=1))
         target = edge_points(path, sigma, count, parity=0).copy()
         pairs = near_pairs(turn, source, target)
         return RawInstance(

@@ -51,9 +51,3 @@ def reference_pose(
     It differs from the pose that was applied, since deformation and noise contain a motion.
     """
     return fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
-
-
-def transform(T: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Apply a homogeneous pose to the rows of `points`."""
-    d = points.shape[1]
-    return points @ T[:d, :d].T + T[:d, d]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from data.contract import RawInstance
-from data.sampling import farthest_points, mutual_nearest, transform, voxel_downsample
+from data.sampling import farthest_points, mutual_nearest, voxel_downsample
+from dcreg.problem import apply_pose
 
 
 def scan_instance(
@@ -25,7 +26,7 @@ def scan_instance(
     depends on `n_points`.
     """
     few = [_sample(cloud, voxel, n_points) for cloud in (source, target)]
-    pairs = mutual_nearest(transform(T_true, few[0]), few[1], tolerance)
+    pairs = mutual_nearest(apply_pose(T_true, few[0]), few[1], tolerance)
     return RawInstance(few[0], few[1], pairs, T_true, (1.0, 1.0), info)
 
 

@@ -23,7 +23,7 @@ import dcreg
 from baselines import registry
 from baselines.contract import Limits
 from data.registry import dataset
-from data.sampling import transform
+from dcreg.problem import apply_pose
 from workflows.disturb import make_instance
 
 HERE = Path(__file__).parent
@@ -96,7 +96,7 @@ def table(results: dict[str, dcreg.Result]) -> str:
 def registration_figure(problem, result: dcreg.Result, theme: Theme) -> plt.Figure:
     """Draw both clouds, and then the moved source with its matched pairs."""
     figure, (before, after) = plt.subplots(1, 2, figsize=(8.4, 3.4), layout="constrained")
-    moved = transform(result.T_target_source, problem.source)
+    moved = apply_pose(result.T_target_source, problem.source)
     for axes, source, title in ((before, problem.source, "before"), (after, moved, "after")):
         axes.scatter(*problem.target.T, s=16, marker="o", facecolors="none",
                      edgecolors=theme.target, label="target")  # fmt: skip

@@ -27,8 +27,8 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from data.contract import Dataset, PrototypeDataset, RawInstance, RecordedDataset
-from data.sampling import reference_pose, transform
-from dcreg.problem import suggestion
+from data.sampling import reference_pose
+from dcreg.problem import apply_pose, suggestion
 
 SCALE_RANGE_2D = (0.5, 1.5)
 MAX_SHIFT = 0.5  # translation per axis
@@ -256,7 +256,7 @@ def make_instance(
     rng = np.random.default_rng(seed_for("disturbance", *axes, level, trial))
     rng_pose = np.random.default_rng(seed_for("pose", *axes, trial))
     clean = _disturbance(test)(prototype, level, rng, **options)
-    moved = transform(random_pose(prototype.shape[1], rng_pose), clean.target)
+    moved = apply_pose(random_pose(prototype.shape[1], rng_pose), clean.target)
     target, pairs = shuffle_target(moved, clean.pairs, rng_order)
     scale_range = SCALE_RANGE_2D if prototype.shape[1] == 2 else (1.0, 1.0)
     T_true = reference_pose(clean.source, target, pairs, scale_range)

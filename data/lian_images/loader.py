@@ -11,7 +11,8 @@ from scipy.io import loadmat
 from data.contract import Axis, DataError, RawInstance, RecordedDataset
 from data.fetch import fetch
 from data.photographs import edge_points, given_pairs, half_turn, near_pairs
-from data.sampling import reference_pose, transform
+from data.sampling import reference_pose
+from dcreg.problem import apply_pose
 
 LEVELS = (1.0, 2.0, 3.0, 4.0, 5.0)
 
@@ -46,7 +47,7 @@ class Loader(RecordedDataset):
         marks_path, *photographs = self.files(shape, test, level, trial)
         first, other = (_marks(marks_path)[f"X{number}"] for number in self._numbers(shape, level))
         turn = half_turn(photographs[0])
-        marked = transform(turn, first), other[: len(first)]
+        marked = apply_pose(turn, first), other[: len(first)]
         rows = np.column_stack([np.arange(len(first))] * 2)
         scale_range = tuple(self.card.parameters["scale_range"])
         T_true = reference_pose(*marked, rows, scale_range)
@@ -56,7 +57,7 @@ class Loader(RecordedDataset):
             return RawInstance(marked[0], other.copy(), rows, T_true, scale_range)
         sigma, count = self.card.parameters["sigma"], n_points or self.card.parameters["n_points"]
         edges = [edge_points(path, sigma, count) for path in photographs]
-        source, target = transform(turn, edges[0]), edges[1].copy()
+        source, target = apply_pose(turn, edges[0]), edges[1].copy()
         pairs = near_pairs(T_true, source, target)
         return RawInstance(
             source, target, pairs, T_true, scale_range,

@@ -17,9 +17,9 @@ import numpy as np
 
 from data.contract import Axis, DataError, File, RawInstance, RecordedDataset
 from data.fetch import fetch
-from data.sampling import mutual_nearest, transform, voxel_downsample
+from data.sampling import mutual_nearest, voxel_downsample
 from data.scans import scan_instance
-from dcreg.problem import nearest_rotation
+from dcreg.problem import apply_pose, nearest_rotation
 
 HERE = Path(__file__).parent
 LISTS = ("3DMatch", "3DLoMatch")
@@ -181,7 +181,7 @@ class Loader(RecordedDataset):
             raise DataError(f"dataset {self.name}: {test} is on whole clouds; leave n_points out")
         x, y = (voxel_downsample(cloud, parameters["voxel"]) for cloud in clouds)
         threshold = parameters["inlier_distance"]
-        pairs = mutual_nearest(transform(T_true, x), y, threshold)
+        pairs = mutual_nearest(apply_pose(T_true, x), y, threshold)
         radii = parameters["normal_radius"], parameters["feature_radius"]
         viewpoint = tuple(parameters["viewpoint"]) if test.endswith(ORIENTED) else None
         return RawInstance(

@@ -11,7 +11,7 @@ import pytest
 from data.contract import PrototypeDataset, RecordedDataset
 from data.fetch import UnavailableError, cache_root, fetch
 from data.registry import datasets
-from data.sampling import transform
+from dcreg.problem import apply_pose
 from workflows.disturb import make_instance
 
 MIRROR = os.environ.get("DCREG_DATA_MIRROR", "")
@@ -128,7 +128,7 @@ def test_recorded_instances(dataset, shape, test, level):
     assert i.max() < len(made.source)
     assert j.max() < len(made.target)
     # Pairing at random leaves the whole spread; the strongest recorded warps leave about 0.6 of it.
-    moved = transform(made.T_true, made.source[i])
+    moved = apply_pose(made.T_true, made.source[i])
     residual = np.sqrt(((moved - made.target[j]) ** 2).sum(axis=1).mean())
     spread = np.sqrt(((made.target[j] - made.target[j].mean(axis=0)) ** 2).sum(axis=1).mean())
     assert residual < 0.75 * spread

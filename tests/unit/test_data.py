@@ -22,15 +22,10 @@ from data.chui_rangarajan.loader import Loader as ChuiRangarajan
 from data.contract import DataError, File, UnknownNameError
 from data.fetch import ChecksumError, UnavailableError, cache_path, fetch
 from data.registry import dataset, read_card
-from data.sampling import (
-    farthest_points,
-    mutual_nearest,
-    normalise,
-    transform,
-    voxel_downsample,
-)
+from data.sampling import farthest_points, mutual_nearest, normalise, voxel_downsample
 from data.threedmatch import loader as threedmatch
 from data.threedmatch.select_pairs import official, select
+from dcreg.problem import apply_pose
 from dcreg.problem.geometry import fit_pose
 from workflows.stages import generate
 
@@ -270,7 +265,9 @@ def test_similarity_fit_recovers_a_pose_and_never_reflects(dim):
     Q[:, 0] *= np.sign(np.linalg.det(Q))
     T = np.eye(dim + 1)
     T[:dim, :dim], T[:dim, dim] = 0.7 * Q, rng.standard_normal(dim)
-    np.testing.assert_allclose(fit_pose(source, transform(T, source), (0.0, np.inf)), T, atol=1e-12)
+    np.testing.assert_allclose(
+        fit_pose(source, apply_pose(T, source), (0.0, np.inf)), T, atol=1e-12
+    )
     mirrored = source * np.r_[-1, np.ones(dim - 1)]
     assert np.linalg.det(fit_pose(source, mirrored, (0.0, np.inf))[:dim, :dim]) > 0
 
@@ -352,7 +349,7 @@ def test_checksum_table_is_that_of_the_originals(shape, test):
 
 def _residual(instance):
     i, j = instance.pairs.T
-    left = transform(instance.T_true, instance.source[i]) - instance.target[j]
+    left = apply_pose(instance.T_true, instance.source[i]) - instance.target[j]
     return np.sqrt((left**2).sum(axis=1).mean())
 
 
@@ -481,7 +478,7 @@ def test_official_pair_comes_whole_with_the_protocols_threshold():
     for cloud in (made.source, made.target):  # all that the sensor saw lies before it
         assert (cloud[:, 2] > oriented.viewpoint[2]).all()
     i, j = made.pairs.T
-    distance = np.linalg.norm(transform(made.T_true, made.source[i]) - made.target[j], axis=1)
+    distance = np.linalg.norm(apply_pose(made.T_true, made.source[i]) - made.target[j], axis=1)
     assert distance.max() <= 0.1
     with pytest.raises(DataError, match="3DMatch is on whole clouds; leave n_points out"):
         dataset("threedmatch").instance("7-scenes-redkitchen", "3DMatch", 0.4, 0, 100)
@@ -512,9 +509,9 @@ def test_official_pose_brings_the_scans_together(level):
     made = dataset("threedmatch").instance("7-scenes-redkitchen", "overlap", level, 0, 200)
     assert len(made.source) == len(made.target) == 200
     i, j = made.pairs.T
-    distance = np.linalg.norm(transform(made.T_true, made.source[i]) - made.target[j], axis=1)
+    distance = np.linalg.norm(apply_pose(made.T_true, made.source[i]) - made.target[j], axis=1)
     assert distance.max() <= 0.15
-    inverse = mutual_nearest(transform(np.linalg.inv(made.T_true), made.source), made.target, 0.15)
+    inverse = mutual_nearest(apply_pose(np.linalg.inv(made.T_true), made.source), made.target, 0.15)
     assert len(made.pairs) > 2 * len(inverse)  # the direction is source to target
     np.testing.assert_allclose(made.T_true[:3, :3] @ made.T_true[:3, :3].T, np.eye(3), atol=1e-12)
 

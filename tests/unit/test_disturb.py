@@ -12,7 +12,7 @@ from scipy.linalg import fractional_matrix_power
 from scipy.optimize import linprog
 
 from data.registry import dataset
-from data.sampling import transform
+from dcreg.problem import apply_pose
 from dcreg.problem.geometry import fit_pose
 from workflows.disturb import (
     DISTURBANCES,
@@ -178,7 +178,7 @@ def test_shuffling_moves_the_pairs_along(seed, m):
 def test_the_injected_pose_maps_source_to_target(shape):
     made = make_instance(EMBEDDED, shape, "deformation", 0.0, 4)
     source, target = at_pairs(made)
-    np.testing.assert_allclose(transform(made.T_true, source), target, atol=1e-12)
+    np.testing.assert_allclose(apply_pose(made.T_true, source), target, atol=1e-12)
     assert not np.array_equal(made.pairs[:, 0], made.pairs[:, 1])  # the target is shuffled
 
 
@@ -189,7 +189,7 @@ def test_the_reference_is_the_best_admissible_pose_of_the_true_pairs(shape, test
     source, target = at_pairs(made)
 
     def cost(T):
-        return ((transform(T, source) - target) ** 2).sum()
+        return ((apply_pose(T, source) - target) ** 2).sum()
 
     d = source.shape[1]
     least = cost(made.T_true)
@@ -216,7 +216,7 @@ def test_the_noise_bound_is_twice_the_residual_of_the_best_fit(test):
     made = make_instance(EMBEDDED, "pony", test, level, 2)
     source, target = at_pairs(made)
     best = fit_pose(source, target, (1.0, 1.0))
-    rms = np.sqrt(((transform(best, source) - target) ** 2).sum(axis=1).mean())
+    rms = np.sqrt(((apply_pose(best, source) - target) ** 2).sum(axis=1).mean())
     assert noise_bound(made) == pytest.approx(2 * rms)
 
 
@@ -229,7 +229,7 @@ def test_noise_is_defined_before_the_scale():
     made = make_instance(EMBEDDED, "fish", "noise", 0.05, 1, n_points=600)
     source, target = at_pairs(made)
     scale = np.sqrt(np.linalg.det(made.T_true[:2, :2]))
-    residual = target - transform(made.T_true, source)
+    residual = target - apply_pose(made.T_true, source)
     assert residual.std() == pytest.approx(0.05 * scale, rel=0.1)
     assert abs(scale - 1) > 0.1  # otherwise the statement above would be empty
 
@@ -250,7 +250,7 @@ def test_levels_of_a_trial_share_the_pose_but_not_the_noise():
     for made in (a, b):
         np.testing.assert_allclose(made.T_true, injected, atol=0.05)
     noise_a, noise_b = (
-        at_pairs(made)[1][np.argsort(made.pairs[:, 0])] - transform(made.T_true, made.source)
+        at_pairs(made)[1][np.argsort(made.pairs[:, 0])] - apply_pose(made.T_true, made.source)
         for made in (a, b)
     )
     assert abs(np.corrcoef(noise_a.ravel(), noise_b.ravel())[0, 1]) < 0.3
@@ -288,7 +288,7 @@ def test_warp_is_calibrated(shape, tmp_path, monkeypatch):
         warped = [warp(prototype, coefficient, rng) for _ in range(200)]
         moved = np.mean([_rms(y - prototype) for y in warped])
         left = np.mean(
-            [_rms(transform(fit_pose(prototype, y, (0.0, np.inf)), prototype) - y) for y in warped]
+            [_rms(apply_pose(fit_pose(prototype, y, (0.0, np.inf)), prototype) - y) for y in warped]
         )
         assert moved == pytest.approx(CALIBRATION[shape][0][column], rel=0.15)
         assert left == pytest.approx(CALIBRATION[shape][1][column], rel=0.15)

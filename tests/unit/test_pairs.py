@@ -9,7 +9,8 @@ from data import registry
 from data.contract import Card, DataError
 from data.loaders import STOCK
 from data.registry import read_card
-from data.sampling import farthest_points, transform
+from data.sampling import farthest_points
+from dcreg.problem import apply_pose
 from workflows.disturb import make_instance
 from workflows.stages.generate import sources_digest
 
@@ -36,7 +37,7 @@ def folder(tmp_path, rng, dim):
         place = tmp_path / "pairs" / name
         place.mkdir(parents=True)
         source = rng.random((30, dim))
-        target = transform(pose(dim), source)
+        target = apply_pose(pose(dim), source)
         target[20:] += 50.0
         for role, points in (("source", source), ("target", target)):
             np.savetxt(
@@ -67,7 +68,7 @@ def test_a_folder_of_pairs_becomes_instances_with_their_truth(mine, dim):
         assert len(made.source) == len(made.target) == 30
         assert len(made.pairs) == 20
         np.testing.assert_allclose(made.T_true, pose(dim))
-        moved = transform(made.T_true, made.source[made.pairs[:, 0]])
+        moved = apply_pose(made.T_true, made.source[made.pairs[:, 0]])
         np.testing.assert_allclose(moved, made.target[made.pairs[:, 1]], atol=1e-9)
         assert made.scale_range == ((0.5, 1.5) if dim == 2 else (1.0, 1.0))
 

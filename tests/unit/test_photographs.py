@@ -13,7 +13,7 @@ from data.contract import DataError, UnknownNameError
 from data.fetch import UnavailableError
 from data.photographs import edge_points, half_turn
 from data.registry import dataset
-from data.sampling import transform
+from dcreg.problem import apply_pose
 from workflows.config import load
 from workflows.disturb import make_instance
 from workflows.instances import Truth, read_truths, write_truths
@@ -67,7 +67,7 @@ def test_a_half_turn_maps_the_picture_onto_itself_upside_down(tmp_path):
     path = paint(tmp_path / "a.png")
     turn = half_turn(path)
     np.testing.assert_array_equal(turn @ turn, np.eye(3))
-    np.testing.assert_array_equal(transform(turn, np.array([[0.0, 0.0]])), [[199.0, 119.0]])
+    np.testing.assert_array_equal(apply_pose(turn, np.array([[0.0, 0.0]])), [[199.0, 119.0]])
 
 
 def voc(root: Path) -> None:
@@ -103,7 +103,7 @@ def test_folders_of_the_public_form_are_read(make, name, shape, second, cache):
     assert made.n_inliers == 36
     np.testing.assert_array_equal(made.T_true, half_turn(path))
     # The same outline, other points of it: near at the reference, but not the same.
-    away = np.linalg.norm(transform(made.T_true, made.source)[:, None] - made.target, axis=-1).min(
+    away = np.linalg.norm(apply_pose(made.T_true, made.source)[:, None] - made.target, axis=-1).min(
         axis=1
     )
     assert away.max() < 15
@@ -156,7 +156,7 @@ def test_edges_get_nine_tenths_and_are_evaluated_by_the_marks(tmp_path):
         return METRICS["rmse"].compute(case)
 
     source, target = raw.marks
-    residuals = np.linalg.norm(transform(raw.T_true, source) - target, axis=1)
+    residuals = np.linalg.norm(apply_pose(raw.T_true, source) - target, axis=1)
     assert rmse(raw.T_true) == pytest.approx(np.sqrt((residuals**2).mean()))
     assert rmse(np.eye(3)) > 5 * rmse(raw.T_true)
 

@@ -9,7 +9,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from data.sampling import reference_pose, transform
+from data.sampling import reference_pose
+from dcreg.problem import apply_pose
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class Case:
     def rms_at(self, T: np.ndarray) -> float:
         """RMS distance of the true pairs at a pose."""
         source, target = self.inliers
-        residuals = transform(T, source) - target
+        residuals = apply_pose(T, source) - target
         return float(np.sqrt((residuals**2).sum(axis=1).mean()))
 
     def _objective_at(self, T: np.ndarray) -> float:

@@ -12,7 +12,7 @@ from baselines.contract import NOISE_FACTOR, Instance
 from baselines.dependencies import files_behind
 from data import registry
 from data.contract import RawInstance
-from data.sampling import transform
+from dcreg.problem import apply_pose
 from workflows import CHECKOUT
 from workflows.disturb import make_instance
 from workflows.hashing import digest, digest_files
@@ -74,7 +74,7 @@ def truth_of(spec: InstanceSpec, raw: RawInstance) -> Truth:
 def noise_bound(raw: RawInstance) -> float:
     """Return `NOISE_FACTOR` times the RMS residual at the reference pose, or a minimum."""
     source, target = raw.judged
-    residuals = transform(raw.T_true, source) - target
+    residuals = apply_pose(raw.T_true, source) - target
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     return max(NOISE_FACTOR * rms, MIN_NOISE_BOUND * float(np.ptp(raw.target, axis=0).max()))
 

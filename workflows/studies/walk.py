@@ -24,10 +24,10 @@ from scipy.spatial.transform import Rotation
 
 from data.contract import PrototypeDataset, RecordedDataset
 from data.registry import dataset
-from data.sampling import farthest_points, transform
+from data.sampling import farthest_points
 from data.threedmatch.loader import fragment
 from dcreg.io import read_points
-from dcreg.problem import rotation_angle_deg
+from dcreg.problem import apply_pose, rotation_angle_deg
 
 SIZES = [100, 300, 1000, 5000, 0]
 KILLED_AFTER = 5.0  # time limits; a run that takes longer is killed and counts as a hang
@@ -96,7 +96,7 @@ def _turned(name: str, cloud: np.ndarray, rng: np.random.Generator) -> CloudPair
     T[:3, :3] = Rotation.random(random_state=3).as_matrix()
     T[:3, 3] = rng.uniform(-1.0, 1.0, 3)
     extent = float(np.ptp(cloud, axis=0).max())
-    moved = transform(T, second) + 0.005 * extent * rng.standard_normal(second.shape)
+    moved = apply_pose(T, second) + 0.005 * extent * rng.standard_normal(second.shape)
     return CloudPair(f"{name} with missing ends", first, moved, 0.8, T)
 
 
@@ -109,7 +109,7 @@ def _scans(name: str, shape: str, test: str, level: float) -> CloudPair:
         _cloud(path, raw.info.get(side)) for path, side in zip(files, ("src", "ref"), strict=False)
     )
     reach = 0.02 * float(np.ptp(target, axis=0).max())
-    near = cKDTree(target).query(transform(raw.T_true, source))[0] < reach
+    near = cKDTree(target).query(apply_pose(raw.T_true, source))[0] < reach
     share = round(max(0.1, 0.8 * float(near.mean())), 2)
     return CloudPair(f"{shape} {level:g}", source, target, share, raw.T_true)
 
@@ -154,14 +154,14 @@ def _walked(pair: CloudPair, n_points: int, limit: float, out: Path) -> dict[str
 
 
 def _errors(pair: CloudPair, T: np.ndarray) -> dict[str, object]:
-    moved = transform(T, pair.source[:: max(1, len(pair.source) // 2000)])
+    moved = apply_pose(T, pair.source[:: max(1, len(pair.source) // 2000)])
     near = np.sort(cKDTree(pair.target).query(moved)[0])[: int(pair.share * len(moved))]
     extent = float(np.ptp(pair.target, axis=0).max())
     errors: dict[str, object] = {"residual": round(float(np.sqrt((near**2).mean())) / extent, 4)}
     if pair.T_true is not None:
         turn = rotation_angle_deg(T[:3, :3] @ pair.T_true[:3, :3].T)
         centre = pair.source.mean(axis=0)[None]
-        shift = np.linalg.norm(transform(T, centre) - transform(pair.T_true, centre)) / extent
+        shift = np.linalg.norm(apply_pose(T, centre) - apply_pose(pair.T_true, centre)) / extent
         errors |= {"turn_deg": round(float(turn), 1), "shift": round(float(shift), 3)}
         errors["right"] = bool(turn < 15.0 and shift < 0.1)
     return errors

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from data.sampling import transform
+from dcreg.problem import apply_pose
 from reports.figures import clouds
 from reports.figures.figure import Figure
 from reports.tables import Tables
@@ -40,6 +40,6 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
         pose = np.array(json.loads(poses[item["run_id"]]))
         source, target = np.array(item["source"]), np.array(item["target"])
         row, column = shapes.index(shape), tests.index(test)
-        back = transform(np.linalg.inv(pose), target)
+        back = apply_pose(np.linalg.inv(pose), target)
         panels.append((row, column, f"{shape}<br>{item['level']:g}", source, back))
     return clouds.assemble("paper-examples", TITLE, [words(test) for test in tests], panels)

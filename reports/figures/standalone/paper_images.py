@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from data.sampling import transform
+from dcreg.problem import apply_pose
 from reports.figures import clouds
 from reports.figures.figure import Figure
 from reports.ledger.evidence import QUICK, Experiment
@@ -35,7 +35,7 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
     for item in shown:
         pose = item["T_target_source"]
         pose = np.array(json.loads(pose) if isinstance(pose, str) else pose)
-        moved = transform(pose, np.array(item["source"]))
+        moved = apply_pose(pose, np.array(item["source"]))
         row, column = ranks.index(item["rank"]), methods.index(item["method"])
         panels.append(
             (row, column, f"{item['rank']}<br>{item['shape']}", moved, np.array(item["target"]))
