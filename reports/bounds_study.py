@@ -1,7 +1,7 @@
-"""Figures and page of the study of bounds: ``python -m reports.bounds_study FOLDER``.
+"""Figures and page of the study of bounds: ``python -m reports bounds FOLDER``.
 
-Reads the tables of `workflows.studies.bounds` and writes beside them ``boxes.{svg,pdf}``,
-``searches.{svg,pdf}`` and ``index.html``, one file that needs no network and follows the reader's light
+Reads the tables of `workflows.studies.bounds` and writes ``boxes.{svg,pdf}``, ``searches.{svg,pdf}`` and
+``index.html`` to their folder. The page is one file that needs no network and follows the reader's light
 or dark theme.
 """
 
@@ -25,17 +25,17 @@ from reports.tables import check_study
 HERE = Path(__file__).parent
 PLACES = {
     "centred": "boxes centred on the optimum",
-    "holding": "boxes holding it elsewhere",
+    "holding": "boxes containing it elsewhere",
     "away": "boxes away from it",
 }
 GAPS = (10.0, 3.0, 1.0, 0.3, 0.1)  # in units of the default tolerance
-SHOWN_WIDTHS = (0.5, 0.05)  # of the table of losses: the nearest ones measured
+SHOWN_WIDTHS = (0.5, 0.05)  # in the table of losses: the nearest measured widths
 _MARKERS = "osD^vPX<>d*"
 
 
 @dataclass(frozen=True)
 class Look:
-    """How one bound is drawn on one surface."""
+    """The look of one bound on one surface."""
 
     color: str
     marker: str
@@ -43,7 +43,7 @@ class Look:
 
 
 def looks(names: list[str], surface: str) -> dict[str, Look]:
-    """Colours by order of the names; the dash tells the library's bounds from the methods'."""
+    """Return colours by the order of the names, and dashes by the kind of bound."""
     return {
         name: Look(
             theme.readable(theme.FALLBACK_COLORS[index % 7], theme.SURFACE[surface]),
@@ -55,7 +55,7 @@ def looks(names: list[str], surface: str) -> dict[str, Look]:
 
 
 def _dash(name: str) -> str:
-    """Term-wise bounds dashed, combinations dotted, methods of ``baselines/`` dash-dotted."""
+    """Dash term-wise bounds, dot combinations, and dash-dot methods of ``baselines/``."""
     if name.startswith("termwise"):
         return "--"
     return ":" if "+" in name else "-" if name in BOUND_NAMES else "-."
@@ -65,7 +65,7 @@ def _dash(name: str) -> str:
 
 
 def draw_boxes(tables: dict[str, pd.DataFrame], surface: str) -> MplFigure:
-    """Bound value, and what it loses, against box width: a column per place, two rows an instance."""
+    """Draw bound value and loss against box width: a column per place, two rows per instance."""
     table = tables["losses"].dropna(subset="value")
     style = looks(list(dict.fromkeys(table["bound"])), surface)
     instances = list(dict.fromkeys(table["instance"]))
@@ -85,20 +85,20 @@ def draw_boxes(tables: dict[str, pd.DataFrame], surface: str) -> MplFigure:
                 loss.plot(line["width"], line["loss"].where(line["loss"] > 1e-9), **drawn)
             least = part.groupby("width")["least"].first()
             value.plot(
-                least.index, least, color=INK[surface], linewidth=1, label="least objective met"
+                least.index, least, color=INK[surface], linewidth=1, label="minimum objective found"
             )
             value.set_yscale("symlog", linthresh=0.1)
             value.set_title(f"{instance}: {title}")
             loss.set(xscale="log", yscale="log", xlabel="box width (RMS radii)")
             _guides(loss, surface)
         axes[2 * i][0].set_ylabel("lower bound")
-        axes[2 * i + 1][0].set_ylabel("least objective − bound")
+        axes[2 * i + 1][0].set_ylabel("minimum objective − bound")
     _finish(figure, axes, surface)
     return figure
 
 
 def _guides(axis: Any, surface: str) -> None:
-    """Slopes one and two."""
+    """Draw slopes one and two."""
     width = np.array([2e-3, 2e-1])
     for order, dash in ((1, (0, (1, 2))), (2, (0, (4, 2)))):
         axis.plot(width, 3.0 * (width / 0.2) ** order, color=INK[surface], linewidth=0.8,
@@ -106,7 +106,7 @@ def _guides(axis: Any, surface: str) -> None:
 
 
 def draw_searches(tables: dict[str, pd.DataFrame], surface: str) -> MplFigure:
-    """Gap against nodes and assignments, a row per instance."""
+    """Draw gap against nodes and assignments, a row per instance."""
     table = tables["searches"]
     style = looks(list(dict.fromkeys(table["bound"])), surface)
     instances = list(dict.fromkeys(table["instance"]))
@@ -170,7 +170,7 @@ def orders_rows(orders: pd.DataFrame) -> dict[str, Any]:
 
 
 def losses_rows(losses: pd.DataFrame) -> dict[str, Any]:
-    """Loss as a multiple of the published DC bound's, over boxes that hold the optimum or do not."""
+    """Loss over that of the published DC bound, for boxes with and without the optimum."""
     widths = losses["width"].unique()
     shown = {float(widths[np.abs(np.log(widths / width)).argmin()]) for width in SHOWN_WIDTHS}
     part = losses[losses["width"].isin(shown) & losses["place"].isin(("holding", "away"))]
@@ -185,7 +185,7 @@ def losses_rows(losses: pd.DataFrame) -> dict[str, Any]:
 
 
 def searches_rows(searches: pd.DataFrame, counter: str) -> dict[str, Any]:
-    """Work until the gap was first at most each of `GAPS`; a dash where it never was."""
+    """Work until the gap first reached each of `GAPS`; a dash if it did not."""
     columns: list[str] = ["bound"]
     rows: dict[str, list[str]] = {}
     for instance, part in searches.groupby("instance", sort=False):
@@ -203,7 +203,7 @@ def searches_rows(searches: pd.DataFrame, counter: str) -> dict[str, Any]:
 
 
 def build(folder: Path) -> Path:
-    """Write figures and page for the tables in `folder`. Returns the page's path."""
+    """Write figures and page for the tables in `folder`; return the path of the page."""
     tables = {
         name: pd.read_csv(folder / f"{name}.csv") for name in ("losses", "orders", "searches")
     }
@@ -211,24 +211,24 @@ def build(folder: Path) -> Path:
     figures = []
     for name, draw, title, caption in (
         ("boxes", draw_boxes, "Bound value against box width",
-         "Means over the boxes of one width and place. What a bound loses falls with the width; a "
-         "steeper line converges faster. A bound that loses nothing has no point."),
+         "Means over the boxes of one width and place. The loss of a bound decreases with the width; a "
+         "steeper line means faster convergence. An exact bound has no point."),
         ("searches", draw_searches, "Work to a given gap",
-         "Best-first search with every bound, same root box, incumbent and branching. The marker is "
-         "where a search ended: closed to a tenth of the tolerance, or out of time."),
+         "Best-first search with every bound, with the same root box, incumbent and branching. The "
+         "marker shows the end of a search: a tenth of the tolerance, or the time limit."),
     ):  # fmt: skip
         drawn = _drawings(draw, tables, folder / name)
         figures.append({"id": name, "title": title, "caption": caption} | drawn)
     shown = [
-        {"id": "losses", "title": "Loss beside the published DC bound's",
-         "caption": "Mean of least objective met − bound, as a multiple of that of the bound `dc`, "
+        {"id": "losses", "title": "Loss relative to the published DC bound",
+         "caption": "Mean of minimum objective found − bound, over that of the bound `dc`, "
          "over boxes of one width (in RMS radii) that hold the optimum or lie away from it. A dash: "
          "the method has no bound there."} | losses_rows(tables["losses"]),
         {"id": "orders", "title": "Empirical order of convergence",
-         "caption": "Slope of log loss over log width at the smallest widths where the loss is above a "
-         "thousandth of the optimum."} | orders_rows(tables["orders"]),
+         "caption": "Slope of log loss over log width at the smallest widths with a loss above a thousandth "
+         "of the optimum."} | orders_rows(tables["orders"]),
         {"id": "nodes", "title": "Nodes to a given gap",
-         "caption": "ε is the default tolerance; a dash: not reached in the time given."}
+         "caption": "ε is the default tolerance; a dash: not reached within the time limit."}
         | searches_rows(tables["searches"], "n_nodes"),
         {"id": "assignments", "title": "Assignments to a given gap", "caption": "As above."}
         | searches_rows(tables["searches"], "n_assignments"),

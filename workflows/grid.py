@@ -69,7 +69,7 @@ def check_datasets(asked: Sequence[DatasetSettings]) -> Iterable[str]:
         if isinstance(dataset, RecordedDataset):
             recorded = dataset.tests()
             if dataset.fixed_size and entry.n_points is not None:
-                yield f"{key}.n_points: {entry.dataset} has a fixed number of points; leave it out"
+                yield f"{key}.n_points: {entry.dataset} has a fixed number of points; remove it"
         tests = recorded or DISTURBANCES
         for test, levels in entry.tests.items():
             if test not in tests:

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Fills the virtual environment VENV: locked packages, this library, compiled kernels, system packages.
-# What does not wait for something else runs beside it; every step says how long it took.
+# Independent steps run in parallel; every step prints its time.
 # usage: setup.sh VENV PYTHON SYSTEM-PACKAGE…
 set -eu
 venv=$1
@@ -10,7 +10,7 @@ began=$SECONDS
 log=$(mktemp -d)
 trap 'rm -rf "$log"; kill $(jobs -p) 2>/dev/null || true' EXIT
 
-# step WHAT COMMAND… : its output is shown only where it fails
+# step WHAT COMMAND… : prints the output only if it fails
 step() {
   local what=$1 since=$SECONDS
   shift
@@ -22,19 +22,19 @@ step() {
   printf 'setup     %-44s %4d s\n' "$what" $((SECONDS - since))
 }
 
-# Bytecode is left to the first import of a module: most modules are never imported.
+# Modules are compiled to bytecode at their first import: most are never imported.
 install() {
   "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile "$@"
 }
 
-echo "Setting up $venv (once; one to three minutes, most of it downloads and compilation) …"
+echo "Setting up $venv (once; takes one to three minutes, mostly downloads and compilation) …"
 [ -x "$venv/bin/python" ] || step "virtual environment" "$python" -m venv "$venv"
 step "this library and what it needs" install --constraint requirements.lock --editable .
 step "compiled kernels" "$venv/bin/python" -m dcreg.driver.warm_up &
 kernels=$!
-workflows/system_packages.sh "open3d (its methods stay 'unavailable' without)" "$@" &
+workflows/system_packages.sh "open3d (its methods are 'unavailable' without it)" "$@" &
 system=$!
 step "packages of the benchmark" install --no-deps --requirement requirements.lock
 wait "$system"
 wait "$kernels"
-printf 'setup     %-44s %4d s\n' "all of it" $((SECONDS - began))
+printf 'setup     %-44s %4d s\n' "total" $((SECONDS - began))

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Install Debian packages where that is possible; elsewhere say what to run and go on.
+# Install Debian packages if possible; otherwise print the command and continue.
 # usage: system_packages.sh WHAT-FOR PACKAGE…
 set -u
 purpose=$1
@@ -14,7 +14,7 @@ if command -v apt-get >/dev/null && [ "$(id -u)" -eq 0 ]; then
   echo "Installing system packages for $purpose: ${missing[*]}"
   export DEBIAN_FRONTEND=noninteractive
   { apt-get update -qq && $command -qq; } >/dev/null 2>&1 && exit 0
-  echo "Could not install them; run by hand: $command"
+  echo "Could not install them; run manually: $command"
 else
   echo "System packages for $purpose are missing; run as root: $command"
 fi

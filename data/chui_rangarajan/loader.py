@@ -1,4 +1,4 @@
-"""Chui and Rangarajan's synthesized 2D sets: fish and character, five tests, 100 samples a level.
+"""Chui and Rangarajan's synthesized 2D sets: fish and character, five tests, 100 samples per level.
 
 A sample is read from a mirror's pack (all samples of a shape and test in one file) or from the
 original file of just that sample; both give the same arrays.
@@ -75,7 +75,7 @@ class Loader(RecordedDataset):
         self, shape: str, test: str, level: float, trial: int, n_points: int | None
     ) -> RawInstance:
         if n_points is not None:
-            raise DataError(f"dataset {self.name} has a fixed number of points; leave n_points out")
+            raise DataError(f"dataset {self.name} has a fixed number of points; remove n_points")
         (path,) = self.files(shape, test, level, trial)
         read = _from_pack if path.suffix == ".npz" else _from_original
         source, target, n_pairs = read(path, int(level), trial)
@@ -106,6 +106,6 @@ def _from_pack(path: Path, level: int, trial: int) -> tuple[np.ndarray, np.ndarr
 
 def _from_original(path: Path, level: int, trial: int) -> tuple[np.ndarray, np.ndarray, int]:
     sample = loadmat(path, variable_names=["x1", "y2", "y2a"])
-    # Matlab's column order would change the last digits of what is computed from the points.
+    # Matlab's column order would change the last digits of computed values.
     source, target = (np.ascontiguousarray(sample[name]) for name in ("x1", "y2a"))
     return source, target, len(sample["y2"])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-# Strokes are control points of smooth curves; a closed stroke returns to its first point. The
-# glyph is invented: brush strokes in the manner of a character, without a meaning.
+# Strokes are control points of smooth curves; a closed stroke returns to its first point. The glyph is
+# invented and has no meaning.
 Stroke = tuple[bool, list[tuple[float, float]]]
 
 FISH: list[Stroke] = [
@@ -76,7 +76,7 @@ GLYPH: list[Stroke] = [
 
 
 def sample_strokes(strokes: list[Stroke], n_points: int) -> np.ndarray:
-    """`n_points` points over all strokes, shared out by length, equally spaced on each."""
+    """Return `n_points` points over all strokes, in proportion to length, equally spaced on each."""
     curves = [_dense(closed, np.array(points)) for closed, points in strokes]
     lengths = np.array([length[-1] for _, length in curves])
     return np.vstack(
@@ -90,7 +90,7 @@ def sample_strokes(strokes: list[Stroke], n_points: int) -> np.ndarray:
 
 
 def _dense(closed: bool, control: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The curve at many parameters, and the length up to each."""
+    """Return the curve at many parameters, and the length up to each."""
     if closed:
         control = np.vstack([control, control[:1]])
     chord = np.cumsum(np.r_[0, np.linalg.norm(np.diff(control, axis=0), axis=1) ** 0.5])
@@ -107,7 +107,7 @@ def _along(curve: np.ndarray, length: np.ndarray, count: int, closed: bool) -> n
 
 
 def _shares(weights: np.ndarray, total: int) -> np.ndarray:
-    """Whole numbers that add up to `total`, in proportion to `weights` (largest remainder)."""
+    """Return integers with sum `total` in proportion to `weights` (largest remainder)."""
     exact = weights / weights.sum() * total
     shares = np.floor(exact).astype(int)
     shares[np.argsort(shares - exact, kind="stable")[: total - shares.sum()]] += 1

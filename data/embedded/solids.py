@@ -71,11 +71,11 @@ SAURIAN: list[Limb] = [
     *_chain((0.08, 0.01, 0.22, 0.05), (0.06, 0.01, 0.33, 0.016)),
 ]
 
-BLEND = 0.02  # width over which limbs melt into each other
+BLEND = 0.02  # width of the smooth transition between limbs
 
 
 def sample_solid(limbs: list[Limb], n_points: int) -> np.ndarray:
-    """`n_points` well-spread points of the smooth union's surface."""
+    """Return `n_points` points of the surface of the smooth union, by farthest-point sampling."""
     start, r0, end, r1 = (np.array(column, dtype=float) for column in zip(*limbs, strict=True))
     dense = np.vstack(
         [_limb_surface(*limb, count=max(200, 8 * n_points // len(limbs))) for limb in limbs]
@@ -91,7 +91,7 @@ def sample_solid(limbs: list[Limb], n_points: int) -> np.ndarray:
 def _limb_surface(
     start: tuple[float, ...], r0: float, end: tuple[float, ...], r1: float, count: int
 ) -> np.ndarray:
-    """Points around a limb on a Fibonacci spiral: regular, and no random numbers."""
+    """Return points around a limb on a Fibonacci spiral, without random numbers."""
     a, b = np.array(start), np.array(end)
     length = np.linalg.norm(b - a)
     axis = (b - a) / length
@@ -110,7 +110,7 @@ def _limb_surface(
 def _distance(
     points: np.ndarray, start: np.ndarray, r0: np.ndarray, end: np.ndarray, r1: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Smooth minimum of the distances to all limbs, and its gradient made a unit vector."""
+    """Return the smooth minimum of the distances to all limbs, and its normalised gradient."""
     axis = end - start
     offset = points[:, None, :] - start
     t = np.clip((offset * axis).sum(-1) / (axis**2).sum(-1), 0, 1)

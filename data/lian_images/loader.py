@@ -1,4 +1,4 @@
-"""Photographs of four objects with hand-marked points: edges, or the marks themselves, to register."""
+"""Photographs of four objects with manually marked points: register edges, or the marks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _marks(path: Path) -> dict[str, np.ndarray]:
 
 
 class Loader(RecordedDataset):
-    """``car``, ``motobike``, ``revolver``, ``eiffel``: the first photograph, turned, to the others."""
+    """``car``, ``motobike``, ``revolver``, ``eiffel``: the first photograph, rotated, to the others."""
 
     def shapes(self) -> list[str]:
         return list(self.card.parameters["shapes"])
@@ -33,12 +33,12 @@ class Loader(RecordedDataset):
         return {"canny": axis, "marked": axis}
 
     def has(self, shape: str, test: str, level: float, trial: int) -> bool:
-        """Of one photograph there are marks only."""
+        """Whether the instance exists: one photograph has marks only."""
         known = {file.path for file in self.card.files}
         return known.issuperset(self._paths(shape, test, level))
 
     def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
-        """The marks, the first photograph, and for edges the other one."""
+        """Return the files of the marks, the first photograph and, for edges, the other one."""
         return [fetch(self.card.file(path)) for path in self._paths(shape, test, level)]
 
     def load(
@@ -53,7 +53,9 @@ class Loader(RecordedDataset):
         T_true = reference_pose(*marked, rows, scale_range)
         if test == "marked":
             if n_points is not None:
-                raise DataError(f"dataset {self.name}: marks are not thinned; leave n_points out")
+                raise DataError(
+                    f"dataset {self.name}: marks have a fixed number of points; remove n_points"
+                )
             return RawInstance(marked[0], other.copy(), rows, T_true, scale_range)
         sigma, count = self.card.parameters["sigma"], n_points or self.card.parameters["n_points"]
         edges = [edge_points(path, sigma, count) for path in photographs]

@@ -23,7 +23,7 @@ from dcreg.problem import apply_pose, nearest_rotation
 
 HERE = Path(__file__).parent
 LISTS = ("3DMatch", "3DLoMatch")
-QUICK = 16  # every so many-th pair of a list makes its quick version
+QUICK = 16  # the quick version of a list has every 16th pair
 ORIENTED = "-oriented"  # tests whose features are made with oriented normals
 BINS = 10  # of the overlap, which are the levels of the official lists
 
@@ -43,7 +43,9 @@ class _ArraysOnly(pickle.Unpickler):
         is_array = module.split(".")[0] == "numpy" and name in self.NUMPY
         if is_array or (module, name) == ("_codecs", "encode"):  # how protocol 2 writes bytes
             return super().find_class(module, name)
-        raise DataError(f"a 3DMatch pickle asks for {module}.{name}; it is not the official file")
+        raise DataError(
+            f"a 3DMatch pickle asks for {module}.{name}; the file differs from the official one"
+        )
 
 
 def read_torch_array(path: Path) -> np.ndarray:
@@ -71,7 +73,7 @@ def fragment(path: Path, number: int) -> np.ndarray:
 
 
 def official_tests() -> dict[str, tuple[str, int]]:
-    """Tests on the official lists: which list, and every how many-th pair of it."""
+    """Return the tests on the official lists: the list, and the step between its pairs."""
     return {
         f"{name}{size}{normals}": (name, step)
         for normals in ("", ORIENTED)
@@ -109,7 +111,7 @@ class Loader(RecordedDataset):
 
     @cached_property
     def pairs(self) -> dict[tuple[str, str, float, int], dict[str, str]]:
-        """The pair of every instance."""
+        """The pair of every instance, by its axes."""
         pairs = {
             (row["scene"], "overlap", float(row["level"]), 0): row for row in read_csv("pairs.csv")
         }
@@ -124,7 +126,7 @@ class Loader(RecordedDataset):
         return pairs
 
     def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
-        """The source's fragment file, the target's, and the list with the pose."""
+        """Return the fragment files of source and target, and the list with the pose."""
         pair = self.pairs[shape, test, level, trial]
         fragments = [self._fetch_fragment(shape, int(pair[side])) for side in ("src_j", "ref_i")]
         return [*fragments, fetch(self.card.file(f"3dmatch/meta/{pair['set']}.pkl"))]
@@ -157,7 +159,7 @@ class Loader(RecordedDataset):
             if (entry["scene_name"], entry["frag_id0"], entry["frag_id1"]) == (shape, i, j)
         )
         T_true = np.eye(4)
-        # The official matrices are off by up to 6e-4 from being rotations.
+        # The official matrices deviate from rotations by up to 6e-4.
         T_true[:3, :3] = nearest_rotation(official["rotation"])
         T_true[:3, 3] = official["translation"]
         parameters = self.card.parameters
@@ -178,7 +180,7 @@ class Loader(RecordedDataset):
                 info=info,
             )
         if n_points is not None:
-            raise DataError(f"dataset {self.name}: {test} is on whole clouds; leave n_points out")
+            raise DataError(f"dataset {self.name}: {test} uses whole clouds; remove n_points")
         x, y = (voxel_downsample(cloud, parameters["voxel"]) for cloud in clouds)
         threshold = parameters["inlier_distance"]
         pairs = mutual_nearest(apply_pose(T_true, x), y, threshold)

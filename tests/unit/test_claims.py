@@ -653,7 +653,7 @@ def test_command_judges_several_experiments_and_takes_the_whole_before_its_quick
     assert verdicts["tighter-bnb"] in (REPRODUCED, OPEN)
     assert verdicts["low-3d"] == NOT_RUN
     for row in table[table["verdict"] == NOT_RUN].itertuples():
-        assert row.reason.endswith(f"by {row.command}")
+        assert row.reason.endswith(f"with {row.command}")
         assert row.command.startswith("make ")
     assert table[["command", "reason"]].notna().all(axis=None)
     assert table.loc[table["verdict"] != NOT_RUN, "evidence"].notna().all()
@@ -668,3 +668,11 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
     answer = CliRunner().invoke(app, ["claims", str(tmp_path / "nosuch"), "--out", str(tmp_path)])
     assert answer.exit_code == 2
     assert "nosuch: no such folder" in answer.output
+
+
+def test_a_study_of_an_earlier_version_is_refused_with_its_command(tmp_path):
+    for _, name, make in STUDY:
+        make(1).replace({"bound": {"dc": "paper"}}).to_csv(tmp_path / f"{name}.csv", index=False)
+    answer = CliRunner().invoke(app, ["claims", str(tmp_path), "--out", str(tmp_path)])
+    assert answer.exit_code == 2
+    assert "make them again with `make bounds`" in answer.output

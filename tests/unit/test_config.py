@@ -467,7 +467,7 @@ def test_a_fixed_number_of_points_cannot_be_chosen(write):
     content = copy.deepcopy(GOOD)
     entry = {"dataset": "chui_rangarajan", "tests": {"def": [1]}, "n_points": 50}
     content["datasets"] = [entry]
-    with pytest.raises(ConfigError, match=r"datasets\[0\]\.n_points: .* leave it out"):
+    with pytest.raises(ConfigError, match=r"datasets\[0\]\.n_points: .* remove it"):
         config.load(write(content))
 
 

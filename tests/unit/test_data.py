@@ -480,7 +480,7 @@ def test_official_pair_comes_whole_with_the_protocols_threshold():
     i, j = made.pairs.T
     distance = np.linalg.norm(apply_pose(made.T_true, made.source[i]) - made.target[j], axis=1)
     assert distance.max() <= 0.1
-    with pytest.raises(DataError, match="3DMatch is on whole clouds; leave n_points out"):
+    with pytest.raises(DataError, match="3DMatch uses whole clouds; remove n_points"):
         dataset("threedmatch").instance("7-scenes-redkitchen", "3DMatch", 0.4, 0, 100)
 
 

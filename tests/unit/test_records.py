@@ -47,6 +47,13 @@ def test_a_missing_or_wrong_column_is_named(tmp_path):
         records.read(tmp_path / "none.parquet", records.PLAN)
 
 
+def test_tables_of_another_version_are_refused_with_the_command_that_makes_them(tmp_path):
+    path = tmp_path / "runs.parquet"
+    pd.DataFrame({"run_id": ["a"], "schema_version": 3}).to_parquet(path)
+    with pytest.raises(records.SchemaError, match=r"version 3, .* `python -m workflows run EXP"):
+        records.read(path, records.runs_columns())
+
+
 def test_a_write_that_fails_leaves_the_old_file_and_no_part(tmp_path, monkeypatch):
     def full_disk(table, part, **options):
         part.write_text("half")

@@ -12,9 +12,7 @@ from workflows.running import BusyError, the_only_run
 def test_the_message_to_a_second_run_names_the_first(tmp_path):
     with the_only_run(tmp_path, "a"):
         with (
-            pytest.raises(
-                BusyError, match=f"another run works on .*, process {os.getpid()}, since 2"
-            ),
+            pytest.raises(BusyError, match=f"another run uses .*: process {os.getpid()}, since 2"),
             the_only_run(tmp_path, "a"),
         ):
             pass

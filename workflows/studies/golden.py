@@ -1,12 +1,12 @@
-"""Our solvers beside recorded answers of official implementations: ``results/golden``.
+"""Compare this project's solvers with recorded results of official implementations.
 
-``python -m workflows.studies.golden [NAME ...] [--golden FOLDER] [--out FOLDER]`` solves every
-recorded case again and writes a table per comparison as CSV and Markdown. The cases are not part
-of this repository; without ``--golden`` they are sought in ``golden`` beside the folder that
-``DCREG_DATA_MIRROR`` names. Exit code 1 when a case that must agree does not.
+``python -m workflows.studies.golden [NAME ...] [--golden FOLDER] [--out FOLDER]`` solves every recorded
+case again and writes a table per comparison as CSV and Markdown. The cases are not part of this
+repository; without ``--golden`` they are searched in the folder ``golden`` next to that of
+``DCREG_DATA_MIRROR``. The exit code is 1 if a case that must agree does not.
 
-A new comparison is a function from a case to a row, and an entry in `COMPARISONS`. A row has
-``case``, what is compared, and at the end ``required`` and ``agrees``.
+A comparison is a function from a case to a row, and an entry of `COMPARISONS`. A row has ``case``, the
+compared values, and at the end ``required`` and ``agrees``.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ import numpy as np
 import pandas as pd
 
 from dcreg.problem import rotation_angle_deg
+from workflows.studies.threedmatch import MAX_ROTATION_DEG, MAX_TRANSLATION
 
 Case = dict[str, np.ndarray]
-REPEATS = 3  # the least time counts
+REPEATS = 3  # the minimum time counts
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Files of a kind, what is done with each, and what a reader must know."""
+    """The files of a comparison, the function from a case to a row, and notes for the reader."""
 
     pattern: str
     row: Callable[[str, Case], dict[str, Any]]
@@ -39,7 +40,7 @@ class Comparison:
 
 
 def golden_folder() -> Path | None:
-    """The recorded cases of this machine, None where there are none."""
+    """Return the folder of recorded cases, or None if there is none."""
     mirror = os.environ.get("DCREG_DATA_MIRROR")
     folder = Path(mirror).parent / "golden" if mirror else None
     return folder if folder and folder.is_dir() else None
@@ -51,9 +52,9 @@ def read_case(path: Path) -> Case:
 
 
 def pose_difference(first: np.ndarray | None, second: np.ndarray) -> tuple[float, float]:
-    """Angle in degrees between two rigid poses, and the distance of their translations.
+    """Return the angle in degrees and the distance of translations between two rigid poses.
 
-    Infinite where the first pose is missing.
+    Both are infinite if the first pose is missing.
     """
     if first is None:
         return np.inf, np.inf
@@ -66,11 +67,10 @@ def pose_difference(first: np.ndarray | None, second: np.ndarray) -> tuple[float
 TEASER_ANGLE = 0.5  # degrees
 TEASER_SHIFT = 0.005  # of the longest side, synthetic
 TEASER_SHIFT_SCANS = 0.05  # metres, 3DMatch
-RIGHT = (15.0, 0.30)  # of a pose on 3DMatch: degrees and metres
 
 
 def teaser_row(name: str, case: Case) -> dict[str, Any]:
-    """The port on the correspondences that official TEASER++ got."""
+    """Run the port on the correspondences that official TEASER++ received."""
     from baselines._shared import cliques
     from baselines.teaser.pipeline import register
     from dcreg.search import Budget
@@ -88,7 +88,7 @@ def teaser_row(name: str, case: Case) -> dict[str, Any]:
     angle, shift = pose_difference(found.pose, case["teaserpp_T"])
     official = pose_difference(case["teaserpp_T"], case["T_true"])
     ours = pose_difference(found.pose, case["T_true"])
-    official_right = official[0] <= RIGHT[0] and official[1] <= RIGHT[1]
+    official_right = official[0] <= MAX_ROTATION_DEG and official[1] <= MAX_TRANSLATION
     clique = found.clique.vertices
     same_size = len(clique) == len(case["teaserpp_clique"])
     near = angle <= TEASER_ANGLE and shift <= limit
@@ -119,7 +119,7 @@ FULL_LIMIT_S = 15.0
 
 
 def full_row(name: str, case: Case) -> dict[str, Any]:
-    """Mode `full` at official Go-ICP's threshold; both poses judged by the one-to-one objective."""
+    """Run mode `full` at official Go-ICP's threshold; compare both poses by the one-to-one objective."""
     import dcreg
 
     source, target = case["source"], case["target"]
@@ -152,8 +152,8 @@ def full_row(name: str, case: Case) -> dict[str, Any]:
         "official_true_angle_deg": official_true[0],
         "official_true_shift": official_true[1],
         "time_s": found.time_solve_s,
-        "official_least_s": GOICP_TOTAL_S[0],
-        "official_most_s": GOICP_TOTAL_S[1],
+        "official_minimum_s": GOICP_TOTAL_S[0],
+        "official_maximum_s": GOICP_TOTAL_S[1],
         "required": "gap closed, value",
         "agrees": found.status is dcreg.Status.OPTIMAL
         and found.lower_bound <= official
@@ -165,40 +165,40 @@ COMPARISONS: dict[str, Comparison] = {
     "teaser": Comparison(
         "correspondences_*.npz",
         teaser_row,
-        "`angle_deg` and `shift` are between our pose and the official one, `true_…` between ours "
-        "and the truth, `official_true_…` between the official one and the truth. Lengths in the "
-        "case's unit: longest side 1, or metres. Real cases have many maximum cliques, with poses "
-        "degrees apart; which one a solver meets is an accident of its order of search. Ours was "
-        "chosen so that ties fall as recorded where the official pose is right (`STARTS` in "
-        "`baselines/_shared/cliques.py`). Where it is wrong, neither pose means anything.",
+        "`angle_deg` and `shift` compare the port's pose with the official one, `true_…` the port's pose "
+        "with the true one, `official_true_…` the official pose with the true one. Lengths are in the "
+        "unit of the case: longest side 1, or metres. Real cases have many maximum cliques, with poses "
+        "that differ by degrees; the order of search decides which one a solver finds. The port's order "
+        "is chosen to find the recorded clique where the official pose is right (`STARTS` in "
+        "`baselines/_shared/cliques.py`). Where the official pose is wrong, the difference is arbitrary.",
     ),
     "dcreg_full": Comparison(
         "goicp_*.npz",
         full_row,
-        "Mode `full` of dcreg beside official Go-ICP at its tolerance, 0.0005 n_inliers. All values are "
-        "the one-to-one objective, which `full` certifies; Go-ICP minimises the one of nearest "
-        "neighbours. `angle_deg` and `shift` are between the two poses. The official times are "
-        "recorded ones, not of this run: 7 to 9 s for the distance transform and 0.6 to 14 s for the "
-        "search; which case took which is not recorded. Where the optimum is below the "
-        "tolerance, as in the trimmed case, a lower bound of 0 already closes the gap.",
+        "Mode `full` of dcreg and official Go-ICP at its tolerance, 0.0005 n_inliers. All values are "
+        "of the one-to-one objective, which `full` certifies; Go-ICP minimises the objective of nearest "
+        "neighbours. `angle_deg` and `shift` compare the two poses. The official times are "
+        "recorded ones: 7 to 9 s for the distance transform and 0.6 to 14 s for the search; times of "
+        "single cases are not recorded. If the optimum is below the tolerance, as in the trimmed "
+        "case, a lower bound of 0 is sufficient.",
     ),
 }
 
 
 def compare(name: str, folder: Path) -> pd.DataFrame:
-    """The table of one comparison over all its cases."""
+    """Return the table of one comparison over all its cases."""
     comparison = COMPARISONS[name]
     paths = sorted(folder.glob(comparison.pattern))
     return pd.DataFrame([comparison.row(path.stem, read_case(path)) for path in paths])
 
 
 def write(name: str, table: pd.DataFrame, out: Path) -> None:
-    """``<name>.csv`` and ``<name>.md`` with the notes."""
+    """Write ``<name>.csv`` and, with the notes, ``<name>.md``."""
     out.mkdir(parents=True, exist_ok=True)
     table.to_csv(out / f"{name}.csv", index=False)
     shown = table.to_markdown(index=False, floatfmt=".4g")
     notes = COMPARISONS[name].notes
-    text = f"# {name}: ours and the official implementation\n\n{shown}\n\n{notes}\n"
+    text = f"# {name}: this project and the official implementation\n\n{shown}\n\n{notes}\n"
     (out / f"{name}.md").write_text(text, encoding="utf-8")
 
 
