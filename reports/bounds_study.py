@@ -222,11 +222,11 @@ def build(folder: Path) -> Path:
     shown = [
         {"id": "losses", "title": "Loss relative to the published DC bound",
          "caption": "Mean of minimum objective found − bound, over that of the bound `dc`, "
-         "over boxes of one width (in RMS radii) that hold the optimum or lie away from it. A dash: "
+         "over boxes of one width (in RMS radii) that contain the optimum or lie away from it. A dash: "
          "the method has no bound there."} | losses_rows(tables["losses"]),
         {"id": "orders", "title": "Empirical order of convergence",
-         "caption": "Slope of log loss over log width at the smallest widths with a loss above a thousandth "
-         "of the optimum."} | orders_rows(tables["orders"]),
+         "caption": "Slope of log loss over log width at the smallest widths with a loss above a "
+         "thousandth of the optimum."} | orders_rows(tables["orders"]),
         {"id": "nodes", "title": "Nodes to a given gap",
          "caption": "ε is the default tolerance; a dash: not reached within the time limit."}
         | searches_rows(tables["searches"], "n_nodes"),
