@@ -280,7 +280,7 @@ def test_levels_are_named_with_their_unit(tables):
     figure = levels.build(tables, theme.method_styles(tables), "similarity2d")
     titles = {panel.x_title for panel in figure.grid.panels}
     assert titles == {
-        "warp, in longest sides", "noise σ, in longest sides", "outliers per inlier, each set",
+        "deformation, in longest sides", "noise σ, in longest sides", "outliers per inlier, each set",
     }  # fmt: skip
 
 
@@ -372,7 +372,7 @@ def test_the_page_tells_the_limit_that_a_run_met(tmp_path):
         ),
         (
             {"n_source": [400, 100], "n_inliers": [20, 5]},
-            "1 × the true pairs; of fewer points in proportion",
+            "1 × the true pairs; in proportion for methods that receive fewer points",
         ),
     ],
 )
