@@ -23,7 +23,7 @@ START_BOXES = ("stationary", "radius")
 
 # Scopes in which the certified objective is that of `dcreg.objective`.
 SIMILARITY_POSE, RIGID_POSE = POSE_SCOPES = ("similarity pose", "rigid pose")
-# Scopes in which it is at most that at every pose, since norms differ by at most the distance of the points.
+# Scopes in which it is at most that: norms differ by at most the distance of the points.
 (NORM_TRANSLATION,) = NORM_SCOPES = ("translation in norm space",)
 
 # Suffix of a figure's file and the packages that draw it.

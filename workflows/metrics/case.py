@@ -42,6 +42,12 @@ class Case:
         return self.source[self.pairs[:, 0]], self.target[self.pairs[:, 1]]
 
     @cached_property
+    def residuals(self) -> np.ndarray:
+        """Distances of the true pairs at the evaluated pose."""
+        source, target = self.inliers
+        return np.linalg.norm(apply_pose(self.T, source) - target, axis=1)
+
+    @cached_property
     def rmse(self) -> float:
         """RMS distance of the true pairs at the evaluated pose."""
         return self.rms_at(self.T)
