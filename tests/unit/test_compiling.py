@@ -1,17 +1,19 @@
 """The cache of compiled kernels: what is compiled when, and that machine code fits its sources."""
 
+import json
 import os
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 import dcreg
-from dcreg.driver.warm_up import _works
-from dcreg.families.registry import bound_parts
-from dcreg.names import BOUND_NAMES, DEFAULT_BOUND, MODEL_DIM
+from dcreg.driver import warm_up
+from dcreg.driver.modes import find_mode
+from dcreg.names import BOUND_NAMES, MODEL_DIM
 
 LIBRARY = Path(dcreg.__file__).parent
 SUM = "from dcreg.assignment.kernels.selection import total\nimport numpy as np\n"
@@ -23,7 +25,7 @@ def run(code, folder, **environment):
     known = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "PYTHONPATH")}
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=folder, env=known | environment,
-        capture_output=True, text=True, timeout=300,
+        capture_output=True, text=True, timeout=1200,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
@@ -42,7 +44,7 @@ def compiled(folder):
 
 
 def test_import_writes_and_removes_nothing(copy):
-    old = copy / "dcreg/kernels/__pycache__/kernels-0123456789abcdef"
+    old = copy / "dcreg/search/__pycache__/kernels-0123456789abcdef"
     old.mkdir(parents=True)
     (old / "some.nbc").touch()
     before = set(copy.rglob("*"))
@@ -51,15 +53,16 @@ def test_import_writes_and_removes_nothing(copy):
     assert set(copy.rglob("*")) == before
 
 
-def test_an_edited_callee_in_another_file_is_compiled_anew(copy):
+def test_an_edited_callee_in_another_file_is_compiled_again(copy):
     """Both kernels stay in the cache, each under the digest of its sources."""
-    caller = copy / "dcreg/kernels/caller.py"
+    caller = copy / "dcreg/assignment/kernels/caller.py"
     caller.write_text(
         "from dcreg.assignment.kernels.selection import total\n"
         "from dcreg.jit import jit\n\n\n"
         "@jit\ndef twice(values):\n    return 2.0 * total(values)\n"
     )
-    code = "import numpy as np\nfrom dcreg.kernels.caller import twice\nprint(twice(np.ones(4)))"
+    code = "import numpy as np\nfrom dcreg.assignment.kernels.caller import twice\n"
+    code += "print(twice(np.ones(4)))"
     assert run(code, copy) == "8.0"
     first = compiled(copy)
     callee = copy / "dcreg/assignment/kernels/selection.py"
@@ -74,7 +77,7 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(copy):
 
 
 def test_old_kernels_go_when_asked(copy):
-    old = copy / "dcreg/kernels/plane/__pycache__/kernels-0123456789abcdef"
+    old = copy / "dcreg/search/__pycache__/kernels-0123456789abcdef"
     old.mkdir(parents=True)
     run(SUM, copy)
     run("from dcreg.jit import forget_old_kernels\nforget_old_kernels()", copy)
@@ -111,68 +114,82 @@ def test_processes_that_compile_at_once_agree(copy):
     assert run(SUM, copy) == "4.0"
 
 
+# Every case in a forked process, in which nothing is compiled or loaded yet.
 WARM = """
-import logging
-logging.basicConfig(level=logging.INFO, format="%(message)s", force=True)
+import json, os, sys
 import numpy as np
-import dcreg
+import dcreg, dcreg.driver.solve
 from numba.core import event
-from dcreg.modes import find_mode
+from dcreg.driver.modes import find_mode
 from dcreg.driver.warm_up import warm_up_mode
-warm_up_mode(find_mode("{model}", "{mode}"), {bound!r}, {restricted})
-seen = event.RecordingListener()
-points = np.random.default_rng(1).standard_normal((15, {dim}))
-noise = 0.05 * np.random.default_rng(2).standard_normal((15, {dim}))
-mask = np.ones((15, 15), bool)
-mask[0, 3] = False
-with event.install_listener("numba:compile", seen):
-    for k in (12, 15):
-        dcreg.register(
-            points, points + noise, n_inliers=k, model="{model}", mode="{mode}", bound={bound!r},
-            node_limit=60, candidates=mask if {restricted} else None,
-        )
-print([e.data["dispatcher"].py_func.__name__ for _, e in seen.buffer if e.is_start])
+
+def compiled_late(model, mode, bound, restricted):
+    warm_up_mode(find_mode(model, mode), bound, restricted)
+    seen = event.RecordingListener()
+    dim = 2 if model == "similarity2d" else 3
+    points = np.random.default_rng(1).standard_normal((15, dim))
+    noise = 0.05 * np.random.default_rng(2).standard_normal((15, dim))
+    mask = np.ones((15, 15), bool)
+    mask[0, 3] = False
+    with event.install_listener("numba:compile", seen):
+        for k in (12, 15):
+            dcreg.register(
+                points, points + noise, n_inliers=k, model=model, node_limit=60,
+                candidates=mask if restricted else None,
+                options=dcreg.SolveOptions(mode=mode, bound=bound),
+            )
+    return [e.data["dispatcher"].py_func.__name__ for _, e in seen.buffer if e.is_start]
+
+for case in json.loads(os.environ["CASES"]):
+    if not os.fork():
+        print(json.dumps([case, compiled_late(*case)]), flush=True)
+        os._exit(0)
+    os.wait()
 """
+SEARCHES = [
+    ["similarity2d", "paper", None],
+    ["similarity2d", "paper", "shared"],
+    ["similarity2d", "paper", "dc+interval"],
+    ["rigid3d", "paper", None],
+    ["rigid3d", "paper", "interval"],
+    ["rigid3d", "full", None],
+]
 
 
-@pytest.mark.parametrize("restricted", [False, True])
-@pytest.mark.parametrize(
-    ("model", "mode", "bound"),
-    [
-        ("similarity2d", "paper", None),
-        ("similarity2d", "paper", "shared"),
-        ("similarity2d", "paper", "dc+interval"),
-        ("rigid3d", "paper", None),
-        ("rigid3d", "paper", "interval"),
-        ("rigid3d", "full", None),
-    ],
-)
-def test_a_search_compiles_nothing_after_its_warm_up(model, mode, bound, restricted):
-    code = WARM.format(
-        model=model,
-        mode=mode,
-        bound=bound,
-        restricted=restricted,
-        dim=2 if mode == "paper" and model == "similarity2d" else 3,
-    )
-    assert run(code, LIBRARY.parent) == "[]"
+@pytest.mark.timeout(1200)  # where the cache is empty
+def test_a_search_compiles_nothing_after_its_warm_up():
+    cases = [[*search, restricted] for search in SEARCHES for restricted in (False, True)]
+    cache = {k: v for k, v in os.environ.items() if k == "NUMBA_CACHE_DIR"}
+    output = run(WARM, LIBRARY.parent, CASES=json.dumps(cases), **cache)
+    assert [json.loads(line) for line in output.splitlines()] == [[case, []] for case in cases]
 
 
-def test_a_cold_cache_is_told_of_and_a_warm_one_is_not(copy):
-    code = WARM.format(model="similarity2d", mode="paper", bound=None, restricted=False, dim=2)
-    code = code.replace("import logging\n", "import logging, sys\n", 1)
-    code = code.replace("force=True", "force=True, stream=sys.stdout")
-    assert run(code, copy).splitlines()[0].startswith("compiling")
-    assert run(code, copy) == "[]"
+def test_a_compilation_is_announced_and_a_cached_kernel_is_not(copy):
+    code = "from dcreg.jit import when_compiling\n"
+    code += "with when_compiling(lambda: print('compiling')):\n    "
+    code += SUM.replace("\n", "\n    ")
+    assert run(code, copy).split() == ["compiling", "4.0"]
+    assert run(code, copy) == "4.0"
 
 
-def test_the_whole_warm_up_meets_every_bound():
+def test_a_warm_up_announces_that_it_compiles(monkeypatch, caplog):
+    @contextmanager
+    def compiling(tell):
+        tell()
+        yield
+
+    monkeypatch.setattr(warm_up, "when_compiling", compiling)
+    with caplog.at_level("INFO", logger="dcreg"):
+        warm_up.warm_up_mode.__wrapped__(find_mode("similarity2d", "paper"), None)
+    assert caplog.messages[0].startswith("compiling")
+
+
+def test_the_whole_warm_up_meets_every_bound(monkeypatch):
+    met = []
+    monkeypatch.setattr(warm_up, "warm_up_mode", lambda *given, **_: met.append(given))
+    for work in warm_up._works():
+        if work.func is not warm_up.warm_up_matches:
+            work()
     for model in MODEL_DIM:
-        met = {
-            part
-            for work in _works()
-            if work.args and work.args[0] == model and len(work.args[2]) > 1
-            for bound in work.args[2]
-            for part in bound_parts(bound or DEFAULT_BOUND)
-        }
-        assert met == set(BOUND_NAMES)
+        bounds = {bound or mode.own_bound for mode, bound, *_ in met if mode.model == model}
+        assert bounds >= set(BOUND_NAMES)
