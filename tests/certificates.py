@@ -53,7 +53,7 @@ def certify(
         keep_leaves=True,
     )
     return record(
-        found, searched.roots[0], problem,
+        found, searched.roots[0], problem, frame,
         family=model, mode="paper", bound=bound, gap_tol=gap_tol,
     )  # fmt: skip
 

@@ -16,6 +16,7 @@ def record(
     found: Outcome,
     start: Box,
     problem: Problem,
+    frame: Frame,
     *,
     family: str,
     mode: str,
@@ -32,6 +33,8 @@ def record(
         Its only root.
     problem : Problem
         As given, in its own units.
+    frame : Frame
+        Of the problem.
     family : str
         One of `dcreg.certificate.format.MODELS`.
     mode, bound : str
@@ -39,7 +42,7 @@ def record(
         In normalised units.
     """
     assert found.leaves is not None
-    boxes, frame = found.leaves.arrays(), Frame.of(problem)
+    boxes = found.leaves.arrays()
     needed = max(found.lower_bound, found.upper_bound - gap_tol)
     pairs, is_empty = problem.candidates, np.isinf(boxes["bounds"])
     return Certificate(

@@ -52,6 +52,8 @@ class Setup:
         As given, in ascending order of `n_inliers`.
     searched : list of Problem
         What is searched for each: itself, or a sample of it.
+    frame : Frame
+        Of the searched clouds, which all problems share.
     mode : Mode
     limits : Limits
     options : SolveOptions
@@ -61,6 +63,7 @@ class Setup:
 
     problems: Sequence[Problem]
     searched: Sequence[Problem]
+    frame: Frame
     mode: Mode
     limits: Limits
     options: SolveOptions
@@ -101,7 +104,9 @@ class Setup:
             _LOGGER.info(line)
         if mode is None:
             warm_up_mode(chosen, bound, *special(searched[0]))
-        return cls(problems, searched, chosen, limits, options, time.perf_counter() - began)
+        frame = Frame.of(largest)
+        time_s = time.perf_counter() - began
+        return cls(problems, searched, frame, chosen, limits, options, time_s)
 
     @property
     def is_sampled(self) -> bool:
@@ -110,14 +115,11 @@ class Setup:
 
     def budget(self) -> Budget:
         """Start the clock; the listener receives events in the units of the input."""
-        return self.limits.budget(
-            in_input_units(self.options.listener, Frame.of(self.searched[0]).area)
-        )
+        return self.limits.budget(in_input_units(self.options.listener, self.frame.area))
 
     def normalised(self, at: int, budget: Budget) -> NormalisedProblem:
         """Return the problem that is searched for ``problems[at]``."""
-        problem, mode, options = self.searched[at], self.mode, self.options
-        frame = Frame.of(problem)
+        problem, mode, options, frame = self.searched[at], self.mode, self.options, self.frame
         source, target, k = problem.source, problem.target, problem.n_inliers
         gap_tol = rotation_gap_tol = gap_tol_of(self.limits.tol, self.limits.gap_tol, k)
         if gap_tol is None or rotation_gap_tol is None:
@@ -256,7 +258,7 @@ class Finish:
             return None
         root, found = solution.certified
         return record(
-            found, root, self.setup.searched[self.at],
+            found, root, self.setup.searched[self.at], self.normalised.frame,
             family=self.setup.mode.certifies, mode=self.setup.mode.name,
             bound=self.normalised.bound, gap_tol=self.normalised.gap_tol,
         )  # fmt: skip
