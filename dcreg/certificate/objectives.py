@@ -49,7 +49,7 @@ class Objective(abc.ABC):
     is_uniform : bool
         Whether the linearisation gap is equal for every matching, so that a `Profile` is one number.
     n_at_once : int
-        Boxes bounded at once: more boxes share NumPy's overhead, fewer boxes share duals earlier.
+        Boxes bounded at once. Larger batches amortise NumPy's overhead, smaller ones reuse duals earlier.
     n_assignments : int
         Assignments solved so far.
     """

@@ -133,7 +133,9 @@ def verify(
         else:
             certificate = read(certificate)
             n_leaves = len(certificate.leaf_bounds)
-            report.checks.append(f"complete and unchanged: {n_leaves} leaves, sealed")
+            report.checks.append(
+                f"complete and unchanged: {n_leaves} leaves, with the right checksum"
+            )
         _check(
             report, certificate, np.asarray(source, dtype=np.float64),
             np.asarray(target, dtype=np.float64), max_boxes, n_samples, progress,

@@ -1,7 +1,7 @@
 """Arguments and options of the commands, and the conversion of their text.
 
-A dataclass below is a group of parameters that several commands share: `dcreg.cli.commands` turns each of
-its fields into an argument or option of its own.
+Each dataclass is a group of parameters that several commands share. `dcreg.cli.commands` turns every
+field into an argument or option.
 """
 
 from __future__ import annotations

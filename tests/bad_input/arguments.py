@@ -1,4 +1,4 @@
-"""Arguments and options of the command line, and files that it should write."""
+"""Arguments and options of the command line, and files to write."""
 
 from __future__ import annotations
 
@@ -101,12 +101,12 @@ RANGES = {
     ",": ("--n-inliers: the list is empty", "give at least one"),
     "4,9": ("--n-inliers: 9 pairs", "between 1 and 8"),
 }
-IN_SPACE = {
+IN_3D = {
     "bound of full": (("--mode", "full", "--bound", "dc"), "--bound: mode 'full'", "mode"),
     "certificate of full": (("--mode", "full", "--certificate", "c.npz"), "--certificate", "mode"),
     "scale": (("--scale-range", "0.9", "1.1"), "--scale-range: (0.9, 1.1)", "leave it out"),
     "unknown mode": (("--mode", "best"), "--mode: 'best' is unknown", "known: "),
-    "mode with a slip": (("--mode", "papr"), "--mode: 'papr'", "did you mean 'paper'"),
+    "misspelled mode": (("--mode", "papr"), "--mode: 'papr'", "did you mean 'paper'"),
 }  # fmt: skip
 HELP = "Try 'dcreg"
 USAGE = {
@@ -124,9 +124,9 @@ USAGE = {
     "verify without files": (["verify"], "Missing argument 'CERT'", HELP),
     "verify without clouds": (["verify", "c.npz"], "Missing argument 'SOURCE'", HELP),
     "version with an argument": (["version", "x"], "unexpected extra argument(s) (x)", HELP),
-    "mode of the plane": (register("--mode", "full"), "--mode: 'full' is unknown", "known: "),
+    "mode of 3D": (register("--mode", "full"), "--mode: 'full' is unknown", "known: "),
     "empty source": (register(source=""), ".: is a folder", "give the path"),
-    "key there is none": (register("--source-key", "a"), "key 'a' given", "drop the key"),
+    "key without archive": (register("--source-key", "a"), "key 'a' given", "drop the key"),
 }
 OUTPUTS = {  # option of register: a name it takes
     "--json": "o.json",
@@ -152,7 +152,7 @@ def _arguments() -> Iterator[Case]:
         yield Case("arguments", f"sweep n_inliers {text}", sweep(n_inliers=text), words)
     both = register("--tol", "0.1", "--gap-tol", "0.1")
     yield Case("arguments", "two tolerances", both, ["--tol: 0.1", "gap_tol: 0.1", "give one"])
-    for name, (options, *words) in IN_SPACE.items():
+    for name, (options, *words) in IN_3D.items():
         yield Case("arguments", f"3D {name}", register(*options, dim=3), words)
     for name, (run, *words) in USAGE.items():
         yield Case("arguments", name, run, words)

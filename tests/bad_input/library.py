@@ -77,7 +77,7 @@ def _cases() -> Iterator[Case]:
     yield Case("library", "plot as an image",
                lambda: dcreg.plot_registration(A2, B2, found(), "o.png"),
                ["o.png", "'.png'", "must end in .html"])  # fmt: skip
-    yield Case("library", "scale in space",
+    yield Case("library", "scale in 3D",
                partial(dcreg.register, A3, B3, n_inliers=6, model="rigid3d", scale_range=(1, 2)),
                ["scale_range: (1.0, 2.0)", "leave it out"])  # fmt: skip
 

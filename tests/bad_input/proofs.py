@@ -116,7 +116,7 @@ def _certificates() -> Iterator[Case]:
         yield Case("certificates", f"forged: {name}", verify, case, files, code=5)
     for name, run, words in (
         ("clouds exchanged", ["b2.txt", "a2.txt"], ["source: differs from", again]),
-        ("clouds of space", ["a3.txt", "b3.txt"], ["source: differs from", again]),
+        ("clouds in 3D", ["a3.txt", "b3.txt"], ["source: differs from", again]),
     ):
         yield Case("certificates", name, ["verify", "c.npz", *run], words, {"c.npz": good}, code=5)
     yield Case("certificates", "no source", ["verify", "c.npz", "x.txt", "b2.txt"],

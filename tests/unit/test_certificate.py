@@ -49,7 +49,7 @@ def test_real_certificates_are_accepted(tmp_path, model, bound, options, extra):
     assert len(report.checks) == 8
 
 
-def test_limit_is_stated_with_its_valid_bounds(tmp_path):
+def test_a_search_that_hit_a_limit_has_valid_bounds(tmp_path):
     source, target = clouds("similarity2d")
     certificate = certify(source, target, 10, "similarity2d", bound="dc", nodes=200)
     assert certificate.status == "node_limit"
@@ -87,12 +87,12 @@ def test_result_is_verified_in_memory():
 
 def test_progress_ends_with_all_boxes_done(case):
     certificate, source, target = case
-    told = []
-    report = verify(certificate, source, target, progress=lambda *seen: told.append(seen))
-    done, needed = map(list, zip(*told, strict=True))
+    reported = []
+    report = verify(certificate, source, target, progress=lambda *seen: reported.append(seen))
+    done, needed = map(list, zip(*reported, strict=True))
     assert done == sorted(done)
     assert needed == sorted(needed)
-    assert told[-1] == (report.n_boxes, report.n_boxes)
+    assert reported[-1] == (report.n_boxes, report.n_boxes)
 
 
 def test_every_leaf_has_its_reason(tmp_path):
@@ -142,7 +142,7 @@ def test_raised_bound_is_refuted(tmp_path, case):
 
 
 def test_every_bound_raised_above_its_minimum_is_refused(tmp_path, case, rng):
-    """Not only where it matters for the conclusion."""
+    """Also if the claim does not depend on it."""
     certificate = case[0]
     finite = np.flatnonzero(np.isfinite(certificate.leaf_bounds))
     for leaf in rng.choice(finite, 5):
@@ -159,7 +159,7 @@ def test_samples_find_a_false_bound(case):
         check_samples(objective, false, 1e-9, 300)
 
 
-def test_lowered_bound_does_not_carry_the_conclusion(tmp_path, case):
+def test_lowered_bound_does_not_imply_the_claim(tmp_path, case):
     bounds = case[0].leaf_bounds.copy()
     bounds[7] = 0.0
     refused(tmp_path, case, "does not follow: leaf 7", leaf_bounds=bounds)
@@ -222,7 +222,7 @@ def test_wrong_optimum_is_refused(tmp_path, case):
 
 
 def one_leaf(certificate, box, theta, value, bound):
-    """The certificate of another statement, which rests on one leaf that fills the start box."""
+    """A certificate of another statement with a single leaf, the start box."""
     return dataclasses.replace(
         certificate, start_lower=-box, start_upper=box, leaf_lower=-box[None], leaf_upper=box[None],
         leaf_bounds=[bound], leaf_reasons=[format.OPEN], theta=theta, upper_bound=value,
@@ -230,8 +230,8 @@ def one_leaf(certificate, box, theta, value, bound):
     )  # fmt: skip
 
 
-def test_rounding_is_not_measured_by_another_unit(case):
-    """In so large a unit every claim is as small as rounding."""
+def test_the_unit_cannot_be_exchanged(case):
+    """In a very large unit, every claim is within the rounding error."""
     certificate, source, target = case
     box = np.full(len(certificate.theta), 10.0)
     forged = one_leaf(certificate, box, 0.0 * box + 1e-9, 5e-12, 5e-12)
@@ -244,7 +244,7 @@ def test_another_centre_is_refused(tmp_path, case, name):
     refused(tmp_path, case, name, **{name: getattr(case[0], name) + 1e-3})
 
 
-def test_rounding_is_not_measured_by_the_value_of_a_far_pose(case):
+def test_rounding_does_not_depend_on_the_value_of_a_far_pose(case):
     certificate, source, target = case
     theta = np.append(certificate.theta[:-1], 1e6)
     value = objective_of(*case).value(theta)
@@ -261,8 +261,8 @@ def test_a_huge_start_box_hides_no_gap():
         check_partition(-end, end, lower, upper)
 
 
-def test_a_local_optimum_passed_off_as_global_is_refused(tmp_path, case):
-    """All entries agree with each other, but the objective is lower elsewhere."""
+def test_a_local_optimum_is_refused(tmp_path, case):
+    """All entries are consistent, but the objective is lower elsewhere."""
     certificate = case[0]
     objective = objective_of(*case)
     theta = certificate.theta + 0.05
@@ -274,7 +274,7 @@ def test_a_local_optimum_passed_off_as_global_is_refused(tmp_path, case):
     refused(tmp_path, case, "bound is false", leaf_bounds=bounds, **claim)
 
 
-def test_inadmissible_leaves_must_be_so(tmp_path, case):
+def test_leaves_stated_as_inadmissible_are_checked(tmp_path, case):
     certificate = case[0]
     reasons, bounds = certificate.leaf_reasons.copy(), certificate.leaf_bounds.copy()
     leaf = int(np.argmin(bounds))
@@ -291,7 +291,7 @@ def test_scale_outside_of_the_range_is_refused(tmp_path):
     refused(tmp_path, case, "start box", scale_range=np.array([0.5, 3.0]))
 
 
-def test_too_many_pairs_for_plain_code_are_said_to_be(tmp_path, case, monkeypatch):
+def test_too_many_pairs_are_refused(tmp_path, case, monkeypatch):
     certificate, source, target = case
     monkeypatch.setattr(verification, "MAX_DENSE", 100)
     assert "11 x 11 pairs exceed 100" in check(tmp_path, certificate, source, target).reason
@@ -306,18 +306,18 @@ def test_any_number_of_points_is_checked_in_sorted_order(tmp_path, monkeypatch):
     assert report.n_assignments == 0
 
 
-def test_an_effort_limit_ends_the_proof_with_a_refusal(tmp_path, case):
+def test_a_proof_beyond_max_boxes_is_refused(tmp_path, case):
     certificate, source, target = case
     report = check(tmp_path, certificate, source, target, max_boxes=5)
     assert "could not be confirmed within 5 boxes" in report.reason
 
 
-# --- what the claim rests on ------------------------------------------------------------------
+# --- what the claim depends on ------------------------------------------------------------------
 
 
 @st.composite
 def claims(draw):
-    """A certificate of a search cut short, and one that claims more than the best known value."""
+    """A certificate of an unfinished search, and a claim above the best known value."""
     model = draw(st.sampled_from(sorted(DIM)))
     seed = draw(st.integers(0, 2**32 - 1))
     generator = np.random.default_rng(seed)
@@ -349,7 +349,7 @@ def claims(draw):
 @settings(max_examples=40)
 @given(claims())
 def test_a_lower_bound_above_the_optimum_is_always_refused(claim):
-    """Whatever the leaves say of themselves; and the same cover carries the claim that is true."""
+    """Whatever its leaves state; the same leaves with the true claim are accepted."""
     true, false, source, target = claim
     for n_samples in (0, 100):
         report = verify(false, source, target, max_boxes=400, n_samples=n_samples)
@@ -360,7 +360,7 @@ def test_a_lower_bound_above_the_optimum_is_always_refused(claim):
 
 
 def test_a_bound_of_zero_needs_no_proof(monkeypatch):
-    """However high the leaves' own bounds; but what is false among them is still refused."""
+    """Whatever bounds the leaves state; false ones among them are still refused."""
     source, target = clouds("translation3d", extra=1)
     certificate = certify(source, target, 10, "translation3d", bound="dc", nodes=300, tau=0.01)
     assert certificate.lower_bound == 0
@@ -389,7 +389,7 @@ def test_a_bound_of_zero_needs_no_proof(monkeypatch):
     assert "bound is false" in verify(forged, source, target, n_samples=0).reason
 
 
-def test_a_lower_bound_of_zero_says_nothing_in_the_plane_too(rng):
+def test_a_lower_bound_of_zero_is_trivial_in_2d_too(rng):
     source = rng.random((12, 2))
     target = source + 1e-3 * rng.standard_normal((12, 2))
     found = register(source, target, n_inliers=12, model="similarity2d", certificate=True)
@@ -400,7 +400,7 @@ def test_a_lower_bound_of_zero_says_nothing_in_the_plane_too(rng):
     assert report.is_trivial
 
 
-def test_the_check_says_what_was_proven(case):
+def test_the_report_states_what_was_proven(case):
     certificate, source, target = case
     area = certificate.unit**2
     for share in (1.0, 0.5):

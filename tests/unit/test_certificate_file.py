@@ -16,7 +16,7 @@ def case(request):
     return made_case(request.param)
 
 
-def test_file_holds_what_was_written_as_plain_arrays(tmp_path, case):
+def test_file_contains_what_was_written_as_plain_arrays(tmp_path, case):
     certificate = case[0]
     write(tmp_path / "a.npz", certificate)
     again = read(tmp_path / "a.npz")
@@ -77,7 +77,7 @@ def test_flipped_bytes_never_change_what_is_accepted(tmp_path, case, rng):
     assert n_refused > 100
 
 
-def test_changed_entry_without_a_new_seal_is_refused(tmp_path, case):
+def test_changed_entry_without_a_new_checksum_is_refused(tmp_path, case):
     certificate, source, target = case
     path = tmp_path / "certificate.npz"
     write(path, certificate)
@@ -97,7 +97,7 @@ def test_changed_entry_without_a_new_seal_is_refused(tmp_path, case):
 
 
 class Payload:
-    """Unpickling it leaves a mark."""
+    """An object that creates a file when it is unpickled."""
 
     def __init__(self, mark):
         self.mark = mark

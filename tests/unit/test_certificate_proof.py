@@ -52,7 +52,7 @@ def test_verification_runs_where_the_search_cannot_be_imported(tmp_path, case):
     assert done.stdout.split() == ["True"], done.stdout + done.stderr
 
 
-def test_safe_start_box_contains_the_region_of_a_single_far_pair():
+def test_radius_start_box_contains_the_region_of_a_single_far_pair():
     """`region` projects the cloud on directions, and must not exceed what follows from the radii."""
     source = np.array([[1.0, 0.0], [0.1, 0.0], [0.0, -0.1]])
     clouds = source, -source, 1, (0.5, 1.5)
@@ -86,7 +86,7 @@ def test_plain_bounds_hold_and_objectives_agree(case, seed):
     assert (start.upper >= region_upper - 1e-9).all()
 
 
-def test_a_proof_over_norms_solves_no_assignments_and_hardly_divides_leaves():
+def test_a_proof_over_norms_solves_no_assignments_and_divides_few_leaves():
     """Some norms remain unmatched; the lower bound is above 0, so that every leaf needs a proof."""
     source, target = clouds("translation3d", n=20, extra=3, seed=3)
     certificate = certify(source, target, 20, "translation3d", bound="tight", tau=0.0125)
@@ -162,7 +162,7 @@ def partitions(draw):
 
 
 @given(partitions())
-def test_partitions_are_recognised_and_broken_ones_refused(partition):
+def test_partitions_are_accepted_and_broken_ones_refused(partition):
     start, lower, upper, generator = partition
     check_partition(*start, lower, upper)
     check_partition(*start, lower - 1e-15, upper)  # rounding

@@ -1,4 +1,7 @@
-"""The command line: options, bad input, outputs and exit codes, with a fake search."""
+"""The command line with a fake search: options, outputs and exit codes.
+
+The kinds of bad input are in `tests.bad_input`.
+"""
 
 import json
 import math
@@ -209,7 +212,7 @@ def test_outputs(call, tmp_path, fake):
     assert "Plotly.newPlot" in paths[2].read_text()
 
 
-def test_json_on_standard_output_stands_alone(call, fake):
+def test_json_on_standard_output_is_its_only_content(call, fake):
     outcome = run(*call, "--json", "-")
     assert json.loads(outcome.stdout)["status"] == "optimal"
     assert "T_target_source" in outcome.stderr
@@ -239,7 +242,7 @@ def test_the_command_prints_what_the_result_prints(call, sweep_call, fake, fake_
 
 
 def test_full_disk_is_reported_after_the_pose(call, tmp_path, fake, monkeypatch):
-    """A real write failure: files may not grow beyond 100 bytes once the search is over."""
+    """A real write failure: files may not grow beyond 100 bytes after the search."""
     old = resource.getrlimit(resource.RLIMIT_FSIZE)
     path = tmp_path / "o.json"
     path.write_text("earlier result")
@@ -294,6 +297,6 @@ def test_sweep_unwritable_output_exits_4(sweep_call, fake_sweep, tmp_path, monke
     assert list(tmp_path.glob("*a.csv*")) == []
 
 
-def test_no_tolerance_is_warned_of(call, fake):
+def test_a_tolerance_of_zero_gives_a_warning(call, fake):
     assert "--gap-tol 0: a gap hardly ever closes" in run(*call, "--gap-tol", "0").stderr
     assert "hardly ever" not in run(*call, "--gap-tol", "0.1").stderr

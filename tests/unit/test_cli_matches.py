@@ -14,7 +14,7 @@ run = partial(results.run, "register-matches")
 
 @pytest.fixture
 def call(tmp_path):
-    """A good call: 20 right matches of 40."""
+    """A good call: 20 of 40 matches are right."""
     points = np.random.default_rng(0).random((40, 3))
     np.savetxt(tmp_path / "s.txt", points)
     np.save(tmp_path / "t.npy", np.vstack([points[:20] + 3.0, points[:20]]))
@@ -103,7 +103,7 @@ def test_bad_options_exit_2(call, options, words):
     assert words in " ".join(outcome.stderr.replace("│", " ").split())
 
 
-def test_clouds_of_the_plane_are_refused(call, tmp_path):
+def test_2d_clouds_are_refused(call, tmp_path):
     np.savetxt(tmp_path / "s.txt", np.random.default_rng(0).random((40, 2)))
     outcome = run(*call)
     assert outcome.exit_code == 2

@@ -150,14 +150,14 @@ NOTHING = "interrupted: no result, and nothing is written"
 
 
 def ends_within_2_s(process, number):
-    """Exit code and last line on standard error of a process that is sent a signal."""
+    """Send a signal to a process; return its exit code and its last line on standard error."""
     used = psutil.Process(process.pid).cpu_times()
     others = resource.getrusage(resource.RUSAGE_CHILDREN)
     process.send_signal(number)
     _, messages = process.communicate(timeout=15)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = after.ru_utime + after.ru_stime - others.ru_utime - others.ru_stime
-    # of the processor, which other work on the machine does not prolong: 15 s of the clock
+    # CPU time, which does not depend on other work on the machine; 15 s of wall time
     assert spent - used.user - used.system <= 2.0
     assert "Traceback" not in messages
     return process.returncode, messages.splitlines()[-1]
@@ -210,7 +210,7 @@ def test_a_signal_before_the_search_ends_the_preparation():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_a_file_is_written_leaves_no_half_of_it(tmp_path, number):
+def test_a_signal_while_a_file_is_written_leaves_no_partial_file(tmp_path, number):
     before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
         raise_again()
@@ -230,7 +230,7 @@ def test_a_signal_while_a_file_is_written_leaves_no_half_of_it(tmp_path, number)
 
 
 def hard_case(folder):
-    """Two unrelated clouds and no tolerance: a search that does not end by itself."""
+    """Two unrelated clouds and a tolerance of zero: the search does not close."""
     generator = np.random.default_rng(8)
     for name in ("a.txt", "b.txt"):
         np.savetxt(folder / name, generator.random((60, 2)))

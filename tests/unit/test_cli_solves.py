@@ -129,7 +129,7 @@ def test_sweep_for_real(sweep_call, tmp_path):
 
 
 def test_default_tolerance_of_a_target_without_extent(tmp_path):
-    """Its unit of length is then the source's, so the tolerance is that of the library, not zero."""
+    """The source then gives the unit of length, so that the default tolerance is not zero."""
     source = np.random.default_rng(3).random((6, 2))
     target = np.ones((6, 2))
     np.savetxt(tmp_path / "a.txt", source)
@@ -157,13 +157,13 @@ def test_equal_ends_of_the_scale_range_fix_the_scale(cloud_files, tmp_path):
 
 @pytest.mark.parametrize(("more", "pairs"), [([], 9), (["--downsample", "5"], 4)])
 def test_a_tolerance_as_a_length(call, more, pairs):
-    """Of the pairs that are searched."""
+    """It refers to the pairs that are searched."""
     found = json.loads(run(*call, "--tol", "0.1", "--json", "-", *more).stdout)
     assert found["gap_tol"] == pytest.approx(pairs * 0.01)
 
 
-def test_advice_speaks_of_what_is_searched(tmp_path, monkeypatch):
-    """Of large clouds, but not where some of their points are searched; of units; never when quiet."""
+def test_hints_refer_to_what_is_searched(tmp_path, monkeypatch):
+    """Hints about large clouds (unless downsampled) and units, and none with --quiet."""
     monkeypatch.setattr(sys.modules["dcreg.diagnostics"], "_VERY_MANY_POINTS", 40)
     cloud = np.random.default_rng(0).random((45, 3))
     np.save(tmp_path / "a.npy", cloud)
@@ -180,7 +180,7 @@ def test_advice_speaks_of_what_is_searched(tmp_path, monkeypatch):
     assert run(*arguments, "--quiet").stderr == ""
 
 
-def test_no_advice_without_reason(call):
+def test_no_hint_without_reason(call):
     outcome = run(*call)
     assert "hint" not in outcome.stderr
     assert "points are many" not in outcome.stderr

@@ -1,4 +1,4 @@
-"""Reading clouds: every format, and errors that name file, place and remedy."""
+"""Readers of every format. The errors of bad files are in `tests.bad_input`."""
 
 import contextlib
 import struct
@@ -55,7 +55,7 @@ def test_header_names_choose_columns(tmp_path):
     np.testing.assert_array_equal(read_points(write(tmp_path / "a.csv", text)), POINTS3[:2])
 
 
-def test_xyz_takes_three_columns_of_more(tmp_path):
+def test_xyz_reads_the_first_three_columns(tmp_path):
     path = write(tmp_path / "a.xyz", rows(np.hstack([POINTS3, POINTS3 * 7])))
     np.testing.assert_array_equal(read_points(path), POINTS3)
 
@@ -136,7 +136,7 @@ VERTEX = (
 
 
 def ply(order, before_vertex):
-    """A cloud with a face of list type, placed before or after the vertices."""
+    """A cloud with a face of list type before or after the vertices."""
     mark = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[order]
     elements = FACE + VERTEX if before_vertex else VERTEX + FACE
     header = b"ply\nformat " + order.encode() + b" 1.0\ncomment a, 100% test\n" + elements
@@ -200,7 +200,7 @@ def pcd(kind):
 
 
 def lzf_compress(data):
-    """A plain greedy LZF packer for tests, written from the description of the format."""
+    """A simple greedy LZF compressor, written from the description of the format."""
     out, i, literal = bytearray(), 0, bytearray()
 
     def flush():
@@ -291,7 +291,7 @@ def test_off(tmp_path, head):
     data=st.data(),
 )
 def test_damage_never_escapes_as_another_error(tmp_path, suffix, seed, data):
-    """Cut and flip valid files anywhere: a cloud of finite points or an InputError, no crash."""
+    """Files with cut or changed bytes give finite points or an InputError, never a crash."""
     content = _valid(tmp_path, suffix, data)
     rng = np.random.default_rng(seed)
     damaged = bytearray(content[: rng.integers(1, len(content) + 1)])

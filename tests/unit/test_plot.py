@@ -1,4 +1,4 @@
-"""The page of one registration: what it draws, and that it needs no network."""
+"""Pages and images of registrations and sweeps; pages need no network."""
 
 import re
 from dataclasses import replace
@@ -21,7 +21,7 @@ from tests.results import made_result
 
 
 def result(dim, lower=0.5, **changes):
-    """A made-up result: a shift by one along x, two matched pairs, three events."""
+    """A hypothetical result: a shift by one along x, two matched pairs, four events."""
     T = np.eye(dim + 1)
     T[0, dim] = 1.0
     events = [
@@ -86,7 +86,7 @@ def test_pair_lines_join_the_matched_points(case):
     assert np.isnan(drawn[:, 2]).all()  # a break between pairs
 
 
-def test_history_holds_the_finite_bounds_of_all_stages_one_after_the_other(case):
+def test_history_shows_the_finite_bounds_of_all_stages_in_order(case):
     figures = plot.figures(*case)
     for caption, x in (
         ("bounds against time", [0.5, 1.0, None, 2.0, None]),
@@ -107,7 +107,7 @@ def test_history_holds_the_finite_bounds_of_all_stages_one_after_the_other(case)
         assert words == {"search", "rotation"}
 
 
-def test_a_stage_without_room_is_named_by_its_points_alone(case):
+def test_a_narrow_stage_is_named_only_by_its_points(case):
     source, target, outcome = case
     first = Event("bound", "start", 0.01, 0, 3, 0, 0.0, 5.0)
     outcome = replace(outcome, trace=Trace([first, *outcome.trace]))
@@ -117,7 +117,7 @@ def test_a_stage_without_room_is_named_by_its_points_alone(case):
     assert (upper.text[0], upper.y[0]) == ("start", 5.0)
 
 
-def test_page_says_what_was_found_once(case, tmp_path):
+def test_page_states_the_result_once(case, tmp_path):
     source, target, outcome = case
     outcome = replace(outcome, warnings=["too <far>; take more"])
     path = tmp_path / "page.html"
@@ -139,7 +139,7 @@ def test_page_has_colours_for_light_and_dark(case, tmp_path):
     plot_registration(*case, tmp_path / "page.html")
     html = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "prefers-color-scheme: dark" in html
-    for figure in plot.figures(*case).values():  # the page paints what lies behind
+    for figure in plot.figures(*case).values():  # the page sets the background
         assert figure.layout.paper_bgcolor == figure.layout.plot_bgcolor == "rgba(0, 0, 0, 0)"
 
 
@@ -178,7 +178,7 @@ def test_without_history_and_pairs(tmp_path):
 
 
 def sweep(dim=2, lower=(0.0, 0.8, 15.0, 150.0), upper=(0.5, 1.0, 20.0, 160.0)):
-    """A made-up sweep over 2, 4, 6 and 8 pairs of which 4 fit."""
+    """A hypothetical sweep over 2, 4, 6 and 8 pairs, of which 4 fit."""
     results = [
         result(dim, low, upper_bound=high, n_inliers=k, objective=high, status=Status.OPTIMAL)
         for k, low, high in zip((2, 4, 6, 8), lower, upper, strict=True)
@@ -208,13 +208,13 @@ def test_sweep_calls_its_choice_a_suggestion():
         assert not figure.layout.shapes
 
 
-def test_sweep_in_space_shows_the_poses_beside_the_norms():
+def test_sweep_in_3d_shows_the_poses_next_to_the_norms():
     for dim, expected in ((2, [0, 0]), (3, [1, 0])):
         figures = sweep_figures(sweep(dim)).values()
         assert [len(traces(figure, "RMSE of the final pose")) for figure in figures] == expected
 
 
-def test_sweep_page_holds_the_printed_table(tmp_path):
+def test_sweep_page_contains_the_printed_table(tmp_path):
     found = sweep(dim=3)
     plot_sweep(found, tmp_path / "a.html", names=("a.ply", "b.ply"))
     html = (tmp_path / "a.html").read_text(encoding="utf-8")

@@ -17,7 +17,7 @@ from tests.results import made_result as result
 from tests.results import made_sweep as sweep
 
 
-def test_a_result_prints_all_but_the_pairs():
+def test_a_result_prints_everything_except_the_pairs():
     assert str(result()) == result().summary()
     lines = str(result()).splitlines()
     assert (
@@ -46,11 +46,11 @@ def test_a_result_prints_all_but_the_pairs():
         ),
     ],
 )
-def test_the_verdict_says_what_is_certified(changes, words):
+def test_the_verdict_states_what_is_certified(changes, words):
     assert words in str(result(**changes)).splitlines()[0]
 
 
-def test_stages_are_listed_where_several_have_bounds():
+def test_stages_are_listed_if_several_have_bounds():
     search = dcreg.Stage("search", 1.0, 5, 9, dcreg.Status.OPTIMAL, 0.5, 1.0)
     turn = dcreg.Stage("rotation", 1.5, 7, 9, dcreg.Status.TIME_LIMIT, 2.0, 9.0)
     polish = dcreg.Stage("polish", 0.1, objective_before=2.0, objective_after=1.0)
@@ -71,13 +71,13 @@ def test_representations_are_one_short_line():
 @pytest.mark.parametrize(
     ("rotvec", "degrees"), [((0, 0, 0.1), 5.7296), ((0, np.pi, 0), 180), ((0, 0, 0), 0)]
 )
-def test_rotation_angle_in_space(rotvec, degrees):
+def test_rotation_angle_in_3d(rotvec, degrees):
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(rotvec).as_matrix()
     assert result(T_target_source=T).rotation_deg == pytest.approx(degrees, abs=1e-4)
 
 
-def test_rotation_angle_in_the_plane_is_signed():
+def test_rotation_angle_in_2d_is_signed():
     T = np.array([[0.0, 3.0, 0.0], [-3.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     assert result(T_target_source=T).rotation_deg == pytest.approx(-90)
 
@@ -103,7 +103,7 @@ def test_a_trace_without_a_pose_is_still_json(tmp_path):
     assert row["stage"] == "search"
 
 
-def test_a_certificate_is_written_if_one_was_kept(tmp_path):
+def test_a_certificate_is_written_if_one_was_recorded(tmp_path):
     with pytest.raises(dcreg.InputError, match="certificate=True"):
         result().write_certificate(tmp_path / "a.npz")
     points = np.random.default_rng(0).random((8, 2))
@@ -153,7 +153,7 @@ def test_a_sweep_gives_every_warning_once():
     assert every.warnings == ["k=50: rmse 1 (likewise all others)"]
 
 
-def test_bounds_of_a_sample_are_told_per_pair_of_it():
+def test_bounds_of_a_sample_are_given_per_pair_of_it():
     found = sweep()
     results = [
         replace(r, downsampled=Sample(8, 9, k))
