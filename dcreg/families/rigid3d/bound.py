@@ -1,117 +1,123 @@
 """Bounds over boxes of rigid poses.
 
-The objective and the boxes are those of `dcreg.families.rigid3d.space`. Bounded is, over a box of
-quaternions times a box of translations with centres R_c, t_c, the least E. Below, x_i stands for
-R_c x_i and y_j for y_j - t_c, so that the centre of the box is (R, t) = (I, 0); t lies within
-half-widths h, rho = |h|, and r_a are the Gibbs vectors (axis times tan of half the angle) of the
-corners of the quaternion box, seen from its centre.
+The objective and the boxes are those of `dcreg.families.rigid3d.space`. The bounds are lower bounds on
+the minimum of E over a box of quaternions times a box of translations with centres R_c and t_c. Below,
+x_i stands for R_c x_i and y_j for y_j - t_c, so the centre of the box is (R, t) = (I, 0). The
+translation lies within half-widths h, with rho = |h|. The r_a are the Gibbs vectors (axis times the
+tangent of half the angle) of the vertices of the quaternion box, relative to its centre.
 
-Which rotations a box holds
----------------------------
-Seen from the centre, quaternion corners v_a become p_a = v_a conj(q_c); q = sum c_a v_a, c >= 0,
-becomes p = sum c_a p_a, and its Gibbs vector (p_x, p_y, p_z) / p_w is, when all p_a,w > 0, the
-convex combination of the r_a with weights c_a p_a,w / p_w. So the r of the box lie in the convex
-hull of the r_a, and no rotation turns by more than the angle 2 atan(max |r_a|). Else: pi.
+Rotations of a box
+------------------
+Relative to the centre, a quaternion vertex v_a becomes p_a = v_a conj(q_c), and q = sum c_a v_a with c
+>= 0 becomes p = sum c_a p_a. If all p_a,w > 0, the Gibbs vector (p_x, p_y, p_z) / p_w of p is the
+convex combination of the r_a with weights c_a p_a,w / p_w. The Gibbs vectors of the box therefore lie
+in the convex hull of the r_a, and no rotation angle exceeds 2 atan(max |r_a|). Otherwise the angle is
+at most pi.
 
-First bound: ways to the middle
--------------------------------
-This holds for the optima of the box, which is all that a search needs. Let (R*, t*) in it be the
-best pose for its matching P*, with residuals e_i = R* x_i + t* - y_i, and let u_i be the way of x_i
-from there to the centre. Both the translation and the rotation are stationary, so sum p e = 0 and
-sum p x' x e = 0 for x' = R* x_i: what the residuals at the centre have in common with the ways
-vanishes but for terms of second order in the angle. With c_ij = |x_i - y_j|^2 and w the angle
-between R* and R_c,
+First bound: displacements to the centre
+----------------------------------------
+This bound holds for the optima in the box, which is all that a search needs. Let (R*, t*) in the box be
+the best pose for its matching P*, with residuals e_i = R* x_i + t* - y_i, and let u_i be the
+displacement of x_i from there to the centre. The translation and the rotation are both stationary, so
+sum p e = 0 and sum p x' x e = 0 for x' = R* x_i. Hence the inner product of the residuals with the
+displacements vanishes up to terms of second order in the angle. With c_ij = |x_i - y_j|^2 and w the
+angle between R* and R_c,
 
     sum p c  =  sum p |e + u|^2  <=  E* + sum p |u|^2 + 2 (1 - cos w) sqrt(E*) sqrt(sum p |x|^2).
 
-For Gibbs vector r and a shift s of the translation the way is 2 r x x + s but for second order: the
-sum of its squares is at most that of the |2 r x x + s|^2 plus 4 |r|^2 / sqrt(1 + |r|^2) |s| |sum p x|.
-That square is convex in (r, s), so it is greatest at a corner (r_a, +-h). Hence, with C the least of sum
-p (c - |2 r x x + s|^2) over the matchings and the 8 x 8 corners, and over any k sources I the
-greatest sum of their squares and D the greatest length of their sum,
+For a Gibbs vector r and a shift s of the translation the displacement is 2 r x x + s up to second
+order. The sum of its squares is at most that of |2 r x x + s|^2 plus 4 |r|^2 / sqrt(1 + |r|^2) |s| |sum
+p x|. The former is convex in (r, s), so its maximum is attained at a vertex (r_a, +-h). Let C be the
+minimum of sum p (c - |2 r x x + s|^2) over the matchings and the 8 x 8 vertices. Over any k source
+points, let I be the maximum sum of their squared lengths and D the maximum length of their sum. Then
 
     E* + 4 |r|^2 / (1 + |r|^2) sqrt(I) sqrt(E*) + 4 |r|^2 / sqrt(1 + |r|^2) |s| D  >=  C.
 
-The ways are those of rows: one matching's prices b >= 0 serve all corners. At each, C is at least
-the sum of the k smallest min_j (c_ij + b_j) - |way_i|^2, less the sum of b. Good prices come from
-the box that this one is a part of (the hints of the search): a share of them is taken over, lowered as
-far as no row pays less, and raised again by bids where it is in doubt whether they are good enough.
-Squares, minima and bids are computed in single precision, and what that may be off by is taken off.
+The displacements belong to rows, so the dual variables b >= 0 of one matching serve all vertices: at
+each, C is at least the sum of the k smallest min_j (c_ij + b_j) - |displacement_i|^2, minus the sum of
+b. Good dual variables come from the parent box, as the warm start of the search. A share of them is
+taken over, lowered as long as no row pays less, and raised again by auction steps if it is uncertain
+whether they suffice. Squares, minima and auction steps are computed in single precision, and the bound
+is reduced by the possible rounding error.
 
-Second bound: values at the corners
------------------------------------
-Balls about the middles of cubes cover six dimensions badly; with balls about their corners they may have
-twice the loss. Let v be the pose at a corner, turned by r_a and shifted by s_b, C_v what C is at that
-corner alone, and e_v the least sum of costs at v. With u_v the ways to v and w_v the angle to R_v, as
-above
+Second bound: values at the vertices
+------------------------------------
+Balls around the centres of cubes cover six dimensions badly. Balls around the vertices may have twice
+the loss. Let v be the pose at a vertex, rotated by r_a and shifted by s_b, let C_v be C at that vertex
+alone, and e_v the minimum sum of costs at v. With u_v the displacements to v and w_v the angle to R_v,
 
-    e_v  <=  E* + sum p |u_v|^2 + 2 (1 - cos w_v) sqrt(E*) sqrt(sum p |x|^2).
+    e_v  <=  E* + sum p |u_v|^2 + 2 (1 - cos w_v) sqrt(E*) sqrt(sum p |x|^2)
 
-The optimum lies at (r, s), r a mean of the r_a and s one of the s_b. Take the inequality half at the
-centre and half at the corners, with the products of the weights of these two means. Were the ways to v
-2 (r_a - r) x x + s_b - s, the mean of their squares would be that of the |2 r_a x x + s_b|^2 less
-|2 r x x + s|^2, the square of the way to the centre: half the mean of the |2 r_a x x + s_b|^2 would be
-all that remains, whatever (r, s). What else there is: with d = r_a - r, and x as seen from R*,
+as above. The optimum lies at (r, s), where r is a mean of the r_a and s a mean of the s_b. Take half of
+the inequality at the centre and half of its mean over the vertices, weighted by the products of the
+weights of these two means. If the displacements to v were 2 (r_a - r) x x + s_b - s, the mean of their
+squares would be the mean of |2 r_a x x + s_b|^2 minus |2 r x x + s|^2, and the latter is the squared
+displacement to the centre. Half the mean of |2 r_a x x + s_b|^2 would remain, whatever (r, s). The
+remaining terms are as follows. With d = r_a - r, and x as seen from R*,
 
     |R_v x - R* x|^2  =  4 |(d - r x d) x x|^2 / ((1 + |r|^2) (1 + |r_a|^2)),
 
-as conj(q*) q_v has the vector part d - r x d for quaternions (1, r) and (1, r_a). Summed over the pairs
-that is at most 4 (d.J d + |r| |d|^2 S + |r|^2 |d|^2 I), J the moments of inertia and S the difference of
-two eigenvalues of sum p x x^T: that r x d turns ways is felt as far as J is not round. The mean of |d|^2
-is at most tau^2 - |r|^2, tau = max |r_a|, so that half the last two terms is at most 0.77 tau^3 S +
-tau^4 I / 2. Shifts and turns do not mix, as the mean of s_b - s is 0; and 1 - cos w_v <= 2 |d|^2. So
+because conj(q*) q_v has the vector part d - r x d for quaternions (1, r) and (1, r_a). Summed over the
+pairs this is at most 4 (d.J d + |r| |d|^2 S + |r|^2 |d|^2 I), where J is the tensor of inertia and S
+the difference of two eigenvalues of sum p x x^T: the vector r x d matters only as far as J is not
+isotropic. The mean of |d|^2 is at most tau^2 - |r|^2 with tau = max |r_a|, so half of the last two
+terms is at most 0.77 tau^3 S + tau^4 I / 2. Shifts and rotations do not mix, because the mean of s_b -
+s is 0, and 1 - cos w_v <= 2 |d|^2. Therefore
 
     E* + 2 tau^2 sqrt(I) sqrt(E*) + 2 tau^2 / sqrt(1 + tau^2) |s| D + 0.77 tau^3 S + tau^4 I / 2
         >=  min over v of (C_v + e_v) / 2,
 
-where D and I are those of the first bound. Where e_v is not known, E* itself may stand for it, as no pose
-is better for P*: there C_v has to be as great as what is to be shown, with twice the loss. A value at a
-corner serves all boxes that have it, up to 64, and those made from them. It is found like that of a
-middle, by the prices of the first box that asks; a box asks for few at first, those of least C_v, and for
-all only if none tells against it.
+where D and I are those of the first bound. If e_v is unknown, E* may replace it, because no pose is
+better for P*. C_v then has to reach the required value itself, with twice the loss. A value at a vertex
+serves all boxes that have it, up to 64, and their children. It is computed like that of a centre, from
+the dual variables of the first box that requests it. A box first requests the values at few vertices,
+those of smallest C_v. It requests all of them only if none of the values decides.
 
-Caps are left for wide boxes, whose rotations are too far from the middle, and come first where pairs
-are so few that an assignment takes no longer than prices. Turned by at most an angle, x_i stays on a
-spherical cap. With d_ij the distance of y_j from the cap and rho = |h|, |R x_i + t - y_j| >= d_ij - rho
-holds everywhere, and as the best translation for R* and P* is a mean,
+Spherical caps
+--------------
+Caps serve wide boxes, whose rotations are too far from the centre for the bounds above. They come first
+if there are so few pairs that an assignment takes no longer than the dual variables. Rotated by at most
+an angle, x_i stays on a spherical cap. With d_ij the distance of y_j from the cap and rho = |h|, |R x_i
++ t - y_j| >= d_ij - rho holds everywhere. Because the best translation for R* and P* is a mean,
 
     E* + k |t_c - t*|^2  =  E_P*(R*, t_c)  >=  min_P sum p_ij d_ij^2.
 
-Both sums are bounded by the rows' least costs (`nearest_sums`), the second also by an assignment. With
-all rotations in the box d_ij is the norm distance ||x_i| - |y_j|| of the paper's Case II.
+Both sums are bounded by the minima of the rows (`nearest_sums`), the second also by an assignment. If
+the box contains all rotations, d_ij is the norm distance ||x_i| - |y_j|| of the paper's Case II.
 
 Third bound: Cayley's form
 --------------------------
-R = (I - [r])^-1 (I + [r]) for Gibbs vector r. For any vector v, |(I - [r]) v|^2 = |v|^2 + |r x v|^2
-<= (1 + |r|^2) |v|^2. With v = R x + t - y,
+R = (I - [r])^-1 (I + [r]) for Gibbs vector r. For any vector v, |(I - [r]) v|^2 = |v|^2 + |r x v|^2 <=
+(1 + |r|^2) |v|^2. With v = R x + t - y,
 
     (I - [r]) v = (I + [r]) x + (I - [r]) (t - y) = x - y + s + r x (x + y),    s = t - r x t,
 
-    (1 + |r|^2) |R x + t - y|^2  >=  |x - y + s + r x (x + y)|^2:
+    (1 + |r|^2) |R x + t - y|^2  >=  |x - y + s + r x (x + y)|^2.
 
-a linear residual in delta = (r, s), with s in the box of half-widths h'_c = h_c + the largest
-|r x t|_c. Nothing but |r|^2 times the residual is lost, which is small where E is. Squares are
-convex: with e = x - y + s0 + r0 x (x + y) at any delta0 the right side is at least
+The right side is the square of a residual that is linear in delta = (r, s), where s lies in the box of
+half-widths h'_c = h_c + max |r x t|_c. The only loss is |r|^2 times the residual, which is small if E
+is small. Squares are convex: with e = x - y + s0 + r0 x (x + y) at any delta0 the right side is at
+least
 
     |e|^2 + 2 e.(s - s0) + 2 ((x + y) x e).(r - r0),
 
-affine in delta. Its minimum over the matchings is concave, so over conv{r_a} times the box of s it
-is least at one of 8 x 8 vertices; divided by 1 + max |r_a|^2 and cut at 0 it bounds E. All values
-of delta0 are valid. Best is the least-squares fit of a good matching within the box: while that
-matching stays the best one at the vertices, the bound is the exact minimum over the box of its sum,
-and the curvature of E costs nothing. This is DC-Reg's linearisation, with the point chosen as in
-its planar case. As in `dcreg.families.rotation3d.bound`, a vertex is bounded by duals and solved only if
-binding.
+which is affine in delta. Its minimum over the matchings is concave, so over conv{r_a} times the box of
+s it is attained at one of 8 x 8 vertices. Divided by 1 + max |r_a|^2 and clipped at 0 it bounds E, for
+every delta0. The best delta0 is the least-squares fit of a good matching within the box: as long as
+that matching remains the best one at the vertices, the bound is the exact minimum of its sum over the
+box, and the curvature of E causes no loss. This is DC-Reg's linearisation, with the point chosen as in
+its 2D case. As in `dcreg.families.rotation3d.bound`, a vertex is bounded by dual variables and solved
+only if it is binding.
 
-A box is bounded by the greatest of these, the last only where the box is small. At a single pose
-the first is E.
+The bound of a box is the maximum of these bounds; the last one is evaluated for small boxes only. For a
+single pose the first bound equals E.
 
 Feasible pairs
 --------------
-Pairs that may not be matched cost a constant more, in E and in every cost above. Feasible matchings
-cost what they did, so the least over all matchings is still no more than the least over those: the
-bounds hold whatever the constant. For E itself no other pair may be matched, so the constant
-exceeds k squared residuals at any pose of the start box (`dcreg.problem.problem.FeasiblePairs`).
+An infeasible pair costs a constant more, in E and in every cost above. The costs of feasible matchings
+do not change, so the minimum over all matchings is no more than the minimum over the feasible ones, and
+the bounds hold for any constant. E itself must use no infeasible pair, so the constant exceeds k
+squared residuals at any pose of the start box (`dcreg.families.protocol.infeasibility_penalty`).
 """
 
 from __future__ import annotations
