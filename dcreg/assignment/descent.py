@@ -79,7 +79,7 @@ def polish(
         As in `objective`.
     scale_range : (low, high)
     budget : Budget, optional
-        When it is over no further step begins.
+        No further step begins when it is over.
 
     Returns
     -------
@@ -127,8 +127,8 @@ def follow_nearest(
 ) -> tuple[np.ndarray, float]:
     """Alternate the k nearest neighbours and the least-squares pose while their distance falls.
 
-    The pose it ends at, and the sum of squared distances of its pairs, which are not one-to-one. `tree`
-    holds the target.
+    Returns the final pose and the sum of squared distances of its pairs, which are not one-to-one. `tree`
+    contains the target.
     """
 
     def evaluate(T: np.ndarray) -> tuple[float, np.ndarray]:

@@ -18,7 +18,7 @@ AT_ONCE_PAIRS = 1_200_000
 
 
 def k_assignment(cost: np.ndarray, k: int, stop: np.ndarray = NEVER) -> tuple[float, np.ndarray]:
-    """Cheapest one-to-one choice of exactly k pairs in a dense cost matrix.
+    """Return the cheapest one-to-one choice of exactly k pairs in a dense cost matrix.
 
     Minimises ``sum_ij p_ij cost_ij`` over binary P with row and column sums at most one and total k.
     The LP relaxation is integral, so this is also its optimum.
@@ -28,7 +28,7 @@ def k_assignment(cost: np.ndarray, k: int, stop: np.ndarray = NEVER) -> tuple[fl
     cost : (n, m) array of finite numbers, of any sign
     k : int, 1 <= k <= min(n, m)
     stop : (1,) uint8 array
-        Set from another thread, it ends the call early; what is returned is then of no use.
+        Set from another thread to end the call early; the output is then incomplete.
 
     Returns
     -------
@@ -39,7 +39,7 @@ def k_assignment(cost: np.ndarray, k: int, stop: np.ndarray = NEVER) -> tuple[fl
     Raises
     ------
     ValueError
-        When `cost` is not a finite matrix or k is out of range.
+        If `cost` is not a finite matrix or k is out of range.
     """
     cost = np.ascontiguousarray(cost, dtype=np.float64)
     if cost.ndim != 2 or not np.isfinite(cost).all():
@@ -51,7 +51,7 @@ def k_assignment(cost: np.ndarray, k: int, stop: np.ndarray = NEVER) -> tuple[fl
 
 
 def pairs_of(col_of: np.ndarray) -> np.ndarray:
-    """(k, 2) matched pairs (row, column) of a `col_of` vector."""
+    """Return the (k, 2) matched pairs (row, column) of a `col_of` vector."""
     rows = np.flatnonzero(col_of >= 0)
     return np.stack([rows, col_of[rows]], axis=1).astype(np.int64)
 
@@ -137,14 +137,14 @@ def match_at(
 
 @dataclass(frozen=True)
 class Matched:
-    """One-to-one pairs, and the pose they were matched at.
+    """One-to-one pairs, and the pose at which they were matched.
 
     Attributes
     ----------
     T_target_source : (d+1, d+1) array
     pairs : (K, 2) int array
     greedy : bool
-        Whether near pairs were taken one after another, the nearest first.
+        Whether the pairs were chosen greedily, nearest first.
     """
 
     T_target_source: np.ndarray
@@ -154,7 +154,7 @@ class Matched:
     def cheapest(
         self, source: np.ndarray, target: np.ndarray, T: np.ndarray, k: int
     ) -> tuple[float, np.ndarray]:
-        """The k of the pairs that cost least at the pose `T`, and the sum of their squared residuals."""
+        """Return the sum of squared residuals of the k cheapest of the pairs at `T`, and these pairs."""
         moved = apply_pose(T, source[self.pairs[:, 0]])
         moved -= target[self.pairs[:, 1]]
         costs = np.einsum("ij,ij->i", moved, moved)

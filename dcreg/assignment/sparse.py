@@ -1,7 +1,7 @@
-"""One-to-one matching of large clouds: over nearest neighbours, with a proof where it is exact.
+"""One-to-one matching of large clouds over nearest neighbours, with a proof of optimality if possible.
 
-A dense cost matrix of 10,000 x 10,000 pairs takes 800 MB and hours of assignment. At any pose worth
-looking at, though, a point is matched with one of its neighbours.
+A dense cost matrix of 10,000 x 10,000 pairs takes 800 MB, and its assignment takes hours. At any good
+pose, however, a point is matched with one of its neighbours.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from dcreg.assignment.kernels.prices import assignment_prices
 from dcreg.assignment.kernels.sparse import greedy_matching, priced_matching
 from dcreg.jit import NEVER
 
-# Up to here the pairs are held in a dense matrix; beyond, this many neighbour pairs are the most.
+# Maximum number of pairs in a dense matrix, and of neighbour pairs in a sparse one.
 DENSE_PAIRS = 4_000_000
 _FIRST_NEIGHBOURS = 16
-# Where there is no time left: so few, and at most by this share farther than the nearest ones.
+# If no time is left: so few neighbours, at most by this share farther than the nearest ones.
 _GREEDY_NEIGHBOURS, _GREEDY_SLACK = 8, 0.5
-_LEFTOVER_ROUNDS = 8  # of pairing near points that the neighbours leave over
+_LEFTOVER_ROUNDS = 8  # of pairing near points that are still unmatched
 _MAX_PRICES = 16
-_ROUGH = 1.02  # size of a matching that may be cut to k where no proof is asked for
+_ROUGH = 1.02  # relative size of a matching that may be cut to k if no proof is requested
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Matching:
         Their sum of squared distances.
     pairs : (k, 2) int array
     exact : bool
-        Proved to be the optimum over all pairs; otherwise `value` is an upper bound on it.
+        Whether it is proved optimal over all pairs; otherwise `value` is an upper bound.
     n_assignments : int
         Sparse assignments solved.
     """
@@ -54,16 +54,17 @@ def sparse_matching(
     prove: bool = True,
     stop: np.ndarray = NEVER,
 ) -> Matching:
-    """Cheapest k one-to-one pairs by squared distance, without a dense matrix.
+    """Return the cheapest k one-to-one pairs by squared distance, without a dense matrix.
 
-    The assignment is solved over each point's nearest neighbours, 16 at first. Where prices do not
-    prove that farther pairs are useless, their number is quadrupled, up to `DENSE_PAIRS` pairs in
-    all. Should that not suffice either, the best matching found is returned as not exact; points that
-    the neighbours leave over are paired with near ones among themselves.
+    The assignment is solved over each point's nearest neighbours, 16 at first. If the dual variables do
+    not prove that farther pairs are useless, the number of neighbours is quadrupled, up to `DENSE_PAIRS`
+    pairs in total. If this does not suffice either, the best matching is returned as not exact. Points
+    that remain unmatched are paired with near ones among themselves.
 
-    Without `prove`, the first 16 neighbours must do and the price of staying unmatched is found
-    roughly: a near-optimal matching in a fraction of the time, for the steps of a descent. Where `stop`
-    is set meanwhile, near pairs are taken greedily instead; where it is set already, of few neighbours.
+    Without `prove`, only the first 16 neighbours are used, and the price of staying unmatched is found
+    approximately. This gives a near-optimal matching in a fraction of the time, for the steps of a
+    descent. If `stop` is set during the call, near pairs are chosen greedily instead; if it is set
+    before, from few neighbours.
     """
     if len(points) > len(target):
         found = sparse_matching(target, points, k, prove=prove, stop=stop)
@@ -80,7 +81,7 @@ def sparse_matching(
         solved = 0
         if not stop[0]:
             col_of, own, solved = _matching_of_size(columns, costs, m, k, prove, stop)
-        if stop[0]:  # possibly since just now
+        if stop[0]:  # possibly set during the assignment
             col_of, own = _greedy(columns, costs, m, k), None
         spent += solved
         exact = prove and own is not None and _is_proved(points, tree, columns, costs, col_of, own)
@@ -95,7 +96,7 @@ def sparse_matching(
 def _near(
     tree: cKDTree, points: np.ndarray, count: int, stop: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Columns of `count` near points of the tree for every row, nearest first, and their costs."""
+    """Return `count` near points of the tree for each row, nearest first, and their costs."""
     count, slack = (min(count, _GREEDY_NEIGHBOURS), _GREEDY_SLACK) if stop[0] else (count, 0.0)
     distances, columns = tree.query(points, k=np.arange(1, count + 1), eps=slack)
     return columns.astype(np.int64), distances**2
@@ -104,15 +105,15 @@ def _near(
 def _matching_of_size(
     columns: np.ndarray, costs: np.ndarray, m: int, k: int, prove: bool, stop: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray | None, int]:
-    """Columns of the cheapest k pairs among the candidates, what rows pay, assignments solved.
+    """Return the columns of the cheapest k candidate pairs, the costs of rows, assignments solved.
 
-    What rows pay is None where the pairs are fewer than k or not surely the cheapest.
+    The costs of rows are None if there are fewer than k pairs, or if they are not certainly the cheapest.
 
-    A row may stay unmatched for a price. The number of matched rows grows with the price, and where it
-    is k the matching is the cheapest of that size (Lagrange); the price is found by interpolation.
+    A row may stay unmatched for a price. The number of matched rows grows with the price. If it is k, the
+    matching is the cheapest of that size (Lagrange). The price is found by interpolation.
     """
     n = len(columns)
-    top = 4.0 * n * (costs.max() or 1.0)  # dearer than any matching: as many rows as possible
+    top = 4.0 * n * (costs.max() or 1.0)  # exceeds any matching: as many rows as possible
     if k == n:
         col_of = _priced_matching(columns, costs, m, top, stop)
         complete = bool((col_of >= 0).all())
@@ -132,7 +133,7 @@ def _matching_of_size(
         else:
             low, n_low = price, size
         if enough is None:
-            # where all candidates count already, a dearer price hardly adds a pair
+            # if all candidates are used already, a higher price hardly adds a pair
             if low == top or stop[0] or (not prove and low > costs.max()):
                 break
             price = min(4.0 * price, top)
@@ -141,7 +142,7 @@ def _matching_of_size(
             price = low + float(share) * (high - low)
     if enough is None:
         return col_of, None, solved
-    # ties, or too fine a price: keep the cheapest k pairs of a larger matching
+    # ties, or the price would have to be too exact: keep the cheapest k pairs of a larger matching
     rows = np.flatnonzero(enough >= 0)
     kept = rows[np.argsort(_own_costs(columns, costs, enough, np.inf)[rows], kind="stable")[:k]]
     col_of = np.full(n, -1, np.int64)
@@ -152,14 +153,14 @@ def _matching_of_size(
 def _priced_matching(
     columns: np.ndarray, costs: np.ndarray, m: int, price: float, stop: np.ndarray
 ) -> np.ndarray:
-    """Column of each row (-1: none) in the cheapest matching where staying unmatched costs `price`."""
+    """Return each row's column (-1: none) in the cheapest matching if an unmatched row costs `price`."""
     col_of = np.empty(len(columns), np.int64)
     priced_matching(columns, costs, m, price, stop, col_of)
     return col_of
 
 
 def _greedy(columns: np.ndarray, costs: np.ndarray, m: int, k: int) -> np.ndarray:
-    """Column of each row (-1: none): the nearest pairs whose points are both free, one after another."""
+    """Return each row's column (-1: none): pairs of free points are taken in order of distance."""
     n, width = columns.shape
     order = np.argsort(costs, axis=None, kind="stable")
     return greedy_matching(order // width, columns.ravel()[order], n, m, k)
@@ -181,7 +182,7 @@ def _is_proved(
     col_of: np.ndarray,
     own: np.ndarray,
 ) -> bool:
-    """Whether no pair beyond the candidates could have helped: farther ones are priced, not solved."""
+    """Tell whether no farther pair can improve the matching, by the dual variables."""
     u, v, settled = assignment_prices(columns, costs, col_of, own, tree.n)
     if not settled:
         return False
@@ -201,10 +202,10 @@ def _is_proved(
 def _completed(
     points: np.ndarray, target: np.ndarray, col_of: np.ndarray, k: int, stop: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Value and exactly k pairs: those of `col_of`, and leftover points where they are too few.
+    """Return the value and exactly k pairs: those of `col_of`, completed by unmatched points.
 
-    Leftover points are paired with near ones that are left over too, in a few rounds (with no
-    time left: one). What these still leave is paired in the order along the longest side.
+    Unmatched points are paired with near unmatched ones in a few rounds (one if no time is left). The
+    rest is paired in the order along the longest side.
     """
     col_of = col_of.copy()
     for _ in range(1 if stop[0] else _LEFTOVER_ROUNDS):
@@ -230,14 +231,17 @@ def _completed(
 
 
 def _left_over(col_of: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns in no pair."""
+    """Return the rows and columns that are in no pair."""
     free = np.ones(m, dtype=bool)
     free[col_of[col_of >= 0]] = False
     return np.flatnonzero(col_of < 0), np.flatnonzero(free)
 
 
 def nearest_pairs(points: np.ndarray, tree: cKDTree, k: int) -> tuple[np.ndarray, float]:
-    """The k points nearest to the target and their neighbours; not one-to-one. Pairs, value."""
+    """Return the k points nearest to the target with their neighbours, and the sum of squares.
+
+    The pairs are not one-to-one.
+    """
     distances, columns = tree.query(points)
     rows = np.sort(np.argsort(distances, kind="stable")[:k])
     return np.stack([rows, columns[rows]], axis=1), float((distances[rows] ** 2).sum())

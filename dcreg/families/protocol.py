@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from dcreg.assignment.descent import alternate
+from dcreg.families.kernels import Clouds
 from dcreg.jit import NEVER
 from dcreg.search import Bound, Box, Budget, Evaluation, Interrupted
 
@@ -20,6 +21,8 @@ class Space(abc.ABC):
 
     Attributes
     ----------
+    clouds : Clouds
+        The problem as the kernels take it.
     n_inliers : int
     axis_weights : (dim,) array
         RMS motion of the source per unit step along each axis.
@@ -37,6 +40,7 @@ class Space(abc.ABC):
         Where the descents of the last `start` ended.
     """
 
+    clouds: Clouds
     n_inliers: int
     axis_weights: np.ndarray
     scope: str
@@ -118,12 +122,12 @@ class Space(abc.ABC):
         return self.n_source * self.n_target
 
     @property
-    @abc.abstractmethod
-    def n_source(self) -> int: ...
+    def n_source(self) -> int:
+        return int(self.clouds.source.shape[1])
 
     @property
-    @abc.abstractmethod
-    def n_target(self) -> int: ...
+    def n_target(self) -> int:
+        return int(self.clouds.target.shape[-1])
 
     def admissible(self, thetas: np.ndarray) -> np.ndarray:
         """Tell which of (B, dim) parameters are poses of the family."""

@@ -11,26 +11,22 @@ from dcreg.families.matches.start import descend
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Box, Budget, Evaluation, LongestEdge, Outcome, branch_and_bound
 
-ROUND_WORK = (
-    200_000  # matches looked at in a round: boxes bounded between two readings of the clock
-)
-MARGIN = (
-    1e-5  # in gap tolerances: by so much a bound passes the cutoff, lest rounding keeps its box
-)
-MAX_CAPPED = 6000  # matches up to which all pairs of them are compared once more
+ROUND_WORK = 200_000  # matches evaluated in a round
+MARGIN = 1e-5  # of a bound above the cutoff, in gap tolerances, so that rounding keeps no box
+MAX_CAPPED = 6000  # matches up to which all pairs of them are compared again
 
 
 class MatchBound:
-    """Bound over quaternion boxes, the translation searched inside; poses are flattened (3, 4) arrays.
+    """Bound over quaternion boxes, with the translation inside; poses are flattened (3, 4) arrays.
 
-    A match whose cap, a bound on the score of any pose that it agrees with, is no better than the
-    incumbent's score is left out: a better pose does not need it.
+    The cap of a match is an upper bound on the score of any pose that agrees with it. A match whose cap
+    does not exceed the incumbent's score is left out: no better pose needs it.
 
     Attributes
     ----------
     roots : list of Box
     n_left : int
-        Matches that are bounded.
+        Number of matches that remain.
     """
 
     n_assignments = 0
@@ -75,7 +71,7 @@ class MatchBound:
         return Evaluation(bounds, poses.reshape(count, 12), values)
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Descent from a pose."""
+        """Descend from a pose."""
         pose, value = descend(self._problem, theta.reshape(3, 4))
         return pose.ravel(), value, 0
 

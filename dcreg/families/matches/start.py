@@ -1,8 +1,8 @@
-"""Where the search over matches starts: poses that many compatible matches agree on.
+"""Initial poses of the search over matches: poses on which many compatible matches agree.
 
-Two matches are compatible if they keep the distance of their points. Every match forms a set with those
-compatible ones that have most others in common with it (second-order compatibility, Chen et al. 2022), a
-pose is fitted to each set, and descents from the best distinct poses end in the starts.
+Two matches are compatible if they preserve the distance of their points. Each match forms a set with
+the compatible matches that share most compatible matches with it (second-order compatibility, Chen et
+al. 2022). A pose is fitted to each set, and descents start from the best distinct poses.
 """
 
 from __future__ import annotations
@@ -17,26 +17,27 @@ from dcreg.families.matches.surfaces import Surfaces
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
-MAX_LOOKED = 5000  # matches, the first of the list, that sets are made of: all pairs are compared
+MAX_LOOKED = 5000  # first matches of the list, which form sets: all pairs of them are compared
 ALLIES = 20  # in the set of a match
-SHORTEST = 2.0  # distance of two compatible matches, in reaches
+SHORTEST = 2.0  # distance of two compatible matches, in inlier thresholds
 POWER_STEPS = 10
-LEAST_WEIGHT = 0.3  # of a member of a set, in shares of the greatest
+MIN_WEIGHT = 0.3  # of a member of a set, relative to the maximum
 MAX_DESCENTS = 30
-TURN, SHIFT = np.deg2rad(5.0), 2.0  # poses nearer than that, in radians and reaches, are one start
+# Poses that differ by less, in radians and inlier thresholds, count as one.
+MIN_ROTATION, MIN_SHIFT = np.deg2rad(5.0), 2.0
 PULLING_STEPS, EXACT_STEPS = 10, 10  # of a descent
 MIN_GAIN = 1e-9  # relative decrease of the cost below which a descent ends
-WIDE = 4.0  # residual in reaches, at its start, up to which a match can pull in a descent
+WIDE = 4.0  # initial residual, in inlier thresholds, up to which a match has an effect in a descent
 
 
 def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, np.ndarray]]:
-    """Costs and centred (3, 4) poses of descents from distinct poses, the best first.
+    """Return costs and centred (3, 4) poses of descents from distinct poses, best first.
 
-    At least one, which chooses a match at least. The budget is told of every better one.
+    There is at least one pose, and it chooses at least one match. The budget receives improvements.
     """
     poses = _agreed_poses(problem)
     order = np.argsort(-problem.scores(poses), kind="stable")
-    best = problem.max_cardinality * problem.inlier_threshold**2  # of choosing nothing
+    best = problem.max_cardinality * problem.inlier_threshold**2  # the cost of no match
     ends: list[tuple[float, np.ndarray]] = []
     seen: list[np.ndarray] = []  # where descents began and ended
     for pose in poses[order]:
@@ -59,11 +60,11 @@ def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, 
 def surface_consistent_poses(
     problem: MatchProblem, budget: Budget
 ) -> list[tuple[float, np.ndarray]]:
-    """Evidence for, and centred poses of, descents from distinct poses, the best first.
+    """Return scores and centred poses of descents from distinct poses, best first.
 
-    The poses are those that matches agree on. The evidence is the score over the matches times that of
-    the surfaces, which coincide at few wrong poses; the descents bring these together and look at no
-    match. Where no matches agree it is one of `promising_poses`.
+    The descents start from the poses on which matches agree, and align the surfaces without regard to the
+    matches. The score is that over the matches times that of the surfaces. If no matches agree, the best
+    of `promising_poses` is returned.
     """
     poses = _agreed_poses(problem)
     if not len(poses):
@@ -84,10 +85,10 @@ def surface_consistent_poses(
 
 
 def descend(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, float]:
-    """A better centred pose, and its cost.
+    """Return a better centred pose and its cost.
 
-    First all near matches pull, the nearer the more; then the best one-to-one choice and the
-    least-squares pose alternate.
+    First the pose is fitted to all near matches, with larger weights for nearer ones. Then the best
+    one-to-one choice and the least-squares pose alternate.
     """
     x, y = problem.list.source, problem.list.target
     around = problem.residuals(centred) < (WIDE * problem.inlier_threshold) ** 2
@@ -109,7 +110,7 @@ def descend(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, flo
 
 
 def _agreed_poses(problem: MatchProblem) -> np.ndarray:
-    """(P, 3, 4) centred poses, one for every match that has enough allies."""
+    """Return (P, 3, 4) centred poses, one for each match with enough compatible ones."""
     looked = problem.part(np.arange(min(MAX_LOOKED, len(problem.pairs))))
     bits = compatible_matches(looked, SHORTEST * looked.reach)
     allies = closest_allies(bits, ALLIES)
@@ -125,14 +126,14 @@ def _agreed_poses(problem: MatchProblem) -> np.ndarray:
 
 
 def _leading_weights(x: np.ndarray, y: np.ndarray, present: np.ndarray, reach: float) -> np.ndarray:
-    """How well every member of a set fits the others: the leading eigenvector of what is compatible."""
+    """Return the weights of members of sets: the leading eigenvector of their compatibility."""
     changes = np.abs(_distances(x) - _distances(y))
     agree = ((changes <= reach) & present[:, None] & present[:, :, None]).astype(float)
     weights = present.astype(float)
     for _ in range(POWER_STEPS):
         weights = np.einsum("sij,sj->si", agree, weights)
         weights /= np.maximum(np.linalg.norm(weights, axis=1, keepdims=True), 1e-300)
-    return np.where(weights > LEAST_WEIGHT * weights.max(axis=1, keepdims=True), weights, 0.0)
+    return np.where(weights > MIN_WEIGHT * weights.max(axis=1, keepdims=True), weights, 0.0)
 
 
 def _distances(points: np.ndarray) -> np.ndarray:
@@ -140,7 +141,7 @@ def _distances(points: np.ndarray) -> np.ndarray:
 
 
 def is_near(a: np.ndarray, b: np.ndarray, reach: float) -> bool:
-    """Whether two centred poses count as one."""
-    if np.linalg.norm(a[:, 3] - b[:, 3]) >= SHIFT * reach:
+    """Tell whether two centred poses count as one."""
+    if np.linalg.norm(a[:, 3] - b[:, 3]) >= MIN_SHIFT * reach:
         return False
-    return bool(Rotation.from_matrix(a[:, :3] @ b[:, :3].T).magnitude() < TURN)
+    return bool(Rotation.from_matrix(a[:, :3] @ b[:, :3].T).magnitude() < MIN_ROTATION)

@@ -1,8 +1,8 @@
-"""Evidence beside the matches: how well the surfaces of both clouds coincide.
+"""A score besides the matches: how well the surfaces of both clouds coincide.
 
-Wrong poses often agree with more matches than the right one does: of some thousand matches by
-descriptors many agree by chance. Hardly ever do they also bring the surfaces together, near points with
-like normals.
+A wrong pose often agrees with more matches than the right one, because among some thousand matches by
+descriptors many agree by chance. Wrong poses hardly ever also align the surfaces, that is, near points
+with similar normals.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from dcreg.families.matches.kernels.surfaces import (
 from dcreg.families.matches.problem import MIN_MATCHES
 from dcreg.problem.geometry import fit_pose
 
-NEIGHBOURS = 16  # of a point, the plane through which has its normal
+NEIGHBOURS = 16  # of a point; its normal is that of the plane through them
 MAX_CELLS = 256  # of the grid along an axis
 CELLS_PER_REACH = 2.0
 MAX_SOURCE, MAX_TARGET = 5_000, 100_000  # points of larger clouds, drawn at random
-STRAY = 0.005  # of the points, on either side of an axis
-MAX_LOOKED = 400  # source points, where many poses are judged
+OUTLIER_SHARE = 0.005  # of the points, on either side of an axis
+MAX_LOOKED = 400  # source points used to score many poses
 MAX_PULLED = 1000  # source points of a descent
-WIDE = 2.0  # reaches, from which points are pulled at first
+WIDE = 2.0  # initial distance, in reaches, up to which points attract each other
 WIDE_STEPS, STEPS = 10, 10
 
 
 class Surfaces:
-    """Two clouds and their normals; poses are judged by what of the source lies on the target.
+    """Two clouds and their normals; a pose is scored by the source points that lie on the target.
 
     Parameters
     ----------
     source, target : (n, 3), (m, 3) arrays
     reach : float
-        Distance beyond which two points are not on one surface.
+        Distance beyond which two points do not lie on one surface.
     """
 
     def __init__(self, source: np.ndarray, target: np.ndarray, reach: float) -> None:
@@ -55,9 +55,9 @@ class Surfaces:
         self._grid = SurfaceGrid(target, normals, origin, cell, nearest)
 
     def scores(self, poses: np.ndarray, *, quick: bool = False) -> np.ndarray:
-        """How many source points lie on the target, for (P, 3, 4) poses; `quick`: of some hundred.
+        """Return the number of source points on the target for (P, 3, 4) poses; `quick`: of a sample.
 
-        Each counts by how near it is, and how like the normals are.
+        A point is weighted by its distance and by the similarity of the normals.
         """
         looked = slice(MAX_LOOKED if quick else None)
         out = np.empty(len(poses))
@@ -68,7 +68,7 @@ class Surfaces:
         return out
 
     def descend(self, pose: np.ndarray) -> np.ndarray:
-        """A pose that brings the surfaces closer together: like points pull, first from afar."""
+        """Return a pose that aligns the surfaces better, with a large reach at first."""
         points, normals = self._points[:MAX_PULLED], self._normals[:MAX_PULLED]
         columns, weights = np.empty(len(points), np.int64), np.empty(len(points))
         for reach, steps in ((WIDE * self._reach, WIDE_STEPS), (self._reach, STEPS)):
@@ -84,8 +84,8 @@ class Surfaces:
 
 
 def _box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of a box around all points but stray ones, for which cells would have to be large."""
-    low, high = np.quantile(points, [STRAY, 1.0 - STRAY], axis=0)
+    """Return a box around all points except outliers, which would require large cells."""
+    low, high = np.quantile(points, [OUTLIER_SHARE, 1.0 - OUTLIER_SHARE], axis=0)
     margin = 0.5 * (high - low)
     return (
         np.maximum(points.min(axis=0), low - margin),
@@ -94,14 +94,14 @@ def _box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _some(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """At most so many of the points in random order, and their normals."""
+    """Return at most `count` of the points in random order, and their normals."""
     order = np.random.default_rng(0).permutation(len(points))[:count]
     some = np.ascontiguousarray(points[order])
     return some, normals_of(points, some)
 
 
 def normals_of(points: np.ndarray, some: np.ndarray) -> np.ndarray:
-    """Unit normals, of any sign, at some of the points: of the planes through their neighbours."""
+    """Return unit normals, of either sign, at some of the points: of planes through neighbours."""
     count = min(NEIGHBOURS, len(points))
     _, near = cKDTree(points).query(some, k=np.arange(1, count + 1))
     apart = points[near] - points[near].mean(axis=1, keepdims=True)

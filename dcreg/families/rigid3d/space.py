@@ -1,17 +1,18 @@
-"""Rigid poses in space: what modes `full` and `multi` of the 3D pipeline search.
+"""Rigid poses in 3D: the space of mode `full`.
 
-Solved is, for points x_i, y_j and k pairs,
+For points x_i, y_j and k pairs the problem is
 
-    min over R in SO(3), t in R^3 and one-to-one P of k pairs of  sum_ij p_ij |R x_i + t - y_j|^2,
+    min over R in SO(3), t in R^3 and one-to-one P of k pairs of  sum_ij p_ij |R x_i + t - y_j|^2.
 
-the objective that the norm space of the paper only bounds from below. theta is a quaternion of any
-length followed by t; the quaternions are the four facets of `dcreg.families.rotation3d.space`.
+The norm space of the paper only bounds this objective from below. theta is a quaternion of any length
+followed by t; the quaternions are those of the four facets of `dcreg.families.rotation3d.space`.
 
 Start box
 ---------
-For fixed pairs the best t is mean(y) - R mean(x), so an optimum has one within the means of any k
-targets, widened by the length of the mean of any k sources. Where all points of both sets match
-and both are centred, that is the single value 0 and only the rotation is searched.
+For fixed pairs the best t is mean(y) - R mean(x). An optimum therefore has a translation within the
+range of the means of any k targets, extended by the maximum length of the mean of any k sources. If all
+points of both clouds match and both clouds are centred, this is the single value 0, and only the
+rotation is searched.
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ from dcreg.names import RIGID_POSE
 from dcreg.problem.geometry import apply_pose
 from dcreg.search import Box, Budget
 
-_SCORED_PAIRS = 100_000_000  # pairs looked at when the seeds are scored
+_SCORED_PAIRS = 100_000_000  # pairs evaluated to score the seeds
 _ROUNDING = 1e-12
 _CONGRUENT_SHARE = 0.5  # of the time, for the poses of congruent triples, at most
 DENSE_DESCENTS = 40_000  # pairs beyond which descents begin with nearest neighbours
 
 
 def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> float:
-    """An upper bound on ``|mean of any `count` points|`` in space.
+    """Return an upper bound on ``|mean of any `count` points|`` of (n, 3) points.
 
     The support function of the subset means is the mean of the largest projections. Directions are
     sampled at the cell centres of the faces of a cube: another point of a cell is at most sqrt(2) /
@@ -63,14 +64,15 @@ class Rigid3D(CloudSpace):
         Both centred, for the smallest start box; n <= m is best, see `between`.
     n_inliers : int
     stationary_box : bool
-        Start from the translations that an optimum can have, or from the plain safe box.
+        Whether the start box is that of the translations of stationary points, or that given by the radii
+        of the clouds.
     candidates : (n, m) bool array, optional
         The feasible pairs.
     stop_flag : (1,) uint8 array
     """
 
-    # A unit step of a facet coordinate turns by 1 to 2 radians, which moves points at the RMS radius
-    # by about this much; a unit step of the translation moves them by one.
+    # A unit step of a facet coordinate rotates by 1 to 2 radians, which moves points at the RMS radius
+    # by about this much. A unit step of the translation moves them by one.
     axis_weights = np.array([1.3, 1.3, 1.3, 1.3, 1.0, 1.0, 1.0])
     scope = RIGID_POSE
     n_descents = 24
@@ -114,7 +116,7 @@ class Rigid3D(CloudSpace):
         return space
 
     def translations(self) -> Box:
-        """A box that holds the translation of every optimum."""
+        """Return a box that contains the translation of every optimum."""
         k, source, target = self.n_inliers, self.clouds.source, self.clouds.target
         if self.stationary_box:
             if k == source.shape[1]:
@@ -122,7 +124,7 @@ class Rigid3D(CloudSpace):
             else:
                 reach = largest_subset_mean_3d(source.T, k)
             lower, upper = means_of_subsets(target, k)
-            # rounding must not cut off the optimum, yet a centred set keeps zero width
+            # rounding must not cut off the optimum, but the box of a centred cloud keeps zero width
             reach = 0.0 if reach < _ROUNDING else reach
             lower, upper = (np.where(np.abs(v) < _ROUNDING, 0.0, v) for v in (lower, upper))
             return Box(lower - reach, upper + reach)
@@ -130,7 +132,7 @@ class Rigid3D(CloudSpace):
         return Box(np.full(3, -reach), np.full(3, reach))
 
     def roots(self) -> list[Box]:
-        """Together they hold every optimum."""
+        """Return boxes that together contain every optimum."""
         box = self.translations()
         return [
             Box(np.append(facet.lower, box.lower), np.append(facet.upper, box.upper))
@@ -149,7 +151,7 @@ class Rigid3D(CloudSpace):
 
     @staticmethod
     def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Quaternion and translation (Horn 1987, centred)."""
+        """Return the quaternion and the translation (Horn 1987, centred)."""
         x, y = source.mean(axis=1), target.mean(axis=1)
         turn = best_rotation(source - x[:, None], target - y[:, None])
         return np.append(turn, y - rotation_matrix(turn) @ x)
@@ -160,9 +162,9 @@ class Rigid3D(CloudSpace):
         return theta
 
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
-        """Poses of congruent triples, then those of a regular grid.
+        """Yield poses of congruent triples, then those of a regular grid.
 
-        The grid alone where all points match: then the centroids do too, and only turns are left to try.
+        If all points match, only the grid: the centroids then match too, and only rotations remain.
         """
         box = self.translations()
         if (box.lower < box.upper).any():
@@ -171,7 +173,7 @@ class Rigid3D(CloudSpace):
         yield from super().starts(budget)
 
     def _congruent(self, budget: Budget) -> Iterator[np.ndarray]:
-        """Parameters of the poses that congruent triples suggest, scale by scale."""
+        """Yield the parameters of poses of congruent triples, scale by scale."""
         source, target = self.clouds.source.T, self.clouds.target.T
         for seed in range(rounds_for(self.n_source, self.n_inliers)):
             for scale in SCALES:
@@ -186,7 +188,7 @@ class Rigid3D(CloudSpace):
                 yield from map(self._parameter, poses)
 
     def seeds(self) -> np.ndarray:
-        """Regular poses, as many as may be scored in a moment; always with t at the box centre."""
+        """Return regular poses, as many as can be scored quickly; always with t at the box centre."""
         box = self.translations()
         per_axis = 3 if 27 * 256 * self.n_pairs <= _SCORED_PAIRS else 1
         cells = 4 if per_axis**3 * 256 * self.n_pairs <= _SCORED_PAIRS else 2
@@ -199,7 +201,7 @@ class Rigid3D(CloudSpace):
         )
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
-        """By nearest neighbours, which takes no assignment."""
+        """Score by nearest neighbours, without an assignment."""
         scores = np.empty(len(seeds))
         nearest_scores(seeds, self.clouds, scores)
         return scores, 0
@@ -212,7 +214,7 @@ class Rigid3D(CloudSpace):
         return np.linalg.inv(T) if self._swapped else T
 
     def _parameter(self, T: np.ndarray) -> np.ndarray:
-        """Quaternion and translation of a pose, by the fit to four moved points."""
+        """Return the quaternion and translation of a pose, by the fit to four moved points."""
         corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
         moved = apply_pose(T, corners)
         return self.fit(corners.T, moved.T)

@@ -1,10 +1,10 @@
-"""Where a rigid search starts when many points have no partner: poses from congruent triples.
+"""Initial poses of a rigid search if many points have no partner: poses of congruent triples.
 
-A rigid motion keeps distances. Three source points and three target points with the same distances fix a
-pose; among enough random source triples one consists of true pairs, and of all its congruent target
-triples one is right. Poses are scored by how many source points they bring near the target, and the best
-distinct ones are returned. (The idea is that of congruent sets, Aiger, Mitra and Cohen-Or 2008; the
-details are this project's.)
+A rigid motion preserves distances. Three source points and three target points with the same distances
+determine a pose. Among enough random source triples one consists of points with a partner, and one of
+all its congruent target triples is the right one. Poses are scored by how many source points they bring
+near the target, and the best distinct ones are returned. The idea is that of congruent sets (Aiger,
+Mitra and Cohen-Or 2008); the details are this project's.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from dcreg.families.starts import distinct, nearness_field
 from dcreg.jit import NEVER
 from dcreg.problem import rms_radius
 
-MAX_TARGETS = 300  # target points that triples are made of
+MAX_TARGETS = 300  # target points that form triples
 MAX_LOOKED = 150  # source points that score
-# Wished probability that no triple consists of true pairs; congruent clutter hides some.
+# Accepted probability that no triple consists of true pairs; congruent clutter hides some.
 FAILURE = 1e-9
 MIN_TRIPLES, MAX_TRIPLES = 60, 200  # a round
 MAX_ROUNDS = 8
 MAX_SAMPLE = 300  # source points that follow their nearest neighbours
-SHORTEST = 0.6  # side of a source triple, in RMS radii; short ones fix a rotation badly
+SHORTEST = 0.6  # side of a source triple, in RMS radii; short sides determine a rotation badly
 KEPT_PER_TRIPLE = 6
 MAX_POSES = 30  # returned by a round
-MAX_CELLS = 256  # of the field of nearness along the longest side: about 150 MB
-APART = 0.15  # poses that move the unit corners by less than this differ too little
+MAX_CELLS = 256  # of the nearness field along the longest side: about 150 MB
+SEPARATION = 0.15  # poses that move the vertices of a unit tetrahedron by less count as one
 
 
 @dataclass(frozen=True)
 class Scale:
-    """How exact congruence and nearness are taken, in RMS radii of the target.
+    """Tolerances of congruence and nearness, in RMS radii of the target.
 
     Attributes
     ----------
     tolerance : float
-        Difference of two distances that counts as none.
+        Difference of two distances that count as equal.
     reach : float
         Distance beyond which a point is not near the target.
     """
@@ -50,7 +50,7 @@ class Scale:
     reach: float
 
 
-# Noise is not known beforehand: a fine scale tells apart more, a coarse one tolerates more.
+# The noise is unknown: a fine scale distinguishes more poses, a coarse one tolerates more noise.
 SCALES = (Scale(0.04, 0.06), Scale(0.06, 0.1), Scale(0.09, 0.2))
 
 
@@ -64,7 +64,7 @@ def congruent_poses(
     seed: int = 0,
     stop: np.ndarray = NEVER,
 ) -> np.ndarray:
-    """The best distinct poses that congruent triples suggest, best first.
+    """Return the best distinct poses of congruent triples, best first.
 
     Parameters
     ----------
@@ -75,12 +75,12 @@ def congruent_poses(
         The feasible pairs.
     seed : int
     stop : (1,) uint8 array
-        Once it is set the poses found so far are returned.
+        When it is set, the poses found so far are returned.
 
     Returns
     -------
     (P, 4, 4) array
-        Proper rigid poses; none where no triples agree.
+        Proper rigid poses; none if no triples are congruent.
     """
     unit = rms_radius(target)
     if len(source) < 3 or len(target) < 3 or unit == 0.0:
@@ -99,7 +99,7 @@ def congruent_poses(
     some = y[columns]
     first, second, lengths = _pairs_by_length(some)
     sides = _sides(x, triples)
-    # with a shorter side nearly every target triple would agree
+    # with a shorter side nearly every target triple would be congruent
     telling = sides.min(axis=1) > 2.0 * scale.tolerance
     triples, sides = triples[telling], sides[telling]
     ends = [
@@ -115,7 +115,7 @@ def congruent_poses(
 
 
 def rounds_for(n_source: int, n_inliers: int) -> int:
-    """How often triples have to be drawn anew so that one of true pairs is among them."""
+    """Return the number of rounds of triples after which one of true pairs is among them."""
     return int(np.clip(np.ceil(_triples_needed(n_source, n_inliers) / MAX_TRIPLES), 1, MAX_ROUNDS))
 
 
@@ -127,10 +127,10 @@ def _triples_needed(n_source: int, n_inliers: int) -> float:
 def best_descents(
     poses: np.ndarray, source: np.ndarray, target: np.ndarray, n_inliers: int, count: int = 3
 ) -> np.ndarray:
-    """The poses that end best when a sample of the source follows its nearest neighbours.
+    """Refine poses by nearest neighbours of a sample of the source, and return the best ones.
 
-    For clouds so large that every one-to-one matching takes long: alternates the nearest neighbours of
-    the trimmed sample and the least-squares pose.
+    For clouds so large that a one-to-one matching takes long. Alternates the nearest neighbours of the
+    trimmed sample and the least-squares pose.
 
     Returns
     -------
@@ -147,19 +147,19 @@ def best_descents(
 
 
 def _long_triples(points: np.ndarray, n_inliers: int, rng: np.random.Generator) -> np.ndarray:
-    """Random triples with long sides, as many as it takes for one of true pairs."""
+    """Draw random triples with long sides, enough for one of true pairs."""
     needed = _triples_needed(len(points), n_inliers)
     count = int(np.clip(needed, MIN_TRIPLES, MAX_TRIPLES))
     drawn = rng.integers(len(points), size=(20 * count, 3))
     shortest = _sides(points, drawn).min(axis=1)
     long = np.flatnonzero(shortest >= SHORTEST)
-    if len(long) < count:  # a small or flat cloud: the longest there are
+    if len(long) < count:  # a small or flat cloud: take the longest sides
         long = np.argsort(-shortest, kind="stable")
     return drawn[long[:count]]
 
 
 def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
-    """(T, 3) distances of the first to the second, the first to the third, the second to the third."""
+    """Return (T, 3) distances: first to second point, first to third, second to third."""
     corners = points[triples]
     ends = ((0, 1), (0, 2), (1, 2))
     return np.stack(
@@ -168,7 +168,7 @@ def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
 
 
 def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """First and second point of every ordered pair, and their distance, ascending."""
+    """Return the first and second points of all ordered pairs, and their distances, ascending."""
     first, second = np.nonzero(~np.eye(len(points), dtype=bool))
     lengths = np.linalg.norm(points[first] - points[second], axis=1)
     order = np.argsort(lengths, kind="stable")
@@ -179,7 +179,7 @@ def _distinct(poses: np.ndarray, scores: np.ndarray, count: int) -> np.ndarray:
     """Return the best poses that differ, as (P, 4, 4)."""
     tetrahedron = np.vstack([np.zeros(3), np.eye(3)])
     moved = np.einsum("pab,cb->pca", poses[:, :, :3], tetrahedron) + poses[:, None, :, 3]
-    kept = distinct(moved.reshape(-1, 12), scores, APART, count)
+    kept = distinct(moved.reshape(-1, 12), scores, SEPARATION, count)
     out = np.tile(np.eye(4), (len(kept), 1, 1))
     out[:, :3] = poses[kept]
     return out

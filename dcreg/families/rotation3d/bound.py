@@ -1,40 +1,41 @@
 """Bounds over boxes of quaternions.
 
-DC-Reg (arXiv 2603.25442) leaves the rotation to any search; the two bounds here are this project's,
-not the paper's. The objective and the boxes are those of `dcreg.families.rotation3d.space`.
+DC-Reg (arXiv 2603.25442) leaves the rotation search open. The two bounds here were derived in this
+project and are not in the paper. The objective and the boxes are those of
+`dcreg.families.rotation3d.space`.
 
 B1, the angular bound (`cap_costs`)
 -----------------------------------
-Let delta be the largest rotation angle between the centre R_c and the rotations of the box. The
-direction of R a differs from that of R_c a by at most delta, so by the triangle inequality on the
-sphere angle(R a, y) >= max(0, angle(R_c a, y) - delta) =: phi, and |R a - y|^2 >= |a|^2 + |y|^2 -
-2|a||y| cos phi for every R of the box. One k-assignment of these costs bounds E. All are >= 0.
+Let delta be the maximum rotation angle between the centre R_c and the rotations of the box. The
+directions of R a and R_c a differ by at most delta, so the triangle inequality on the sphere gives
+angle(R a, y) >= max(0, angle(R_c a, y) - delta) =: phi, and |R a - y|^2 >= |a|^2 + |y|^2 - 2 |a||y| cos
+phi for every R of the box. One k-assignment of these costs bounds E. All costs are >= 0.
 
-delta is attained at a corner (`box_angle`): the quaternions within an angle of at most 90 degrees
-of q_c form the convex cone {q : q.q_c >= cos(alpha) |q||q_c|}; when it holds the corners it holds
-the box, their convex hull. Corners farther than 90 degrees away mean delta = pi, all rotations,
-which holds too. The rotation angle is twice the angle between quaternions (taken with the sign of
-q_c.q >= 0, as above).
+delta is attained at a vertex (`box_angle`). The quaternions within an angle of at most 90 degrees of
+q_c form the convex cone {q : q.q_c >= cos(alpha) |q||q_c|}. If the cone contains the vertices, it
+contains the box, their convex hull. If a vertex is farther than 90 degrees away, delta is set to pi,
+which covers all rotations. The rotation angle is twice the angle between the quaternions, taken with
+the sign of q_c.q >= 0.
 
 B2, the lifted vertex bound (`vertex_bound`)
 --------------------------------------------
-R is linear in q q^T for unit q (`chord_matrix`), and E_P(R) = sum p_ij (|a_i|^2 + |y_j|^2 - 2
-y_j.R a_i) is affine in R; call z(M) = min_P of that affine form at any 3x3 matrix M. It is
-concave, as a minimum of affine functions. Let v_a be the corners of the box, with v_a.v_b > 0 for
-all a, b, and B_ab = (v_a v_b^T + v_b v_a^T) / (2 v_a.v_b). A quaternion of the box is q = sum_a
-c_a v_a, c in the simplex, hence q q^T = sum_ab c_a c_b (v_a.v_b) B_ab and |q|^2 = sum_ab c_a c_b
-(v_a.v_b): q q^T / |q|^2 is a convex combination of the B_ab. The concave z is then at least
-min_ab z(image of B_ab) at every rotation of the box: 36 vertices for 8 corners. B_ab leaves the
-rotations by O(size^2), so B2 is second order.
+R is linear in q q^T for unit q (`chord_matrix`), and E_P(R) = sum p_ij (|a_i|^2 + |y_j|^2 - 2 y_j.R
+a_i) is affine in R. Let z(M) = min_P of that affine form at any 3x3 matrix M. It is concave, because it
+is a minimum of affine functions. Let v_a be the vertices of the box, with v_a.v_b > 0 for all a, b, and
+B_ab = (v_a v_b^T + v_b v_a^T) / (2 v_a.v_b). A quaternion of the box is q = sum_a c_a v_a with c in the
+simplex. Hence q q^T = sum_ab c_a c_b (v_a.v_b) B_ab and |q|^2 = sum_ab c_a c_b (v_a.v_b), so q q^T /
+|q|^2 is a convex combination of the B_ab. The concave z is then at least min_ab z(image of B_ab) at
+every rotation of the box: 36 points for 8 vertices. B_ab differs from a rotation by O(size^2), so B2 is
+of second order.
 
-Few of the 36 assignments are solved. For any b >= 0 the dual bound, the sum of the k smallest
-min_j (c_ij + b_j) minus sum_j b_j, is no more than the k-assignment, and with the duals b of B1's
-assignment it is close: one pass over the pairs per vertex. Then only the binding vertex is
-solved, and its duals serve the others. (Duals alone would lose the second order where the
-matching changes in the box.)
+Few of the 36 assignments are solved. For any b >= 0 the dual bound, the sum of the k smallest min_j
+(c_ij + b_j) minus sum_j b_j, is no more than the k-assignment. With the dual variables b of B1's
+assignment it is close, and it takes one pass over the pairs per point. Only the binding point is then
+solved, and its dual variables serve the others. Dual variables alone would lose the second order if the
+matching changes within the box.
 
-The bound of a box is max(B1, B2), evaluated from the cheapest test to the dearest and only as far
-as it decides about the cutoff. At a box of one rotation B1 equals E.
+The bound of a box is max(B1, B2). Tests are evaluated in order of increasing cost, and only as far as
+they decide about the cutoff. For a box of one rotation B1 equals E.
 """
 
 from __future__ import annotations

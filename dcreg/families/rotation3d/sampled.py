@@ -1,11 +1,12 @@
-"""Rotation stage of large clouds: sampled start, refinement on all points; not a global search.
+"""Rotation stage for large clouds: initial rotations from a sample, refinement on all points; no
+search.
 
-Rotations of a fixed grid are scored by the nearest neighbours of a sample of the points, the best ones
-refined on a larger sample, the best of those on all points. Each step alternates nearest neighbours and
-the best rotation about the origin. Nothing here is claimed for the sample: the lower bound is that of
-all points in norm space, which holds for every rotation since ``|R a - y| >= | |a| - |y| |``, and the
-upper bound is a one-to-one matching of all points. Only where these two meet is the stage optimal;
-otherwise it ends as ``converged``.
+The rotations of a fixed grid are scored by the nearest neighbours of a sample of the points. The best
+ones are refined on a larger sample, and the best of those on all points. Each step alternates nearest
+neighbours and the best rotation about the origin. No bound refers to the sample. The lower bound is
+that of all points in norm space, which holds for every rotation because ``|R a - y| >= | |a| - |y| |``.
+The upper bound is a one-to-one matching of all points. The stage is optimal only if these two bounds
+meet; otherwise it ends as ``converged``.
 """
 
 from __future__ import annotations
@@ -38,22 +39,22 @@ def search_sampled_rotation(
     gap_tol: float,
     budget: Budget,
 ) -> Outcome:
-    """Good rotation about the origin for clouds too large for a search.
+    """Return a good rotation about the origin for clouds that are too large for a search.
 
     Parameters
     ----------
     source_shifted, target : (n, 3), (m, 3) arrays
-        The translation is already applied to the source; nothing is centred.
+        The translation is already applied to the source; the clouds are not centred.
     n_inliers : int
     gap_tol : float
     budget : Budget
-        Looked at after each descent; one descent is always made.
+        Checked after each descent; one descent is always made.
 
     Returns
     -------
     Outcome
-        Its theta is a quaternion. Status ``optimal`` only where the bounds of the full problem prove it,
-        otherwise ``converged``, or the limit that came first.
+        Its theta is a quaternion. The status is ``optimal`` only if the bounds of the full problem prove
+        it, otherwise ``converged`` or the limit that was hit.
     """
     began = budget.elapsed()
     few, some = spread_rows(source_shifted, _SAMPLE), spread_rows(source_shifted, _DESCENT_SAMPLE)
@@ -95,7 +96,7 @@ def search_sampled_rotation(
 
 
 def spread_rows(points: np.ndarray, count: int) -> np.ndarray:
-    """Up to `count` rows at even ranks of the distance from the origin: fixed, in any point order."""
+    """Return up to `count` rows at even ranks of the distance from the origin, for any point order."""
     order = np.argsort((points**2).sum(axis=1), kind="stable")
     ranks = np.linspace(0, len(points) - 1, min(count, len(points))).round().astype(int)
     return order[ranks]
@@ -136,9 +137,9 @@ def _two_sided(
     share: float,
     theta: np.ndarray,
 ) -> float:
-    """Mean squared distance of the nearest pairs, taken from either cloud; the larger one counts.
+    """Return the mean squared distance of the nearest pairs, the larger one of both directions.
 
-    A source that collapses onto one part of the target is near to it, but the target not to the source.
+    A source that collapses onto one part of the target is near it, but not the target to the source.
     """
     rotation = rotation_matrix(theta)
     back = target[spread_rows(target, _DESCENT_SAMPLE)]

@@ -1,6 +1,6 @@
-"""Rotations about the origin: the second stage of the 3D pipeline.
+"""Rotations about the origin: the second stage of mode `paper` in 3D.
 
-Solved is, for points a_i (translation already applied), y_j and k pairs,
+For points a_i (the translation is already applied), y_j and k pairs the problem is
 
     min over R in SO(3) and one-to-one P of k pairs of  E_P(R) = sum_ij p_ij |R a_i - y_j|^2,
 
@@ -8,12 +8,13 @@ a rotation about the origin, without centring.
 
 Why boxes of quaternions
 ------------------------
-theta is a quaternion (w, x, y, z) of any length. The eight facets of the cube [-1, 1]^4 hold each
-quaternion once up to length; q and -q are the same rotation, so the four facets where one
-component is +1 hold every rotation, and only those on their rims more often. They are the roots.
-A box has zero width along its facet's axis, is never divided there, and needs no chart number.
-Both bounds are native to such boxes. The angle-axis cube would waste 48 % of its volume outside
-the pi-ball, cover half-turns twice and need an enclosure by such a box for B2.
+theta is a quaternion (w, x, y, z) of any length. The eight facets of the cube [-1, 1]^4 contain each
+quaternion once up to length. Since q and -q are the same rotation, the four facets on which one
+component is +1 contain every rotation, and only those on their boundaries more than once. They are the
+roots. A box has zero width along its facet's axis, is never divided along it, and needs no chart
+number. Both bounds are natural on such boxes. The cube of angle-axis vectors would waste 48 % of its
+volume outside the ball of radius pi, cover half-turns twice, and need an enclosure by such a box for
+B2.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from dcreg.search import Box
 
 
 class CloudSpace(Space):
-    """A space whose kernels take both clouds by component.
+    """A space of poses of 3D points.
 
     Parameters
     ----------
@@ -41,12 +42,7 @@ class CloudSpace(Space):
     candidates : (n, m) bool array, optional
         The feasible pairs.
     stop_flag : (1,) uint8 array
-        Set from another thread, it ends everything that takes long.
-
-    Attributes
-    ----------
-    clouds : Clouds
-        The problem as the kernels take it.
+        Set from another thread to stop kernels.
     """
 
     min_gain = 1e-12
@@ -71,21 +67,13 @@ class CloudSpace(Space):
         self.stop_flag = stop_flag
         self.n_inliers = n_inliers
 
-    @property
-    def n_source(self) -> int:
-        return int(self.clouds.source.shape[1])
-
-    @property
-    def n_target(self) -> int:
-        return int(self.clouds.target.shape[1])
-
     @staticmethod
     @abc.abstractmethod
     def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """The best parameter for paired points, (3, k) each."""
+        """Return the best parameter for paired points, (3, k) each."""
 
     def matched(self, col_of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The matched points of both clouds, (3, k) each."""
+        """Return the matched points of both clouds, (3, k) each."""
         rows = np.flatnonzero(col_of >= 0)
         return self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]]
 
@@ -97,7 +85,7 @@ _START_CELLS_PER_AXIS = 4  # of the regular grid of seeds
 
 
 class Rotation3D(CloudSpace):
-    """Rotations about the origin; theta is a quaternion (w, x, y, z) of any length but zero.
+    """Rotations about the origin; theta is a quaternion (w, x, y, z) of any non-zero length.
 
     Parameters
     ----------
@@ -114,7 +102,7 @@ class Rotation3D(CloudSpace):
 
     @staticmethod
     def roots() -> list[Box]:
-        """The four facets w, x, y, z = 1 of the cube [-1, 1]^4: together every rotation."""
+        """Return the facets w, x, y, z = 1 of the cube [-1, 1]^4, which contain every rotation."""
         boxes = []
         for axis in range(4):
             lower = -np.ones(4)
@@ -124,7 +112,7 @@ class Rotation3D(CloudSpace):
 
     @staticmethod
     def grid(cells: int) -> np.ndarray:
-        """(4 cells^3, 4) quaternions: the centres of a regular division of the four facets."""
+        """Return (4 cells^3, 4) quaternions: the centres of a regular division of the four facets."""
         steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
         facet = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
         return np.concatenate([np.insert(facet, axis, 1.0, axis=1) for axis in range(4)])
@@ -133,14 +121,14 @@ class Rotation3D(CloudSpace):
         return self.grid(_START_CELLS_PER_AXIS)
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
-        """By nearest neighbours, which takes no assignment."""
+        """Score by nearest neighbours, without an assignment."""
         scores = np.empty(len(seeds))
         kernels.nearest_scores(seeds, self.clouds, scores)
         return scores, 0
 
     @staticmethod
     def matrix(theta: np.ndarray) -> np.ndarray:
-        """The rotation of a quaternion: proper, and the same for theta, -theta and 2 theta."""
+        """Return the rotation matrix of a quaternion; theta, -theta and 2 theta give the same one."""
         return rotation_matrix(np.asarray(theta, dtype=np.float64))
 
     def objective(
@@ -152,7 +140,7 @@ class Rotation3D(CloudSpace):
         kernels.pair_costs(R, self.clouds, cost)
         _, col_of, _ = cheapest_pairs(cost, self.n_inliers, stop_flag)
         self.check(stop_flag)
-        # summed anew: the expanded squares of `pair_costs` cancel and may leave a tiny negative sum
+        # summed again: the expanded squares of `pair_costs` cancel and may leave a tiny negative sum
         x, y = self.matched(col_of)
         return float(((R @ x - y) ** 2).sum()), col_of
 
@@ -164,7 +152,7 @@ class Rotation3D(CloudSpace):
         return theta / theta[np.argmax(np.abs(theta))]
 
     def pose(self, theta: np.ndarray) -> np.ndarray:
-        """The (4, 4) matrix of the rotation."""
+        """Return the (4, 4) matrix of the rotation."""
         T = np.eye(4)
         T[:3, :3] = self.matrix(theta)
         return T

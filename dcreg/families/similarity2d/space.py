@@ -18,15 +18,15 @@ from dcreg.jit import NEVER
 from dcreg.names import SIMILARITY_POSE
 from dcreg.search import Box, Budget
 
-# Descents that end with k pairs begin with so many of the pairs beyond k that there are.
+# Shares of the pairs beyond k with which descents begin; they end with k pairs.
 _SURPLUS = (0.75, 0.5, 0.25)
 
 
 def largest_subset_mean(points: np.ndarray, count: int, n_directions: int = 64) -> float:
     """Return an upper bound on ``|mean of any `count` points|`` of (2, n) points.
 
-    The support function of all subset means is the mean of the largest projections; sampled
-    a sampled direction differs from the worst one by at most half their spacing.
+    The support function of all subset means is the mean of the largest projections. The worst direction
+    differs from a sampled one by at most half their spacing.
     """
     angles = np.arange(n_directions) * (2 * np.pi / n_directions)
     directions = np.stack([np.cos(angles), np.sin(angles)])
@@ -40,18 +40,18 @@ class Similarity2D(FeatureSpace):
     Parameters
     ----------
     source, target : (n, 2), (m, 2) arrays
-        Normalised points; both sets centred at their centroid for the best conditioning.
+        Normalised points; both clouds centred, for the best conditioning.
     n_inliers : int
     scale_range : (low, high)
-        Parameters outside this annulus are not poses: without a lower limit the scale would
-        collapse (all sources onto one target neighbourhood).
+        Parameters outside this annulus are not poses. Without a lower limit the scale would collapse,
+        with all source points in one neighbourhood of the target.
     stationary_box : bool
-        Start from the translations that an optimum can have (its residuals have zero mean, so
-        t = mean of matched y - s R mean of matched x), or from the plain safe box of the paper.
+        Whether the start box is that of the translations of stationary points (their residuals have zero
+        mean, so t = mean of matched y - s R mean of matched x), or that given by the radii of the clouds.
     candidates : (n, m) bool array, optional
         The feasible pairs.
     stop_flag : (1,) uint8 array
-        Set from another thread, it ends everything that takes long.
+        Set from another thread to stop kernels.
     """
 
     scope = SIMILARITY_POSE
@@ -88,7 +88,7 @@ class Similarity2D(FeatureSpace):
         if self.stationary_box:
             reach = high * largest_subset_mean(self.source, self.n_inliers)
             low_y, high_y = means_of_subsets(self.clouds.target, self.n_inliers)
-            # rounding must not cut off the optimum, yet an exactly centred set keeps zero width
+            # rounding must not cut off the optimum, but the box of a centred cloud keeps zero width
             reach = 0.0 if reach < 1e-12 else reach
             low_y, high_y = (np.where(np.abs(y) < 1e-12, 0.0, y) for y in (low_y, high_y))
             lower, upper = low_y - reach, high_y + reach
@@ -113,7 +113,7 @@ class Similarity2D(FeatureSpace):
         return objectives(self.clouds, thetas, values)
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
-        """The objective itself."""
+        """Score by the objective."""
         return self._score(seeds, self.n_inliers)
 
     def _score(self, seeds: np.ndarray, count: int) -> tuple[np.ndarray, int]:
@@ -124,10 +124,10 @@ class Similarity2D(FeatureSpace):
         return values, len(seeds)
 
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
-        """The best seeds, poses that pairs of points suggest, and where descents with more pairs lead.
+        """Yield the best seeds, then poses of pairs of points, then ends of descents with more pairs.
 
-        A part of a cloud fits in many places, each in a narrow basin; more of it fits in few, and their
-        basins are wide.
+        A small part of a cloud fits in many places, each with a narrow basin of attraction. A larger part
+        fits in few places with wide basins.
         """
         yield from super().starts(budget)
         for theta in self._similar(budget):
@@ -146,7 +146,7 @@ class Similarity2D(FeatureSpace):
             spent = 0
 
     def _similar(self, budget: Budget) -> np.ndarray:
-        """Poses of pairs of points; none where all points match, as then the centroids do."""
+        """Return poses of pairs of points; none if all points match, as the centroids then match too."""
         if self.n_inliers == max(self.n_source, self.n_target) or budget.is_over:
             return np.empty((0, 4))
         return similar_poses(
@@ -155,11 +155,11 @@ class Similarity2D(FeatureSpace):
         )  # fmt: skip
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Every assignment starts from the prices of the one before."""
+        """Alternate matching and fit; each assignment starts from the previous dual variables."""
         return self._descend(theta, self.n_inliers)
 
     def _descend(self, theta: np.ndarray, count: int) -> tuple[np.ndarray, float, int]:
-        """`refine` with `count` pairs."""
+        """Refine with `count` pairs."""
         _, col_of, prices = cheapest_pairs(self._costs(theta), count, self.stop_flag)
         self.check()
 
@@ -179,10 +179,10 @@ class Similarity2D(FeatureSpace):
         return found, value, spent + 1
 
     def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
-        """Least-squares similarity of the matched pairs, its scale clipped to the range.
+        """Return the least-squares similarity of the matched pairs, its scale clipped to the range.
 
-        The best rotation does not depend on the scale and the objective is a parabola in the scale, so
-        clipping is exact.
+        Clipping is exact: the best rotation does not depend on the scale, and the objective is a parabola
+        in the scale.
         """
         rows = np.flatnonzero(col_of >= 0)
         both = np.concatenate([self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]]])
@@ -199,7 +199,7 @@ class Similarity2D(FeatureSpace):
         return np.array([a, b, mu - (a * mx - b * my), mv - (b * mx + a * my)])
 
     def seeds(self) -> np.ndarray:
-        """Every 15 degrees, at the scale that gives both clouds the same spread."""
+        """Return rotations at steps of 15 degrees, at the scale that gives the clouds equal spread."""
         spread = self.axis_weights[0]
         scale = np.clip(
             np.sqrt((self.clouds.target**2).sum(axis=0).mean()) / spread, *self.scale_range

@@ -1,8 +1,8 @@
-"""Where a search of the plane starts when many points have no partner: poses from pairs of points.
+"""Initial poses of a search in 2D if many points have no partner: similarities of pairs of points.
 
-Two source points and two target points fix a similarity. Among enough random source pairs one consists
-of points that have a partner, and one of all target pairs is right for it. Poses are scored by how many
-source points they bring near the target, and the best distinct ones are returned.
+Two source points and two target points determine a similarity. Among enough random source pairs one
+consists of points with a partner, and one of all target pairs is the right one for it. Poses are scored
+by how many source points they bring near the target, and the best distinct ones are returned.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from dcreg.families.starts import distinct, in_3d, nearness_field
 from dcreg.jit import NEVER
 from dcreg.problem import rms_radius
 
-REACH = 0.08  # RMS radii of the target within which a point is near it
-FAILURE = 1e-3  # wished probability that no source pair consists of true points
+REACH = 0.08  # distance within which a point is near the target, in RMS radii
+FAILURE = 1e-3  # accepted probability that no source pair consists of points with a partner
 MIN_PAIRS, MAX_PAIRS = 12, 60
-MAX_TARGETS = 200  # target points that pairs are made of
+MAX_TARGETS = 200  # target points that form pairs
 MAX_LOOKED = 60  # source points that score
 KEPT_PER_PAIR = 12
 MAX_POSES = 48
 MAX_CELLS = 2000  # of the nearness field along the longest side: 32 MB
-APART = 0.15  # poses whose parameters, in units of the clouds, differ by less are one
+SEPARATION = 0.15  # poses whose parameters, in units of the clouds, differ by less count as one
 
 
 def similar_poses(
@@ -34,23 +34,23 @@ def similar_poses(
     *,
     stop: np.ndarray = NEVER,
 ) -> np.ndarray:
-    """The best distinct similarities that pairs of points suggest, best first.
+    """Return the best distinct similarities of pairs of points, best first.
 
     Parameters
     ----------
     source, target : (n, 2), (m, 2) arrays
-        About their middles, in units in which their extents are near one.
+        Centred, in units in which their extents are near one.
     n_inliers : int
     scale_range : (low, high)
     candidates : (n, m) bool array, optional
         The feasible pairs.
     stop : (1,) uint8 array
-        Once it is set the poses found so far are returned.
+        When it is set, the poses found so far are returned.
 
     Returns
     -------
     (P, 4) array
-        Parameters ``(s cos a, s sin a, t_x, t_y)``; none where the points coincide.
+        Parameters ``(s cos a, s sin a, t_x, t_y)``; none if all points coincide.
     """
     unit = rms_radius(target)
     if len(source) < 2 or len(target) < 2 or unit == 0.0 or rms_radius(source) == 0.0:
@@ -71,11 +71,11 @@ def similar_poses(
         (looked, field, *map(float, scale_range), stop), thetas, scores,
     )  # fmt: skip
     found = thetas.reshape(-1, 4)
-    return found[distinct(found / [1.0, 1.0, unit, unit], scores.ravel(), APART, MAX_POSES)]
+    return found[distinct(found / [1.0, 1.0, unit, unit], scores.ravel(), SEPARATION, MAX_POSES)]
 
 
 def _long_pairs(points: np.ndarray, n_inliers: int, rng: np.random.Generator) -> np.ndarray:
-    """Random pairs farther apart than most, as many as it takes for one of true points."""
+    """Draw random pairs farther apart than most, enough for one of points with a partner."""
     share = (n_inliers / len(points)) ** 2
     needed = np.log(FAILURE) / np.log1p(-share) if share < 1.0 else 0.0
     count = int(np.clip(needed, MIN_PAIRS, MAX_PAIRS))

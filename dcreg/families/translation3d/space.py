@@ -25,10 +25,10 @@ _STEPS = 20  # of the fit to one matching
 
 
 class Translation3D(FeatureSpace):
-    """Match the norms of the moved source and of the target, which no rotation changes.
+    """Match the norms of the moved source and of the target, which do not depend on the rotation.
 
-    The objective is ``sum p_ij (|x_i + t| - |y_j|)^2``. It is a lower bound on the full rigid objective
-    for every rotation, and a surrogate of it: its optimum need not be the optimal rigid pose.
+    The objective is ``sum p_ij (|x_i + t| - |y_j|)^2``. It is a lower bound on the rigid objective for
+    every rotation. It is only a surrogate: its optimum need not be the optimal rigid pose.
 
     Parameters
     ----------
@@ -36,11 +36,12 @@ class Translation3D(FeatureSpace):
         Normalised points. The origin of the target is the centre of rotation.
     n_inliers : int
     stationary_box : bool
-        Start from the translations a stationary point can have, or from the plain safe box.
+        Whether the start box is that of the translations of stationary points, or that given by the radii
+        of the clouds.
     candidates : (n, m) bool array, optional
-        The feasible pairs. With them the assignment is no longer one-dimensional, hence dearer.
+        The feasible pairs. With them the assignment is not one-dimensional, which takes longer.
     stop_flag : (1,) uint8 array
-        Set from another thread, it ends everything that takes long.
+        Set from another thread to stop kernels.
     """
 
     scope = NORM_TRANSLATION
@@ -58,7 +59,7 @@ class Translation3D(FeatureSpace):
     ) -> None:
         self.norms = np.sqrt((target**2).sum(axis=1))
         self._ordered = np.sort(self.norms)
-        # where every pair is feasible, scalars are matched, which needs no matrix of costs
+        # if every pair is feasible, scalars are matched, which needs no matrix of costs
         self._on_line = candidates is None
         self.clouds = Clouds(
             np.ascontiguousarray(source.T),
@@ -73,7 +74,10 @@ class Translation3D(FeatureSpace):
         self.axis_weights = np.ones(3)
 
     def roots(self) -> list[Box]:
-        """Every minimiser is stationary: t = mean of (|y| u - x) over the matched, u unit vectors."""
+        """Return the start box.
+
+        Every minimiser is stationary: t = mean of (|y| u - x) over the matched pairs, u unit vectors.
+        """
         if not self.stationary_box:
             reach = self.norms.max() + np.sqrt((self.source**2).sum(axis=1)).max()
             return [Box(np.full(3, -reach), np.full(3, reach))]
@@ -82,7 +86,7 @@ class Translation3D(FeatureSpace):
         return [Box(-(reach + high_x), reach - low_x)]
 
     def seeds(self) -> np.ndarray:
-        """The identity and the 26 neighbours of a coarse grid around it."""
+        """Return the identity and its 26 neighbours on a coarse grid."""
         steps = 0.5 * np.array([0.0, -1.0, 1.0])
         return np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -109,12 +113,12 @@ class Translation3D(FeatureSpace):
         return len(thetas)
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
-        """The objective itself."""
+        """Score by the objective."""
         values = np.empty(len(seeds))
         return values, self.objectives(seeds, values)
 
     def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
-        """A few steps from `theta` towards the translation that fits the norms of the pairs best."""
+        """Return `theta` after a few steps towards the best translation for the norms of the pairs."""
         rows = np.flatnonzero(col_of >= 0)
         trial = theta.copy()
         axes = np.ascontiguousarray(self.clouds.source[:, rows])
