@@ -126,7 +126,7 @@ def test_clouds_of_another_dimension_are_refused(mine, folder, dim):
     ("linear", "expected"),
     [
         (np.diag([1.0, -1.0]), "the pose contains a reflection"),
-        (np.diag([1.0, 0.5]), "no rotation times a scale"),
+        (np.diag([1.0, 0.5]), "not a rotation times a scale"),
         (np.eye(2) * 3.0, "its scale is 3, not "),
     ],
 )
