@@ -9,21 +9,18 @@ from __future__ import annotations
 
 import argparse
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 import dcreg
 from baselines import registry
 from baselines.contract import Limits
 from data.registry import dataset
 from dcreg.problem import apply_pose
+from reports import theme
+from reports.figures import printing
 from workflows.disturb import make_instance
 
 HERE = Path(__file__).parent
@@ -32,21 +29,6 @@ NAMES = {
     "tight": "`tight` (default)",
     "dc": "`dc` (as published)",
     "termwise": "`termwise` (RPM-HTB, reconstructed)",
-}
-
-
-@dataclass(frozen=True)
-class Theme:
-    ink: str
-    source: str
-    target: str
-    lines: str
-    bounds: tuple[str, ...]
-
-
-THEMES = {
-    "light": Theme("#24292f", "#c2410c", "#0b5cad", "#8c959f", ("#0b5cad", "#c2410c", "#6e7781")),
-    "dark": Theme("#e6edf3", "#ff9e64", "#7cb7ff", "#6e7681", ("#7cb7ff", "#ff9e64", "#9da7b3")),
 }
 
 
@@ -93,32 +75,35 @@ def table(results: dict[str, dcreg.Result]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def registration_figure(problem, result: dcreg.Result, theme: Theme) -> plt.Figure:
+def registration_figure(problem, result: dcreg.Result, surface: str) -> Figure:
     """Draw both clouds, and then the moved source with its matched pairs."""
-    figure, (before, after) = plt.subplots(1, 2, figsize=(8.4, 3.4), layout="constrained")
+    figure = Figure(figsize=(8.4, 3.4))
+    before, after = figure.subplots(1, 2)
     moved = apply_pose(result.T_target_source, problem.source)
-    for axes, source, title in ((before, problem.source, "before"), (after, moved, "after")):
-        axes.scatter(*problem.target.T, s=16, marker="o", facecolors="none",
-                     edgecolors=theme.target, label="target")  # fmt: skip
-        axes.scatter(
-            *source.T, s=14, marker="x", linewidths=1.0, color=theme.source, label="source"
+    for axes, source in ((before, problem.source), (after, moved)):
+        axes.scatter(*source.T, s=16, marker="o", facecolors="none",
+                     edgecolors=theme.SOURCE_COLOR[surface], label="source")  # fmt: skip
+        axes.scatter(*problem.target.T, s=16, marker="+", linewidths=1.0,
+                     color=theme.TARGET_COLOR[surface], label="target")  # fmt: skip
+        axes.set(
+            aspect="equal", xticks=[], yticks=[], title="before" if axes is before else "after"
         )
-        axes.set(aspect="equal", xticks=[], yticks=[])
-        axes.set_title(title, color=theme.ink)
         axes.spines[:].set_visible(False)
     pairs = np.stack([moved[result.assignment[:, 0]], problem.target[result.assignment[:, 1]]])
-    after.plot(*pairs.transpose(2, 0, 1), color=theme.lines, linewidth=0.8, zorder=0)
-    before.legend(loc="upper left", frameon=False, labelcolor=theme.ink)
+    after.plot(*pairs.transpose(2, 0, 1), color=printing.INK[surface], linewidth=0.5, zorder=0)
+    before.legend(loc="upper left", frameon=False)
     return figure
 
 
-def bounds_figure(results: dict[str, dcreg.Result], theme: Theme) -> plt.Figure:
+def bounds_figure(results: dict[str, dcreg.Result], surface: str) -> Figure:
     """Draw the lower (solid) and upper (dashed) bound of each search against time.
 
     Dots mark certified optima, crosses mark time-outs.
     """
-    figure, axes = plt.subplots(figsize=(8.4, 3.4), layout="constrained")
-    for (bound, result), color in zip(results.items(), theme.bounds, strict=True):
+    figure = Figure(figsize=(8.4, 3.4))
+    axes = figure.subplots()
+    for (bound, result), color in zip(results.items(), theme.FALLBACK_COLORS, strict=False):
+        color = theme.readable(color, theme.SURFACE[surface])
         events = [event for event in result.trace if event.stage == "search"]
         time = [max(event.time_s, 1e-3) for event in events]
         for side, style in (("lower_bound", "-"), ("upper_bound", "--")):
@@ -129,12 +114,8 @@ def bounds_figure(results: dict[str, dcreg.Result], theme: Theme) -> plt.Figure:
                   marker="o" if result.success else "x", clip_on=False)  # fmt: skip
     best = min(result.upper_bound for result in results.values())
     axes.set(xscale="log", ylim=(-0.05 * best, 1.4 * best))
-    axes.set_xlabel("seconds", color=theme.ink)
-    axes.set_ylabel("bounds on the objective", color=theme.ink)
-    axes.tick_params(colors=theme.ink, which="both")
-    for spine in axes.spines.values():
-        spine.set_color(theme.lines)
-    axes.legend(loc="center", bbox_to_anchor=(0.48, 0.45), frameon=False, labelcolor=theme.ink)
+    axes.set(xlabel="time (s)", ylabel="bounds on the objective")
+    axes.legend(loc="center", bbox_to_anchor=(0.48, 0.45), frameon=False)
     return figure
 
 
@@ -143,15 +124,13 @@ def write(folder: Path, n_points: int, level: float, time_limit: float) -> None:
     problem = instance(n_points, level)
     results = solve(problem, time_limit)
     folder.mkdir(parents=True, exist_ok=True)
-    with plt.rc_context({"svg.hashsalt": "dcreg", "font.size": 11, "svg.fonttype": "none"}):
-        for name, theme in THEMES.items():
-            for kind, figure in (
-                ("registration", registration_figure(problem, results["tight"], theme)),
-                ("bounds", bounds_figure(results, theme)),
-            ):
-                path = folder / f"{kind}-{name}.svg"
-                figure.savefig(path, transparent=True, metadata={"Date": None})
-                plt.close(figure)
+    for surface in theme.SURFACE:
+        with printing.style(surface):
+            registration = registration_figure(problem, results["tight"], surface)
+            bounds = bounds_figure(results, surface)
+        for kind, figure in (("registration", registration), ("bounds", bounds)):
+            path = folder / f"{kind}-{surface}.svg"
+            path.write_bytes(printing.rendered(figure, "svg", surface))
     (folder / "runs.md").write_text(table(results), encoding="utf-8")
 
 

@@ -11,7 +11,10 @@ from workflows import CHECKOUT
 from workflows.cli import Experiment, say, user_errors
 
 app = typer.Typer(
-    help=__doc__, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
+    help="Build the pages that show results.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
 )
 
 Part = Annotated[str, typer.Option(help="As in `python -m workflows run`.")]

@@ -143,13 +143,16 @@ def record(
 @app.command()
 @user_errors
 def compare(
-    base: Annotated[str, typer.Argument(help="Recorded version, or a folder of records.")],
+    base: Annotated[
+        str,
+        typer.Argument(
+            help="Recorded version or folder of records; with --exact: folder of results."
+        ),
+    ],
     head: Annotated[str, typer.Argument(help="The version to compare with it.")],
     exact: Annotated[
         bool,
-        typer.Option(
-            "--exact", help="Compare two folders of results run by run; only times may differ."
-        ),
+        typer.Option("--exact", help="Compare run by run; only times may differ."),
     ] = False,
     history: History = Path("history"),
     json_out: Annotated[

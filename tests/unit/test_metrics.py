@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+import workflows.metrics
 from data.sampling import reference_pose
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import NORM_SCOPES, POSE_SCOPES
+from workflows.discovery import modules
 from workflows.instances import Problem, Truth
 from workflows.metrics import (
     METRICS,
     Case,
 )
 from workflows.metrics.errors import rotation_error_deg
+from workflows.records import runs_columns
 from workflows.stages.evaluate import judge, relate
 
 
@@ -279,3 +283,26 @@ def test_every_metric_is_documented_and_has_a_worst_value():
         assert metric.meaning
         assert metric.unit
         assert metric.better in ("lower", "higher", "none"), name
+
+
+def test_a_metric_is_one_file_that_is_found(rng, tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(
+        "from workflows.metrics.case import metric\n\n"
+        "@metric('target unit', 'lower', axis='maximum error')\n"
+        "def maximum_error(case):\n"
+        "    '''Maximum distance of the true pairs at the found pose.'''\n"
+        "    return float(case.residuals.max())\n"
+    )
+    monkeypatch.setattr(workflows.metrics, "__path__", [*workflows.metrics.__path__, str(tmp_path)])
+    monkeypatch.delitem(sys.modules, "workflows.metrics.mine", raising=False)
+    try:
+        modules(workflows.metrics)
+        found = METRICS["maximum_error"]
+        assert found.meaning == "Maximum distance of the true pairs at the found pose"
+        assert found.compute(case(similarity(0, 1, (0.3, 0.4)), np.eye(3), rng)) == pytest.approx(
+            0.5
+        )
+        assert "maximum_error" in runs_columns()
+    finally:
+        METRICS.pop("maximum_error", None)
+        sys.modules.pop("workflows.metrics.mine", None)

@@ -20,13 +20,13 @@ sys.path.insert(0, str(Path(__file__).parent))
 import report_fixture
 
 from baselines import registry
+from reports import page as pages
 from reports import theme
 from reports.build import build
-from reports.figures import attribution, levels, printing
+from reports.figures import attribution, levels, printing, standalone
 from reports.figures.standalone import paper_2d, paper_3d, paper_examples, paper_images, paper_scans
 from reports.ledger.judging import ledger
-from reports.page import pack_json
-from reports.sections import outcome
+from reports.sections import figures, outcome
 from reports.sections.parameters import parameters
 from reports.tables import ReportError, Tables, row_names, thin_trace
 from workflows.attribution import VERDICTS
@@ -524,5 +524,23 @@ def test_formats(text, expected):
 
 
 def test_packed_numbers_are_valid_json():
-    packed = pack_json({"a": [float("nan"), float("inf"), np.float64(1 / 3), np.int64(2)]})
+    packed = pages.pack_json({"a": [float("nan"), float("inf"), np.float64(1 / 3), np.int64(2)]})
     assert json.loads(gzip.decompress(base64.b64decode(packed))) == {"a": [None, None, 0.333333, 2]}
+
+
+def test_a_figure_is_one_file_that_is_found(tables, tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(
+        "from reports.figures import levels\n\n"
+        "POSITION, CAPTION, DRAWN = 1, 'My caption.', ('median',)\n\n"
+        "def build(tables, styles):\n"
+        "    runs = levels.prepare(tables, 'similarity2d')\n"
+        "    return levels.assemble('mine', 'My figure', runs, styles)\n"
+    )
+    monkeypatch.setattr(standalone, "__path__", [*standalone.__path__, str(tmp_path)])
+    page = pages.Page(tables, theme.method_styles(tables), tmp_path / "figures")
+    try:
+        first = figures.context(page)["figures"][0]
+    finally:
+        sys.modules.pop("reports.figures.standalone.mine", None)
+    assert (first["figure"].title, first["caption"]) == ("My figure", "My caption.")
+    assert (tmp_path / "figures" / "mine.svg").is_file()
