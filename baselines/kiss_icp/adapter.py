@@ -26,8 +26,8 @@ class Adapter(Baseline):
         unit = unit_of(instance)
         distance = self.options["max_distance"] * unit
         voxel_map = VoxelHashMap(
-            # Neighbours are searched in adjacent voxels only, so voxels as large as the distance;
-            # every point is kept.
+            # Neighbours are searched in adjacent voxels only, so a voxel is as large as the distance.
+            # Every point is kept.
             voxel_size=distance,
             max_distance=1e6 * unit,
             max_points_per_voxel=len(instance.target),
