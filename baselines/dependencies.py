@@ -50,6 +50,8 @@ def files_behind(
         near = (file for text in texts for file in path.parent.glob(text))
         waiting += filter(Path.is_file, [path.with_suffix(".pyi"), *near])
         for level, module, name in imports:
+            if level and not path.is_relative_to(checkout):
+                continue  # within a method's own folder, which counts anyway
             if level:
                 parts = path.relative_to(checkout).parts[:-level]
                 module = ".".join([*parts, module] if module else parts)

@@ -36,7 +36,7 @@ from scipy.spatial.distance import cdist
 from baselines._shared import open3d_clouds
 from baselines._shared.poses import median_spacing
 from baselines.contract import Baseline, Card, Instance, Limits, Solution, tiny
-from dcreg.problem.geometry import fit_pose
+from dcreg.problem.geometry import farthest_point_order, fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
 
@@ -207,7 +207,8 @@ def all_pairs(instance: Instance, max_pairs: int) -> Putative:
         )
     rows, note = np.arange(n), ""
     if kept < n:
-        rows = _spread(instance.source, kept)
+        first = int(np.argmax(((instance.source - instance.source.mean(axis=0)) ** 2).sum(axis=1)))
+        rows = np.sort(farthest_point_order(instance.source, kept, first))
         note = f"all-pairs: {kept} of {n} source points paired (max_pairs)"
     pairs = np.column_stack([np.repeat(rows, m), np.tile(np.arange(m), len(rows))])
     return Putative(pairs, note)
@@ -252,16 +253,6 @@ def _signatures(
     means = (signature.mean(axis=1, keepdims=True) for signature in (near, far))
     near_mean, far_mean = (np.where(mean > 0, mean, 1.0) for mean in means)
     return near / near_mean, far / far_mean
-
-
-def _spread(points: np.ndarray, count: int) -> np.ndarray:
-    """Return the sorted indices of `count` points, each the farthest from those before it."""
-    chosen = [int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))]
-    nearest = np.full(len(points), np.inf)
-    while len(chosen) < count:
-        nearest = np.minimum(nearest, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
-        chosen.append(int(np.argmax(nearest)))
-    return np.sort(chosen)
 
 
 class CorrespondenceMethod(Baseline):

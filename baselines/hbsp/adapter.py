@@ -66,4 +66,5 @@ def search_rotation(problem: NormalisedProblem, shifted: np.ndarray, budget: Bud
     """Find the best rotation of the shifted source by HBSP's bound."""
     space = Rotation3D(shifted, problem.target, problem.n_inliers, stop_flag=budget.stop)
     bound = SemidefiniteRotationBound(space, threads=problem.threads)
+    budget = budget.named("start of rotation")
     return minimise(space, bound, budget, gap_tol=problem.gap_tol, stage="rotation")

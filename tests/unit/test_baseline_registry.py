@@ -376,6 +376,14 @@ class TestWhatAMethodDependsOn:
         found = {path.relative_to(checkout).as_posix() for path in behind}
         assert found == {"uses.py", "dcreg/__init__.py", "dcreg/status.py"}
 
+    def test_a_method_outside_the_checkout_may_import_its_own_files(
+        self, checkout: Path, tmp_path_factory: pytest.TempPathFactory
+    ) -> None:
+        adapter = tmp_path_factory.mktemp("elsewhere") / "adapter.py"
+        adapter.write_text("from . import helper\nfrom .helper import f\nimport dcreg.status\n")
+        behind = files_behind([adapter], checkout)
+        assert behind == {adapter, checkout / "dcreg/__init__.py", checkout / "dcreg/status.py"}
+
     def test_imports_for_type_checkers_do_not_count(self, checkout: Path) -> None:
         only_types = "\nif TYPE_CHECKING:\n    from dcreg.plot import page\n"
         assert "icp" in self.rerun_by(checkout, "baselines/icp/adapter.py", only_types)
