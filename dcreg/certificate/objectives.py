@@ -68,11 +68,8 @@ class Objective(abc.ABC):
         scale_range: tuple[float, float],
         feasible: np.ndarray | None = None,
     ) -> None:
-        self.source = source
-        self.target = target
-        self.k = k
-        self.scale_range = scale_range
-        self.feasible = feasible
+        self.source, self.target, self.k = source, target, k
+        self.scale_range, self.feasible = scale_range, feasible
         self.n_assignments = 0
         self._profiles: dict[bytes, Profile] = {}
         self.prepare()
@@ -137,8 +134,6 @@ class Objective(abc.ABC):
         """Return (...) lower bounds on the objective less its gaps, from profiles (..., r) and (...)."""
         return sum_of_smallest(rows - gaps, 1 if self.is_uniform else self.k) - totals
 
-    # --- the objective at parameters that several boxes share
-
     def lower_bounds(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
         """Return lower bounds on E at (B, dim) parameters without assignments, up to about `needed`."""
         return np.zeros(len(thetas))
@@ -169,8 +164,17 @@ class Objective(abc.ABC):
     def solved_profile(self, theta: np.ndarray) -> Profile:
         """Return the exact profile, computed once; its duals serve the neighbours."""
         key = theta.tobytes()
-        if key not in self._profiles or not self._profiles[key].is_exact:
-            self._profiles[key] = self._solve(theta)
+        if key in self._profiles and self._profiles[key].is_exact:
+            return self._profiles[key]
+        self.n_assignments += 1
+        cost = self._allowed(self.costs(theta))
+        wide, columns = cheapest_pairs(cost, self.k)
+        duals = duals_of(wide, columns)[: cost.shape[1]]
+        self._duals.add(theta, duals)
+        if self.is_uniform:
+            self._profiles[key] = Profile(np.array([_sum_of(wide, columns)]), 0.0, True)
+        else:
+            self._profiles[key] = self._profile(cost, duals, True)
         return self._profiles[key]
 
     def _estimates(self, thetas: np.ndarray) -> list[Profile]:
@@ -178,16 +182,6 @@ class Objective(abc.ABC):
             self._profile(self._allowed(self.costs(theta)), self._duals.near(theta), False)
             for theta in thetas
         ]
-
-    def _solve(self, theta: np.ndarray) -> Profile:
-        self.n_assignments += 1
-        cost = self._allowed(self.costs(theta))
-        wide, columns = cheapest_pairs(cost, self.k)
-        duals = duals_of(wide, columns)[: cost.shape[1]]
-        self._duals.add(theta, duals)
-        if self.is_uniform:
-            return Profile(np.array([_sum_of(wide, columns)]), 0.0, True)
-        return self._profile(cost, duals, True)
 
     def _profile(self, cost: np.ndarray, duals: np.ndarray, is_exact: bool) -> Profile:
         rows = (cost + duals).min(axis=1)
