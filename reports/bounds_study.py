@@ -83,9 +83,13 @@ def draw_boxes(tables: dict[str, pd.DataFrame], surface: str) -> MplFigure:
                 }  # fmt: skip
                 value.plot(line["width"], line["value"], **drawn)
                 loss.plot(line["width"], line["loss"].where(line["loss"] > 1e-9), **drawn)
-            least = part.groupby("width")["least"].first()
+            minimum = part.groupby("width")["minimum"].first()
             value.plot(
-                least.index, least, color=INK[surface], linewidth=1, label="minimum objective found"
+                minimum.index,
+                minimum,
+                color=INK[surface],
+                linewidth=1,
+                label="minimum objective found",
             )
             value.set_yscale("symlog", linthresh=0.1)
             value.set_title(f"{instance}: {title}")

@@ -64,11 +64,11 @@ def read_metadata(path: Path) -> list[dict[str, Any]]:
 
 @lru_cache(maxsize=64)
 def fragment(path: Path, number: int) -> np.ndarray:
-    """A whole fragment: one of a mirror's pack, or an original file, which holds no other."""
+    """Read a whole fragment from the pack of a mirror or from its original file."""
     if path.suffix == ".npz":
         with np.load(path) as pack:
             return pack[f"cloud_{number:02d}"].astype(float)
-    # Packs hold float32, without loss: the originals are float32 values in a float64 array.
+    # Packs contain float32 without loss: the originals are float32 values in a float64 array.
     return read_torch_array(path).astype(np.float32).astype(float)
 
 
@@ -85,13 +85,13 @@ def official_tests() -> dict[str, tuple[str, int]]:
 class Loader(RecordedDataset):
     """Shapes are scenes. ``T_true`` maps fragment ``src_j`` (source) into the frame of ``ref_i``.
 
-    Test ``overlap``: one pair for every scene and level, the nominal overlap, few points of each
-    fragment. Tests ``3DMatch`` and ``3DLoMatch``: all pairs of the official lists on their whole
-    clouds, with the matches that all methods share; ``-quick``: every 16th of a list. ``-oriented``: the
-    same pairs, but normals are turned towards the sensor before features are made of them. A level there
-    is the least overlap of a bin, a trial the place among the scene's pairs in it: the grid has holes.
+    Test ``overlap``: one pair per scene and level (the nominal overlap), with few points of each fragment.
+    Tests ``3DMatch`` and ``3DLoMatch``: all pairs of the official lists on whole clouds, with the matches
+    that all methods share. ``-quick``: every 16th pair of a list. ``-oriented``: the same pairs, with
+    normals oriented towards the sensor before features are computed. A level of these tests is the
+    minimum overlap of a bin, a trial the index among the scene's pairs in it; the grid is incomplete.
 
-    ``info["overlap"]`` is the official one, a fraction of the target. Lengths are metres.
+    ``info["overlap"]`` is the official value, a fraction of the target. Lengths are in metres.
     """
 
     def shapes(self) -> list[str]:

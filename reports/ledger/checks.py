@@ -274,8 +274,8 @@ def _times_to_equal_gap(
     if reached >= NO_BOUND:
         return None
     times = []
-    for history, least, factor in zip((one, other), smallest, factors, strict=True):
-        if least <= reached:
+    for history, minimum, factor in zip((one, other), smallest, factors, strict=True):
+        if minimum <= reached:
             seconds = float(history.loc[history["gap"] <= reached, "time_s"].iloc[0])
         else:
             seconds = factor * float(history["time_s"].iloc[-1])

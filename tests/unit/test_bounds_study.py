@@ -87,7 +87,7 @@ def test_bounds_are_asked_for_their_full_strength(cases, monkeypatch):
 def test_every_bound_is_below_the_least_objective_met(name, boxes):
     table = boxes[name].dropna(subset="value")
     assert set(BOUND_NAMES) <= set(table["bound"])
-    assert (table["value"] <= table["least"] + 1e-8).all()
+    assert (table["value"] <= table["minimum"] + 1e-8).all()
     of_library = table[table["bound"].isin(BOUND_NAMES)]
     assert (of_library["n_assignments"] >= 1).all()
 
@@ -109,7 +109,7 @@ def test_the_reference_loses_once_its_loss_and_first_order_bounds_more_in_small_
 def test_orders_are_the_slopes_of_the_loss():
     widths = np.geomspace(1, 1e-3, 12)
     rows = [
-        {"instance": "i", "place": "holding", "bound": name, "width": width, "least": 1.0,
+        {"instance": "i", "place": "holding", "bound": name, "width": width, "minimum": 1.0,
          "loss": 5 * width**order}
         for name, order in (("first", 1), ("second", 2)) for width in widths
     ]  # fmt: skip

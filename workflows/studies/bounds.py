@@ -6,7 +6,7 @@ part without a change here. Writes to OUT
 
 - ``boxes.csv``: the bound of every box, and the minimum objective found in it. Boxes of one width are
   centred on the certified optimum, contain it elsewhere, or lie away from it.
-- ``losses.csv``: the mean of ``least - bound`` over the boxes of one width and place, and its ratio to
+- ``losses.csv``: the mean of ``minimum - bound`` over the boxes of one width and place, and its ratio to
   the loss of the published DC bound.
 - ``orders.csv``: the empirical order of convergence, the slope of log loss against log width.
 - ``searches.csv``: gap against nodes and assignments, one search per bound of the library, and per bound
@@ -69,7 +69,7 @@ class Case:
     space: FeatureSpace
     gap_tol: float
     theta: np.ndarray
-    least: float
+    minimum: float
 
     @classmethod
     def of(cls, name: str) -> Case:
@@ -110,7 +110,7 @@ def placements(theta: np.ndarray, width: float) -> dict[str, list[Box]]:
     }
 
 
-def least_met(case: Case, box: Box) -> float:
+def minimum_found(case: Case, box: Box) -> float:
     """Return the minimum objective found in the box, which is exact if the box contains the optimum."""
     space = case.space
     thetas = np.vstack([box.centre, box.vertices(), box.sample(np.random.default_rng(SEED), 60)])
@@ -174,8 +174,8 @@ def boxes_table(name: str, case: Case) -> pd.DataFrame:
     for width in map(float, WIDTHS):
         for place, boxes in placements(case.theta, width).items():
             for draw, box in enumerate(boxes):
-                least = least_met(case, box)
-                if not np.isfinite(least):
+                minimum = minimum_found(case, box)
+                if not np.isfinite(minimum):
                     continue
                 for line in compared:
                     began = time.perf_counter()
@@ -183,7 +183,7 @@ def boxes_table(name: str, case: Case) -> pd.DataFrame:
                     rows.append(
                         {
                             "instance": name, "place": place, "draw": draw, "width": width,
-                            "bound": line.name, "value": value, "least": least,
+                            "bound": line.name, "value": value, "minimum": minimum,
                             "n_assignments": spent, "time_s": time.perf_counter() - began,
                         }
                     )  # fmt: skip
@@ -194,8 +194,8 @@ def losses_table(boxes: pd.DataFrame) -> pd.DataFrame:
     """Return the mean loss per bound, place and width, and its ratio to the loss of `REFERENCE`."""
     axes = ["instance", "place", "width"]
     mean = (
-        boxes.assign(loss=boxes["least"] - boxes["value"])
-        .groupby([*axes, "bound"], sort=False)[["value", "least", "loss"]]
+        boxes.assign(loss=boxes["minimum"] - boxes["value"])
+        .groupby([*axes, "bound"], sort=False)[["value", "minimum", "loss"]]
         .mean()
         .reset_index()
     )
@@ -212,7 +212,7 @@ def orders_table(losses: pd.DataFrame) -> pd.DataFrame:
     held = losses[losses["place"] != "away"]
     rows = []
     for (instance, place, name), part in held.groupby(["instance", "place", "bound"], sort=False):
-        part = part[part["loss"] > SHOWING * part["least"]].nsmallest(N_FITTED, "width")
+        part = part[part["loss"] > SHOWING * part["minimum"]].nsmallest(N_FITTED, "width")
         order = np.nan
         if len(part) > 2:
             order = float(np.polyfit(np.log(part["width"]), np.log(part["loss"]), 1)[0])
@@ -267,7 +267,7 @@ def run(out: Path, time_s: float) -> None:
         case = Case.of(name)
         boxes.append(boxes_table(name, case))
         searches.append(searches_table(name, case, time_s))
-        typer.echo(f"{name}: optimum {case.least:.6g}, {len(boxes[-1])} bounds of boxes")
+        typer.echo(f"{name}: optimum {case.minimum:.6g}, {len(boxes[-1])} bounds of boxes")
     table = pd.concat(boxes)
     losses = losses_table(table)
     out.mkdir(parents=True, exist_ok=True)
