@@ -85,7 +85,7 @@ def official_tests() -> dict[str, tuple[str, int]]:
 class Loader(RecordedDataset):
     """Shapes are scenes. ``T_true`` maps fragment ``src_j`` (source) into the frame of ``ref_i``.
 
-    Test ``overlap``: one pair per scene and level (the nominal overlap), with few points of each fragment.
+    Test ``overlap``: one pair per scene and level (the nominal overlap), with few points per fragment.
     Tests ``3DMatch`` and ``3DLoMatch``: all pairs of the official lists on whole clouds, with the matches
     that all methods share. ``-quick``: every 16th pair of a list. ``-oriented``: the same pairs, with
     normals oriented towards the sensor before features are computed. A level of these tests is the
