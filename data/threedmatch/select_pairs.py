@@ -1,8 +1,8 @@
-"""How the tables of pairs were made: ``python -m data.threedmatch.select_pairs`` prints pairs.csv again,
-with the argument ``lists`` lists.csv, which is the official lists 3DMatch and 3DLoMatch in their order.
+"""Make the tables of pairs: ``python -m data.threedmatch.select_pairs`` prints pairs.csv.
 
-For pairs.csv: from the official lists 3DMatch and 3DLoMatch, per scene and nominal overlap, the pair
-whose overlap is nearest, among those with a rotation of 20 degrees or more when there are any.
+With the argument ``lists`` it prints lists.csv: the official lists 3DMatch and 3DLoMatch in their order.
+The rows of pairs.csv are, per scene and nominal overlap, the pair of these lists with the nearest
+overlap, among those with a rotation of at least 20 degrees if there are any.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def _angle_deg(rotation: np.ndarray) -> float:
 
 
 def select(lists: dict[str, list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """The frozen list, from the official lists by name."""
+    """Return the frozen list, from the official lists by name."""
     entries = [{**entry, "set": name} for name, pairs in lists.items() for entry in pairs]
     rows = []
     for scene in sorted({entry["scene_name"] for entry in entries}):

@@ -56,7 +56,7 @@ def test_errors_are_attributed(changes, verdict):
         (PROOF | {"certificate_scope": "number of inliers", "gap_tol": 0.0}, np.nan, 0.015),
     ],
 )
-def test_the_tolerance_is_that_of_proofs_or_else_the_least_or_a_share(proof, gap_tol, expected):
+def test_the_tolerance_is_that_of_proofs_or_the_minimum_or_a_share(proof, gap_tol, expected):
     runs = pd.DataFrame([proof, RUN | {"gap_tol": gap_tol}])
     np.testing.assert_allclose(tolerance(runs), expected, rtol=1e-6)
 

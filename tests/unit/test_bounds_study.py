@@ -84,7 +84,7 @@ def test_bounds_are_asked_for_their_full_strength(cases, monkeypatch):
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_every_bound_is_below_the_least_objective_met(name, boxes):
+def test_every_bound_is_below_the_minimum_objective_found(name, boxes):
     table = boxes[name].dropna(subset="value")
     assert set(BOUND_NAMES) <= set(table["bound"])
     assert (table["value"] <= table["minimum"] + 1e-8).all()

@@ -211,7 +211,7 @@ def test_checks_of_closed_searches_leave_the_others_out():
     assert figures(REGRET, ours, runs_of("half", objective=1.05)) == [(1.0, 60)]
 
 
-def test_what_a_bound_of_zero_proves_says_nothing_of_bounds():
+def test_optima_below_the_tolerance_do_not_count_for_bounds():
     closed = {**RATIO, "closed": True, "by": []}
     trivial = runs_of("ours", objective=lambda level, draw: 0.1 if level else 1.0)
     assert figures(closed, trivial, runs_of("rival")) == [(pytest.approx(1.0), TRIALS)]
@@ -324,7 +324,7 @@ def test_levels_beyond_the_axes_of_the_paper_count_only_where_they_are_listed():
     assert "mixed outliers, 0.5" in found.evidence
 
 
-def test_the_only_level_of_a_test_is_not_its_least():
+def test_the_only_level_of_a_test_is_not_its_bottom():
     alone = runs_of("ours").query("level == 0.2")
     check = {**VALUE, "levels": "bottom"}
     found = judged(evidence(alone), check)
@@ -428,7 +428,7 @@ def test_one_part_against_refutes_and_is_the_evidence():
 
 
 @pytest.mark.parametrize(("least", "verdict"), [(0.1, REPRODUCED), (0.5, NOT)])
-def test_one_part_is_enough_where_a_claim_says_or(least, verdict):
+def test_one_part_is_enough_for_a_claim_with_any(least, verdict):
     ours = runs_of("ours", rmse_excess=lambda level, draw: draw * (least if level == 0.1 else 0.9))
     check = {**RATIO, "any": True}
     assert judged(evidence(ours, runs_of("rival", rmse_excess=0.2)), check).verdict == verdict
@@ -444,7 +444,7 @@ def test_one_wrong_certificate_refutes_that_there_are_none():
         assert judge_claim(ledger(), claim, evidence(*wrong)).verdict == NOT
 
 
-def test_a_verdict_that_rests_on_a_reconstruction_says_so():
+def test_a_verdict_names_the_reconstructions_that_it_relies_on():
     both = evidence(runs_of("ours"), runs_of("rival", rmse_excess=0.1))
     assert judged(both, RATIO).reconstruction == "RPM-HTB"
     assert judged(both, VALUE).reconstruction == ""
@@ -514,7 +514,7 @@ def test_few_successes_do_not_show_a_share():
     assert judged(evidence(few), check).verdict == OPEN
 
 
-def test_interval_covers_the_mean_as_often_as_it_says():
+def test_interval_has_its_nominal_coverage_of_the_mean():
     rng = np.random.default_rng(1)
     inside = [
         (found := intervals.mean(rng.normal(1.0, 1.0, 40))).low <= 1.0 <= found.high

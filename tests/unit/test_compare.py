@@ -229,6 +229,6 @@ def test_exit_codes_for_ci(history, capfd, head, code, says):
     assert says in result.output + capfd.readouterr().err
 
 
-def test_an_empty_history_says_how_to_record(tmp_path):
+def test_an_empty_history_names_the_command_to_record(tmp_path):
     with pytest.raises(CompareError, match="workflows record --version v1"):
         compare("v1", "v2", tmp_path)

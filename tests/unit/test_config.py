@@ -170,7 +170,7 @@ def test_limits_that_are_none_are_refused_in_the_quick_part_too(write, monkeypat
             config.load(name)
 
 
-def test_a_config_without_a_quick_part_says_so():
+def test_a_missing_quick_part_is_reported():
     with pytest.raises(ConfigError, match=r"demo\.yaml: has no quick part; add the key quick"):
         config.load("demo-quick")
 
@@ -185,7 +185,7 @@ def test_limits_of_a_quick_part_are_checked_like_others(write, monkeypatch, limi
         config.load("small-quick")
 
 
-def test_shared_lists_of_methods_are_read_from_beside_the_config(write):
+def test_shared_lists_of_methods_are_read_next_to_the_config(write):
     path = write({**GOOD, "methods": ["local", {"name": "dcreg", "baseline": "dcreg"}]})
     with pytest.raises(ConfigError, match=r"small\.yaml: methods: no list 'local' in .*methods"):
         config.load(path)

@@ -99,7 +99,7 @@ def test_mixed_outliers_fill_the_inflated_box():
 
 @settings(max_examples=20, deadline=None)
 @given(shape=shapes, seed=seeds)
-def test_separate_outliers_lie_in_disjoint_half_planes_beside_the_shape(shape, seed):
+def test_separate_outliers_are_in_disjoint_half_planes_next_to_the_shape(shape, seed):
     prototype = EMBEDDED.prototype(shape)
     made = separate_outliers(prototype, 0.5, np.random.default_rng(seed))
     left, right = made.source[100:], made.target[100:]

@@ -222,7 +222,7 @@ def test_a_run_without_pose_has_no_metrics_and_no_success(rng):
     assert row["objective_true"] == pytest.approx(0, abs=1e-12)  # known without any pose
 
 
-def test_a_run_is_judged_by_the_marks_and_the_given_range(rng):
+def test_a_run_is_evaluated_by_the_marks_and_the_given_range(rng):
     source = rng.random((8, 2))
     problem = Problem(
         instance_id="i", source=source, target=source, model="similarity2d",

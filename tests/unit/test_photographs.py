@@ -113,7 +113,7 @@ def test_folders_of_the_public_form_are_read(make, name, shape, second, cache):
 
 
 @pytest.mark.parametrize(("name", "place"), [("voc2007", "VOC2007"), ("caltech256", "256_Ob")])
-def test_without_the_folder_it_says_what_to_put_where(name, place, cache):
+def test_without_the_folder_the_error_names_what_to_put_where(name, place, cache):
     shape = dataset(name).shapes()[0]
     with pytest.raises(
         UnavailableError, match=rf"no folder {cache}/{name}.*{place}.* Put the fold"

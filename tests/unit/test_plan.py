@@ -117,7 +117,7 @@ def test_a_selection_is_a_part_of_the_whole_in_chunks_of_its_own():
     assert not {chunk.name for chunk in part.chunks} & {chunk.name for chunk in whole.chunks}
 
 
-def test_a_selection_that_matches_nothing_says_what_there_is():
+def test_a_selection_without_a_match_lists_the_known_values():
     with pytest.raises(ConfigError, match="METHODS=ipc matches nothing"):
         expand(experiment(), parse_selection(["methods=ipc"]))
     with pytest.raises(ConfigError, match="contains no run"):

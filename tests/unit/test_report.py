@@ -107,7 +107,7 @@ def test_messages_are_escaped(html):
     assert "<b>segfault</b>" not in html
 
 
-def test_print_figures_are_beside_the_page_and_in_it(html, folder):
+def test_print_figures_are_next_to_the_page_and_in_it(html, folder):
     for name in ("levels-similarity2d.svg", "levels-rigid3d-mean.pdf"):
         content = (folder.parent / "report" / "figures" / name).read_bytes()
         assert Page(html).files[name] == content
@@ -311,7 +311,7 @@ def test_methods_that_receive_the_true_pairs_come_last(tables):
     assert ranked[-1] == best["method"]
 
 
-def test_first_screen_says_what_was_run(html):
+def test_first_screen_shows_what_was_run(html):
     shown = re.sub(r"<[^>]*>", " ", html.split('class="run"')[1].split("</dl>")[0])
     for text in ("fish-like, glyph-like of demo", "98", "10 s per run", "0.05 of the longest side",
                  "1 and 0.5 × the true pairs"):  # fmt: skip
@@ -329,14 +329,14 @@ def test_ledger_is_on_the_first_page_of_its_experiment(folder, tmp_path):
     assert "<code>low-3d</code>" not in page
 
 
-def test_a_run_at_its_limit_says_so_and_how_to_repeat_it(html):
+def test_a_run_at_its_limit_shows_the_limit_and_its_replay(html):
     text = html.split('id="unfinished"')[1].split("</table>")[0]
     assert "hit its limit of 10 s (made-up bound)" in text
     assert "–" not in re.findall(r'class="reason">([^<]*)', text)
     assert "python -m workflows replay made-up" in text
 
 
-def test_the_page_tells_the_limit_that_a_run_met(tmp_path):
+def test_the_page_shows_the_limit_that_a_run_hit(tmp_path):
     """A search that ended by its boxes did not meet the seconds."""
     folder = report_fixture.write_tables(tmp_path / "tables")
     path = folder / "provenance.json"

@@ -118,7 +118,7 @@ def alive(pid: int) -> bool:
         return False
 
 
-def test_unavailable_says_how_to_get_it_without_warm_up(tmp_path, monkeypatch):
+def test_unavailable_names_how_to_get_it_without_warm_up(tmp_path, monkeypatch):
     folder = tmp_path / "absent"
     folder.mkdir()
     card = (FAULTS / "fault" / "card.yaml").read_text()
