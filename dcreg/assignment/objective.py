@@ -72,10 +72,10 @@ def objective(
     stop: np.ndarray = NEVER,
     at_once: int = AT_ONCE_PAIRS,
 ) -> tuple[float, np.ndarray]:
-    """Least sum of squared residuals of `n_inliers` one-to-one pairs at a pose.
+    """Return the minimum sum of squared residuals of `n_inliers` one-to-one pairs at a pose.
 
-    Clouds too large for a dense matrix are matched over nearest neighbours, which is exact where it can
-    be proved and else an upper bound, see ``dcreg.assignment.sparse.sparse_matching``.
+    Clouds too large for a dense matrix are matched over nearest neighbours. The result is then exact if
+    this can be proved, otherwise an upper bound; see ``dcreg.assignment.sparse.sparse_matching``.
 
     Parameters
     ----------
@@ -85,11 +85,11 @@ def objective(
     candidates : (n, m) bool array, optional
         The feasible pairs.
     prove : bool
-        For large clouds: False takes a quick upper bound instead.
+        For large clouds: False returns a quick upper bound instead.
     stop : (1,) uint8 array
-        Set from another thread, it asks for an upper bound at once: near pairs, chosen greedily.
+        Set from another thread to get an upper bound at once: near pairs, chosen greedily.
     at_once : int
-        Clouds of so many pairs of points are matched to the end all the same.
+        Maximum number of pairs of points that are matched exactly even if `stop` is set.
 
     Returns
     -------
@@ -172,13 +172,12 @@ def quick_objective(
     known: Matched | None,
     prove: bool = True,
     stop: np.ndarray = NEVER,
-    at_once: int = AT_ONCE_PAIRS,
 ) -> tuple[float, np.ndarray, bool]:
     """Match at a pose; once `stop` is set, take the better of the new pairs and of known ones.
 
     Parameters
     ----------
-    source, target, T_target_source, n_inliers, candidates, prove, stop, at_once
+    source, target, T_target_source, n_inliers, candidates, prove, stop
         As in `objective`.
     known : Matched, optional
         Feasible pairs, at least `n_inliers`.
@@ -191,9 +190,8 @@ def quick_objective(
 
     def own() -> tuple[float, np.ndarray, bool]:
         return match_at(
-            source, target, T_target_source, n_inliers, candidates,
-            prove=prove, stop=stop, at_once=at_once,
-        )  # fmt: skip
+            source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop
+        )
 
     if known is None or not stop[0]:
         return own()

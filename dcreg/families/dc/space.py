@@ -40,7 +40,7 @@ class FeatureSpace(Space):
 
     def _costs(self, theta: np.ndarray) -> np.ndarray:
         """Return the (n, m) costs: squared residuals and penalties of infeasible pairs."""
-        cost = np.empty((self.n_source, self.n_target))
+        cost = np.empty((self.clouds.source.shape[1], self.clouds.target.shape[-1]))
         pair_costs(self.clouds, theta, cost)
         return cost
 
