@@ -194,7 +194,7 @@ class RigidBound(SpaceBound[Rigid3D]):
         return found.bounds, thetas, found.values
 
     def _look_at_best(self, thetas: np.ndarray, guesses: np.ndarray, values: np.ndarray) -> None:
-        """The objective where it may be least."""
+        """Compute the objective where its estimate is smallest."""
         best = int(np.argmin(guesses))
         if guesses[best] < values.min():
             values[best] = self.space.objective(thetas[best])[0]

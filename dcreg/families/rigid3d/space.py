@@ -215,6 +215,6 @@ class Rigid3D(CloudSpace):
 
     def _parameter(self, T: np.ndarray) -> np.ndarray:
         """Return the quaternion and translation of a pose, by the fit to four moved points."""
-        corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-        moved = apply_pose(T, corners)
-        return self.fit(corners.T, moved.T)
+        tetrahedron = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+        moved = apply_pose(T, tetrahedron)
+        return self.fit(tetrahedron.T, moved.T)

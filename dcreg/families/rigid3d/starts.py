@@ -160,10 +160,10 @@ def _long_triples(points: np.ndarray, n_inliers: int, rng: np.random.Generator) 
 
 def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
     """Return (T, 3) distances: first to second point, first to third, second to third."""
-    corners = points[triples]
+    vertices = points[triples]
     ends = ((0, 1), (0, 2), (1, 2))
     return np.stack(
-        [np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in ends], axis=1
+        [np.linalg.norm(vertices[:, a] - vertices[:, b], axis=1) for a, b in ends], axis=1
     )
 
 

@@ -66,8 +66,8 @@ def search_sampled_rotation(
     for at, q in enumerate(grid):
         if budget.is_over:
             break
-        turned = source_shifted[few] @ rotation_matrix(q).T
-        scores[at] = nearest_pairs(turned, sparse_tree, _part(share, few.size))[1]
+        rotated = source_shifted[few] @ rotation_matrix(q).T
+        scores[at] = nearest_pairs(rotated, sparse_tree, _part(share, few.size))[1]
     sample = source_shifted[some]
     descents: list[tuple[float, np.ndarray]] = []
     for at in np.argsort(scores, kind="stable")[:_DESCENTS]:
@@ -79,8 +79,8 @@ def search_sampled_rotation(
     theta = descents[0][1]
     if not budget.is_over:
         theta = _descend(source_shifted, target, tree, n_inliers, theta, budget)
-    turned = source_shifted @ rotation_matrix(theta).T
-    matching = sparse_matching(turned, target, n_inliers, prove=False, stop=budget.stop)
+    rotated = source_shifted @ rotation_matrix(theta).T
+    matching = sparse_matching(rotated, target, n_inliers, prove=False, stop=budget.stop)
     lower, _ = match_on_line(
         np.linalg.norm(source_shifted, axis=1), np.linalg.norm(target, axis=1), n_inliers
     )

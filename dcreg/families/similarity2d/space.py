@@ -160,11 +160,11 @@ class Similarity2D(FeatureSpace):
 
     def _descend(self, theta: np.ndarray, count: int) -> tuple[np.ndarray, float, int]:
         """Refine with `count` pairs."""
-        _, col_of, prices = cheapest_pairs(self._costs(theta), count, self.stop_flag)
+        _, col_of, duals = cheapest_pairs(self._costs(theta), count, self.stop_flag)
         self.check()
 
         def evaluate(trial: np.ndarray) -> tuple[float, np.ndarray]:
-            value, matching = improve_assignment(self._costs(trial), count, prices, self.stop_flag)
+            value, matching = improve_assignment(self._costs(trial), count, duals, self.stop_flag)
             self.check()
             return value, matching
 
@@ -186,8 +186,8 @@ class Similarity2D(FeatureSpace):
         """
         rows = np.flatnonzero(col_of >= 0)
         both = np.concatenate([self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]]])
-        mx, my, mu, mv = middle = both.sum(axis=1) / rows.size
-        both -= middle[:, None]
+        mx, my, mu, mv = centre = both.sum(axis=1) / rows.size
+        both -= centre[:, None]
         products = both @ both.T  # of x, y of the source and u, v of the target
         dot = products[0, 2] + products[1, 3]
         cross = products[0, 3] - products[1, 2]
