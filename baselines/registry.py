@@ -1,4 +1,4 @@
-"""Finds the methods in ``baselines/<name>/``, loads them, and explains why one cannot run.
+"""Find the methods in ``baselines/<name>/``, load them, and explain why one cannot run.
 
 A folder with ``card.yaml`` and ``adapter.py`` is a method; nothing else has to be edited to add one.
 Folders whose names start with ``_`` hold shared helpers or the template. Further folders of methods
@@ -33,7 +33,7 @@ from dcreg.problem.problem import suggestion
 ROOT = Path(__file__).resolve().parent
 TEMPLATE = ROOT / "_template"
 
-# Facts of a card that a solve cannot depend on: changing one of them reruns nothing.
+# Facts of a card that do not affect a solve: a change of them repeats no run.
 PRESENTATION = {
     "display_name", "summary", "input", "provenance", "how_to_get", "citation", "licence", "url",
     "color", "marker", "ranges",
@@ -169,7 +169,7 @@ def _facts(name: str, root: Path | None) -> dict[str, Any]:
 
 
 def version(card: Card) -> str:
-    """Version of the code that solves: the required distribution's, or this repository's."""
+    """Return the version of the required distribution, or of this repository."""
     if not card.requires:
         return repository_version
     module = card.requires.partition(".")[0]
@@ -197,9 +197,9 @@ def fingerprint(name: str, root: Path | None = None) -> str:
 
 
 def code_of(name: str, root: Path | None = None) -> list[Path]:
-    """Files that decide the results of a method, its card aside: its folder, and what that imports.
+    """Return the files that determine the results of a method: its folder and its imports.
 
-    Child processes and data files within the folder count, whatever reads them.
+    All files of the folder but the card count, including child processes and data files.
     """
     root = root or root_of(name)
     own = [path for path in _files(root / name) if path.name != "card.yaml"]
@@ -208,7 +208,7 @@ def code_of(name: str, root: Path | None = None) -> list[Path]:
 
 
 def new_baseline(name: str, root: Path = ROOT) -> Path:
-    """Copy the template to ``root/name``, with a colour no other method has; return the folder."""
+    """Copy the template to ``root/name`` with an unused colour; return the folder."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise BaselineError(
             f"{name!r} cannot name a method: use a lower-case letter, then letters, digits or _"
@@ -264,7 +264,7 @@ def _check_option(name: str, card: Card, option: str, value: Any) -> None:
         return
     example = 1.0 if default is None and admitted is not None else default
     if example is None or (value is None and isinstance(example, str)):
-        return  # the method's own to judge
+        return  # checked by the method
     if not _is_like(value, example):
         raise BaselineError(
             f"{name}: option {option} = {value!r} is a {type(value).__name__}; "
@@ -276,12 +276,12 @@ def _check_option(name: str, card: Card, option: str, value: Any) -> None:
 
 
 def _is_like(value: Any, example: Any) -> bool:
-    """Whether a value is of the kind of another; an int serves as a float."""
+    """Return whether a value has the type of another; an int is accepted as a float."""
     if isinstance(example, list):
         return isinstance(value, list) and all(
             _is_like(entry, first) for first in example[:1] for entry in value
         )
-    # A bool is an int for Python, but "iterations: true" is a slip.
+    # A bool is an int in Python, but "iterations: true" is a mistake.
     if isinstance(value, bool) or isinstance(example, bool):
         return isinstance(value, bool) and isinstance(example, bool)
     return isinstance(value, (int, float) if isinstance(example, float) else type(example))
@@ -291,8 +291,6 @@ def _card_message(path: Path, error: ValidationError) -> str:
     problem = error.errors()[0]
     field = ".".join(str(part) for part in problem["loc"])
     message = f"{_shown(path)}: field {field}: {problem['msg']}"
-    if field == "depends":
-        return f"{message}; what a method depends on is found from its imports: remove the field"
     if problem["type"] == "extra_forbidden":
         return f"{message}{suggestion(field, Card.model_fields)}"
     if problem["type"] == "missing":
@@ -308,7 +306,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 @functools.cache
 def _distributions() -> Mapping[str, list[str]]:
-    """Names of the distributions that hold each importable package; slow to find out, hence kept."""
+    """Return the distributions of each importable package; slow, hence cached."""
     return metadata.packages_distributions()
 
 
@@ -333,5 +331,5 @@ def _unused_color(name: str, root: Path) -> str:
 
 
 def _shown(path: Path) -> str:
-    """A path as a reader of the checkout knows it."""
+    """Return a path relative to the checkout if it lies there."""
     return str(path.relative_to(ROOT.parent) if path.is_relative_to(ROOT.parent) else path)

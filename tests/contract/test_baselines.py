@@ -1,4 +1,4 @@
-"""Every folder in baselines/ keeps the one contract; methods are found, never listed here."""
+"""Every folder in baselines/ fulfils the contract; methods are found, not listed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LIMITS = Limits(time_s=20.0)
 
 
 def easy_instance(model: str) -> Instance:
-    """A small asymmetric shape, moved a little, with a few points missing from the target."""
+    """Return a small asymmetric shape, slightly moved, with a few points missing from the target."""
     generator = np.random.default_rng(7)
     if model == "similarity2d":
         angle = np.linspace(0, 2 * np.pi, 26)[:-1]  # a fish-like contour
@@ -55,7 +55,7 @@ def easy_instance(model: str) -> Instance:
 
 
 def runnable(name: str) -> Baseline:
-    """The method; where it is not installed, its reason is checked instead of its results."""
+    """Return the method; if it is not installed, check the reason and skip."""
     method = registry.load(name)
     reason = method.available()
     if reason is not None:
@@ -72,7 +72,7 @@ def assert_tells_the_remedy(method: Baseline, reason: str) -> None:
 
 @pytest.fixture(scope="module")
 def solutions() -> dict[tuple[str, ...], Any]:
-    """One run per method and model, shared by the tests that only look at it."""
+    """One run per method and model, shared by the tests that only read it."""
     return {}
 
 
@@ -115,7 +115,7 @@ class TestFolder:
             assert "reconstruction" in card.summary.lower()
             assert "(reconstructed)" in card.display_name
 
-    def test_colour_and_name_are_its_own(self, name: str) -> None:
+    def test_colour_and_name_are_unique(self, name: str) -> None:
         cards = [registry.read_card(other) for other in NAMES]
         card = registry.read_card(name)
         assert Counter(other.color.lower() for other in cards)[card.color.lower()] == 1
@@ -136,7 +136,7 @@ class TestFolder:
             assert (admitted.above is None) != (admitted.least is None), option
             assert not admitted.admits(-1), option
 
-    def test_options_that_do_nothing_are_its_own_and_refused(self, name: str) -> None:
+    def test_options_without_effect_are_refused(self, name: str) -> None:
         card, idle = registry.read_card(name), registry.load(name).idle_options()
         for option, reason in idle.items():
             if option in card.parameters:
@@ -164,7 +164,7 @@ class TestFolder:
 
 @pytest.mark.parametrize(("name", "model"), PAIRS)
 class TestSolve:
-    def test_card_tells_whether_the_number_of_pairs_is_used(
+    def test_card_states_whether_n_inliers_is_used(
         self, solutions: dict, name: str, model: str
     ) -> None:
         solved(solutions, name, model)
@@ -188,7 +188,7 @@ class TestSolve:
         gram = pose[:d, :d].T @ pose[:d, :d]
         np.testing.assert_allclose(gram, scale**2 * np.eye(d), atol=1e-8)
 
-    def test_status_is_true(self, solutions: dict, name: str, model: str) -> None:
+    def test_status_is_consistent(self, solutions: dict, name: str, model: str) -> None:
         solution = solved(solutions, name, model)
         card = registry.read_card(name)
         if solution.status is Status.OPTIMAL:
@@ -217,7 +217,9 @@ class TestSolve:
                 before, after = values[:-1], values[1:]
                 assert (sign * after >= sign * before - slack).all(), (stage, key)
 
-    def test_repeats_itself_when_it_says_so(self, solutions: dict, name: str, model: str) -> None:
+    def test_deterministic_methods_repeat_their_results(
+        self, solutions: dict, name: str, model: str
+    ) -> None:
         first = solved(solutions, name, model)
         if not registry.read_card(name).deterministic or first.status is Status.TIME_LIMIT:
             return
@@ -227,7 +229,7 @@ class TestSolve:
         if first.T_target_source is not None:
             np.testing.assert_array_equal(first.T_target_source, second.T_target_source)
 
-    def test_leaves_its_inputs_alone(self, solutions: dict, name: str, model: str) -> None:
+    def test_inputs_are_not_changed(self, solutions: dict, name: str, model: str) -> None:
         solved(solutions, name, model)
         source, target = solutions[name, model, "given"]
         np.testing.assert_array_equal(source, easy_instance(model).source)
@@ -245,7 +247,7 @@ class TestSolve:
         assert finished or solution.status is Status.TIME_LIMIT
         assert solution.T_target_source is not None or solution.status is Status.FAILED
 
-    def test_survives_awkward_sizes(self, name: str, model: str) -> None:
+    def test_awkward_sizes_are_handled(self, name: str, model: str) -> None:
         """Few points, one pair, n != m, coinciding points: a pose or a reason, no exception."""
         method = runnable(name)
         easy = easy_instance(model)
@@ -266,8 +268,8 @@ class TestSolve:
                 assert np.isfinite(solution.T_target_source).all()
 
 
-# Methods that start close to the answer or search everywhere must solve the easy instance. Feature
-# matches on 40 points carry no promise, so correspondence methods are judged on their own test.
+# Methods that start near the optimum or search globally must solve the easy instance. Feature matches on
+# 40 points are unreliable, so correspondence methods have a separate test.
 ACCURATE = [
     (name, model) for name, model in PAIRS if not registry.read_card(name).input.startswith("FPFH")
 ]
@@ -284,7 +286,7 @@ def test_raw_point_methods_solve_the_easy_instance(solutions: dict, name: str, m
     assert np.sqrt((distances**2).mean()) < 0.05 * rms_radius(instance.target)
 
 
-def test_the_template_keeps_the_contract(tmp_path: Path) -> None:
+def test_the_template_fulfils_the_contract(tmp_path: Path) -> None:
     folder = registry.new_baseline("my_method", root=tmp_path)
     assert sorted(path.name for path in folder.iterdir()) == ["adapter.py", "card.yaml"]
     assert registry.names(tmp_path) == ["my_method"]

@@ -1,4 +1,4 @@
-"""What holds for every dataset; new ones are found by discovery."""
+"""Requirements on every data set; new ones are found by discovery."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ PROTOTYPES = [
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path_factory, monkeypatch):
-    """One cache for all tests of this module, apart from the checkout's."""
+    """One cache for all tests of this module, separate from the checkout's."""
     root = tmp_path_factory.getbasetemp() / "contract-cache"
     monkeypatch.setenv("DCREG_DATA_CACHE", str(root))
 
 
 def loaded(call):
-    """The value, or a skip that says which file is missing here."""
+    """Return the value, or skip and name the missing file."""
     try:
         return call()
     except UnavailableError as error:
@@ -107,7 +107,7 @@ def test_prototypes(dataset, shape):
     assert (high - low).max() == pytest.approx(1)
     assert len(np.unique(points, axis=0)) == len(points)
     assert len(dataset.prototype(shape, 40)) == 40
-    points[:] = 0  # a caller's change must not reach the next caller
+    points[:] = 0  # changes by one caller must not reach the next
     assert np.ptp(dataset.prototype(shape)) > 0.5
 
 

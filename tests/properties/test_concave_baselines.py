@@ -1,4 +1,4 @@
-"""RPM-CAV and RPM-PA: every bound stays below the objective, and no wrong optimum is certified."""
+"""RPM-CAV and RPM-PA: bounds are below the objective, and no wrong optimum is certified."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""GORE's guarantee: what can be in a largest consensus set is never removed."""
+"""GORE's guarantee: members of a maximum consensus set are never removed."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def problems(draw: st.DrawFn) -> tuple:
 
 
 def sparse(seed: int, n: int = 60, n_inliers: int = 6, bound: float = 0.05) -> tuple:
-    """Few inliers under a wide bound: problems that intervals of angles alone leave half done."""
+    """Few inliers under a wide bound: problems that intervals of angles do not complete."""
     generator = np.random.default_rng(seed)
     source = generator.uniform(-0.5, 0.5, (n, 3))
     offset = generator.standard_normal((n, 3))
@@ -53,14 +53,14 @@ def sparse(seed: int, n: int = 60, n_inliers: int = 6, bound: float = 0.05) -> t
 
 
 def loses_inliers(problem: tuple) -> bool:
-    """Whether the guarantee is broken for the planted set; it is off where a larger is known."""
+    """Return whether the guarantee is violated for the planted set, if no larger set is known."""
     source, target, bound, n_inliers = problem
     removal = remove_outliers(source, target, bound, Budget())
     return removal.consensus <= n_inliers and not set(range(n_inliers)) <= set(removal.kept)
 
 
 def loses_a_set_of_triples(removal, source, target, bound: float, seed: int) -> bool:
-    """Whether a set as large as the best known, of a fit to 300 random triples, lost a member."""
+    """Return whether a set as large as the best of 300 fits to random triples lost a member."""
     generator, n = np.random.default_rng(seed), len(source)
     for _ in range(300):
         weights = np.zeros(n)
@@ -78,7 +78,7 @@ def test_no_planted_inlier_is_ever_removed(problem: tuple) -> None:
     source, target, bound, n_inliers, _ = problem
     removal = remove_outliers(source, target, bound, Budget())
     assert removal.finished
-    # The promise is to largest consensus sets; the planted one is no such set if a larger is known.
+    # The guarantee concerns maximum consensus sets, not the planted one if a larger is known.
     if removal.consensus <= n_inliers:
         assert set(range(n_inliers)) <= set(removal.kept)
     assert len(removal.kept) >= removal.consensus
@@ -124,7 +124,7 @@ def test_arcs_hold_exactly_the_angles_that_come_near(seed: int, reach: float) ->
 
 
 def test_most_outliers_go() -> None:
-    """The guarantee would be kept by removing nothing."""
+    """The guarantee also holds if nothing is removed."""
     generator = np.random.default_rng(0)
     source = generator.uniform(-0.5, 0.5, (200, 3))
     target = source + 0.003
@@ -199,7 +199,7 @@ def one_too_few(*args) -> Found:
 def test_a_wrong_bound_in_the_search_would_lose_inliers(
     wrong, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The guarantee's tests on these problems can fail."""
+    """The tests of the guarantee can fail on these problems."""
     problems = [sparse(seed) for seed in range(30)]
     assert not any(loses_inliers(problem) for problem in problems)
     monkeypatch.setattr(gore, "most_correspondences", wrong)
@@ -221,7 +221,7 @@ def test_search_out_of_time_leaves_what_intervals_left(monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize(("n", "bound", "limit"), [(3000, 0.12, 0.5), (200, 0.15, 1.6)])
 def test_time_limit_holds(n: int, bound: float, limit: float, processor_clock: None) -> None:
-    """Amid the intervals of one correspondence of thousands, and (where fast) amid the search."""
+    """During the intervals of one correspondence of thousands, and during the search."""
     remove_outliers(*sparse(0)[:3], Budget())  # compiled
     source, target, _, _ = sparse(0, n, 6, bound)
     start = time.process_time()

@@ -1,4 +1,4 @@
-"""R3, the joint LP: equal to the plain programme over all pairs, and above R1, whose facets it keeps."""
+"""R3, the joint LP: equal to the plain programme over all pairs, and no weaker than R1."""
 
 import itertools
 
@@ -16,7 +16,7 @@ from tests.problems import models_with_boxes
 
 
 def value(name, model, box):
-    """The bound itself, also where the box holds no admissible parameter."""
+    """Return the bound, also if the box contains no admissible parameter."""
     bound = BOUNDS[name](model)
     return bound._evaluate(box.lower[None], box.upper[None], np.inf, None).lower_bounds[0]
 
@@ -108,7 +108,7 @@ def test_no_weaker_than_r1(model_and_box):
 @settings(max_examples=25)
 @given(models_with_boxes(families=("similarity2d",)))
 def test_children_are_no_weaker_than_their_parent(model_and_box):
-    """All facets of a parent are implied by its children's; the means of R1 are not."""
+    """The facets of the children imply those of the parent; this does not hold for the means of R1."""
     model, box = model_and_box
     parent = value("termwise-r3", model, box)
     lower, upper = LongestEdge(model.axis_weights)(box.lower[None], box.upper[None])

@@ -1,6 +1,6 @@
 """RPM-HTB, RPM-BP and HBSP: their bounds lie below the objective, and no wrong optimum is certified.
 
-The suite takes a few small problems; all 1,000: ``SMALL_PROBLEMS=1000 pytest`` of this file.
+The suite uses a few small problems; ``SMALL_PROBLEMS=1000 pytest`` of this file uses 1,000.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def value(bound, box):
 
 
 def slack(model):
-    """Rounding and the solver's precision, beside the size of the objective's terms."""
+    """Tolerance for rounding and the precision of the solver, relative to the terms of the objective."""
     return 1e-7 * model.n_inliers * (1 + (model.source**2).sum() + (model.clouds.target**2).sum())
 
 
@@ -77,7 +77,7 @@ def test_bound_is_below_the_objective_anywhere_in_the_box(bound, data):
 @pytest.mark.parametrize("half", [0.0, 1e-7])
 @given(data=st.data())
 def test_bound_closes_on_the_objective_at_a_point(bound, half, data):
-    """Also shows that the solver's multipliers are good: poor ones would stay valid and far below."""
+    """This also checks that the solver's multipliers are good: poor ones give a valid but weak bound."""
     model, box = data.draw(families(bound))
     theta = box.centre if model.admissible(box.centre[None])[0] else model.identity
     found = value(bound(model), Box(theta - half, theta + half))
@@ -94,7 +94,7 @@ def test_more_of_the_envelope_never_weakens(model_and_box):
     weakest = value(TermwiseR1(model), box)
     middle, strongest = value(BilinearBound(model), box), value(SemidefiniteBound(model), box)
     assert weakest <= middle + slack(model)
-    # certified from approximate multipliers, a bound falls short of its exact value: here both do
+    # approximate multipliers make both bounds weaker than their exact values
     assert middle <= strongest + 2.0 * slack(model)
 
 
@@ -125,7 +125,7 @@ def quadratic_program(generator):
 
 
 def envelope_sum(squares, linear, products, z):
-    """The objective of RPM-BP's QP, with its products' envelopes."""
+    """Return the objective of RPM-BP's QP, with the envelopes of its products."""
     pairs = ((0, 2), (1, 3), (0, 3), (1, 2))
     total = squares @ z**2 + linear @ z
     for c, (a, b) in zip(products, pairs, strict=True):
@@ -153,7 +153,7 @@ def test_any_multipliers_give_a_lower_bound_of_the_qp_and_the_solver_the_best(se
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1, 3, 4]), st.booleans())
-def test_lifted_bound_holds_whatever_the_solver_answers(seed, dim, garbled):
+def test_lifted_bound_holds_for_any_answer_of_the_solver(seed, dim, garbled):
     """Validity rests on eigenvalues, not on the solver: random multipliers only weaken the bound."""
     generator = np.random.default_rng(seed)
     C = generator.normal(size=(dim + 1, dim + 1))
@@ -213,7 +213,7 @@ def test_rotations_of_the_box_lie_in_their_range(box, seed):
 
 # --- no wrong optimum ---------------------------------------------------------------------------
 
-SETTINGS = [  # method, options, boxes a search may bound, and where it has a chance to end
+SETTINGS = [  # method, options, node limits: for most problems, and for those that can finish
     ("rpm_htb", {"bound": "termwise"}, (1000, 1000)),
     ("rpm_htb", {"bound": "termwise-r1"}, (1000, 1000)),
     ("rpm_htb", {"bound": "termwise-r2"}, (1000, 1000)),
@@ -223,7 +223,7 @@ SETTINGS = [  # method, options, boxes a search may bound, and where it has a ch
 
 
 def clouds(seed, dim):
-    """Three to five points: planted with noise, planted in part, unrelated; all matched or not all."""
+    """Return three to five points: noisy copies, partial copies or unrelated."""
     generator = np.random.default_rng([seed, dim])
     n, m = generator.integers(3, 6, 2)
     source, target = generator.normal(size=(n, dim)), generator.normal(size=(m, dim))
@@ -236,12 +236,12 @@ def clouds(seed, dim):
 
 
 def tolerance(seed, least, k):
-    """Mostly below the optimum, else a certificate would say no more than that E >= 0."""
+    """Return a tolerance, mostly below the optimum; otherwise a certificate only says E >= 0."""
     return 0.01 * k if seed % 5 == 0 else max(0.9 * least, 1e-3)
 
 
 def around(theta, seed):
-    """A small box that holds `theta`: the bounds are too weak to search everywhere in little time."""
+    """Return a small box that contains `theta`, since the bounds are too weak for a full search."""
     generator = np.random.default_rng(seed)
     half = 0.02 * generator.random(theta.size)
     if theta.size == 4:
@@ -250,14 +250,14 @@ def around(theta, seed):
 
 
 def matchings(n, m, k):
-    """All (b, k) rows and columns of k one-to-one pairs."""
+    """Return all (b, k) rows and columns of k one-to-one pairs."""
     rows = np.array(list(itertools.combinations(range(n), k)))
     columns = np.array(list(itertools.permutations(range(m), k)))
     return np.repeat(rows, len(columns), axis=0), np.tile(columns, (len(rows), 1))
 
 
 def least_similarity(source, target, k, scale_range):
-    """Optimum over all matchings, each with its closed-form pose of clipped scale, in the plane."""
+    """Return the optimum over all matchings, each with its closed-form pose of clipped scale, in 2D."""
     rows, columns = matchings(len(source), len(target), k)
     z, w = source @ [1, 1j], target @ [1, 1j]
     x, y = z[rows], w[columns]
@@ -268,7 +268,7 @@ def least_similarity(source, target, k, scale_range):
 
 
 def least_rotation(source, target, k):
-    """Optimum over all matchings of the rotation about the origin, by singular values."""
+    """Return the optimum over all matchings of the rotation about the origin, by singular values."""
     rows, columns = matchings(len(source), len(target), k)
     x, y = source[rows], target[columns]
     spread = y.transpose(0, 2, 1) @ x
@@ -278,7 +278,7 @@ def least_rotation(source, target, k):
 
 
 def judge(found, gap_tol, least):
-    """Whether it is certified; the certificate, or the bounds without one, must be right."""
+    """Check the bounds and the certificate; return whether one is given above zero."""
     slack = 1e-8 * (1 + least)
     assert found.lower_bound <= least + slack
     assert found.upper_bound >= least - slack
@@ -310,7 +310,7 @@ def test_no_wrong_optimum_in_2d(name, options, nodes):
 
 @pytest.mark.parametrize("bound", ["termwise", "termwise-r1", "termwise-r2"])
 def test_no_wrong_optimum_in_norm_space(bound):
-    """The reference descends from many starts: at most it is too large, which hides no wrong bound."""
+    """The reference, from many initial poses, can only be too large; that hides no wrong bound."""
     n_telling = 0
     for seed in range(N_PROBLEMS):
         source, target, k = clouds(seed, 3)
@@ -362,7 +362,7 @@ def test_no_wrong_rotation():
     ],
 )  # fmt: skip
 def test_box_bound_is_below_the_objective_in_the_instances_own_units(name, model, options, rng):
-    """Clouds far from the origin and of another size: nothing is centred on the way."""
+    """Clouds are far from the origin and of another size: the bound must not centre them."""
     dim = 2 if model == "similarity2d" else 3
     source = 3.0 * rng.normal(size=(6, dim)) + 1.0
     instance = Instance("box", source, source + 0.5, model, 5, (0.5, 1.5), 0.1, 0)

@@ -32,7 +32,7 @@ NOISE = 0.01
 
 
 def planted(outlier_share: float, n: int = 200) -> tuple[Instance, np.ndarray]:
-    """Row i of the source corresponds to row i of the target, but for a share of random rows."""
+    """Row i of the source corresponds to row i of the target, except a share of random rows."""
     generator = np.random.default_rng(3)
     source = generator.uniform(-0.5, 0.5, (n, 3))
     rotation = Rotation.from_rotvec([1.1, -0.7, 1.9]).as_matrix()
@@ -95,7 +95,7 @@ def test_all_pairs_is_complete_and_capped() -> None:
 
 
 @pytest.mark.parametrize("model", ["rigid3d", "similarity2d"])
-def test_norm_signature_finds_true_pairs_whatever_the_pose(model: str) -> None:
+def test_norm_signature_finds_true_pairs_for_any_pose(model: str) -> None:
     generator = np.random.default_rng(6)
     dim = 3 if model == "rigid3d" else 2
     source = generator.random((60, dim)) * [1.0, 0.6, 0.4][:dim]
@@ -116,7 +116,7 @@ def test_norm_signature_finds_true_pairs_whatever_the_pose(model: str) -> None:
     assert len({tuple(map(int, pair)) for pair in pairs} & true) > 50
 
 
-def test_the_least_similar_pairs_are_dropped_and_that_is_told() -> None:
+def test_the_least_similar_pairs_are_dropped_with_a_note() -> None:
     instance, _ = planted(0.0, n=40)
     options = {"front_end": "norm-signature", "signature_neighbours": 3, "max_pairs": 50}
     few = putative_pairs(instance, options)
@@ -139,7 +139,7 @@ def test_oracle_pairs_are_all_true_ones_among_random_ones() -> None:
     assert len(oracle_pairs(true, 6 * 5, 30, 0.999, seed=1)) == 900  # there are no more
 
 
-def test_oracle_needs_what_only_the_harness_can_give() -> None:
+def test_oracle_pairs_come_from_the_harness() -> None:
     solution = registry.load("teaser", front_end="oracle").solve(planted(0.0)[0], LIMITS)
     assert solution.status is Status.FAILED
     assert "has no oracle pairs" in solution.message

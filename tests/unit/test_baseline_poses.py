@@ -1,4 +1,4 @@
-"""Fits, lengths and start lists shared by the adapters."""
+"""Fits, lengths and lists of initial poses shared by the adapters."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_lengths() -> None:
 
 
 def test_the_unit_is_that_of_the_library() -> None:
-    """The target's RMS radius; where it has no extent the source's, and 1 where neither has one."""
+    """The RMS radius of the target; that of the source if it has no extent; 1 if neither has one."""
     square, point = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], dtype=float), np.ones((3, 2))
 
     def unit(source: np.ndarray, target: np.ndarray) -> float:
@@ -289,7 +289,7 @@ def test_the_pose_fit_is_the_library_s() -> None:
 
 
 def test_methods_read_no_clock_of_their_own() -> None:
-    """A deadline beside the budget made of the same limits would be another one."""
+    """A second deadline made from the same limits would differ from the budget."""
     users = {
         path.relative_to(registry.ROOT).as_posix()
         for path in registry.ROOT.rglob("*.py")

@@ -19,7 +19,7 @@ from baselines.registry import BaselineError
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """A folder of methods with one made from the template."""
+    """Return a folder of methods with one from the template."""
     registry.new_baseline("mine", root=tmp_path)
     return tmp_path
 
@@ -152,7 +152,7 @@ def test_a_tuned_threshold_is_the_papers_multiple_of_the_deviation(
 
 
 def test_dcreg_leaves_mode_and_bound_to_the_library() -> None:
-    """An explicit bound would keep the library from choosing modes with bounds of their own."""
+    """With an explicit bound the library does not choose modes that have their own bounds."""
     assert registry.load("dcreg").options["bound"] is None
     assert registry.load("dcreg").options["mode"] is None
     assert registry.load("dcreg", mode="full").options["bound"] is None
@@ -293,7 +293,7 @@ class TestFingerprint:
 class TestWhatAMethodDependsOn:
     @pytest.fixture
     def checkout(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-        """A copy of the methods and the library, free to be edited; the registry looks there."""
+        """Return an editable copy of the methods and the library, which the registry uses."""
         for package in ("baselines", "dcreg"):
             shutil.copytree(
                 registry.ROOT.parent / package, tmp_path / package,
@@ -304,7 +304,7 @@ class TestWhatAMethodDependsOn:
 
     @staticmethod
     def rerun_by(checkout: Path, file: str, more: str = "\n# edited\n") -> set[str]:
-        """Methods whose results an edit of `file` makes stale."""
+        """Return the methods whose fingerprint an edit of `file` changes."""
         root = checkout / "baselines"
         before = {name: registry.fingerprint(name, root) for name in registry.names(root)}
         with (checkout / file).open("a") as stream:
@@ -347,11 +347,10 @@ class TestWhatAMethodDependsOn:
         [
             "dcreg/cli/commands.py",
             "dcreg/plot/sweep.py",
-            "dcreg/driver/sweep.py",
             "baselines/registry.py",
         ],
     )
-    def test_nothing_follows_what_no_solve_runs(self, checkout: Path, file: str) -> None:
+    def test_files_that_no_solve_runs_do_not_count(self, checkout: Path, file: str) -> None:
         assert (checkout / file).is_file()
         assert self.rerun_by(checkout, file) == set()
 
@@ -389,8 +388,8 @@ class TestWhatAMethodDependsOn:
         assert "icp" in self.rerun_by(checkout, "baselines/icp/adapter.py", only_types)
         assert self.rerun_by(checkout, "dcreg/plot/sweep.py") == set()
 
-    def test_what_python_loads_of_the_methods_is_counted(self) -> None:
-        """The other way round: every module of `baselines` that a method's import brings in."""
+    def test_all_modules_that_python_loads_count(self) -> None:
+        """Every module of `baselines` that the import of a method loads is counted."""
         script = (
             "import sys, baselines.{0}.adapter\n"
             "of_methods = [m for name, m in sys.modules.items() if name.startswith('baselines')]\n"
@@ -417,8 +416,3 @@ class TestWhatAMethodDependsOn:
             capture_output=True, text=True, check=True, cwd=registry.ROOT.parent,
         ).stdout.strip()  # fmt: skip
         assert adapters == "[]"
-
-    def test_an_old_card_with_the_list_is_told_so(self, root: Path) -> None:
-        edit_card(root, depends=["dcreg/search.py"])
-        with pytest.raises(BaselineError, match=r"field depends.*imports: remove the field"):
-            registry.read_card("mine", root)

@@ -33,7 +33,7 @@ EXPERIMENT = Experiment.model_validate(
 
 @pytest.fixture
 def files(tmp_path: Path) -> tuple[Path, Path]:
-    """One instance of which all is known, and its truth apart from it."""
+    """Return an instance with known pairs, and its true pose separately."""
     generator = np.random.default_rng(0)
     source = generator.random((30, 3))
     order = generator.permutation(30)
@@ -48,7 +48,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
 
 @pytest.fixture
 def given(monkeypatch: pytest.MonkeyPatch) -> list:
-    """The instances that would go to a worker, which is not started."""
+    """Return the instances for a worker, which is not started."""
     seen: list = []
     monkeypatch.setattr(solving, "_rows", lambda *inputs: seen.extend(inputs[2]) or iter(()))
     return seen

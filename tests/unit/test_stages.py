@@ -1,4 +1,4 @@
-"""Every stage of every mode in space tells its bounds: to the listener, in the trace and on the page."""
+"""Every stage of every 3D mode reports its bounds: to the listener, in the trace and on the page."""
 
 import json
 
@@ -61,8 +61,8 @@ def test_start_comes_first_with_a_pose(solved):
     assert times == sorted(times)
 
 
-def test_start_never_speaks_for_the_stage_before(solved):
-    """The bounds of a start are those of its own poses."""
+def test_events_of_the_start_do_not_refer_to_the_stage_before(solved):
+    """The bounds of a start refer to its own poses."""
     _, result, _ = solved
     for event in result.trace:
         if event.stage == "start":

@@ -1,4 +1,4 @@
-"""Own correspondence methods on planted pairs, and the parts they are made of."""
+"""Our correspondence methods on planted pairs, and their parts."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ BOTH = [name for name in METHODS if "similarity2d" in registry.read_card(name).m
 
 
 def planted(model: str, n: int, outlier_share: float, seed: int = 3) -> tuple[Instance, np.ndarray]:
-    """Row i of the source corresponds to row i of the target, but for the first rows."""
+    """Row i of the source corresponds to row i of the target, except the first rows."""
     generator = np.random.default_rng(seed)
     dim = 2 if model == "similarity2d" else 3
     source = generator.uniform(-0.5, 0.5, (n, dim))
@@ -97,7 +97,7 @@ def test_result_does_not_depend_on_the_unit_of_length(name: str, unit: float) ->
 
 @pytest.mark.parametrize("name", METHODS)
 def test_hopeless_pairs_end_in_time_with_a_true_status(name: str, processor_clock: None) -> None:
-    """All pairs of random clouds under a bound so wide that the graphs are dense."""
+    """All pairs of random clouds, with a wide bound that makes the graphs dense."""
     generator = np.random.default_rng(0)
     source, target = generator.random((2, 35, 3))
     instance = Instance("random", source, target, "rigid3d", 20, (1, 1), 0.12, 0)
@@ -116,7 +116,7 @@ def test_hopeless_pairs_end_in_time_with_a_true_status(name: str, processor_cloc
 
 
 class Clock(Budget):
-    """Over after so many looks at it."""
+    """A budget that is over after a number of checks."""
 
     def __init__(self, looks: int) -> None:
         super().__init__()
@@ -176,8 +176,8 @@ class TestCliques:
         inside = adjacency[np.ix_(clique.vertices, clique.vertices)]
         assert inside.sum() == len(clique.vertices) * (len(clique.vertices) - 1)
 
-    def test_whatever_the_clock_cuts_is_told(self) -> None:
-        """Also where only the choice among maximum cliques was left to make."""
+    def test_steps_cut_by_the_time_limit_are_reported(self) -> None:
+        """Also if only the choice among maximum cliques remains."""
         generator = np.random.default_rng(3)
         upper = np.triu(generator.random((60, 60)) < 0.5, 1)
         rows = pack(upper | upper.T)
@@ -206,7 +206,7 @@ def test_heaviest_clique_through_every_vertex_is_that_of_a_full_list() -> None:
         assert search.heaviest[vertex] == pytest.approx(max(sums, default=-np.inf))
 
 
-def test_cap_on_maximal_cliques_is_told() -> None:
+def test_cap_on_maximal_cliques_is_reported() -> None:
     instance, _ = planted("rigid3d", 150, 0.3)
     noisy = Instance(**{**vars(instance), "noise_bound": 0.15})
     found = registry.load("mac", max_cliques=3).estimate(noisy, rows_as_pairs(150), Budget(20.0))

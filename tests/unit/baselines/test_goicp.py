@@ -1,4 +1,4 @@
-"""Adapters of Go-ICP, FRS and GoTS: units, options, limits, and what they say of themselves."""
+"""Adapters of Go-ICP, FRS and GoTS: units, options, limits and messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ METHODS = ["goicp", "frs", "gots"]
 
 
 def planted(n: int = 25, outliers: int = 5, unit: float = 1.0, noise: float = 0.005) -> tuple:
-    """An instance with `outliers` strays in each cloud, and its true pose."""
+    """Return an instance with `outliers` outlier points in each cloud, and its true pose."""
     generator = np.random.default_rng(4)
     shape = generator.uniform(-0.5, 0.5, (n, 3)) * [1.0, 0.7, 0.4]
     truth = homogeneous(

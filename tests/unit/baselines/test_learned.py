@@ -263,7 +263,7 @@ def test_weights_of_another_layout_are_refused(places: dict) -> None:
         ("mirror", "not a rotation"),
     ],
 )
-def test_failures_tell_their_reason(
+def test_failures_report_their_reason(
     mode: str, words: str, places: dict, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solution = ask(mode, places, monkeypatch)

@@ -1,4 +1,4 @@
-"""Methods on the library's search: they warm up what they will run, and say what ran."""
+"""Methods on the library's search: warm-up, messages, refusals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dcreg.problem import InputError, Problem
 from dcreg.search import LongestEdge
 from workflows import config
 
-# How many compiled forms of functions a process holds, read from the cache or made, before and after.
+# Compiled functions in a process, from the cache or new, before and after a solve.
 LOADED = """
 import gc
 import numpy as np
@@ -59,7 +59,7 @@ def instance(dim: int, k: int = 6) -> Instance:
         (3, 50, {"front_end": "shared-mutual"}, "mode matches, bound nested"),
     ],
 )
-def test_a_timed_solve_meets_no_kernel_that_its_warm_up_did_not(dim, k, options, ran):
+def test_a_warm_up_compiles_all_kernels_of_the_solve(dim, k, options, ran):
     model, scales = ("similarity2d", (0.5, 1.5)) if dim == 2 else ("rigid3d", (1.0, 1.0))
     code = LOADED.format(dim=dim, k=k, options=options, model=model, scales=scales)
     done = subprocess.run(
@@ -82,7 +82,7 @@ def test_a_timed_solve_meets_no_kernel_that_its_warm_up_did_not(dim, k, options,
         ("hbsp", 3, "mode HBSP (reconstructed), bound hbsp"),
     ],
 )
-def test_a_solution_tells_the_mode_and_bound_that_ran(name, dim, bound):
+def test_message_names_mode_and_bound(name, dim, bound):
     solution = registry.load(name).solve(instance(dim), Limits(10.0, nodes=20))
     assert solution.message == bound
 
@@ -145,7 +145,7 @@ def test_hbsp_turns_with_the_threads_it_is_given(monkeypatch):
 
 @pytest.mark.parametrize("experiment", ["all", "demo"])
 def test_bounds_are_compared_in_3d_with_dcreg_in_the_same_mode(experiment):
-    """By itself the library may choose a mode with another objective."""
+    """The library may otherwise choose a mode with another objective."""
     methods = config.load(experiment).methods
     assert {"mode": "paper", "bound": "tight"} in [method.options for method in methods]
     assert "tight" not in {method.name: method.label for method in methods}["dcreg"]

@@ -14,7 +14,7 @@ from baselines.contract import Instance, Limits
 def test_solves_compile_nothing_after_the_warm_up(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise the first solve that needs the search takes seconds beyond any limit."""
+    """Otherwise the first solve with a search exceeds its limit by seconds."""
     compiled, runs = rotation_search.divide_cubes, []
 
     def counted(*arguments: object) -> int:
