@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Box
+from tests.oracles.matchings import matchings
 
 
 def k_assignment(cost: np.ndarray, k: int) -> float:
@@ -28,12 +27,7 @@ def k_assignment(cost: np.ndarray, k: int) -> float:
 
 def k_assignment_brute_force(cost: np.ndarray, k: int) -> float:
     """Cheapest k pairs by trying all of them; for a handful of rows and columns."""
-    n, m = cost.shape
-    return min(
-        sum(cost[i, j] for i, j in zip(rows, columns, strict=True))
-        for rows in itertools.combinations(range(n), k)
-        for columns in itertools.permutations(range(m), k)
-    )
+    return min(cost[pairs].sum() for pairs in matchings(*cost.shape, k))
 
 
 def features(space: FeatureSpace, theta: np.ndarray) -> np.ndarray:

@@ -1,7 +1,6 @@
 """Feasible pairs: bounds, answer and errors."""
 
 import dataclasses
-import itertools
 import re
 
 import numpy as np
@@ -25,6 +24,7 @@ from dcreg.problem.geometry import fit_pose
 from dcreg.search import Box
 from tests.fuzz.reference import optimum_rigid3d
 from tests.oracles import kernels as reference
+from tests.oracles.matchings import matchings
 from tests.problems import register
 from tests.properties.test_rigid_bounds import Parts, box_about
 from tests.searches import search_rigid
@@ -41,11 +41,7 @@ def feasible_problem(seed, dim, most=6):
 
 
 def feasible_matchings(mask, k):
-    n, m = mask.shape
-    for rows in itertools.combinations(range(n), k):
-        for columns in itertools.permutations(range(m), k):
-            if mask[list(rows), list(columns)].all():
-                yield list(rows), list(columns)
+    return (pairs for pairs in matchings(*mask.shape, k) if mask[pairs].all())
 
 
 def least(costs, mask, k):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from functools import cache
 
@@ -25,6 +24,7 @@ from dcreg import objective
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 from dcreg.status import Status
+from tests.oracles.matchings import matchings
 from tests.problems import KINDS, cloud
 from workflows.records import RAW_TRACES
 
@@ -32,14 +32,12 @@ SCALES = (0.5, 1.5)
 
 
 @cache
-def matchings(n: int, m: int, k: int) -> np.ndarray:
+def columns_of(n: int, m: int, k: int) -> np.ndarray:
     """All one-to-one matchings of k pairs, as (count, n) columns with -1 for unmatched rows."""
     found = []
-    for rows in itertools.combinations(range(n), k):
-        for columns in itertools.permutations(range(m), k):
-            col_of = np.full(n, -1)
-            col_of[list(rows)] = columns
-            found.append(col_of)
+    for rows, columns in matchings(n, m, k):
+        found.append(np.full(n, -1))
+        found[-1][rows] = columns
     return np.array(found)
 
 
@@ -58,7 +56,7 @@ def least_squares(instance: Instance, col_of: np.ndarray) -> float:
 
 def optimum(instance: Instance) -> float:
     n, m = len(instance.source), len(instance.target)
-    every = matchings(n, m, instance.n_inliers)
+    every = columns_of(n, m, instance.n_inliers)
     return min(least_squares(instance, col_of) for col_of in every)
 
 
@@ -89,7 +87,7 @@ class TestReduction:
     def test_value_of_a_matching_is_its_least_squares_residual(self, seed: int) -> None:
         instance = problem(seed)
         generator = np.random.default_rng(seed)
-        every = matchings(len(instance.source), len(instance.target), instance.n_inliers)
+        every = columns_of(len(instance.source), len(instance.target), instance.n_inliers)
         for col_of in generator.choice(every, 5):
             u, fixed = statistics(clouds_of(instance), col_of)
             value = fixed + concave(clouds_of(instance), u)
@@ -111,7 +109,7 @@ class TestReduction:
         clouds = clouds_of(instance)
         weights = np.random.default_rng(seed).standard_normal(8)
         value, col_of = minimum_linear(clouds, weights[:7], weights[7])
-        every = matchings(len(instance.source), len(instance.target), instance.n_inliers)
+        every = columns_of(len(instance.source), len(instance.target), instance.n_inliers)
         points = np.array([np.append(*statistics(clouds, each)) for each in [col_of, *every]])
         values = points @ weights
         assert value == pytest.approx(values.min(), abs=1e-9)
@@ -122,7 +120,7 @@ class TestReduction:
         instance = problem(seed)
         clouds = clouds_of(instance)
         z = support_of(clouds, with_fixed).coordinates()
-        for col_of in matchings(len(instance.source), len(instance.target), instance.n_inliers):
+        for col_of in columns_of(len(instance.source), len(instance.target), instance.n_inliers):
             u, fixed = statistics(clouds, col_of)
             point = np.append(u, fixed) if with_fixed else u
             place = z.inverse @ (point - z.origin)
@@ -139,7 +137,7 @@ class TestSimplexBound:
         z = support_of(clouds).coordinates()
         if z.dim == 0:
             return
-        every = matchings(len(instance.source), len(instance.target), instance.n_inliers)
+        every = columns_of(len(instance.source), len(instance.target), instance.n_inliers)
         values = np.array([least_squares(instance, col_of) for col_of in every])
         u = np.array([statistics(clouds, col_of)[0] for col_of in every])
         places = (u - z.origin) @ z.inverse.T
@@ -172,7 +170,7 @@ class TestSimplexBound:
             return
         simplex = root_simplex(support, z)
         system = np.vstack([simplex.T, np.ones(z.dim + 1)])
-        for col_of in matchings(len(instance.source), len(instance.target), instance.n_inliers):
+        for col_of in columns_of(len(instance.source), len(instance.target), instance.n_inliers):
             place = z.inverse @ (statistics(clouds, col_of)[0] - z.origin)
             assert (np.linalg.solve(system, np.append(place, 1.0)) > -1e-7).all()
 
@@ -230,7 +228,7 @@ class TestPolytope:
         polytope, z = kept[-1], search.z
         alive = np.flatnonzero(np.isfinite(polytope.bounds[: polytope.n_slots]))
         corners = polytope.vertices[polytope.members[alive]]
-        for col_of in matchings(len(instance.source), len(instance.target), instance.n_inliers):
+        for col_of in columns_of(len(instance.source), len(instance.target), instance.n_inliers):
             point = np.append(*statistics(reduced.clouds, col_of))
             place = z.inverse @ (point - z.origin)
             value = value_at(reduced.clouds, z.origin, z.axes, place)
