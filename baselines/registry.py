@@ -121,7 +121,7 @@ def read_card(name: str, root: Path | None = None) -> Card:
 
 
 def idle_options(name: str, options: dict[str, Any]) -> dict[str, str]:
-    """Return the options without effect beside these; none if the method cannot be loaded."""
+    """Return the options without effect given `options`; none if the method cannot be loaded."""
     try:
         return load(name, **options).idle_options()
     except (ImportError, BaselineError):

@@ -332,14 +332,14 @@ class CorrespondenceMethod(Baseline):
         )
 
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
-        """The pose from these pairs within the budget, with what else is to be told.
+        """Return the pose from these pairs within the budget, with notes.
 
-        The front end has spent its part: the budget may be over before the first step.
+        The front end has used a part of the budget, which may be over before the first step.
         """
         return Estimate(self.solve_pairs(instance, pairs, budget))
 
     def solve_pairs(
         self, instance: Instance, pairs: np.ndarray, budget: Budget
     ) -> np.ndarray | None:
-        """The pose from these pairs, None when there is none."""
+        """Return the pose from these pairs, or None."""
         raise NotImplementedError(f"{type(self).__name__} must define estimate or solve_pairs")
