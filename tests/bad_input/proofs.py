@@ -74,7 +74,7 @@ def _certificates() -> Iterator[Case]:
         case = ["c.npz", words, remedy]
         yield Case("certificates", name, verify, case, {"c.npz": content})
     good = _sealed()
-    again = "make a new one with `dcreg register --certificate`"
+    again = "make a new certificate with"
     for name, content, words in (
         ("cut off", good[:-100], "not a readable certificate"),
         ("half", good[: len(good) // 2], "not a readable certificate"),
@@ -105,10 +105,10 @@ def _certificates() -> Iterator[Case]:
         ("unit of zero", {"unit": 0.0}, "out of range"),
         ("negative tolerance", {"gap_tol": -1.0}, "out of range"),
         ("inadmissible pose", {"theta": 9.0 * np.ones(4)}, "theta: not an admissible"),
-        ("scale range", {"scale_range": [2.0, 1.0]}, "needs 0 < low <= high"),
+        ("scale range", {"scale_range": [2.0, 1.0]}, "0 < low <= high is needed"),
         ("unknown reasons", {"leaf_reasons": c.leaf_reasons + 7}, "unknown reason"),
         ("negative candidates", {"candidates": [[-1, 0]]}, "candidates: a negative index"),
-        ("candidates beyond", {"candidates": [[99, 0]]}, "candidates: an index beyond"),
+        ("candidates beyond", {"candidates": [[99, 0]]}, "candidates: an index exceeds"),
         ("another source", {"source_digest": "0"}, "source: differs from"),
     ):
         case = [words, again]
