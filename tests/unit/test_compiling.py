@@ -76,7 +76,7 @@ def test_an_edited_callee_in_another_file_is_compiled_again(copy):
     assert len(compiled(copy)) == 2  # the first ones served again
 
 
-def test_old_kernels_go_when_asked(copy):
+def test_kernels_of_earlier_sources_are_removed_on_request(copy):
     old = copy / "dcreg/search/__pycache__/kernels-0123456789abcdef"
     old.mkdir(parents=True)
     run(SUM, copy)
@@ -85,7 +85,7 @@ def test_old_kernels_go_when_asked(copy):
     assert len(compiled(copy)) == 1
 
 
-def test_kernels_of_a_chosen_folder(copy, tmp_path_factory):
+def test_numba_cache_dir_holds_the_compiled_kernels(copy, tmp_path_factory):
     chosen = tmp_path_factory.mktemp("chosen")
     assert run(SUM, copy, NUMBA_CACHE_DIR=str(chosen)) == "4.0"
     assert compiled(chosen)
@@ -93,7 +93,7 @@ def test_kernels_of_a_chosen_folder(copy, tmp_path_factory):
 
 
 @pytest.mark.parametrize("home", [True, False])
-def test_a_library_that_cannot_be_written_to_still_works(home, copy, tmp_path_factory):
+def test_a_read_only_library_still_works(home, copy, tmp_path_factory):
     """The user's own cache serves, or none."""
     cache = tmp_path_factory.mktemp("home")
     # also where the tests are run by a user who may write anywhere
@@ -106,7 +106,7 @@ def test_a_library_that_cannot_be_written_to_still_works(home, copy, tmp_path_fa
     assert bool(compiled(cache)) == home
 
 
-def test_processes_that_compile_at_once_agree(copy):
+def test_processes_that_compile_at_the_same_time_agree(copy):
     code = [sys.executable, "-c", SUM]
     known = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "PYTHONPATH")}
     both = [subprocess.Popen(code, cwd=copy, env=known, stdout=subprocess.PIPE) for _ in range(2)]

@@ -74,7 +74,7 @@ def test_all_matched_is_certified_without_a_dense_matrix(rng):
     assert np.isclose((residuals**2).sum(), result.objective)
 
 
-def test_outliers_return_in_time(rng, processor_clock):
+def test_large_clouds_with_outliers_end_in_time(rng, processor_clock):
     size, n_inliers, limit = 3000, 2400, 10.0
     source = spiral(rng, size)
     target = moved_copy(rng, source)
@@ -140,7 +140,7 @@ def test_sparse_matching_proves_itself_near_the_truth(rng, n_inliers):
     assert np.isclose(found.value, optimum)
 
 
-def test_pairs_beyond_the_overlap_are_near_ones_too(rng):
+def test_pairs_beyond_the_overlap_are_matched_by_distance(rng):
     """More pairs than neighbours give: what is left over is matched by distance, not anyhow."""
     flat = np.array([1.0, 1.0, 0.01])
     points, target = rng.random((900, 3)) * flat, rng.random((900, 3)) * flat + [0.45, 0.0, 0.0]

@@ -87,7 +87,7 @@ def test_units_of_the_files_scale_pose_and_bounds(planar, unit, rng):
     np.testing.assert_allclose(other.translation, unit * one.translation, rtol=1e-6)
 
 
-def test_bounds_and_objective_speak_of_the_file_coordinates(planar, rng):
+def test_bounds_and_objective_are_in_file_coordinates(planar, rng):
     source, target, _ = planar
     target = target + 0.05 * rng.standard_normal(target.shape)
     result = dcreg.register(source, target, n_inliers=25, model="similarity2d")
@@ -99,7 +99,7 @@ def test_bounds_and_objective_speak_of_the_file_coordinates(planar, rng):
     assert (residuals**2).sum() == pytest.approx(value)
 
 
-def test_polish_is_apart_from_the_certificate(spatial, rng):
+def test_polish_does_not_change_the_certificate(spatial, rng):
     source, target, _ = spatial
     target = target + 0.03 * rng.standard_normal(target.shape)
     polished = register(source, target, n_inliers=30, model="rigid3d", mode="paper")
@@ -272,7 +272,7 @@ def test_full_mode_bounds_the_objective_it_reports(spatial, rng):
 
 
 @pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
-def test_certificate_of_a_search_is_proven_apart_from_it(model, planar, spatial, rng, tmp_path):
+def test_certificate_of_a_search_is_verified_separately(model, planar, spatial, rng, tmp_path):
     from dcreg.certificate import write
     from dcreg.certificate.verification import verify
 
@@ -300,7 +300,7 @@ def test_mode_full_refuses_a_bound_it_would_ignore(bound, spatial):
         register(source, target, n_inliers=30, model="rigid3d", mode="full", bound=bound)
 
 
-def test_space_refuses_a_scale_it_would_ignore(spatial):
+def test_3d_refuses_a_scale_range(spatial):
     source, target, _ = spatial
     with pytest.raises(dcreg.InputError, match=r"scale_range: .*rigid3d has no scale"):
         dcreg.register(
@@ -323,7 +323,7 @@ def test_a_fixed_scale_leaves_rotation_and_translation(planar):
     assert other.objective > 0.1
 
 
-def test_rounding_of_a_single_place_is_no_unit_of_length():
+def test_coinciding_points_do_not_define_the_unit_of_length():
     source = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
     target = np.array([[0.1, 0.7]]) + np.zeros((3, 1))  # its mean is a rounding error away
     target[1] = np.nextafter(target[1], 1.0)
@@ -385,7 +385,7 @@ def test_downsampling_refuses_what_it_would_ignore(rng, options, words):
         register(source, source, n_inliers=20, model="similarity2d", **options)
 
 
-def test_large_clouds_in_the_plane_are_searched_by_a_sample(rng):
+def test_large_2d_clouds_are_searched_by_a_sample(rng):
     source = rng.random((2_400, 2)) * [2.0, 1.0]
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
     target = source[:1_800] @ turn.T + 0.002 * rng.standard_normal((1_800, 2))
@@ -425,7 +425,7 @@ def test_targets_far_from_the_origin_are_registered(model, dim, offset):
         assert found.objective < 1e-6
 
 
-def test_one_pair_far_from_the_origin_is_no_rough_one():
+def test_one_pair_far_from_the_origin_is_not_called_greedy():
     generator = np.random.default_rng(0)
     for _ in range(40):
         source, target = generator.normal(size=(1, 3)), 10.0 * generator.normal(size=(1, 3))

@@ -85,7 +85,7 @@ def test_transferred_bound_is_the_share_of_the_one_it_comes_from(found):
             assert result.lower_bound == pytest.approx(expected, rel=1e-12)
 
 
-def test_search_is_asked_for_just_the_gap_that_serves_the_run(found):
+def test_search_uses_the_gap_that_the_whole_run_needs(found):
     by_count = {result.n_inliers: result for result in found.results}
     (search,) = [stage for stage in by_count[17].stages if stage.name == "search"]
     needed = 17 / 18 * (by_count[18].upper_bound - by_count[18].gap_tol)
@@ -124,7 +124,7 @@ def test_suggestion_does_not_depend_on_where_the_sweep_begins_and_ends(clouds, c
     assert dcreg.sweep(*clouds, counts, model="similarity2d").suggested_n_inliers == 20
 
 
-def test_nothing_is_suggested_that_a_warning_calls_too_many_pairs(found):
+def test_no_suggestion_exceeds_the_warning_of_too_many_pairs(found):
     def warned(counts):
         results = [
             replace(
@@ -266,7 +266,7 @@ def test_gap_tolerance_holds_for_every_cardinality(clouds):
     assert all(result.gap <= result.gap_tol for result in given.results)
 
 
-def test_space_both_stages():
+def test_3d_sweep_runs_both_stages():
     source, target = solid()
     counts = [16, 20, 22, 24]
     swept = sweep(source, target, counts, model="rigid3d", gap_tol=0.0005, mode="paper")
@@ -290,7 +290,7 @@ def test_space_both_stages():
     assert np.allclose(swept.results[1].rotation, expected, atol=0.1)
 
 
-def test_space_default_is_that_of_register():
+def test_default_mode_of_a_3d_sweep_is_that_of_register():
     """The pose that `register` finds, where norms alone would mislead: clutter on one side of each."""
     source, target = solid()
     swept = dcreg.sweep(source, target, [20, 22], model="rigid3d", time_limit=20.0)
@@ -329,7 +329,7 @@ def test_candidates_hold_for_every_cardinality(clouds):
     assert found.results[2].upper_bound > free.results[2].upper_bound
 
 
-def test_candidates_hold_in_space():
+def test_candidates_hold_in_3d():
     clouds = solid(n_common=10, n_points=12)
     mask = half_of(10, 12, 12)
     found = dcreg.sweep(*clouds, [8, 10], model="rigid3d", candidates=mask)
@@ -452,7 +452,7 @@ def test_every_cardinality_has_the_warnings_of_a_single_call(clouds):
     assert f"warning: {scale}" in str(swept)
 
 
-def test_advice_is_given_before_the_search(caplog):
+def test_warnings_are_given_before_the_search(caplog):
     source, target = solid()
     with caplog.at_level("INFO", logger="dcreg"):
         dcreg.sweep(source, 10.0 * target, [20, 24], model="rigid3d", node_limit=1)

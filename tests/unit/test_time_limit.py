@@ -38,7 +38,7 @@ class Parabola:
 
 
 @pytest.mark.parametrize(("time_s", "descends"), [(0.0, False), (60.0, True)])
-def test_no_descent_begins_past_the_limit(time_s, descends):
+def test_no_descent_starts_past_the_limit(time_s, descends):
     calls = []
 
     def refine(theta):
@@ -54,7 +54,7 @@ def test_no_descent_begins_past_the_limit(time_s, descends):
 
 
 @pytest.mark.parametrize(("time_s", "moves"), [(0.0, False), (None, True)])
-def test_a_late_polish_only_values_the_pose(time_s, moves):
+def test_polish_past_the_limit_only_evaluates_the_pose(time_s, moves):
     generator = np.random.default_rng(0)
     source = generator.random((20, 2))
     target = source + np.array([0.02, -0.01])
@@ -71,7 +71,7 @@ def pair_of_clouds(size, dim):
     return generator.random((size, dim)) * extent, generator.random((size, dim)) * extent + 3.0
 
 
-def test_a_kernel_ends_when_told_to():
+def test_a_set_stop_flag_ends_a_kernel():
     stop_flag = np.zeros(1, np.uint8)
     space = Rotation3D(*pair_of_clouds(50, 3), 30, stop_flag=stop_flag)
     theta = np.array([1.0, 0.2, 0.0, 0.0])
@@ -145,7 +145,7 @@ def test_a_heartbeat_repeats_the_last_event_after_a_silence(set_clock):
     ]  # fmt: skip
 
 
-def test_a_caller_who_stops_does_not_wait_for_a_share_of_the_limit(set_clock):
+def test_a_stop_by_the_listener_ends_the_closing_work_soon(set_clock):
     with Budget(600.0, listener=lambda event: True) as budget:
         budget.report_incumbent(1.0)
         assert set_clock.is_seen(budget.stop)
@@ -176,7 +176,7 @@ def test_kernels_of_a_stage_are_stopped_at_its_end(set_clock):
         assert set_clock.is_seen(budget.stop)
 
 
-def test_what_completes_a_stage_ends_before_the_next(set_clock):
+def test_the_closing_work_of_a_stage_ends_before_the_next_stage(set_clock):
     """Later than the stage's own end, by its share of what follows the limit."""
     with Budget(20.0) as budget:
         stage = budget.isolated_sub_budget(0.01)
@@ -191,14 +191,14 @@ def test_what_completes_a_stage_ends_before_the_next(set_clock):
         assert set_clock.is_seen(budget.hard_stop)
 
 
-def test_a_stage_after_the_end_is_closed_at_once(set_clock):
+def test_a_stage_that_starts_after_the_limit_is_stopped_at_once(set_clock):
     budget = Budget(0.0)
     assert not budget.isolated_sub_budget(0.5).hard_stop[0]
     set_clock.now += 0.25
     assert budget.isolated_sub_budget(0.5).hard_stop[0] == 1
 
 
-def test_a_stop_is_seen_at_once():
+def test_a_stop_by_the_listener_sets_all_stop_flags_at_once():
     with Budget(listener=lambda event: True) as budget:
         stage = budget.isolated_sub_budget(1.0)
         budget.sub_budget(0.5).report_incumbent(1.0)

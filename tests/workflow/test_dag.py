@@ -361,7 +361,7 @@ def test_an_error_of_snakemake_itself_is_shown(checkout):
     assert "results/other/plan" in output.partition("error:")[0]
 
 
-def test_pairs_of_clouds_of_ones_own_need_a_card_and_a_config_of_a_few_lines(checkout):
+def test_own_cloud_pairs_need_a_card_and_a_config_of_a_few_lines(checkout):
     """As in the manual: seven lines, and no other file is edited."""
     rng = np.random.default_rng(1)
     T = np.eye(4)
