@@ -10,6 +10,7 @@ import numpy as np
 
 import dcreg
 from tests.bad_input.case import A2, A3, B2, B3, Case
+from tests.problems import register as solve
 
 NAN = A2.copy()
 NAN[3, 1] = np.nan
@@ -17,7 +18,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
     "source of words": ({"source": [["a", "b"]]}, "source: not an array of numbers", "'a'"),
     "source of rows of all lengths": ({"source": [[1, 2], [3]]}, "source: not an array", "shape"),
     "source of one axis": ({"source": np.zeros(4)}, "source: shape (4,)", "one point per row"),
-    "source of space": ({"source": A3}, "source: shape (8, 3)", "choose the other model"),
+    "source in 3D": ({"source": A3}, "source: shape (8, 3)", "choose the other model"),
     "target transposed": ({"target": B2.T}, "target: shape (2, 8)", "one point per row"),
     "target without points": ({"target": np.zeros((0, 2))}, "target: no points", "give at least"),
     "nan": ({"source": NAN}, "source: 1 point(s) with NaN or infinity, the first in row 3", "remove"),
@@ -32,7 +33,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
     "nan pairs": ({"n_inliers": np.nan}, "n_inliers: the fraction nan", "between 1 and 8"),
     "mode": ({"mode": "fast"}, "mode: 'fast' is unknown", "known: "),
     "bound": ({"bound": "fast"}, "bound: 'fast' is unknown", "known: "),
-    "start box": ({"start_box": "small"}, "start_box: 'small' is unknown", "known: reduced, safe"),
+    "start box": ({"start_box": "small"}, "start_box: 'small' is unknown", "known: radius, stationary"),
     "scale range": ({"scale_range": (2, 1)}, "scale_range: (2.0, 1.0)", "0 < low <= high"),
     "scale of words": ({"scale_range": "wide"}, "scale_range: 'wide'", "pair of numbers"),
     "three scales": ({"scale_range": (1, 2, 3)}, "scale_range: (1, 2, 3)", "pair of numbers"),
@@ -61,22 +62,22 @@ def _cases() -> Iterator[Case]:
     for name, (change, *words) in CHANGES.items():
         options = good | {"time_limit": 5} | change
         source, target = options.pop("source"), options.pop("target")
-        yield Case("library", name, partial(dcreg.register, source, target, **options), words)
-    solve: Callable[..., object] = partial(dcreg.sweep, A2, B2, model="similarity2d")
+        yield Case("library", name, partial(solve, source, target, **options), words)
+    swept: Callable[..., object] = partial(dcreg.sweep, A2, B2, model="similarity2d")
     for name, counts, words in (
         ("sweep of a number", 5, ["n_inliers: 5 is not a list", "give several"]),
         ("sweep of text", "4:8", ["n_inliers: '4:8' is not a list", "give several"]),
         ("sweep of nothing", [], ["n_inliers: the list is empty", "give at least one"]),
         ("sweep beyond", [4, 9], ["n_inliers: 9", "between 1 and 8"]),
     ):
-        yield Case("library", name, partial(solve, counts), words)
+        yield Case("library", name, partial(swept, counts), words)
     found = partial(dcreg.register, A2, B2, n_inliers=6, model="similarity2d", tol=0.5)
     yield Case("library", "certificate that was not kept",
                lambda: found().write_certificate("c.npz"),
-               ["certificate: none was kept", "certificate=True"])  # fmt: skip
+               ["certificate: the result has none", "certificate=True"])  # fmt: skip
     yield Case("library", "plot as an image",
                lambda: dcreg.plot_registration(A2, B2, found(), "o.png"),
-               ["o.png", "'.png'", "must end in .html"])  # fmt: skip
+               ["o.png", "'.png'", "use .html"])  # fmt: skip
     yield Case("library", "scale in 3D",
                partial(dcreg.register, A3, B3, n_inliers=6, model="rigid3d", scale_range=(1, 2)),
                ["scale_range: (1.0, 2.0)", "leave it out"])  # fmt: skip
