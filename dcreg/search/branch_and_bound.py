@@ -151,10 +151,10 @@ class _Search:
     ) -> None:
         self.bound, self.budget, self.gap_tol = bound, budget, gap_tol
         self.stage, self.leaves = stage, leaves
-        self.theta, self.upper_bound = start.theta, start.value
+        self.start, self.theta, self.upper_bound = start, start.theta, start.value
         self.nodes = OpenNodes(bound.roots[0].dim)
         self.pruned_bound = np.inf  # minimum over the pruned boxes: part of the certificate
-        self.n_nodes, self.n_refining = 0, start.n_assignments
+        self.n_nodes = self.n_refining = 0
         self.worth_refining = np.inf
         self.is_over = False
         self.status: Status | None = None
@@ -247,7 +247,7 @@ class _Search:
             lower_bound,
             self.upper_bound,
             self.n_nodes,
-            self.bound.n_assignments + self.n_refining,
+            self.bound.n_assignments + self.n_refining + self.start.n_assignments,
             time_s,
             self.events,
             self.leaves,
