@@ -1,9 +1,12 @@
-"""The one way kernels are compiled: cached on disk, and free of Python's lock so threads can run.
+"""Compile kernels: cached on disk, and without Python's global lock so that threads run in parallel.
 
-Numba recompiles a function when its own file changes, not when a kernel it calls in another file does.
-So compiled kernels lie in a folder named after the digest of all kernel sources: an edit of any of
-them starts an empty folder, and old and new machine code never meet, not even where processes with
-different sources run side by side.
+Numba recompiles a function when its own file changes, but not when a kernel that it calls in another
+file changes. Compiled kernels therefore lie in a folder named after the digest of all kernel sources.
+An edit of any of them starts an empty folder, so machine code of different sources never mixes, even
+where processes with different sources run at the same time.
+
+With ``NUMBA_DISABLE_JIT=1`` kernels run as plain Python, for debuggers and coverage: slowly, and with the
+same results up to rounding.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ import contextlib
 import functools
 import gc
 import hashlib
+import logging
 import os
 import re
 import shutil
@@ -21,10 +25,21 @@ from typing import Any
 
 import numba as nb
 import numpy as np
-from numba.core import caching, event
-from numba.misc.appdirs import AppDirs
+from numba import extending
+
+try:  # private parts of Numba, which a later version may move
+    from numba.core import caching, event
+    from numba.misc.appdirs import AppDirs
+except ImportError:  # pragma: no cover
+    caching = event = AppDirs = None
+    logging.getLogger("dcreg").warning(
+        "Numba %s has no compile cache that dcreg knows: each process compiles its kernels again; "
+        "install a version of Numba that pyproject.toml admits",
+        nb.__version__,
+    )
 
 HERE = Path(__file__).parent
+INTERPRETED = bool(nb.config.DISABLE_JIT)  # kernels run as plain Python
 _PREFIX = "kernels-"
 # Importing `NEVER` compiles nothing: an edit of such a file leaves the compiled kernels valid.
 _IMPORTS_JIT = re.compile(
@@ -42,7 +57,7 @@ def _kernels_in(package: Path) -> Iterator[Path]:
 
 @functools.cache
 def digest_of(package: Path) -> str:
-    """Digest of the library's kernels, and of the files in `package` that compile others with them."""
+    """Return the digest of the library's kernels and of the files in `package` that compile others."""
     sources = {path for root in (HERE, package) for path in _kernels_in(root)}
     digest = hashlib.sha256()
     for path in sorted(sources):
@@ -51,7 +66,7 @@ def digest_of(package: Path) -> str:
 
 
 def _package_of(file: Path) -> Path:
-    """The outermost package that holds a file, or its folder."""
+    """Return the outermost package that holds a file, or its folder."""
     folder = file.parent
     while (folder.parent / "__init__.py").is_file():
         folder = folder.parent
@@ -60,57 +75,57 @@ def _package_of(file: Path) -> Path:
 
 @functools.cache
 def cache_folder(file: Path) -> Path | None:
-    """Where the compiled functions of a source file are kept: beside it, or else in the user's cache.
+    """Return the folder for the compiled functions of a source file: next to it or in the user's cache.
 
-    None where neither can be written: then every process compiles anew.
+    None where neither is writable: each process then compiles its kernels again.
     """
+    if caching is None:
+        return None
     package = _package_of(file)
     name = _PREFIX + digest_of(package)
-    beside = file.parent / "__pycache__"
+    next_to_it = file.parent / "__pycache__"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen:
         return Path(chosen) / name / file.parent.relative_to(package.parent)
-    if _is_writable(beside) or (beside / name).is_dir():
-        return beside / name
+    if _is_writable(next_to_it) or (next_to_it / name).is_dir():
+        return next_to_it / name
     users = Path(AppDirs(appname="dcreg", appauthor=False).user_cache_dir)
     return users / name / file.parent.relative_to(package.parent) if _is_writable(users) else None
 
 
 def _is_writable(folder: Path) -> bool:
-    """Whether files can be written to a folder, or to the one where it would be made."""
+    """Whether files can be written to a folder, or to the folder in which it would be created."""
     while not folder.exists():
         folder = folder.parent
     return os.access(folder, os.W_OK)
 
 
-class _FirstCompilation(event.Listener):
-    def __init__(self, tell: Callable[[], None]) -> None:
-        self._tell: Callable[[], None] | None = tell
-
-    def on_start(self, event: event.Event) -> None:
-        tell, self._tell = self._tell, None
-        if tell is not None:
-            tell()
-
-    def on_end(self, event: event.Event) -> None:
-        pass
-
-
 @contextlib.contextmanager
-def when_compiling(tell: Callable[[], None]) -> Iterator[None]:
-    """A context in which `tell` is called before a kernel is compiled for the first time.
+def when_compiling(announce: Callable[[], None]) -> Iterator[None]:
+    """A context in which `announce` is called before a kernel is compiled for the first time.
 
-    Kernels that lie in the cache are loaded without a word. Compiling makes millions of objects that
-    live on: the garbage collector waits until it is over, which saves a tenth of the time.
+    Loading kernels from the cache does not call it. Compiling allocates millions of objects that stay
+    alive: the garbage collector pauses until the context ends, which saves a tenth of the time.
     """
+    if event is None:
+        yield
+        return
     collecting = gc.isenabled()
 
-    def begin() -> None:
-        gc.disable()
-        tell()
+    class FirstCompilation(event.Listener):
+        announced = False
+
+        def on_start(self, event: Any) -> None:
+            if not self.announced:
+                self.announced = True
+                gc.disable()
+                announce()
+
+        def on_end(self, event: Any) -> None:
+            pass
 
     try:
-        with event.install_listener("numba:compile", _FirstCompilation(begin)):
+        with event.install_listener("numba:compile", FirstCompilation()):
             yield
     finally:
         if collecting:
@@ -124,32 +139,32 @@ def forget_old_kernels() -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-class _Locator(caching._CacheLocator):
-    """Tells Numba the folder of `cache_folder`; its name stands for the sources."""
+if caching is not None:
 
-    def __init__(self, py_func: Any, py_file: str) -> None:
-        self._folder = str(cache_folder(Path(py_file)))
+    class _Locator(caching._CacheLocator):
+        """Gives Numba the folder of `cache_folder`, whose name identifies the sources."""
 
-    @classmethod
-    def from_function(cls, py_func: Any, py_file: str) -> _Locator:
-        return cls(py_func, py_file)
+        def __init__(self, py_func: Any, py_file: str) -> None:
+            self._folder = str(cache_folder(Path(py_file)))
 
-    def get_cache_path(self) -> str:
-        return self._folder
+        @classmethod
+        def from_function(cls, py_func: Any, py_file: str) -> _Locator:
+            return cls(py_func, py_file)
 
-    def get_source_stamp(self) -> str:
-        return Path(self._folder).name
+        def get_cache_path(self) -> str:
+            return self._folder
 
-    def get_disambiguator(self) -> None:
-        return None
+        def get_source_stamp(self) -> str:
+            return Path(self._folder).name
 
+        def get_disambiguator(self) -> None:
+            return None
 
-class _CacheImpl(caching.CompileResultCacheImpl):
-    _locator_classes = [_Locator]  # noqa: RUF012 (declared by Numba without ClassVar)
+    class _CacheImpl(caching.CompileResultCacheImpl):
+        _locator_classes = [_Locator]  # noqa: RUF012 (declared by Numba without ClassVar)
 
-
-class _Cache(caching.FunctionCache):
-    _impl_class = _CacheImpl
+    class _Cache(caching.FunctionCache):
+        _impl_class = _CacheImpl
 
 
 # Kernels are called from Python and from each other, never by address: they need no entry in C.
@@ -158,7 +173,9 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wra
 
 def _compiled(**options: Any) -> Any:
     def decorate(function: Any) -> Any:
-        # a private one is called by other kernels alone and needs no entry from Python
+        if INTERPRETED:  # compiled arithmetic does not warn either
+            return np.errstate(all="ignore")(function)
+        # a private kernel is called by other kernels alone and needs no entry from Python
         inner: dict[str, Any] = {"no_cpython_wrapper": function.__name__.startswith("_")}
         kernel: Any = nb.njit(**inner, **_OPTIONS, **options)(function)
         if cache_folder(Path(function.__code__.co_filename)) is not None:
@@ -169,11 +186,17 @@ def _compiled(**options: Any) -> Any:
 
 
 jit: Any = _compiled()
-# For a part of one kernel: compiled as if it stood there, in less time than as a function of its own.
-# Not for loops that have to be vectorised: the compiler does that best in a function of their own.
+# For a part of one kernel: compiled as if it stood there, in less time than as a separate function.
+# Not for loops that have to be vectorised: the compiler does that best in a separate function.
 jit_part: Any = _compiled(inline="always")
-# For reductions over finite numbers whose order is free: lets the compiler vectorise a minimum.
+# For reductions over finite numbers in any order: lets the compiler vectorise a minimum.
 jit_reduction: Any = _compiled(fastmath={"nnan", "nsz", "reassoc"})
+
+
+def intrinsic(stand_in: Any) -> Any:
+    """Decorate an intrinsic of Numba; `stand_in` replaces it where kernels run as plain Python."""
+    return lambda function: stand_in if INTERPRETED else extending.intrinsic(function)
+
 
 # A stop flag that is never set.
 NEVER = np.zeros(1, np.uint8)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
-from dcreg.jit import jit, jit_reduction
+from dcreg.jit import intrinsic, jit, jit_reduction
 
 _MAGNITUDE = np.int64(0x7FFFFFFFFFFFFFFF)
 
 
-@intrinsic
+@intrinsic(lambda bits: bits.view(np.float64))
 def _as_float(typing_context, bits):
     """The float64 with these 64 bits."""
 

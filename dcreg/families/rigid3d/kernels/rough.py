@@ -11,15 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
-from dcreg.jit import jit, jit_reduction
+from dcreg.jit import intrinsic, jit, jit_reduction
 
 _NONE = np.int32(0x7F800000)  # the bits of infinity
 _ZERO = np.float32(0.0)
 
 
-@intrinsic
+@intrinsic(lambda value: value.view(np.int32))
 def _bits(typing_context, value):
     """The 32 bits of a number: of those that are not negative, in their order."""
 
@@ -29,7 +28,7 @@ def _bits(typing_context, value):
     return types.int32(types.float32), generate
 
 
-@intrinsic
+@intrinsic(lambda bits: bits.view(np.float32))
 def _as_float(typing_context, bits):
     """The number with these 32 bits."""
 

@@ -64,7 +64,7 @@ def tight_bounds(clouds, vertices, lower, upper, slots, cutoff, thorough, bounds
         for a in range(dim):
             square += 0.25 * (upper[box, a] - lower[box, a]) ** 2
             centre[a] = 0.5 * (lower[box, a] + upper[box, a])
-        norm_curvature(clouds.source, k, centre, math.sqrt(square), math.sqrt(reach), own)
+        norm_curvature(clouds.source, k, centre, math.sqrt(square), math.sqrt(max(0.0, reach)), own)
         bound = best_linearisation(corner[:count], known[:count], own, floor, enough, point)
         bounds[box] = max(bounds[box], min(bound, reach))
     return 0
