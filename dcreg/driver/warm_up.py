@@ -19,6 +19,9 @@ from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.matches.bound import MatchBound
 from dcreg.families.matches.problem import MatchProblem
 from dcreg.families.matches.start import promising_poses, surface_consistent_poses
+from dcreg.families.rigid3d.bound import RigidBound
+from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
+from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.jit import forget_old_kernels, when_compiling
 from dcreg.names import BOUND_NAMES
@@ -67,18 +70,22 @@ def _compile_mode(mode: Mode) -> None:
     for bound in bounds:
         for restricted in (False, True):
             warm_up_mode(mode, bound, restricted)
-    warm_up_mode(mode, None, large=True)
+    warm_up_mode(mode, None, many=True, large=True)
 
 
-def special(problem: Problem) -> tuple[bool, bool]:
-    """`restricted` and `large` of `warm_up_mode` for a problem."""
-    restricted = problem.candidates is not None
-    return restricted, not restricted and is_large(len(problem.source), len(problem.target))
+def special(problem: Problem) -> tuple[bool, bool, bool]:
+    """Return `restricted`, `many` and `large` of `warm_up_mode` for a problem."""
+    restricted, n, m = problem.candidates is not None, len(problem.source), len(problem.target)
+    return restricted, n * m > FEW_PAIRS, not restricted and is_large(n, m)
 
 
 @functools.cache
 def warm_up_mode(
-    mode: Mode, bound: str | None, restricted: bool = False, large: bool = False
+    mode: Mode,
+    bound: str | None,
+    restricted: bool = False,
+    many: bool = False,
+    large: bool = False,
 ) -> None:
     """Compile (or load from cache) the kernels that a mode and a bound need, once a process.
 
@@ -92,6 +99,8 @@ def warm_up_mode(
         None: the mode's own.
     restricted : bool
         Whether not every pair is feasible.
+    many : bool
+        Whether there are more than `FEW_PAIRS` pairs of points.
     large : bool
         Whether the clouds are too large for a dense matrix.
     """
@@ -105,13 +114,18 @@ def warm_up_mode(
         mode.run(
             NormalisedProblem(
                 points, moved, 6, scale_range, candidates, Frame(np.zeros(dim), np.zeros(dim), 1.0),
-                bound or mode.own_bound, stationary_box=False, gap_tol=0.5, rotation_gap_tol=0.5,
+                bound or mode.own_bound, stationary_box=False, gap_tol=0.0, rotation_gap_tol=0.5,
                 threads=1, budget=Budget(nodes=8),
             )
         )  # fmt: skip
         polish(points, moved, np.eye(dim + 1), 6, scale_range, candidates)
         # what is met past the limit
         objective(points, moved, np.eye(dim + 1), 6, stop=np.ones(1, np.uint8))
+        if many and mode.name == "full":
+            cloud = generator.standard_normal((1 + FEW_PAIRS, 3))
+            space = Rigid3D(cloud[:1], cloud, 1)
+            (box, *_) = space.roots()
+            RigidBound(space).evaluate(box.lower[None], box.upper[None], None)
         if large:
             sparse_matching(points, moved, 6)
             if dim == 3:

@@ -10,23 +10,22 @@ from scipy.spatial.transform import Rotation
 
 from dcreg.assignment.objective import k_assignment, objective
 from dcreg.families.protocol import Strongest
-from dcreg.families.rigid3d import corner_values
+from dcreg.families.rigid3d import vertex_values
 from dcreg.families.rigid3d.bound import RigidBound
-from dcreg.families.rigid3d.corner_values import CornerValues
+from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.families.rigid3d.kernels.cayley import vertex_bound
-from dcreg.families.rigid3d.kernels.corners import corner_pose
-from dcreg.families.rigid3d.kernels.poses import View, nearest_sums, relative_corners
-from dcreg.families.rigid3d.kernels.priced import priced_bound, priced_value, room_for_prices
-from dcreg.families.rigid3d.kernels.rough import Bids, bid, rough_costs, rough_minima, settle
+from dcreg.families.rigid3d.kernels.vertices import vertex_pose
+from dcreg.families.rigid3d.kernels.poses import View, nearest_sums, relative_vertices
+from dcreg.families.rigid3d.kernels.priced import priced_bound, priced_value, allocate_workspace
+from dcreg.families.rigid3d.kernels.rough import Auction, auction, rough_costs, rough_minima, settle
 from dcreg.families.rigid3d.kernels.stationary import (
     Limits,
-    Surroundings,
+    BoxGeometry,
     joint_loss_of,
-    look_at_corners,
+    costs_at_vertices,
     loss_of,
     needed,
     proven,
-    room_for_ways,
 )
 from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.families.rotation3d.kernels.caps import cap_costs
@@ -106,7 +105,7 @@ class Parts:
     def __init__(self, model, box):
         self.k = model.n_inliers
         buffer = np.empty((8, 3))
-        count = relative_corners(box.centre, box.lower, box.upper, buffer)
+        count = relative_vertices(box.centre, box.lower, box.upper, buffer)
         self.corners = buffer[:count]
         self.tangent = np.linalg.norm(self.corners, axis=1).max() if count else np.inf
         self.angle = 2.0 * np.arctan(self.tangent)
@@ -236,8 +235,8 @@ def test_auction_and_settling_never_exceed_the_assignment(problem):
     settle(cost, low, level, b)
     assert (b >= 0.0).all()
     assert before - 1e-5 <= priced(cost, b, k) <= best + 1e-5
-    queue, owner, totals = np.empty(n, np.int64), np.empty(m, np.int64), np.empty(m, np.int32)
-    bid(cost, b, low, Bids(3 * k, level, np.float32(0.02 * level)), queue, owner, totals)
+    limits = Auction(3 * k, level, np.float32(0.02 * level))
+    auction(cost, b, low, limits, np.empty((3, max(n, m)), np.int32))
     assert (b >= 0.0).all()
     assert priced(cost, b, k) <= best + 1e-5
 
@@ -267,9 +266,8 @@ def test_sums_at_corners_are_below_all_ways(problem, box, level, seed):
     n, k = parts.view.moved.shape[1], parts.k
     low = generator.exponential(0.1, n)
     found = np.empty(64)
-    least = look_at_corners(
-        parts.view.moved, low, k, parts.corners, parts.half, level, room_for_ways(n), found
-    )
+    box, work = BoxGeometry(parts.corners, parts.half, parts.tangent, 0.0), np.empty((5, n))
+    least = costs_at_vertices(parts.view.moved, low, k, box, level, work, found)
     assert least == found.min()
     weights = np.concatenate(
         [np.eye(len(parts.corners)), generator.dirichlet(np.ones(len(parts.corners)), 20)]
@@ -291,11 +289,11 @@ def test_sums_at_corners_are_below_all_ways(problem, box, level, seed):
 @given(st.floats(0.0, 0.6), st.floats(0.0, 1.0), st.floats(0.0, 50.0), st.floats(0.0, 5.0))
 def test_what_is_needed_proves_what_it_is_needed_for(tangent, slack, cutoff, drift):
     box, limits = (
-        Surroundings(np.empty((0, 3)), np.empty(3), tangent, slack),
+        BoxGeometry(np.empty((0, 3)), np.empty(3), tangent, slack),
         Limits(30.0, drift, 9.0),
     )
     for loss in loss_of(box, limits), joint_loss_of(box, limits):
-        assert proven(loss, needed(loss, cutoff)) == pytest.approx(cutoff, rel=1e-9, abs=1e-9)
+        assert proven(*loss, needed(*loss, cutoff)) == pytest.approx(cutoff, rel=1e-9, abs=1e-9)
 
 
 @given(
@@ -317,15 +315,15 @@ def test_prices_of_any_kind_stay_below_every_matching_at_its_best_pose(
     squares = (source**2).sum(axis=1)
     inertia, drift = np.sort(squares)[-k:].sum(), k * largest_subset_mean_3d(source, k)
     slack = np.linalg.norm(parts.half)
-    box = Surroundings(parts.corners, parts.half, parts.tangent, slack)
+    box = BoxGeometry(parts.corners, parts.half, parts.tangent, slack)
     loss = loss_of(box, Limits(inertia, drift, inertia))
     kept = (scale * 6000 * generator.random(len(target))).astype(np.uint16)
     farthest = np.sqrt(squares.max())
-    room = room_for_prices(len(source), len(target))
+    room = allocate_workspace(len(source), len(target))
     out = np.empty(64)
     found, guess = priced_bound(parts.view, box, farthest, goal, kept, room, out)
     assert found == out.min()
-    assert proven(loss, found) <= left_over + 1e-9
+    assert proven(*loss, found) <= left_over + 1e-9
     assert guess <= k_assignment(parts.squares(), k)[0] + 1e-5 * (1.0 + guess)
 
 
@@ -333,13 +331,13 @@ def test_prices_of_boxes_before_come_near_an_assignment(rng):
     """Along a chain of ever smaller boxes, each elsewhere in the one before."""
     source, target = centred(rng.standard_normal((40, 3))), centred(rng.standard_normal((45, 3)))
     model, kept = Rigid3D(source, target, 30), np.zeros(45, np.uint16)
-    room, out = room_for_prices(40, 45), np.empty(64)
+    room, out = allocate_workspace(40, 45), np.empty(64)
     centre = np.array([1.0, 0.2, -0.3, 0.1, 0.05, 0.02, -0.04])
     for size in 0.2 * 0.8 ** np.arange(15):
         half = size * np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
         centre = centre + 0.3 * rng.choice([-1.0, 1.0], 7) * half
         parts = Parts(model, Box(centre - half, centre + half))
-        box = Surroundings(parts.corners, parts.half, parts.tangent, np.linalg.norm(parts.half))
+        box = BoxGeometry(parts.corners, parts.half, parts.tangent, np.linalg.norm(parts.half))
         _, inherited = priced_bound(parts.view, box, 4.0, np.inf, kept, room, out)
     best = k_assignment(parts.squares(), 30)[0]
     assert 0.95 * best < inherited <= best + 1e-5
@@ -379,7 +377,7 @@ def mean_at_centre_and_corners(generator):
     centre = np.append(1.0, generator.uniform(-1.0, 1.0, 3))
     half = np.append(0.0, generator.choice([0.01, 0.1, 0.3]) * generator.random(3))
     buffer = np.empty((8, 3))
-    count = relative_corners(centre, centre - half, centre + half, buffer)
+    count = relative_vertices(centre, centre - half, centre + half, buffer)
     turns = buffer[:count]
     tangent = np.linalg.norm(turns, axis=1).max()
     turn_weights = generator.dirichlet(np.full(count, generator.choice([0.05, 0.3, 1.0])))
@@ -399,7 +397,7 @@ def mean_at_centre_and_corners(generator):
             less = ((x - y) ** 2).sum() - ((2.0 * np.cross(r, x) + s) ** 2).sum()
             mean += share * other * 0.5 * (less + ((turned + s - y) ** 2).sum())
     moments = np.linalg.eigvalsh(x.T @ x)
-    box = Surroundings(turns, shift, tangent, np.linalg.norm(shift))
+    box = BoxGeometry(turns, shift, tangent, np.linalg.norm(shift))
     limits = Limits((x**2).sum(), np.linalg.norm(x.sum(axis=0)), moments[-1] - moments[0])
     return ((moved - y) ** 2).sum(), mean, box, limits, (x**2).sum() + ((x - y) ** 2).sum()
 
@@ -505,7 +503,7 @@ def test_corners_come_in_one_order(rng):
     matched = parts.view.shifted[:, col_of[col_of >= 0]], parts.view.moved[:, col_of >= 0]
     for index in range(8 * len(parts.corners)):
         pose = np.empty(7)
-        corner_pose(centre - half, centre + half, index, pose)
+        vertex_pose(centre - half, centre + half, index, pose)
         signs = 1.0 - 2.0 * np.array([index & 1, index >> 1 & 1, index >> 2 & 1])
         ways = 2.0 * np.cross(parts.corners[index >> 3], matched[1].T) + signs * parts.half
         turned = model.pose(pose)[:3, :3] @ source[col_of >= 0].T + pose[4:, None]
@@ -523,7 +521,7 @@ def test_a_bound_that_forgets_corners_finds_the_same(rng, monkeypatch, threads):
         return minimise(model, RigidBound(model, threads=threads), budget, gap_tol=0.3)
 
     whole = search()
-    monkeypatch.setattr(corner_values, "_REMEMBERED", 2**12)
+    monkeypatch.setattr(vertex_values, "_REMEMBERED", 2**12)
     forgetful = search()
     assert forgetful.status == whole.status == "optimal"
     assert forgetful.upper_bound == whole.upper_bound
@@ -539,7 +537,7 @@ def test_values_at_corners_close_boxes_that_nothing_else_does(rng, monkeypatch):
     centres[:, 0] = 1.0
     lower, upper = centres - half, centres + half
     with_corners = RigidBound(model).evaluate(lower, upper, best).lower_bounds
-    monkeypatch.setattr(CornerValues, "raise_bounds", lambda *_: None)
+    monkeypatch.setattr(VertexValues, "raise_bounds", lambda *_: None)
     without = RigidBound(model).evaluate(lower, upper, best).lower_bounds
     assert (with_corners >= without).all()
     assert (with_corners >= best).sum() > 20 + 2 * (without >= best).sum()

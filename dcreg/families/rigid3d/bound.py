@@ -127,10 +127,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from dcreg.families.protocol import SpaceBound
-from dcreg.families.rigid3d.corner_values import CornerValues
-from dcreg.families.rigid3d.kernels.rigid import bound_boxes, room_for_findings
+from dcreg.families.rigid3d.kernels.boxes import (
+    FEW_PAIRS,
+    allocate_found,
+    bound_boxes,
+    price_boxes,
+)
+from dcreg.families.rigid3d.kernels.priced import allocate_workspace
 from dcreg.families.rigid3d.kernels.stationary import Limits
 from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
+from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.search import Box, Evaluation
 
 
@@ -154,7 +160,8 @@ class RigidBound(SpaceBound[Rigid3D]):
             drift=k * largest_subset_mean_3d(source.T, k),
             spread=float(np.linalg.eigvalsh(source @ source.T)[-1]),
         )
-        self._corners = CornerValues(space.clouds, self.map_slices)
+        few = space.n_pairs <= FEW_PAIRS
+        self._vertices = None if few else VertexValues(space.clouds, self.map_slices)
 
     def _evaluate(
         self,
@@ -163,7 +170,8 @@ class RigidBound(SpaceBound[Rigid3D]):
         cutoff: float | None,
         warm_start: np.ndarray | None,
     ) -> Evaluation:
-        count, most = len(lower), self._corners.most_boxes
+        count = len(lower)
+        most = count if self._vertices is None else self._vertices.most_boxes
         if warm_start is None:
             warm_start = np.zeros((count, self.space.n_target), np.uint16)
         enough = np.inf if cutoff is None else cutoff
@@ -175,27 +183,29 @@ class RigidBound(SpaceBound[Rigid3D]):
         return Evaluation(bounds, thetas, values, warm_start)
 
     def _evaluate_part(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, prices: np.ndarray
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, duals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bound boxes, as many as the cache has room for; `prices` is updated in place."""
-        count, space, corners = len(lower), self.space, self._corners
-        found = room_for_findings(prices)
-        corners.make_room(count)
-        self.map_slices(
-            count,
-            lambda part: bound_boxes(
-                lower[part], upper[part], cutoff, space.clouds, self._limits, corners.known,
-                found.part(part),
-            ),
-        )  # fmt: skip
-        corners.raise_bounds(lower, upper, cutoff, found)
+        """Bound boxes, as many as the cache has room for; `duals` is updated in place."""
+        space, vertices, found = self.space, self._vertices, allocate_found(duals)
+
+        def work(part: slice) -> int:
+            boxes = lower[part], upper[part], cutoff, space.clouds, self._limits, found.part(part)
+            spent: int = bound_boxes(*boxes)
+            if vertices is not None:
+                price_boxes(*boxes, allocate_workspace(space.n_source, space.n_target))
+                spent += bound_boxes(*boxes)
+            return spent
+
+        self.map_slices(len(lower), work)
+        if vertices is not None:
+            vertices.raise_bounds(lower, upper, cutoff, found)
         thetas = 0.5 * (lower + upper)
-        self._look_at_best(thetas, found.guesses, found.values)
+        self._look_at_best(thetas, found.estimates, found.values)
         return found.bounds, thetas, found.values
 
-    def _look_at_best(self, thetas: np.ndarray, guesses: np.ndarray, values: np.ndarray) -> None:
+    def _look_at_best(self, thetas: np.ndarray, estimates: np.ndarray, values: np.ndarray) -> None:
         """Compute the objective where its estimate is smallest."""
-        best = int(np.argmin(guesses))
-        if guesses[best] < values.min():
+        best = int(np.argmin(estimates))
+        if estimates[best] < values.min():
             values[best] = self.space.objective(thetas[best])[0]
             self.n_assignments += 1

@@ -129,7 +129,7 @@ def dual_bound_at(terms, step, k, b, low):
 
 
 @jit_part
-def vertex_bound(view, corners, half, floor, cutoff, col_of):
+def vertex_bound(view, vertices, half, floor, cutoff, col_of):
     """The linearised vertex bound as far as it decides, and the assignments solved.
 
     `col_of` is a good matching at the centre. -inf once a first pass shows that the bound will not
@@ -137,7 +137,7 @@ def vertex_bound(view, corners, half, floor, cutoff, col_of):
     """
     n, m = view.moved.shape[1], view.shifted.shape[1]
     low_box, high_box, delta = np.empty(6), np.empty(6), np.zeros(6)
-    scale = _step_box(corners, half, low_box, high_box)
+    scale = _step_box(vertices, half, low_box, high_box)
     goal, hopeless, spent = cutoff * scale, False, 0
     terms, costs, low, b = np.empty((7, m, n)), np.empty((n, m)), np.empty(n), np.empty(m)
     for _ in range(_REFITS):
@@ -153,14 +153,14 @@ def vertex_bound(view, corners, half, floor, cutoff, col_of):
     n_shifts = 1
     for c in range(3, 6):
         n_shifts *= 2 if high_box[c] > 0.0 else 1
-    values = np.empty(corners.shape[0] * n_shifts)
+    values = np.empty(vertices.shape[0] * n_shifts)
     steps = np.empty((values.size, 6))
     for at in range(values.size):
         if hopeless or view.stop[0]:
             break
         shift = at % n_shifts
         for c in range(3):
-            steps[at, c] = corners[at // n_shifts, c] - delta[c]
+            steps[at, c] = vertices[at // n_shifts, c] - delta[c]
         for c in range(3, 6):
             steps[at, c] = -delta[c]
             if high_box[c] > 0.0:
@@ -182,17 +182,17 @@ def vertex_bound(view, corners, half, floor, cutoff, col_of):
 
 
 @jit
-def _step_box(corners, half, low_box, high_box):
+def _step_box(vertices, half, low_box, high_box):
     """Box of (r, s) that holds all poses of the box; returns 1 + the greatest |r|^2."""
     largest = 0.0
     for c in range(6):
         low_box[c] = high_box[c] = 0.0
-    for a in range(corners.shape[0]):
+    for a in range(vertices.shape[0]):
         square = 0.0
         for c in range(3):
-            square += corners[a, c] ** 2
-            low_box[c] = min(low_box[c], corners[a, c])
-            high_box[c] = max(high_box[c], corners[a, c])
+            square += vertices[a, c] ** 2
+            low_box[c] = min(low_box[c], vertices[a, c])
+            high_box[c] = max(high_box[c], vertices[a, c])
         largest = max(largest, square)
     for c in range(3):
         d, e = (c + 1) % 3, (c + 2) % 3

@@ -36,10 +36,10 @@ class View(NamedTuple):
 
 
 @jit
-def relative_corners(centre, lower, upper, out):
-    """Gibbs vectors from the rotation `centre` to the corners of a quaternion box.
+def relative_vertices(centre, lower, upper, out):
+    """Gibbs vectors from the rotation `centre` to the vertices of a quaternion box.
 
-    Fills rows of `out` (8, 3), returns their number; 0 where a corner lies a half-turn away or more.
+    Fills rows of `out` (8, 3), returns their number; 0 where a vertex lies a half-turn away or more.
     """
     count = 0
     a, b, c, d = centre[0], -centre[1], -centre[2], -centre[3]  # the inverse of the centre
@@ -47,7 +47,7 @@ def relative_corners(centre, lower, upper, out):
         flat = False
         for axis in range(4):
             flat |= (v >> axis) & 1 == 1 and upper[axis] <= lower[axis]
-        if flat:  # the same corner as another one
+        if flat:  # the same vertex as another one
             continue
         w = upper[0] if v & 1 else lower[0]
         x = upper[1] if v & 2 else lower[1]

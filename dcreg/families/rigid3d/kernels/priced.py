@@ -1,6 +1,6 @@
-"""Matchings at a pose, bounded by prices that come from another: that of a box this one is a part of.
+"""Bounds on matchings at a pose by dual variables that come from another pose, that of the parent box.
 
-In single precision: most boxes are closed or divided without an exact assignment.
+They use single precision. Most boxes are pruned or divided without an exact assignment.
 """
 
 from __future__ import annotations
@@ -12,192 +12,197 @@ import numpy as np
 
 from dcreg.assignment.kernels.selection import smallest_sum, total
 from dcreg.families.kernels import add_prices
-from dcreg.families.rigid3d.kernels.rough import Bids, bid, rough_costs, rough_minima, settle
-from dcreg.families.rigid3d.kernels.stationary import Ways, look_at_corners, room_for_ways
+from dcreg.families.rigid3d.kernels.rough import Auction, auction, rough_costs, rough_minima, settle
+from dcreg.families.rigid3d.kernels.stationary import costs_at_vertices
 from dcreg.families.rotation3d.kernels.geometry import extent
-from dcreg.jit import jit
+from dcreg.jit import jit, jit_part
 
-# Share of a price that is taken over from another pose: all of it would leave columns dear that nobody
-# wants here, and bids only raise prices.
+# Share of a dual that is taken over from another pose. All of it would leave columns expensive that no
+# row wants here, and auction steps only raise duals.
 _KEPT = 0.7
-_BIDS = 2  # per pair to be matched, at most
-_ROUNDS = 2  # of bids, at most
-# A box is bid for while what it is short of its goal, or beyond it, is this share of what is lost in it.
+_STEPS = 2  # auction steps per pair to be matched, at most
+_ROUNDS = 2  # of auction steps, at most
+# Auction steps continue while the bound is within this fraction of the loss from the pruning threshold.
 _HOPELESS, _CERTAIN = -0.4, 0.1
-_STEP = 0.02  # least raise, in what the k-th row costs: equal columns would be bid for in vain
-_CEILING = np.float32(
-    1.5
-)  # rows that cost this many times the k-th are not matched anywhere in a box
+# Smallest raise, as a share of the k-th row's cost: equal columns would be raised in vain.
+_RAISE = 0.02
+# Rows that cost this many times the k-th row are not matched anywhere in a box.
+_CEILING = np.float32(1.5)
 _ONE = np.float32(1.0)
-_UNIT = 2.0**-14  # of prices that are kept, in squares of the radius of the target
-_MOST = 65_535.0
+_UNIT = 2.0**-14  # of the duals that are kept, in squared radii of the target
+_LARGEST = 65_535.0
 _ROUNDING = 2.0**-23  # of single precision, relative
 
 
-class Room(NamedTuple):
-    """What the passes over one box work in."""
+class Workspace(NamedTuple):
+    """Scratch arrays for one box: few, because every array costs compile time in every kernel.
 
-    moved: np.ndarray
-    shifted: np.ndarray
-    cost: np.ndarray
-    b: np.ndarray
-    tried: np.ndarray
-    low: np.ndarray
-    best_low: np.ndarray
-    queue: np.ndarray
-    owner: np.ndarray
-    totals: np.ndarray
-    exact_low: np.ndarray
-    ways: Ways
+    Attributes
+    ----------
+    costs : (n, m) float32 array
+    columns : (5, m) float32 array
+        The coordinates of the targets, the best duals, and those being tried.
+    rows : (2, n) float32 array
+        Row minima under the duals being tried, and under the best ones.
+    integers : (3, max(n, m)) int32 array
+        For `auction`.
+    exact : (5, n) array
+        Row minima, and what `costs_at_vertices` needs.
+    """
+
+    costs: np.ndarray
+    columns: np.ndarray
+    rows: np.ndarray
+    integers: np.ndarray
+    exact: np.ndarray
 
 
-@jit
-def room_for_prices(n, m):
-    single = np.float32
-    return Room(
-        np.empty((3, n), single), np.empty((3, m), single), np.empty((n, m), single),
-        np.zeros(m, single), np.empty(m, single), np.empty(n, single), np.empty(n, single),
-        np.empty(n, np.int64), np.empty(m, np.int64), np.empty(m, np.int32),
-        np.empty(n), room_for_ways(n),
+def allocate_workspace(n: int, m: int) -> Workspace:
+    """Allocate the scratch arrays for n source and m target points."""
+    return Workspace(
+        np.empty((n, m), np.float32), np.empty((5, m), np.float32), np.empty((2, n), np.float32),
+        np.empty((3, max(n, m)), np.int32), np.empty((5, n)),
     )  # fmt: skip
 
 
-@jit
-def keep_prices(b, kept):
-    """Prices by 16 bits each."""
+@jit_part
+def keep_duals(b, kept):
+    """Store duals in 16 bits each."""
     for j in range(b.size):
-        kept[j] = np.uint16(min(_MOST, b[j] / _UNIT + 0.5))
+        kept[j] = np.uint16(min(_LARGEST, b[j] / _UNIT + 0.5))
 
 
-@jit
-def priced_bound(view, box, farthest, goal, kept, room, out):
-    """A lower bound on C of `Loss` and a guess of the costs at the centre.
+@jit_part
+def priced_bound(view, box, farthest, goal, kept, work, out):
+    """Return a lower bound on C of `Loss` and an estimate of the sum of costs at the centre.
 
-    Some effort is made where it is in doubt whether they reach `goal`.
+    The bound is improved where it is in doubt whether it reaches `goal`. ``work.columns[3]`` holds the
+    duals afterwards.
 
     Parameters
     ----------
     view : View
-    box : Surroundings
+    box : BoxGeometry
     farthest : float
-        The greatest length of a source point.
+        The largest norm of a source point.
     goal : float
         For the mean of C and of the sum of costs at the centre.
     kept : (m,) uint16 array
-        Prices from another pose, replaced by better ones.
-    room : Room
+        Duals from another pose, replaced by better ones.
+    work : Workspace
     out : (64,) array
-        Receives bounds on C at the corners of the box.
+        Receives bounds on C at the vertices of the box.
     """
-    _begin(view, kept, room)
-    here, level = _settled(view, room.b, room, _CEILING)
-    room.best_low[:] = room.low
-    found = _at_corners(view, box, farthest, level, room, out)
-    lost, improved = here - found, False
-    for _ in range(_ROUNDS):
-        likely = (here - 0.5 * lost - goal) / (lost + goal) if goal < np.inf else 0.0
-        if not _HOPELESS < likely < _CERTAIN:
+    _begin(view, kept, work)
+    here = level = found = lost = 0.0
+    improved = False
+    for attempt in range(_ROUNDS + 1):
+        if attempt > 0:
+            likely = (here - 0.5 * lost - goal) / (lost + goal) if goal < np.inf else 0.0
+            if not _HOPELESS < likely < _CERTAIN:
+                break
+            _raise(view, level, work)
+        better, level = _evaluate(view, _CEILING, work)
+        if attempt > 0 and better <= here:
             break
-        better, level = _raised(view, level, room, _CEILING)
-        if better <= here:
-            break
-        here, improved = better, True
-        room.b[:], room.best_low[:] = room.tried, room.low
+        here, improved = better, attempt > 0
+        for j in range(kept.size):
+            work.columns[3, j] = work.columns[4, j]
+        for i in range(work.rows.shape[1]):
+            work.rows[1, i] = work.rows[0, i]
+        if attempt == 0:
+            found = _at_vertices(view, box, farthest, level, work, out)
+            lost = here - found
     if improved:
-        found = _at_corners(view, box, farthest, level, room, out)
-    keep_prices(room.b, kept)
+        found = _at_vertices(view, box, farthest, level, work, out)
+    keep_duals(work.columns[3], kept)
     return found, here
 
 
-@jit
-def priced_value(view, farthest, goal, kept, room):
-    """A lower bound on the least sum of costs at a pose, up to `goal`; whether more is out of reach."""
-    _begin(view, kept, room)
-    found, level = _settled(view, room.b, room, _ONE)
-    prices = total(room.b)
-    off = _rounding(view, farthest, 0.0, found + prices, prices)
+@jit_part
+def priced_value(view, farthest, goal, kept, work):
+    """Return a lower bound on the minimum sum of costs at a pose, and whether no better one is possible.
+
+    The bound need not exceed `goal`.
+    """
+    _begin(view, kept, work)
+    found = off = level = 0.0
     is_final = False
-    for at in range(_ROUNDS):
-        if found - off >= goal:
-            break
-        better, level = _raised(view, level, room, _ONE)
-        room.b[:] = room.tried
-        is_final = better <= found or at == _ROUNDS - 1
-        if better <= found:
-            break
-        found, prices = better, total(room.b)
-        off = _rounding(view, farthest, 0.0, found + prices, prices)
+    for attempt in range(_ROUNDS + 1):
+        if attempt > 0:
+            if found - off >= goal:
+                break
+            _raise(view, level, work)
+        better, level = _evaluate(view, _ONE, work)
+        if attempt > 0:
+            is_final = better <= found or attempt == _ROUNDS
+            if better <= found:
+                break
+        found, duals = better, total(work.columns[4])
+        off = _rounding(view, farthest, 0.0, found + duals, duals)
     return found - off, is_final
 
 
-@jit
-def _begin(view, kept, room):
-    """Costs at a pose, and prices from another."""
-    _narrow(view.moved, room.moved)
-    _narrow(view.shifted, room.shifted)
-    rough_costs(room.moved, room.shifted, room.cost)
-    add_prices(view.prices, room.cost)
+@jit_part
+def _begin(view, kept, work):
+    """Costs at a pose, and duals from another."""
     for j in range(kept.size):
-        room.b[j] = np.float32(kept[j] * (_KEPT * _UNIT))
+        for c in range(3):
+            work.columns[c, j] = view.shifted[c, j]
+        work.columns[4, j] = np.float32(kept[j] * (_KEPT * _UNIT))
+    rough_costs(view.moved, work.columns, work.costs)
+    add_prices(view.prices, work.costs)
 
 
-@jit
-def _settled(view, b, room, ceiling):
-    """Settle prices; the sum of the k cheapest rows less all prices, and a cost from the k-th to the
-    next."""
-    rough_minima(room.cost, b, room.low)
+@jit_part
+def _raise(view, level, work):
+    """Raise the duals being tried by auction steps."""
+    limits = Auction(int(_STEPS * view.k) + 1, np.float32(level), np.float32(_RAISE * level))
+    auction(work.costs, work.columns[4], work.rows[0], limits, work.integers)
+
+
+@jit_part
+def _evaluate(view, ceiling, work):
+    """Settle the duals being tried; return the dual bound and a cost between the k-th and the next row."""
+    low, b, exact = work.rows[0], work.columns[4], work.exact[0]
+    rough_minima(work.costs, b, low)
     mean = 0.0
-    for i in range(room.low.size):
-        room.exact_low[i] = room.low[i]
-        mean += room.exact_low[i] / room.low.size
-    here, level = smallest_sum(room.exact_low, view.k, mean, 0.02 * mean)
-    if view.k == room.low.size:  # no row is left out
-        level = room.low.max()
-    settle(room.cost, room.low, ceiling * np.float32(level), b)
+    for i in range(low.size):
+        exact[i] = low[i]
+        mean += exact[i] / low.size
+    here, level = smallest_sum(exact, view.k, mean, 0.02 * mean)
+    if view.k == low.size:  # no row is left out
+        level = exact[0]
+        for i in range(low.size):
+            level = max(level, exact[i])
+    settle(work.costs, low, ceiling * np.float32(level), b)
     return here - total(b), level
 
 
 @jit
-def _raised(view, level, room, ceiling):
-    """Try prices raised by bids: the sum of the k cheapest rows less all of them, and a cost as above."""
-    room.tried[:] = room.b
-    bids = Bids(int(_BIDS * view.k) + 1, np.float32(level), np.float32(_STEP * level))
-    bid(room.cost, room.tried, room.low, bids, room.queue, room.owner, room.totals)
-    return _settled(view, room.tried, room, ceiling)
-
-
-@jit
-def _at_corners(view, box, farthest, level, room, out):
-    """C of `Loss` from below, with what single precision may be off by."""
-    for i in range(room.low.size):
-        room.exact_low[i] = room.best_low[i]
-    found = look_at_corners(
-        view.moved, room.exact_low, view.k, box.corners, box.half, level, room.ways, out
-    )
-    prices = total(room.b)
-    reach = box.slack + 2.0 * box.tangent * farthest  # of a way
-    off = prices + _rounding(view, farthest, reach, found, prices)
-    for corner in range(out.size):
-        out[corner] -= off
+def _at_vertices(view, box, farthest, level, work, out):
+    """C of `Loss` from below, less the rounding error of single precision."""
+    low = work.exact[0]
+    for i in range(low.size):
+        low[i] = work.rows[1, i]
+    found = costs_at_vertices(view.moved, low, view.k, box, level, work.exact, out)
+    duals = total(work.columns[3])
+    reach = box.slack + 2.0 * box.tangent * farthest  # of a displacement
+    off = duals + _rounding(view, farthest, reach, found, duals)
+    for vertex in range(out.size):
+        out[vertex] -= off
     return found - off
 
 
-@jit
-def _rounding(view, farthest, reach, found, prices):
-    """What single precision may be off by in a sum of k costs less squares of ways up to `reach`.
+@jit_part
+def _rounding(view, farthest, reach, found, duals):
+    """The rounding error of single precision in a sum of k costs less squared displacements.
 
-    A residual of length d is off by less than step = 2 eps (|x| + |y|), its square by 2 d step + step^2;
-    the sum of d over k pairs is at most the root of k times the sum of their squares.
+    Displacements are at most `reach`. A residual of length d is off by less than
+    step = 2 eps (|x| + |y|), its square by 2 d step + step^2; the sum of d over k pairs is at most the
+    root of k times the sum of their squares.
     """
-    size = max(0.0, found - prices) + view.k * reach * reach
+    size = max(0.0, found - duals) + view.k * reach * reach
     step = 2.0 * _ROUNDING * (farthest + extent(view.shifted)[1])
     off = 2.0 * step * math.sqrt(view.k * size) + view.k * step * step
-    return off + 2.0 * _ROUNDING * (size + prices)
-
-
-@jit
-def _narrow(values, out):
-    """Copy in single precision."""
-    for c in range(values.shape[0]):
-        for i in range(values.shape[1]):
-            out[c, i] = values[c, i]
+    return off + 2.0 * _ROUNDING * (size + duals)

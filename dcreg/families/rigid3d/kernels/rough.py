@@ -1,7 +1,7 @@
-"""Prices of all pairs at one pose in single precision: rough, and several times as fast as exact ones.
+"""Dual variables of all pairs at one pose in single precision: rough, and several times as fast.
 
-Whatever prices these passes end at, the bound they give is valid up to rounding, which the caller allows
-for. Every pass runs along the targets, which is what lets the compiler vectorise it.
+Whatever duals these passes end at, the bound they give is valid up to rounding, which the caller
+subtracts. Every pass runs along the targets, which lets the compiler vectorise it.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ def _as_float(typing_context, bits):
 
 
 @jit_reduction
-def rough_costs(moved, shifted, out):
-    """(n, m) squared distances."""
-    u, v, w = shifted[0], shifted[1], shifted[2]
+def rough_costs(moved, target, out):
+    """(n, m) squared distances of (3, n) points and the first three rows of `target`."""
+    u, v, w = target[0], target[1], target[2]
     for i in range(out.shape[0]):
-        x, y, z = moved[0, i], moved[1, i], moved[2, i]
+        x, y, z = np.float32(moved[0, i]), np.float32(moved[1, i]), np.float32(moved[2, i])
         row = out[i]
         for j in range(out.shape[1]):
             a, b, c = x - u[j], y - v[j], z - w[j]
@@ -62,10 +62,10 @@ def rough_minima(cost, b, low):
 
 @jit_reduction
 def settle(cost, low, ceiling, b):
-    """The least prices under which no row pays less than now, or than `ceiling` where it pays more.
+    """The minimum duals that lower no row minimum, of those up to `ceiling`.
 
-    Prices that no row stands behind any more fall, as they must where they come from another pose. `low`
-    is cut at the ceiling, above which it no longer holds.
+    Duals that come from another pose and support no row minimum fall. `low` is cut at the ceiling, above
+    which it no longer holds.
     """
     for j in range(b.size):
         b[j] = _ZERO
@@ -78,10 +78,10 @@ def settle(cost, low, ceiling, b):
 
 
 @jit_reduction
-def _two_least(row, b, places, totals):
-    """Where the cheapest column of a row is, and the totals of the two cheapest, cut to some digits.
+def _two_cheapest(row, b, places, totals):
+    """The cheapest column of a row, and the totals of the two cheapest, cut to some digits.
 
-    The last bits of every total make room for its column: so one minimum gives both.
+    The last bits of every total hold its column, so that one minimum gives both.
     """
     first = second = _NONE
     for j in range(b.size):
@@ -92,46 +92,57 @@ def _two_least(row, b, places, totals):
     return first & places, _as_float(first & ~places), _as_float(second & ~places)
 
 
-class Bids(NamedTuple):
-    """How many bids there are at most, what a row may pay, and the least raise."""
+class Auction(NamedTuple):
+    """Limits of an auction.
 
-    most: int
+    Attributes
+    ----------
+    steps : int
+        The number of steps, at most.
+    level : float
+        Rows that cost more than this leave.
+    step : float
+        The smallest raise of a dual.
+    """
+
+    steps: int
     level: float
     step: float
 
 
 @jit
-def bid(cost, b, low, bids, queue, owner, totals):
-    """Raise prices by bids: a rough auction, which rows leave where it costs more than they may pay.
+def auction(cost, b, low, limits, integers):
+    """Raise duals by the steps of a rough auction.
 
-    `low` are the row minima under the prices; the last three are room to work in: (n,), (m,) and (m,)
-    integers, the last of 32 bits.
+    `low` are the row minima under the duals; `integers` is an int32 array of three rows with room for
+    every row and every column.
     """
-    left = bids.most
+    queue, owner, totals = integers[0], integers[1], integers[2]
+    left, n = limits.steps, low.size
     places, size = np.int32(1), 0
     while places < b.size:
         places *= np.int32(2)
     places -= np.int32(1)
-    for i in range(low.size):
-        if low[i] <= bids.level:
+    for i in range(n):
+        if low[i] <= limits.level:
             queue[size] = i
             size += 1
     for j in range(b.size):
         owner[j] = -1
-    head, tail = 0, size if size < queue.size else 0
+    head, tail = 0, size if size < n else 0
     while size > 0 and left > 0:
         i = queue[head]
-        head = head + 1 if head + 1 < queue.size else 0
+        head = head + 1 if head + 1 < n else 0
         size -= 1
         left -= 1
-        at, first, second = _two_least(cost[i], b, places, totals)
-        if first > bids.level:
+        at, first, second = _two_cheapest(cost[i], b, places, totals)
+        if first > limits.level:
             continue
         loser = owner[at]
         owner[at] = i
         if loser >= 0 or b[at] > _ZERO:
-            b[at] += min(second, bids.level) - first + bids.step
+            b[at] += min(second, limits.level) - first + limits.step
         if loser >= 0:
             queue[tail] = loser
-            tail = tail + 1 if tail + 1 < queue.size else 0
+            tail = tail + 1 if tail + 1 < n else 0
             size += 1

@@ -1,6 +1,6 @@
-"""What the matchings at the centre of a box say of optima elsewhere in it, from their being stationary.
+"""Bounds on the optima of a box from the matchings at its centre: optima are stationary.
 
-Why it holds is written in `dcreg.families.rigid3d.bound`.
+The proof is in `dcreg.families.rigid3d.bound`.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from dcreg.assignment.kernels.selection import least, smallest_sum, total
-from dcreg.jit import jit, jit_reduction
+from dcreg.jit import jit, jit_part, jit_reduction
 
 
 class Loss(NamedTuple):
-    """What an optimum may cost less than its matching does at the centre of a box.
+    """How much an optimum may cost less than its matching costs at the centre of a box.
 
-    With C the least of ``sum (cost - |way|^2)`` over the matchings and the corners of the box, every
-    optimum E* in it has ``E* + root * sqrt(E*) + rest >= C``.
+    Let C be the minimum of ``sum (cost - |displacement|^2)`` over the matchings and the vertices of the
+    box. Every optimum E* in the box then has ``E* + root * sqrt(E*) + rest >= C``.
 
     Attributes
     ----------
@@ -29,36 +29,36 @@ class Loss(NamedTuple):
     rest: float
 
 
-class Surroundings(NamedTuple):
-    """A box as seen from its centre.
+class BoxGeometry(NamedTuple):
+    """A box relative to its centre.
 
     Attributes
     ----------
-    corners : (a, 3) array
-        Gibbs vectors of the corners of its rotations.
+    vertices : (a, 3) array
+        Gibbs vectors of the vertices of its rotations.
     half : (3,) array
         Half its widths in translation.
     tangent, slack : float
-        The greatest length of a Gibbs vector, and of a shift.
+        The largest length of a Gibbs vector, and of a shift.
     """
 
-    corners: np.ndarray
+    vertices: np.ndarray
     half: np.ndarray
     tangent: float
     slack: float
 
 
 class Limits(NamedTuple):
-    """What a matching of k sources has at most.
+    """Upper bounds for a matching of k source points.
 
     Attributes
     ----------
     inertia : float
-        The sum of their squares.
+        On the sum of their squares.
     drift : float
-        The length of their sum.
+        On the length of their sum.
     spread : float
-        The difference of two eigenvalues of their second moments.
+        On the difference of two eigenvalues of their second moments.
     """
 
     inertia: float
@@ -66,20 +66,20 @@ class Limits(NamedTuple):
     spread: float
 
 
-@jit
+@jit_part
 def loss_of(box, limits):
     """The loss of third order in a box."""
-    square = box.tangent**2
+    square = box.tangent * box.tangent
     return Loss(
         4.0 * square / (1.0 + square) * math.sqrt(limits.inertia),
         4.0 * square / math.sqrt(1.0 + square) * box.slack * limits.drift,
     )
 
 
-@jit
+@jit_part
 def joint_loss_of(box, limits):
-    """The loss of the mean of C at a corner and the least sum of costs there."""
-    square = box.tangent**2
+    """The loss of the mean of C at a vertex and the minimum sum of costs there."""
+    square = box.tangent * box.tangent
     return Loss(
         2.0 * square * math.sqrt(limits.inertia),
         2.0 * square / math.sqrt(1.0 + square) * box.slack * limits.drift
@@ -88,49 +88,35 @@ def joint_loss_of(box, limits):
     )
 
 
-@jit
-def needed(loss, cutoff):
-    """The C that proves `cutoff`."""
+@jit_part
+def needed(root, rest, cutoff):
+    """The C that proves `cutoff`, with the terms of a `Loss`."""
     cutoff = max(0.0, cutoff)
-    root = loss.root * math.sqrt(cutoff) if loss.root > 0.0 else 0.0
-    return cutoff + root + loss.rest
+    lost = root * math.sqrt(cutoff) if root > 0.0 else 0.0
+    return cutoff + lost + rest
 
 
-@jit
-def proven(loss, least):
-    """The bound on E* that C = `least` proves."""
-    rest = least - loss.rest
-    return (0.5 * (math.sqrt(loss.root**2 + 4.0 * rest) - loss.root)) ** 2 if rest > 0.0 else 0.0
-
-
-class Ways(NamedTuple):
-    """Room for the ways of all source points to a corner of a box: (n,) arrays."""
-
-    u: np.ndarray
-    v: np.ndarray
-    w: np.ndarray
-    net: np.ndarray
-
-
-@jit
-def room_for_ways(n):
-    return Ways(np.empty(n), np.empty(n), np.empty(n), np.empty(n))
+@jit_part
+def proven(root, rest, cost):
+    """The bound on E* that C = `cost` proves."""
+    left = cost - rest
+    return (0.5 * (math.sqrt(root * root + 4.0 * left) - root)) ** 2 if left > 0.0 else 0.0
 
 
 @jit_reduction
-def _turn(moved, p, q, r, low, ways):
-    """Ways by a rotation alone, and what they leave of `low`."""
+def _turn(moved, p, q, r, low, work):
+    """Displacements by a rotation alone into rows 1 to 3 of `work`, and `low` less their squares into 4."""
     x, y, z = moved[0], moved[1], moved[2]
-    u, v, w, net = ways
+    u, v, w, net = work[1], work[2], work[3], work[4]
     for i in range(low.size):
         u[i], v[i], w[i] = q * z[i] - r * y[i], r * x[i] - p * z[i], p * y[i] - q * x[i]
         net[i] = low[i] - (u[i] * u[i] + v[i] * v[i] + w[i] * w[i])
 
 
 @jit_reduction
-def _depths(ways, a, b, c, level):
+def _depths(work, a, b, c, level):
     """How far all net costs lie below a level, at a shift and at its opposite."""
-    u, v, w, net = ways
+    u, v, w, net = work[1], work[2], work[3], work[4]
     one = other = 0.0
     for i in range(net.size):
         cross, below = a * u[i] + b * v[i] + c * w[i], level - net[i]
@@ -140,32 +126,36 @@ def _depths(ways, a, b, c, level):
 
 
 @jit
-def look_at_corners(moved, low, k, corners, half, level, ways, out):
-    """C of `Loss` at every corner of a box, from below, for rows that cost at least `low`; the least.
+def costs_at_vertices(moved, low, k, box, level, work, out):
+    """Lower bounds on C of `Loss` at every vertex of a box, for rows that cost at least `low`.
 
-    It is the least in the box, since ways are linear in (r, s): turned by Gibbs vector r and shifted by
-    s, a point x goes the way 2 r x x + s. The sum of the k smallest numbers is at least
-    ``k level - sum max(0, level - number)`` at any level: one that is best for one corner does for all.
+    Returns the minimum. It is the minimum over the box, since displacements are linear in (r, s): turned
+    by Gibbs vector r and shifted by s, a point x moves by 2 r x x + s. The sum of the k smallest numbers
+    is at least ``k level - sum max(0, level - number)`` at any level: one that is best for one vertex
+    serves all.
 
-    Entry 8 a + s of `out` is that of the rotation corner a and the shift s, the three bits of which tell
-    where it is negative; +inf where there is no such corner.
+    Entry 8 a + s of `out` is that of the rotation vertex a and the shift s, whose three bits mark
+    negative axes; +inf where there is no such vertex. `work` is (5, n); row 0 is left as it is.
     """
+    vertices, half, n = box.vertices, box.half, low.size
     square = k * (half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
-    out[:] = np.inf
-    for a in range(corners.shape[0]):
-        _turn(moved, 2.0 * corners[a, 0], 2.0 * corners[a, 1], 2.0 * corners[a, 2], low, ways)
-        if a == 0 or k == low.size:
-            spacing = 0.02 * (abs(level) + abs(total(ways.net)) / low.size)
-            found, level = smallest_sum(ways.net, k, level, spacing)
-        if k == low.size:  # all rows are matched: the shifts of all add up
-            u, v, w = total(ways.u), total(ways.v), total(ways.w)
+    for at in range(out.size):
+        out[at] = np.inf
+    found = u = v = w = 0.0
+    for a in range(vertices.shape[0]):
+        _turn(moved, 2.0 * vertices[a, 0], 2.0 * vertices[a, 1], 2.0 * vertices[a, 2], low, work)
+        if a == 0 or k == n:
+            spacing = 0.02 * (abs(level) + abs(total(work[4])) / n)
+            found, level = smallest_sum(work[4], k, level, spacing)
+        if k == n:  # all rows are matched: the shifts of all add up
+            u, v, w = total(work[1]), total(work[2]), total(work[3])
         for sign in range(4):
             x, y, z = half[0], half[1] * (1.0 - 2.0 * (sign & 1)), half[2] * (1.0 - (sign & 2))
-            if k == low.size:
+            if k == n:
                 cross = 2.0 * (x * u + y * v + z * w)
                 one, other = found - cross, found + cross
             else:
-                depths = _depths(ways, 2.0 * x, 2.0 * y, 2.0 * z, level)
+                depths = _depths(work, 2.0 * x, 2.0 * y, 2.0 * z, level)
                 one, other = k * level - depths[0], k * level - depths[1]
             out[8 * a + 2 * sign] = one - square
             out[8 * a + 7 - 2 * sign] = other - square

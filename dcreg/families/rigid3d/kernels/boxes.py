@@ -1,0 +1,225 @@
+"""Lower bounds over boxes of rigid poses.
+
+A box has seven axes: four of a quaternion, three of the translation of y = R x + t. Point sets are
+stored by axis, (3, n) and (3, m). `dcreg.families.rigid3d.bound` proves the bounds.
+
+Two kernels share the work, so that a search over few pairs need not compile the second:
+`bound_boxes` bounds boxes by caps and by exact assignments, `price_boxes` by duals.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dcreg.assignment.kernels.dense import improve_assignment, k_assignment, row_minima
+from dcreg.assignment.kernels.selection import kth_smallest, total
+from dcreg.families.rigid3d.kernels.cayley import vertex_bound
+from dcreg.families.rigid3d.kernels.poses import (
+    View,
+    look_from,
+    nearest_sums,
+    pair_costs,
+    relative_vertices,
+)
+from dcreg.families.rigid3d.kernels.priced import keep_duals, priced_bound
+from dcreg.families.rigid3d.kernels.stationary import (
+    BoxGeometry,
+    costs_at_vertices,
+    joint_loss_of,
+    loss_of,
+    needed,
+    proven,
+)
+from dcreg.families.rigid3d.kernels.vertices import VALUES_NEEDED, BoxStates, allocate_states
+from dcreg.families.rotation3d.kernels.caps import cap_costs
+from dcreg.families.rotation3d.kernels.geometry import extent, matched_cost
+from dcreg.jit import jit, jit_part
+
+# Boxes with rotations farther than this from the centre, as tangents of half the angle, are left to caps:
+# the second-order loss exceeds the objective there, so that the other bounds are vacuous.
+_WIDE = 0.6
+# As many pairs are assigned in the time of one pricing: their boxes are left to caps too.
+FEW_PAIRS = 1000
+# An assignment pays where the sum of nearest costs exceeds this share of the pruning threshold.
+_WORTH_ASSIGNMENT = 0.35
+# Next step for a box: caps, duals, an exact assignment, none.
+_BEGIN, _PRICE, _SOLVE, _DONE = 0, 1, 2, 3
+
+
+class Found(NamedTuple):
+    """Results for B boxes.
+
+    Attributes
+    ----------
+    bounds, values : (B,) arrays
+        Lower bounds on E, and upper bounds on it at the centres: +inf where no matching was computed.
+    estimates : (B,) array
+        Estimates of E at the centres, from below up to rounding: +inf where none was made.
+    kept : (B, m) uint16 array
+        Duals of the parent boxes, replaced by those of the boxes.
+    duals : (B, m) float32 array
+        Duals from which an exact assignment starts.
+    steps : (B,) int8 array
+        The next step for each box.
+    boxes : BoxStates
+        Of the boxes that values at their vertices may prune.
+    """
+
+    bounds: np.ndarray
+    values: np.ndarray
+    estimates: np.ndarray
+    kept: np.ndarray
+    duals: np.ndarray
+    steps: np.ndarray
+    boxes: BoxStates
+
+    def part(self, which: slice) -> Found:
+        return Found(*(array[which] for array in self[:-1]), self.boxes.part(which))
+
+
+def allocate_found(kept: np.ndarray) -> Found:
+    """Allocate the results for boxes with these duals of their parents."""
+    count, m = kept.shape
+    return Found(
+        np.empty(count), np.full(count, np.inf), np.full(count, np.inf), kept,
+        np.zeros((count, m), np.float32), np.full(count, _BEGIN, np.int8), allocate_states(count),
+    )  # fmt: skip
+
+
+@jit_part
+def _geometry(lower, upper, centre, half, buffer):
+    """The box relative to its centre. Fills the next two; `buffer` is (8, 3)."""
+    for c in range(7):
+        centre[c] = 0.5 * (lower[c] + upper[c])
+    for c in range(3):
+        half[c] = 0.5 * (upper[4 + c] - lower[4 + c])
+    vertices = buffer[: relative_vertices(centre, lower, upper, buffer)]
+    tangent = np.inf if vertices.shape[0] == 0 else 0.0
+    for a in range(vertices.shape[0]):
+        square = vertices[a, 0] ** 2 + vertices[a, 1] ** 2 + vertices[a, 2] ** 2
+        tangent = max(tangent, math.sqrt(square))
+    slack = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    return BoxGeometry(vertices, half, tangent, slack)
+
+
+@jit_part
+def _is_small(box, radius, k, cutoff):
+    """Whether the poses of a box are alike: however low their bounds, they must be told from others."""
+    return k * (2.0 * math.atan(box.tangent) * radius + box.slack) ** 2 < cutoff
+
+
+@jit
+def bound_boxes(lower, upper, cutoff, clouds, limits, found):
+    """Bound boxes by caps and by exact assignments; return the number of assignments.
+
+    Boxes that are to be priced are left to `price_boxes`; those which that leaves over are bounded by a
+    second call.
+
+    Parameters
+    ----------
+    lower, upper : (B, 7) arrays
+    cutoff : float
+        A higher bound has no use.
+    clouds : Clouds
+    limits : Limits
+    found : Found
+    """
+    n, m, k = clouds.source.shape[1], clouds.target.shape[1], clouds.k
+    view = View(np.empty((3, n)), np.empty((3, m)), clouds.prices, k, clouds.stop)
+    radius, few = extent(clouds.source)[0], n * m <= FEW_PAIRS
+    costs, b, work = np.empty((n, m)), np.empty(m), np.empty((5, n))
+    low, buffer, centre, half = work[0], np.empty((8, 3)), np.empty(7), np.empty(3)
+    bounds, steps = found.bounds, found.steps
+    spent = 0
+    for at in range(lower.shape[0]):
+        if clouds.stop[0]:
+            break
+        if steps[at] == _DONE:
+            continue
+        box = _geometry(lower[at], upper[at], centre, half, buffer)
+        if steps[at] == _BEGIN and not few and box.tangent <= _WIDE:
+            steps[at] = _PRICE
+            continue
+        look_from(clouds, centre, view)
+        if steps[at] == _BEGIN:
+            steps[at] = _DONE
+            small = _is_small(box, radius, k, cutoff)
+            bounds[at], solved = _capped(view, box, cutoff, small, costs)
+            spent += solved
+            if bounds[at] >= cutoff or not small or box.tangent > _WIDE:
+                continue
+        steps[at] = _DONE
+        pair_costs(view.moved, view.shifted, view.prices, costs)
+        for j in range(m):
+            b[j] = found.duals[at, j]
+        _, col_of = improve_assignment(costs, k, b, clouds.stop)
+        keep_duals(b, found.kept[at])
+        spent += 1
+        found.values[at] = matched_cost(view.moved, view.shifted, col_of)
+        row_minima(costs, b, low)
+        level = kth_smallest(low, k - 1)
+        out = found.boxes.costs[at]
+        duals = total(b)
+        cost = costs_at_vertices(view.moved, low, k, box, level, work, out) - duals
+        for vertex in range(out.size):
+            out[vertex] -= duals
+        loss = loss_of(box, limits)
+        bounds[at] = max(bounds[at], proven(loss.root, loss.rest, cost))
+        if bounds[at] >= cutoff:
+            continue
+        value, solved = vertex_bound(view, box.vertices, half, bounds[at], cutoff, col_of)
+        bounds[at] = max(bounds[at], value)
+        spent += solved
+        if bounds[at] < cutoff and not few:
+            found.boxes.states[at] = VALUES_NEEDED
+    return spent
+
+
+@jit
+def price_boxes(lower, upper, cutoff, clouds, limits, found, work):
+    """Bound the boxes that `bound_boxes` leaves over; `work` is a `Workspace`."""
+    n, m, k = clouds.source.shape[1], clouds.target.shape[1], clouds.k
+    view = View(np.empty((3, n)), np.empty((3, m)), clouds.prices, k, clouds.stop)
+    radius, farthest = extent(clouds.source)
+    buffer, centre, half = np.empty((8, 3)), np.empty(7), np.empty(3)
+    bounds, steps, boxes = found.bounds, found.steps, found.boxes
+    for at in range(lower.shape[0]):
+        if clouds.stop[0]:
+            break
+        if steps[at] != _PRICE:
+            continue
+        steps[at] = _DONE
+        box = _geometry(lower[at], upper[at], centre, half, buffer)
+        look_from(clouds, centre, view)
+        loss, joint = loss_of(box, limits), joint_loss_of(box, limits)
+        goal = needed(joint.root, joint.rest, cutoff)
+        cost, found.estimates[at] = priced_bound(
+            view, box, farthest, goal, found.kept[at], work, boxes.costs[at]
+        )
+        bounds[at] = proven(loss.root, loss.rest, cost)
+        if bounds[at] >= cutoff:
+            continue
+        boxes.losses[at, 0], boxes.losses[at, 1] = joint.root, joint.rest
+        if _is_small(box, radius, k, cutoff):
+            steps[at] = _SOLVE
+            for j in range(m):
+                found.duals[at, j] = work.columns[3, j]
+        else:
+            boxes.states[at] = VALUES_NEEDED
+
+
+@jit_part
+def _capped(view, box, cutoff, small, costs):
+    """The bound by caps, and the number of assignments it took."""
+    slack = box.slack
+    cap_costs(view.moved, 2.0 * math.atan(box.tangent), view.shifted, view.prices, costs)
+    nearest, narrowed = nearest_sums(costs, slack, view.k)
+    shift = view.k * slack * slack
+    bound, solved = max(narrowed, nearest - shift), 0
+    if bound < cutoff and (small or nearest > _WORTH_ASSIGNMENT * (cutoff + shift)):
+        value, _ = k_assignment(costs, view.k, view.stop)
+        bound, solved = max(bound, value - shift), 1
+    return bound, solved

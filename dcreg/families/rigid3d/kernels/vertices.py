@@ -1,0 +1,287 @@
+"""Values at the vertices of boxes of poses: each is found once, for all boxes that have the vertex.
+
+How they prune a box is written in `dcreg.families.rigid3d.bound`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dcreg.families.rigid3d.kernels.poses import View, look_from
+from dcreg.families.rigid3d.kernels.priced import priced_value
+from dcreg.families.rigid3d.kernels.stationary import needed, proven
+from dcreg.families.rotation3d.kernels.geometry import extent
+from dcreg.jit import jit, jit_part
+
+VERTICES = 64  # of a box: rotations times shifts
+# States of a box: values at its vertices may prune it; it remains open; they prune it.
+VALUES_NEEDED, OPEN, PRUNED = 0, 1, 2
+
+
+class VertexTable(NamedTuple):
+    """The vertices met so far, by slot, and a hash table to find them.
+
+    Attributes
+    ----------
+    table : (T,) int32 array
+        Slots by hash, -1 where empty; T is a power of two.
+    poses : (S, 7) array
+    values : (S,) array
+        Lower bounds on the minimum sum of costs; NaN while a value is requested.
+    is_final : (S,) bool array
+        Whether another request cannot improve the value.
+    """
+
+    table: np.ndarray
+    poses: np.ndarray
+    values: np.ndarray
+    is_final: np.ndarray
+
+
+class VertexRequests(NamedTuple):
+    """Vertices to be priced: slots, the boxes that need them, and the values they need: (64 B,) arrays."""
+
+    slots: np.ndarray
+    boxes: np.ndarray
+    goals: np.ndarray
+
+    def part(self, which: slice) -> VertexRequests:
+        return VertexRequests(*(array[which] for array in self))
+
+
+class BoxStates(NamedTuple):
+    """What remains to be done for B boxes.
+
+    Attributes
+    ----------
+    costs : (B, 64) array
+        C of `dcreg.families.rigid3d.kernels.stationary.Loss` at the vertices of the boxes, from below.
+    losses : (B, 2) array
+        The `Loss` of its mean with a value at the vertex.
+    slots : (B, 64) int32 array
+        Of known vertices; -1 elsewhere.
+    states : (B,) int8 array
+        VALUES_NEEDED, OPEN or PRUNED.
+    """
+
+    costs: np.ndarray
+    losses: np.ndarray
+    slots: np.ndarray
+    states: np.ndarray
+
+    def part(self, which: slice) -> BoxStates:
+        return BoxStates(*(array[which] for array in self))
+
+
+def allocate_states(count: int) -> BoxStates:
+    """Allocate the states of so many open boxes."""
+    return BoxStates(
+        np.empty((count, VERTICES)), np.empty((count, 2)),
+        np.full((count, VERTICES), -1, np.int32), np.full(count, OPEN, np.int8),
+    )  # fmt: skip
+
+
+@jit
+def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
+    """Judge boxes by the values known, and list the vertices to be priced to know more.
+
+    Parameters
+    ----------
+    known : VertexTable
+    used : int
+        Slots taken.
+    lower, upper : (B, 7) arrays
+    boxes : BoxStates
+        Updated where the values known decide.
+    cutoff : float
+        Boxes with at least this bound are pruned.
+    most : int
+        Vertices to be requested per box, those of smallest C first.
+    requests : VertexRequests
+
+    Returns
+    -------
+    used, count : int
+        Slots taken now, and the number of requests.
+    """
+    candidates, theta, count = np.empty(VERTICES, np.int64), np.empty(7), 0
+    for box in range(lower.shape[0]):
+        if boxes.states[box] == VALUES_NEEDED:
+            boxes.states[box] = _judged(known, lower[box], upper[box], boxes, box, cutoff, theta)
+        if boxes.states[box] != VALUES_NEEDED or most == 0:
+            continue
+        alone, together = _goals(boxes, box, cutoff)
+        n_open = 0
+        for vertex in range(VERTICES):
+            cost = boxes.costs[box, vertex]
+            goal = 2.0 * together - cost
+            if cost < alone and _may_improve(known, boxes.slots[box, vertex], goal):
+                candidates[n_open] = vertex
+                n_open += 1
+        for turn in range(min(most, n_open)):
+            if most < n_open:  # the next in the order of C
+                best = turn
+                for other in range(turn + 1, n_open):
+                    if boxes.costs[box, candidates[other]] < boxes.costs[box, candidates[best]]:
+                        best = other
+                candidates[turn], candidates[best] = candidates[best], candidates[turn]
+            at = candidates[turn]
+            goal = 2.0 * together - boxes.costs[box, at]
+            if boxes.slots[box, at] < 0:
+                vertex_pose(lower[box], upper[box], at, theta)
+                boxes.slots[box, at] = _slot_of(known, used, theta)
+                used = max(used, boxes.slots[box, at] + 1)
+            slot = boxes.slots[box, at]
+            if _may_improve(known, slot, goal):
+                known.values[slot] = np.nan
+                requests.slots[count], requests.boxes[count] = slot, box
+                requests.goals[count] = goal
+                count += 1
+    return used, count
+
+
+@jit_part
+def _slot_of(known, used, theta):
+    """The slot of a vertex; the first free one where it has none."""
+    place = _place(known, theta, _joined(_hash(theta, 0, 4), _hash(theta, 4, 7)))
+    slot = known.table[place]
+    if slot < 0:
+        slot = np.int32(used)
+        known.table[place] = slot
+        for axis in range(7):
+            known.poses[slot, axis] = theta[axis]
+        known.values[slot] = -np.inf
+        known.is_final[slot] = False
+    return slot
+
+
+@jit
+def _goals(boxes, box, cutoff):
+    """The C that is enough at a vertex whose value is not known, and the mean that is where it is."""
+    root, rest = boxes.losses[box, 0], boxes.losses[box, 1]
+    return needed(2.0 * root, 2.0 * rest, cutoff), needed(root, rest, cutoff)
+
+
+@jit
+def _may_improve(known, slot, goal):
+    """Whether to request the value of a vertex that has to reach `goal`."""
+    if slot < 0:
+        return True
+    value = known.values[slot]
+    return not math.isnan(value) and value < goal and not known.is_final[slot]
+
+
+@jit
+def _judged(known, lower, upper, boxes, box, cutoff, theta):
+    """The state of a box by the values known."""
+    alone, together = _goals(boxes, box, cutoff)
+    turns, shifts = np.empty(8, np.uint64), np.empty(8, np.uint64)
+    for part in range(8):
+        vertex_pose(lower, upper, 9 * part, theta)
+        turns[part], shifts[part] = _hash(theta, 0, 4), _hash(theta, 4, 7)
+    state = PRUNED
+    for vertex in range(VERTICES):
+        cost, slot = boxes.costs[box, vertex], boxes.slots[box, vertex]
+        if cost >= alone:
+            continue
+        if slot < 0:
+            vertex_pose(lower, upper, vertex, theta)
+            place = _place(known, theta, _joined(turns[vertex >> 3], shifts[vertex & 7]))
+            slot = boxes.slots[box, vertex] = known.table[place]
+        if slot < 0 or math.isnan(known.values[slot]):
+            state = VALUES_NEEDED
+        elif known.values[slot] < 2.0 * together - cost:
+            if not known.is_final[slot]:
+                state = VALUES_NEEDED
+            elif cutoff < np.inf:
+                return OPEN
+    return state
+
+
+@jit
+def bounds_by_vertices(known, boxes, cutoff, bounds):
+    """Raise the bounds of the boxes that are pruned."""
+    for box in range(bounds.size):
+        if boxes.states[box] != PRUNED:
+            continue
+        root, rest = boxes.losses[box, 0], boxes.losses[box, 1]
+        alone, _ = _goals(boxes, box, cutoff)
+        single = both = np.inf
+        for vertex in range(VERTICES):
+            cost = boxes.costs[box, vertex]
+            if cost >= alone:
+                single = min(single, cost)
+            else:
+                both = min(both, 0.5 * (cost + known.values[boxes.slots[box, vertex]]))
+        bound = np.inf
+        if single < np.inf:
+            bound = proven(2.0 * root, 2.0 * rest, single)
+        if both < np.inf:
+            bound = min(bound, proven(root, rest, both))
+        bounds[box] = max(bounds[box], bound)
+
+
+@jit
+def price_vertices(known, requests, duals, clouds, work):
+    """Values of the vertices requested, from the duals (B, m) of the boxes that need them."""
+    n, m = clouds.source.shape[1], clouds.target.shape[1]
+    view = View(np.empty((3, n)), np.empty((3, m)), clouds.prices, clouds.k, clouds.stop)
+    farthest = extent(clouds.source)[1]
+    for at in range(requests.slots.size):
+        if clouds.stop[0]:
+            break
+        slot, kept = requests.slots[at], duals[requests.boxes[at]]
+        look_from(clouds, known.poses[slot], view)
+        value, is_final = priced_value(view, farthest, requests.goals[at], kept, work)
+        known.values[slot], known.is_final[slot] = value, is_final
+
+
+@jit
+def vertex_pose(lower, upper, vertex, theta):
+    """The pose of a vertex, in the order of `costs_at_vertices`."""
+    turn = vertex >> 3
+    for axis in range(4):
+        theta[axis] = lower[axis]
+        if upper[axis] > lower[axis]:
+            if turn & 1:
+                theta[axis] = upper[axis]
+            turn >>= 1
+    for axis in range(3):
+        theta[4 + axis] = lower[4 + axis] if (vertex >> axis) & 1 else upper[4 + axis]
+
+
+@jit
+def _hash(values, first, end):
+    """Hash numbers by their bits: vertices that bisected boxes share are equal to the last bit."""
+    bits, h = values.view(np.uint64), np.uint64(0x9E3779B97F4A7C15)
+    for at in range(first, end):
+        h = (h ^ bits[at]) * np.uint64(0xBF58476D1CE4E5B9)
+        h ^= h >> np.uint64(29)
+    return h
+
+
+@jit_part
+def _joined(turn, shift):
+    h = (turn ^ (shift >> np.uint64(23)) ^ (shift << np.uint64(41))) * np.uint64(0x94D049BB133111EB)
+    return h ^ (h >> np.uint64(31))
+
+
+@jit
+def _place(known, theta, at):
+    """Where a pose with hash `at` stands in the table, or would stand."""
+    table, poses = known.table, known.poses
+    mask = np.uint64(table.size - 1)
+    while True:
+        at &= mask
+        slot = table[at]
+        if slot < 0:
+            return at
+        same = True
+        for axis in range(7):
+            same &= poses[slot, axis] == theta[axis]
+        if same:
+            return at
+        at += np.uint64(1)

@@ -1,0 +1,86 @@
+"""Values at the vertices of the boxes of poses met so far, shared by all boxes that have them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dcreg.families.kernels import Clouds
+from dcreg.families.rigid3d.kernels.boxes import Found
+from dcreg.families.rigid3d.kernels.priced import allocate_workspace
+from dcreg.families.rigid3d.kernels.vertices import (
+    VERTICES,
+    VertexRequests,
+    VertexTable,
+    bounds_by_vertices,
+    price_vertices,
+    request_values,
+)
+
+# Vertices that a box requests, round after round, until a value decides; in the end boxes are judged only.
+_REQUESTED = 1, 4, VERTICES, VERTICES, 0
+_REMEMBERED = 2**21  # vertices, of 73 bytes each; then all are forgotten
+
+
+class VertexValues:
+    """Values by slot, found by the pose of the vertex.
+
+    Parameters
+    ----------
+    clouds : Clouds
+    map_slices : callable
+        That of a `SpaceBound`.
+
+    Attributes
+    ----------
+    most_boxes : int
+        The number of boxes that one call of `raise_bounds` can take.
+    """
+
+    def __init__(
+        self, clouds: Clouds, map_slices: Callable[[int, Callable[[slice], int]], None]
+    ) -> None:
+        self._clouds, self._map_slices = clouds, map_slices
+        self.most_boxes = _REMEMBERED // VERTICES
+        self._used = 0
+        self.known = VertexTable(
+            np.full(2 * _REMEMBERED, -1, np.int32),
+            np.empty((_REMEMBERED, 7)),
+            np.empty(_REMEMBERED),
+            np.empty(_REMEMBERED, np.bool_),
+        )
+        # Compiled now: the first vertices may be priced late in a search, when no time is left for it.
+        requests = VertexRequests(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
+        self._price(requests, np.empty((0, clouds.target.shape[1]), np.uint16))
+
+    def _price(self, requests: VertexRequests, kept: np.ndarray) -> int:
+        work = allocate_workspace(self._clouds.source.shape[1], self._clouds.target.shape[1])
+        price_vertices(self.known, requests, kept, self._clouds, work)
+        return 0
+
+    def raise_bounds(
+        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, found: Found
+    ) -> None:
+        """Raise the bounds of the boxes whose vertices cost enough."""
+        most = VERTICES * len(lower)
+        if self._used + most > len(self.known.values):  # the memory is full: forget all values
+            self.known.table[:] = -1
+            self._used = 0
+        requests = VertexRequests(np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most))
+
+        def request(part: slice, share: int) -> int:
+            boxes = lower[part], upper[part], found.boxes.part(part)
+            self._used, count = request_values(
+                self.known, self._used, *boxes, cutoff, share, requests
+            )
+            return count
+
+        def judge(part: slice) -> int:
+            return request(part, 0)
+
+        self._map_slices(len(lower), judge)
+        for share in _REQUESTED:
+            count = request(slice(None), share)
+            self._map_slices(count, lambda part: self._price(requests.part(part), found.kept))
+        bounds_by_vertices(self.known, found.boxes, cutoff, found.bounds)
