@@ -25,21 +25,24 @@ from typing import Any
 
 import numba as nb
 import numpy as np
-from numba import extending
+from numba import config, extending
 
 try:  # private parts of Numba, which a later version may move
-    from numba.core import caching, event
+    from numba.core import event
+    from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
     from numba.misc.appdirs import AppDirs
-except ImportError:  # pragma: no cover
-    caching = event = AppDirs = None
+
+    HAS_CACHE = True
+except ImportError:
+    HAS_CACHE = False
     logging.getLogger("dcreg").warning(
-        "Numba %s has no compile cache that dcreg knows: each process compiles its kernels again; "
-        "install a version of Numba that pyproject.toml admits",
+        "numba %s: its compile cache is not supported, so that each process compiles its kernels again; "
+        "install a version that the requirements of dcreg admit",
         nb.__version__,
     )
 
 HERE = Path(__file__).parent
-INTERPRETED = bool(nb.config.DISABLE_JIT)  # kernels run as plain Python
+INTERPRETED = bool(getattr(config, "DISABLE_JIT", False))  # kernels run as plain Python
 _PREFIX = "kernels-"
 # Importing `NEVER` compiles nothing: an edit of such a file leaves the compiled kernels valid.
 _IMPORTS_JIT = re.compile(
@@ -79,7 +82,7 @@ def cache_folder(file: Path) -> Path | None:
 
     None where neither is writable: each process then compiles its kernels again.
     """
-    if caching is None:
+    if not HAS_CACHE:
         return None
     package = _package_of(file)
     name = _PREFIX + digest_of(package)
@@ -107,7 +110,7 @@ def when_compiling(announce: Callable[[], None]) -> Iterator[None]:
     Loading kernels from the cache does not call it. Compiling allocates millions of objects that stay
     alive: the garbage collector pauses until the context ends, which saves a tenth of the time.
     """
-    if event is None:
+    if not HAS_CACHE:
         yield
         return
     collecting = gc.isenabled()
@@ -139,9 +142,9 @@ def forget_old_kernels() -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-if caching is not None:
+if HAS_CACHE:
 
-    class _Locator(caching._CacheLocator):
+    class _Locator(_CacheLocator):
         """Gives Numba the folder of `cache_folder`, whose name identifies the sources."""
 
         def __init__(self, py_func: Any, py_file: str) -> None:
@@ -160,10 +163,10 @@ if caching is not None:
         def get_disambiguator(self) -> None:
             return None
 
-    class _CacheImpl(caching.CompileResultCacheImpl):
+    class _CacheImpl(CompileResultCacheImpl):
         _locator_classes = [_Locator]  # noqa: RUF012 (declared by Numba without ClassVar)
 
-    class _Cache(caching.FunctionCache):
+    class _Cache(FunctionCache):
         _impl_class = _CacheImpl
 
 

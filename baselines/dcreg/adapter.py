@@ -11,6 +11,7 @@ from dcreg.api import register, register_matches
 from dcreg.driver.modes import MODES, find_mode
 from dcreg.driver.options import SolveOptions
 from dcreg.driver.warm_up import warm_up_matches, warm_up_mode
+from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, SCORES, mode_names
 from dcreg.problem import InputError, suggestion
 from dcreg.status import Status
@@ -72,7 +73,8 @@ class Adapter(LibraryMethod):
         for name in mode_names(instance.model):
             chosen_by_library = mode in (None, AUTO) and (bound is None or name == "paper")
             if chosen_by_library or name == mode:
-                warm_up_mode(find_mode(instance.model, name), bound)
+                many = len(instance.source) * len(instance.target) > FEW_PAIRS
+                warm_up_mode(find_mode(instance.model, name), bound, many=many)
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         if self.options["front_end"] is not None:

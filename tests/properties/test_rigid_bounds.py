@@ -266,8 +266,8 @@ def test_sums_at_corners_are_below_all_ways(problem, box, level, seed):
     n, k = parts.view.moved.shape[1], parts.k
     low = generator.exponential(0.1, n)
     found = np.empty(64)
-    box, work = BoxGeometry(parts.corners, parts.half, parts.tangent, 0.0), np.empty((5, n))
-    least = costs_at_vertices(parts.view.moved, low, k, box, level, work, found)
+    geometry = BoxGeometry(parts.corners, parts.half, parts.tangent, 0.0)
+    least = costs_at_vertices(parts.view.moved, low, k, geometry, level, np.empty((5, n)), found)
     assert least == found.min()
     weights = np.concatenate(
         [np.eye(len(parts.corners)), generator.dirichlet(np.ones(len(parts.corners)), 20)]

@@ -122,17 +122,18 @@ import dcreg, dcreg.driver.solve
 from numba.core import event
 from dcreg.driver.modes import find_mode
 from dcreg.driver.warm_up import warm_up_mode
+from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 
-def compiled_late(model, mode, bound, restricted):
-    warm_up_mode(find_mode(model, mode), bound, restricted)
+def compiled_late(model, mode, bound, restricted, n):
+    warm_up_mode(find_mode(model, mode), bound, restricted, many=n * n > FEW_PAIRS)
     seen = event.RecordingListener()
     dim = 2 if model == "similarity2d" else 3
-    points = np.random.default_rng(1).standard_normal((15, dim))
-    noise = 0.05 * np.random.default_rng(2).standard_normal((15, dim))
-    mask = np.ones((15, 15), bool)
+    points = np.random.default_rng(1).standard_normal((n, dim))
+    noise = 0.05 * np.random.default_rng(2).standard_normal((n, dim))
+    mask = np.ones((n, n), bool)
     mask[0, 3] = False
     with event.install_listener("numba:compile", seen):
-        for k in (12, 15):
+        for k in (n - 3, n):
             dcreg.register(
                 points, points + noise, n_inliers=k, model=model, node_limit=60,
                 candidates=mask if restricted else None,
@@ -158,7 +159,8 @@ SEARCHES = [
 
 @pytest.mark.timeout(1200)  # where the cache is empty
 def test_a_search_compiles_nothing_after_its_warm_up():
-    cases = [[*search, restricted] for search in SEARCHES for restricted in (False, True)]
+    cases = [[*search, restricted, 15] for search in SEARCHES for restricted in (False, True)]
+    cases.append(["rigid3d", "full", None, False, 33])  # many pairs
     cache = {k: v for k, v in os.environ.items() if k == "NUMBA_CACHE_DIR"}
     output = run(WARM, LIBRARY.parent, CASES=json.dumps(cases), **cache)
     assert [json.loads(line) for line in output.splitlines()] == [[case, []] for case in cases]
@@ -170,6 +172,21 @@ def test_a_compilation_is_announced_and_a_cached_kernel_is_not(copy):
     code += SUM.replace("\n", "\n    ")
     assert run(code, copy).split() == ["compiling", "4.0"]
     assert run(code, copy) == "4.0"
+
+
+NO_CACHE = """
+from numba.core import caching
+del caching._CacheLocator
+"""
+
+
+def test_a_numba_without_its_private_cache_still_compiles(copy):
+    """Every process then compiles its kernels."""
+    code = "import logging, sys\nlogging.basicConfig(stream=sys.stdout)\n" + NO_CACHE + SUM
+    lines = run(code, copy).splitlines()
+    assert "compile cache is not supported" in lines[0]
+    assert lines[1] == "4.0"
+    assert not compiled(copy)
 
 
 def test_a_warm_up_announces_that_it_compiles(monkeypatch, caplog):

@@ -18,7 +18,7 @@ from dcreg.families.rigid3d.kernels.vertices import (
     request_values,
 )
 
-# Vertices that a box requests, round after round, until a value decides; in the end boxes are judged only.
+# Vertices that a box requests, round after round, until a value decides; 0: boxes are judged only.
 _REQUESTED = 1, 4, VERTICES, VERTICES, 0
 _REMEMBERED = 2**21  # vertices, of 73 bytes each; then all are forgotten
 
@@ -67,7 +67,9 @@ class VertexValues:
         if self._used + most > len(self.known.values):  # the memory is full: forget all values
             self.known.table[:] = -1
             self._used = 0
-        requests = VertexRequests(np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most))
+        requests = VertexRequests(
+            np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+        )
 
         def request(part: slice, share: int) -> int:
             boxes = lower[part], upper[part], found.boxes.part(part)

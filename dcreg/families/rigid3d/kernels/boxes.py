@@ -77,7 +77,8 @@ class Found(NamedTuple):
     boxes: BoxStates
 
     def part(self, which: slice) -> Found:
-        return Found(*(array[which] for array in self[:-1]), self.boxes.part(which))
+        arrays = (array[which] for array in self[:-1])
+        return Found(*arrays, boxes=self.boxes.part(which))  # type: ignore[misc,arg-type]
 
 
 def allocate_found(kept: np.ndarray) -> Found:

@@ -163,7 +163,7 @@ def _raise(view, level, work):
 
 @jit_part
 def _evaluate(view, ceiling, work):
-    """Settle the duals being tried; return the dual bound and a cost between the k-th and the next row."""
+    """Settle the duals being tried; return their bound and a cost between the k-th and the next row."""
     low, b, exact = work.rows[0], work.columns[4], work.exact[0]
     rough_minima(work.costs, b, low)
     mean = 0.0

@@ -105,7 +105,7 @@ def proven(root, rest, cost):
 
 @jit_reduction
 def _turn(moved, p, q, r, low, work):
-    """Displacements by a rotation alone into rows 1 to 3 of `work`, and `low` less their squares into 4."""
+    """Displacements by a rotation into rows 1 to 3 of `work`, and `low` less their squares into row 4."""
     x, y, z = moved[0], moved[1], moved[2]
     u, v, w, net = work[1], work[2], work[3], work[4]
     for i in range(low.size):

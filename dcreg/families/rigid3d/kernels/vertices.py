@@ -42,7 +42,7 @@ class VertexTable(NamedTuple):
 
 
 class VertexRequests(NamedTuple):
-    """Vertices to be priced: slots, the boxes that need them, and the values they need: (64 B,) arrays."""
+    """Vertices to be priced: slots, the boxes that need them, and the values needed: (64 B,) arrays."""
 
     slots: np.ndarray
     boxes: np.ndarray
