@@ -12,22 +12,22 @@ from dcreg.assignment.objective import k_assignment, objective
 from dcreg.families.protocol import Strongest
 from dcreg.families.rigid3d import vertex_values
 from dcreg.families.rigid3d.bound import RigidBound
-from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.families.rigid3d.kernels.cayley import vertex_bound
-from dcreg.families.rigid3d.kernels.vertices import vertex_pose
 from dcreg.families.rigid3d.kernels.poses import View, nearest_sums, relative_vertices
-from dcreg.families.rigid3d.kernels.priced import priced_bound, priced_value, allocate_workspace
+from dcreg.families.rigid3d.kernels.priced import allocate_workspace, priced_bound, priced_value
 from dcreg.families.rigid3d.kernels.rough import Auction, auction, rough_costs, rough_minima, settle
 from dcreg.families.rigid3d.kernels.stationary import (
-    Limits,
     BoxGeometry,
-    joint_loss_of,
+    Limits,
     costs_at_vertices,
+    joint_loss_of,
     loss_of,
     needed,
     proven,
 )
+from dcreg.families.rigid3d.kernels.vertices import vertex_pose
 from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
+from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.families.rotation3d.kernels.caps import cap_costs
 from dcreg.jit import NEVER
 from dcreg.search import Box, Budget, minimise

@@ -146,7 +146,8 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
 @jit_part
 def _slot_of(known, used, theta):
     """The slot of a vertex; the first free one where it has none."""
-    place = _place(known, theta, _joined(_hash(theta, 0, 4), _hash(theta, 4, 7)))
+    turn, shift = _hashes(theta)
+    place = _place(known, theta, _joined(turn, shift))
     slot = known.table[place]
     if slot < 0:
         slot = np.int32(used)
@@ -181,7 +182,7 @@ def _judged(known, lower, upper, boxes, box, cutoff, theta):
     turns, shifts = np.empty(8, np.uint64), np.empty(8, np.uint64)
     for part in range(8):
         vertex_pose(lower, upper, 9 * part, theta)
-        turns[part], shifts[part] = _hash(theta, 0, 4), _hash(theta, 4, 7)
+        turns[part], shifts[part] = _hashes(theta)
     state = PRUNED
     for vertex in range(VERTICES):
         cost, slot = boxes.costs[box, vertex], boxes.slots[box, vertex]
@@ -254,13 +255,18 @@ def vertex_pose(lower, upper, vertex, theta):
 
 
 @jit
-def _hash(values, first, end):
-    """Hash numbers by their bits: vertices that bisected boxes share are equal to the last bit."""
-    bits, h = values.view(np.uint64), np.uint64(0x9E3779B97F4A7C15)
-    for at in range(first, end):
-        h = (h ^ bits[at]) * np.uint64(0xBF58476D1CE4E5B9)
+def _hashes(theta):
+    """Hash rotation and shift by their bits: vertices that boxes share are equal to the last bit."""
+    bits = theta.view(np.uint64)
+    turn = shift = np.uint64(0x9E3779B97F4A7C15)
+    for axis in range(7):
+        h = ((turn if axis < 4 else shift) ^ bits[axis]) * np.uint64(0xBF58476D1CE4E5B9)
         h ^= h >> np.uint64(29)
-    return h
+        if axis < 4:
+            turn = h
+        else:
+            shift = h
+    return turn, shift
 
 
 @jit_part
