@@ -6,8 +6,9 @@ BIN := $(VENV)/bin
 CORES ?= 2
 CONFIG ?= demo
 PART = $(if $(METHODS),--methods $(METHODS)) $(if $(DATASETS),--datasets $(DATASETS)) $(if $(TESTS),--tests $(TESTS))
-# Parts of the tests that are quick enough without compiled kernels.
-INTERPRETED := tests/unit/test_search.py tests/unit/test_problem.py tests/unit/test_io.py tests/unit/test_result.py
+# Tests that are quick enough where kernels run as plain Python.
+INTERPRETED := $(patsubst %,tests/unit/test_%.py,without_compiler io plot result problem pose sample) \
+  $(patsubst %,tests/properties/test_%.py,line line_assignment assignment sorting)
 PYTEST := $(BIN)/python -m pytest -n $(CORES) --dist loadgroup --no-loadscope-reorder
 # Every stage and many tests start a process: without stored bytecode each would compile all packages again.
 export PYTHONDONTWRITEBYTECODE :=
@@ -30,10 +31,10 @@ test: dev browser
 	@$(BIN)/mypy & types=$$!; $(PYTEST) --durations=20; tests=$$?; \
 	wait $$types || { echo "mypy found errors: see above"; exit 1; }; exit $$tests
 
-## coverage: lines of the library that the tests reach, with kernels interpreted; pages in results/coverage
+## coverage: lines of the library that a part of the tests reaches, kernels as plain Python; pages in results/coverage
 .PHONY: coverage
 coverage: dev
-	@NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m "not slow" $(INTERPRETED) --cov=dcreg \
+	@NUMBA_DISABLE_JIT=1 EXAMPLES=10 $(PYTEST) -q --timeout=1800 $(INTERPRETED) --cov=dcreg \
 	  --cov-report=term --cov-report=html:results/coverage
 
 ## run: run the experiment CONFIG=demo|real2d|paper3d-quick|…; METHODS=a,b DATASETS=… TESTS=… select a part
@@ -174,7 +175,7 @@ browser:
 ## clean: remove results, caches and the environment, but keep fetched data in resources/
 .PHONY: clean
 clean:
-	rm -rf $(VENV) .venv-floors results .snakemake .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
+	rm -rf $(VENV) .venv-floors results .snakemake .coverage* .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 ## help: print this list
