@@ -92,6 +92,11 @@ modes: setup
 walk: setup
 	@$(BIN)/python -m workflows.studies.walk results/walk $(ARGS)
 
+## first-call: processor time of a first call, against an older checkout, OLD=folder
+.PHONY: first-call
+first-call: dev
+	@$(BIN)/python -m tests.bench.first_call $(OLD)
+
 ## profile: the parts of the solver by their share of the CPU time
 .PHONY: profile
 profile: dev
