@@ -15,6 +15,8 @@ from dcreg.families.kernels import Clouds
 from dcreg.jit import NEVER
 from dcreg.search import Bound, Box, Budget, Evaluation, Interrupted
 
+Arrays = TypeVar("Arrays", bound=tuple[Any, ...])
+
 
 class Space(abc.ABC):
     """A parameterised family of poses over a normalised problem.
@@ -211,6 +213,12 @@ def infeasibility_penalty(
     if candidates is None:
         return np.empty((0, 0))
     return np.where(candidates, 0.0, 16.0 * n_inliers * extent**2)
+
+
+def rows_of(arrays: Arrays, part: slice) -> Arrays:
+    """Return some rows of every array of a named tuple, which may hold further ones."""
+    rows = (rows_of(a, part) if isinstance(a, tuple) else a[part] for a in arrays)
+    return type(arrays)(*rows)
 
 
 def radius(points: np.ndarray) -> float:

@@ -126,7 +126,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dcreg.families.protocol import SpaceBound
+from dcreg.families.protocol import SpaceBound, rows_of
 from dcreg.families.rigid3d.kernels.boxes import (
     FEW_PAIRS,
     allocate_found,
@@ -189,7 +189,14 @@ class RigidBound(SpaceBound[Rigid3D]):
         space, vertices, found = self.space, self._vertices, allocate_found(duals)
 
         def work(part: slice) -> int:
-            boxes = lower[part], upper[part], cutoff, space.clouds, self._limits, found.part(part)
+            boxes = (
+                lower[part],
+                upper[part],
+                cutoff,
+                space.clouds,
+                self._limits,
+                rows_of(found, part),
+            )
             spent: int = bound_boxes(*boxes)
             if vertices is not None:
                 price_boxes(*boxes, allocate_workspace(space.n_source, space.n_target))

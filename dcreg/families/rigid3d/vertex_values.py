@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dcreg.families.kernels import Clouds
+from dcreg.families.protocol import rows_of
 from dcreg.families.rigid3d.kernels.boxes import Found
 from dcreg.families.rigid3d.kernels.priced import allocate_workspace
 from dcreg.families.rigid3d.kernels.vertices import (
@@ -72,7 +73,7 @@ class VertexValues:
         )
 
         def request(part: slice, share: int) -> int:
-            boxes = lower[part], upper[part], found.boxes.part(part)
+            boxes = lower[part], upper[part], rows_of(found.boxes, part)
             self._used, count = request_values(
                 self.known, self._used, *boxes, cutoff, share, requests
             )
@@ -84,5 +85,5 @@ class VertexValues:
         self._map_slices(len(lower), judge)
         for share in _REQUESTED:
             count = request(slice(None), share)
-            self._map_slices(count, lambda part: self._price(requests.part(part), found.kept))
+            self._map_slices(count, lambda part: self._price(rows_of(requests, part), found.kept))
         bounds_by_vertices(self.known, found.boxes, cutoff, found.bounds)

@@ -76,10 +76,6 @@ class Found(NamedTuple):
     steps: np.ndarray
     boxes: BoxStates
 
-    def part(self, which: slice) -> Found:
-        arrays = (array[which] for array in self[:-1])
-        return Found(*arrays, boxes=self.boxes.part(which))  # type: ignore[misc,arg-type]
-
 
 def allocate_found(kept: np.ndarray) -> Found:
     """Allocate the results for boxes with these duals of their parents."""

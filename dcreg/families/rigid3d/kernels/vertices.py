@@ -48,9 +48,6 @@ class VertexRequests(NamedTuple):
     boxes: np.ndarray
     goals: np.ndarray
 
-    def part(self, which: slice) -> VertexRequests:
-        return VertexRequests(*(array[which] for array in self))
-
 
 class BoxStates(NamedTuple):
     """What remains to be done for B boxes.
@@ -71,9 +68,6 @@ class BoxStates(NamedTuple):
     losses: np.ndarray
     slots: np.ndarray
     states: np.ndarray
-
-    def part(self, which: slice) -> BoxStates:
-        return BoxStates(*(array[which] for array in self))
 
 
 def allocate_states(count: int) -> BoxStates:
