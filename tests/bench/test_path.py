@@ -1,0 +1,17 @@
+"""One call of `register` stays on a short path through the files of the library."""
+
+import pytest
+from numba import config
+
+from tests.bench.path import record
+
+MOST_FILES = {"2d": 28, "3d": 30}
+MOST_DEPTH = 8
+
+
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="interpreted kernels are files of the path")
+@pytest.mark.parametrize("dimension", MOST_FILES)
+def test_a_call_enters_few_files(dimension):
+    found = record(dimension)
+    assert len(found.files) <= MOST_FILES[dimension], list(found.files)
+    assert found.depth <= MOST_DEPTH, " > ".join(found.deepest)
