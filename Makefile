@@ -17,7 +17,7 @@ BROWSER_PACKAGES := chromium chromium-driver
 
 .DEFAULT_GOAL := help
 
-## demo: set up, run the whole benchmark on embedded data and print the path of the report
+## demo: set up, run a small benchmark on synthetic shapes and print the path of the report
 .PHONY: demo
 demo: setup
 	@$(MAKE) --no-print-directory run CONFIG=demo
@@ -31,7 +31,7 @@ test: dev browser
 	@$(BIN)/mypy & types=$$!; $(PYTEST) --durations=20; tests=$$?; \
 	wait $$types || { echo "mypy found errors: see above"; exit 1; }; exit $$tests
 
-## coverage: lines of the library that a part of the tests reaches, kernels as plain Python; pages in results/coverage
+## coverage: measure line coverage of the library, with kernels as plain Python; pages in results/coverage
 .PHONY: coverage
 coverage: dev
 	@NUMBA_DISABLE_JIT=1 EXAMPLES=10 $(PYTEST) -q --timeout=1800 $(INTERPRETED) --cov=dcreg \
@@ -42,12 +42,12 @@ coverage: dev
 run: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART)
 
-## paper-2d: the paper's 2D tests (this and the next five: QUICK=1 for at most 15 minutes on 2 cores)
-## paper-2d-cr: the public point sets of Chui and Rangarajan
-## paper-2d-images: edges and manually marked points of photographs
-## paper-3d: the paper's 3D tests
-## sensitivity: wrong n_inliers and wrong noise bounds
-## threedmatch: the official 3DMatch and 3DLoMatch lists, with recalls and a figure (NORMALS=oriented)
+## paper-2d: run the paper's 2D tests (this and the next five: QUICK=1 for at most 15 minutes on 2 cores)
+## paper-2d-cr: run on the public point sets of Chui and Rangarajan
+## paper-2d-images: run on edges and manually marked points of photographs
+## paper-3d: run the paper's 3D tests
+## sensitivity: run with wrong n_inliers and wrong noise bounds
+## threedmatch: run the official 3DMatch and 3DLoMatch lists, with recalls and a figure (NORMALS=oriented)
 EXPERIMENT = $(subst -,_,$(subst paper-,paper,$@))$(if $(NORMALS),_$(NORMALS))$(if $(QUICK),-quick)
 .PHONY: paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch
 paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch: setup
@@ -82,22 +82,22 @@ bench: dev
 	  --benchmark-json=results/bench/raw.json $(if $(QUICK),--quick) $(if $(CASES),-k "$(CASES)")
 	@$(BIN)/python -m tests.bench.tables results/bench/raw.json results/bench
 
-## modes: success rate and time of each 3D mode, tables in results/modes (ARGS="--points 300 --limit 5")
+## modes: measure success rate and time of each 3D mode, tables in results/modes (ARGS="--points 300 --limit 5")
 .PHONY: modes
 modes: setup
 	@$(BIN)/python -m workflows.studies.modes results/modes $(ARGS)
 
-## walk: dcreg with default options on real clouds of many sizes, table in results/walk (ARGS="--size 300")
+## walk: run dcreg with default options on real clouds of many sizes, table in results/walk (ARGS="--size 300")
 .PHONY: walk
 walk: setup
 	@$(BIN)/python -m workflows.studies.walk results/walk $(ARGS)
 
-## first-call: processor time of a first call, against an older checkout, OLD=folder
+## first-call: compare the processor time of a first call with an older checkout, OLD=folder
 .PHONY: first-call
 first-call: dev
 	@$(BIN)/python -m tests.bench.first_call $(OLD)
 
-## profile: the parts of the solver by their share of the CPU time
+## profile: measure the share of CPU time of each part of the solver
 .PHONY: profile
 profile: dev
 	@$(BIN)/python -m tests.bench.profiling

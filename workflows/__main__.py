@@ -132,7 +132,7 @@ def record(
     version: Annotated[str, typer.Option(help="Name of the version; default: from git.")] = "",
     history: History = Path("history"),
 ) -> None:
-    """Record the small tables of experiments under a version, to compare later versions with."""
+    """Record the small tables of experiments under a version name, for later comparisons."""
     from workflows.compare import record as store
     from workflows.compare import results_to_record
 
@@ -149,7 +149,7 @@ def compare(
             help="Recorded version or folder of records; with --exact: folder of results."
         ),
     ],
-    head: Annotated[str, typer.Argument(help="The version to compare with it.")],
+    head: Annotated[str, typer.Argument(help="The version or folder to compare with the base.")],
     exact: Annotated[
         bool,
         typer.Option("--exact", help="Compare run by run; only times may differ."),
@@ -199,7 +199,7 @@ def forget(
     folder: Folder,
     status: Annotated[str, typer.Option(help="Statuses, comma-separated.")] = "failed",
 ) -> None:
-    """Delete runs with these statuses, so that the next `run` repeats them and no others."""
+    """Delete runs with these statuses, so that the next `run` repeats only them."""
     import shutil
 
     from workflows.stages.solve import forget as drop

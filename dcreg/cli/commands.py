@@ -186,8 +186,8 @@ def register(
 
     Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off.
 
-    Exit code: 0 solved; 2 bad input; 3 stopped at a limit or by Ctrl-C,
-    the best pose is still written; 4 an output file could not be written.
+    Exit code: 0 solved; 2 bad input; 3 stopped at a limit or by Ctrl-C
+    (the best pose is still written); 4 an output file could not be written.
     """
     check_outputs(
         {**outputs.paths, "--certificate": certificate_path},
@@ -229,7 +229,7 @@ def register_matches(
     outputs: Outputs,
     quiet: Quiet = False,
 ) -> int:
-    """Register two 3D clouds over a list of matches of which many may be wrong.
+    """Register two 3D clouds from a list of matches, many of which may be wrong.
 
     The pose is rigid. Exit codes are those of `dcreg register`.
     """
@@ -266,16 +266,16 @@ def sweep(
     ] = None,
     quiet: Quiet = False,
 ) -> int:
-    """Register SOURCE to TARGET for several numbers of pairs, to choose one of them.
+    """Register SOURCE to TARGET for several numbers of pairs and suggest one.
 
-    Each number gets its optimum and bounds, as from `dcreg register`.
-    The time limit holds for all numbers together, the other limits for each
-    search. Example:
+    For each number, the result has a pose and bounds, as from `dcreg register`.
+    The time limit applies to all numbers together, the other limits apply to
+    each search. Example:
 
     dcreg sweep a.txt b.txt --model similarity2d --n-inliers 0.5:1.0:0.05 --plot curves.html
 
     Exit code: 0 all solved; 2 bad input; 3 some stopped at a limit or by
-    Ctrl-C, their best poses and bounds are still written; 4 an output file
+    Ctrl-C (their best poses and bounds are still written); 4 an output file
     could not be written.
     """
     check_suffix("--out", out_path, [".json", ".csv"])
@@ -307,10 +307,10 @@ def verify(
     clouds: Clouds,
     quiet: Quiet = False,
 ) -> int:
-    """Check a certificate against its clouds with NumPy and SciPy only, without the search.
+    """Check a certificate against its clouds, using only NumPy and SciPy.
 
-    Exit code: 0 the claim is proven; 2 bad input; 5 the certificate is
-    refused, with the reason.
+    Exit code: 0 the claim is proven, or true but trivial; 2 bad input;
+    5 the certificate is rejected (the message states the reason).
     """
     from dcreg.cli.progress import Progress
 
@@ -323,7 +323,7 @@ def verify(
         typer.echo(f"ok: {passed}")
     if not report.accepted:
         typer.echo(
-            f"refused: {report.reason}; check the clouds, or make a new certificate with "
+            f"rejected: {report.reason}; check the clouds, or make a new certificate with "
             "`dcreg register --certificate`"
         )
         return EXIT_REFUSED

@@ -102,7 +102,7 @@ GapTol = Annotated[
     float | None,
     typer.Option(
         help="Absolute gap to close, in squared units of the target. Default: K * (0.03 * RMS radius of "
-        "the target)^2; 0.003 instead of 0.03 where the bounds refer to norms.",
+        "the target)^2, with 0.003 instead of 0.03 for bounds in norm space.",
         **_NUMBER,
     ),
 ]
@@ -112,7 +112,7 @@ TimeLimit = Annotated[
 NodeLimit = Annotated[
     int | None,
     typer.Option(
-        help="Boxes to bound in each search; the round in progress is completed.", **_COUNT
+        help="Maximum number of boxes in each search; the batch in progress is completed.", **_COUNT
     ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no hints.")]
@@ -203,14 +203,14 @@ class Search:
         typer.Option(
             metavar="NAME",
             help=f"Box where the search starts: {' or '.join(START_BOXES)}. Both contain every optimum; "
-            "the second one is larger.",
+            "radius is larger.",
         ),
     ] = START_BOXES[0]
     gap_tol: GapTol = None
     tol: Annotated[
         float | None,
         typer.Option(
-            help="The gap as a length per pair, in units of the target: --tol 0.01 is --gap-tol "
+            help="Gap as an RMS residual per pair, in units of the target: --tol 0.01 is --gap-tol "
             "K * 0.01^2.",
             **_NUMBER,
         ),
@@ -222,7 +222,7 @@ class Search:
         typer.Option(
             metavar="MB",
             parser=number,
-            help="Memory of the open boxes of a search. Default: no limit.",
+            help="Maximum memory of the open boxes of a search. Default: no limit.",
         ),
     ] = None
     threads: Annotated[
@@ -266,8 +266,8 @@ class MatchSearch:
         str,
         typer.Option(
             metavar="NAME",
-            help="What the pose optimises: 'correspondences', the cost of the matches; or 'surfaces', "
-            "the overlap of dense scans near the poses that the matches suggest, without bounds.",
+            help="Criterion for the pose: 'correspondences' is the cost of the matches; 'surfaces' "
+            "also compares the surfaces of dense scans and gives no bounds.",
         ),
     ] = SCORES[0]
     certify: Annotated[
@@ -280,7 +280,7 @@ class MatchSearch:
         float | None,
         typer.Option(
             help="Absolute gap to close, in squared units of the target. Default: D^2 / 10 for each "
-            "match that the initial pose chooses.",
+            "match that the initial pose selects.",
             **_NUMBER,
         ),
     ] = None

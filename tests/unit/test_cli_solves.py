@@ -102,7 +102,7 @@ def test_written_certificate_is_verified_and_a_damaged_one_refused(tmp_path):
         assert said in accepted.output
     refused = run("verify", proof, b, a)
     assert refused.exit_code == 5
-    assert "refused:" in refused.output
+    assert "rejected:" in refused.output
     whole = (tmp_path / "proof.npz").read_bytes()
     (tmp_path / "proof.npz").write_bytes(whole[: len(whole) // 2])
     assert run("verify", proof, a, b).exit_code == 5
