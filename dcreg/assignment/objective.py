@@ -196,7 +196,8 @@ def quick_objective(
     if known is None or not stop[0]:
         return own()
     value, pairs = known.cheapest(source, target, T_target_source, n_inliers)
-    given = value, pairs, True
+    # own pairs of small clouds are exact: known ones can be as good, not better
+    given = value, pairs, len(source) * len(target) > AT_ONCE_PAIRS
     if known.greedy and np.array_equal(known.T_target_source, T_target_source):
         return given  # greedy pairs for fewer points are the first of these
     return min(own(), given, key=lambda matched: matched[0])

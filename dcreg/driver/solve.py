@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dcreg.assignment.objective import Matched, match_at, quick_objective
+from dcreg.assignment.objective import Matched, objective, quick_objective
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, find_runner_up, warnings_for
@@ -230,17 +230,17 @@ class Finish:
     def _matched(self, T: np.ndarray) -> tuple[Pose, bool]:
         """Return the pose with its pairs, and whether these were chosen greedily.
 
-        The pairs of a sample are not returned to the user and may be rough.
+        The pairs of a sample are not returned to the user: they may be rough, and are not called greedy.
         """
         problem, budget = self.setup.searched[self.at], self.placing
         given = problem.source, problem.target, T, problem.n_inliers, problem.candidates
         prove = not (self.setup.options.polish or budget.is_over)
         if self.setup.is_sampled:
-            value, pairs, greedy = match_at(*given, prove=prove, stop=budget.hard_stop, at_once=0)
-        else:
-            value, pairs, greedy = quick_objective(
-                *given, known=self.known, prove=prove, stop=budget.hard_stop
-            )
+            value, pairs = objective(*given, prove=prove, stop=budget.hard_stop, at_once=0)
+            return (value, T, pairs), False
+        value, pairs, greedy = quick_objective(
+            *given, known=self.known, prove=prove, stop=budget.hard_stop
+        )
         return (value, T, pairs), greedy
 
     def _status(self, solution: Solution, upper_bound: float) -> Status:

@@ -149,3 +149,25 @@ def test_pairs_are_called_greedy_where_they_are(rng, size, greedy):
     over = Budget(0.0)
     over.hard_stop[0] = 1
     assert refined(found, whole, sample, over).stages[-1].greedy_assignment is greedy
+
+
+def test_known_pairs_of_small_clouds_are_not_called_greedy(rng):
+    """They are the optimum too, up to rounding."""
+    for _ in range(30):
+        source, target = rng.random((2, 40, 3))
+        known = Matched(np.eye(4), objective(source, target, np.eye(4), 40)[1])
+        assert not quick_objective(source, target, np.eye(4), 40, known=known, stop=OVER)[2]
+
+
+def test_pairs_of_a_sample_are_not_called_greedy(rng, monkeypatch):
+    """They are not returned; so few pairs of all points are not chosen greedily."""
+    monkeypatch.setattr("dcreg.search.budget._CLOSING_SHARE", 0.0)
+    monkeypatch.setattr("dcreg.search.budget._CLOSING_S", 0.0)  # nothing follows the limit
+    source = rng.random((400, 2)) * [2.0, 1.0]
+    target = source[rng.permutation(400)] + 0.01 * rng.standard_normal((400, 2))
+    found = dcreg.sweep(
+        source, target, [100, 200, 300, 400], model="similarity2d", time_limit=0.2,
+        options=dcreg.SolveOptions(downsample=200),
+    )  # fmt: skip
+    assert found.status is Status.TIME_LIMIT
+    assert not any(result.is_greedy for result in found.results)
