@@ -89,7 +89,7 @@ def register(
     """
     problem = Problem(source, target, n_inliers, model, scale_range, candidates)
     limits = Limits(gap_tol, tol, time_limit, node_limit, memory_limit_mb)
-    return register_problem(problem, limits, options or SolveOptions())
+    return register_problem(problem, limits, SolveOptions.of(options))
 
 
 def sweep(
@@ -167,9 +167,7 @@ def sweep(
     first = Problem(source, target, counts[0], model, scale_range, candidates)
     distinct = {problem.n_inliers: problem for problem in map(first.with_n_inliers, counts)}
     limits = Limits(gap_tol, tol, time_limit, node_limit, memory_limit_mb)
-    return sweep_problems(
-        [distinct[k] for k in sorted(distinct)], limits, options or SolveOptions()
-    )
+    return sweep_problems([distinct[k] for k in sorted(distinct)], limits, SolveOptions.of(options))
 
 
 def register_matches(
@@ -248,4 +246,4 @@ def register_matches(
     """
     problem = MatchProblem.checked(source, target, matches, inlier_distance)
     limits = Limits(gap_tol, None, time_limit, node_limit)
-    return register_match_problem(problem, score, certify, limits, options or SolveOptions())
+    return register_match_problem(problem, score, certify, limits, SolveOptions.of(options))

@@ -51,7 +51,7 @@ class SolveOptions:
     Raises
     ------
     InputError
-        For an unknown start box.
+        For an unknown start box, or a wrong number of threads.
     """
 
     mode: str | None = None
@@ -68,9 +68,29 @@ class SolveOptions:
             raise InputError(
                 f"start_box: {self.start_box!r} is unknown{suggestion(self.start_box, START_BOXES)}"
             )
+        if not isinstance(self.threads, int | np.integer) or isinstance(self.threads, bool):
+            raise InputError(f"threads: {self.threads!r} is not a whole number; give one such as 4")
         check_positive("threads", self.threads, minimum=1)
         if self.threads > MAX_THREADS:
             raise InputError(f"threads: {self.threads} are too many; give at most {MAX_THREADS}")
+
+    @classmethod
+    def of(cls, given: SolveOptions | None) -> SolveOptions:
+        """Return the options given, or the default ones.
+
+        Raises
+        ------
+        InputError
+            For anything else, such as a dictionary.
+        """
+        if given is None:
+            return cls()
+        if not isinstance(given, cls):
+            raise InputError(
+                f"options: {given!r} is no SolveOptions; give one such as "
+                "dcreg.SolveOptions(downsample=200)"
+            )
+        return given
 
 
 @dataclass(frozen=True)

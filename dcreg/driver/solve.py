@@ -97,7 +97,9 @@ class Setup:
         name = name if mode is None else mode.name  # a mode of its own searches all points
         searched = to_search(problems, options.downsample, name, bound, certificate)
         largest = searched[-1]
-        chosen = mode or find_mode(largest.model, name or choose_mode(largest, bound, certificate))
+        if name is None:
+            name = choose_mode(largest, bound, certificate)
+        chosen = mode or find_mode(largest.model, name)
         chosen.check(largest, bound, certificate)
         limits.check(largest.n_inliers)
         for line in advice(largest):

@@ -50,7 +50,7 @@ def bound_parts(name: str) -> list[str]:
     InputError
         For an unknown name.
     """
-    parts = name.split("+")
+    parts = name.split("+") if isinstance(name, str) else [name]
     unknown = [part for part in parts if part not in BOUND_NAMES]
     if unknown:
         raise InputError(

@@ -240,9 +240,10 @@ def gap_tol_of(tol: float | None, gap_tol: float | None, n_inliers: int) -> floa
         raise InputError(
             f"tol: {tol}, and gap_tol: {gap_tol} as well; give one of them (gap_tol = K * tol^2)"
         )
-    if isinstance(tol, bool) or not (tol >= 0 and math.isfinite(n_inliers * tol * tol)):
+    is_number = isinstance(tol, int | float | np.number) and not isinstance(tol, bool)
+    if not (is_number and tol >= 0 and math.isfinite(n_inliers * tol * tol)):
         raise InputError(
-            f"tol: {tol} is not a usable value; give a length in units of the target, such as 0.01"
+            f"tol: {tol!r} is not a usable value; give a length in units of the target, such as 0.01"
         )
     return float(n_inliers * tol * tol)
 

@@ -37,9 +37,14 @@ def with_value(value):
         ({"gap_tol": -1.0}, r"gap_tol: -1.0"),
         ({"time_limit": 0.0}, r"time_limit: 0.0"),
         ({"node_limit": 0}, r"node_limit: 0"),
+        ({"tol": "small"}, r"tol: 'small'.*give a length"),
         ({"threads": 0}, r"threads: 0"),
+        ({"threads": 2.5}, r"threads: 2.5 is not a whole number"),
+        ({"threads": None}, r"threads: None is not a whole number"),
         ({"bound": "papr"}, r"bound: 'papr' is unknown"),
+        ({"bound": 3}, r"bound: 3 is unknown"),
         ({"mode": "best"}, r"mode: 'best' is unknown"),
+        ({"mode": ""}, r"mode: '' is unknown"),
         ({"start_box": "tiny"}, r"start_box: 'tiny' is unknown"),
     ],
 )
@@ -47,6 +52,19 @@ def test_bad_input_is_named(change, message):
     arguments = {"source": GOOD, "target": GOOD, "n_inliers": 6, "model": "similarity2d"} | change
     with pytest.raises(dcreg.InputError, match=message):
         register(**arguments)
+
+
+@pytest.mark.parametrize("options", [{"mode": "paper"}, {}, "paper", dcreg.SolveOptions])
+@pytest.mark.parametrize("solve", ["register", "sweep", "register_matches"])
+def test_options_of_another_type_are_refused(solve, options):
+    points, rows = np.random.default_rng(0).random((5, 3)), np.arange(5)
+    given = {
+        "register": {"n_inliers": 5, "model": "rigid3d"},
+        "sweep": {"n_inliers": [4, 5], "model": "rigid3d"},
+        "register_matches": {"matches": np.column_stack([rows, rows]), "inlier_distance": 0.1},
+    }
+    with pytest.raises(dcreg.InputError, match=r"options: .*SolveOptions"):
+        getattr(dcreg, solve)(points, points, **given[solve], options=options)
 
 
 def test_unknown_bound_is_refused_by_modes_with_bounds_of_their_own():
