@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.jit import jit
+from dcreg.jit import jit, jit_part
 
 
 class Clouds(NamedTuple):
@@ -33,7 +33,7 @@ class Clouds(NamedTuple):
     stop: np.ndarray
 
 
-@jit
+@jit_part
 def add_prices(prices, costs):
     """Add what pairs cost beyond their residual to (n, m) costs; nothing where `prices` is empty."""
     for i in range(prices.shape[0]):
@@ -80,7 +80,7 @@ def fill_nearness(points, reach, field):
                         values[i0, i1, i2] = near
 
 
-@jit
+@jit_part
 def overlap(R, t, points, field, floor, n_first, share):
     """Sum of the nearness of the moved points; incomplete once it cannot exceed `floor`.
 

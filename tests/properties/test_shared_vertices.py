@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from dcreg.families.dc.bounds import VertexCache
 from dcreg.families.dc.kernels.lattice import Vertices
 from dcreg.families.registry import make_bound
-from dcreg.families.similarity2d.kernels.profiles import blend_prices, boxes_of
+from dcreg.families.similarity2d.bound import boxes_of
+from dcreg.families.similarity2d.kernels.profiles import blend_prices
 from dcreg.search import Box, Budget, LongestEdge, branch_and_bound
 from tests.problems import models
 

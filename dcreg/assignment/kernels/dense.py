@@ -24,7 +24,10 @@ def cheapest_pairs(cost, k, stop=NEVER):
 
     For calls from Python; kernels call `k_assignment_duals`. Both run the same compiled functions.
     """
-    prices = first_prices(cost, k)
+    prices = np.zeros(cost.shape[1])
+    if k == prices.size:  # as `first_prices`
+        lowest = cost.min(axis=0)
+        prices = lowest.max() - lowest
     value, col_of = improve_assignment(cost, k, prices, stop)
     return value, col_of, prices
 
@@ -32,32 +35,35 @@ def cheapest_pairs(cost, k, stop=NEVER):
 @jit_part
 def k_assignment(cost, k, stop):
     """Value and column of every row (-1: unmatched) of the cheapest k pairs."""
-    return improve_assignment(cost, k, first_prices(cost, k), stop)
+    prices = np.empty(cost.shape[1])
+    first_prices(cost, k, prices)
+    return improve_assignment(cost, k, prices, stop)
 
 
 @jit_part
 def k_assignment_duals(cost, k, stop):
     """Value, column of every row (-1: unmatched) and optimal prices of the cheapest k pairs."""
-    prices = first_prices(cost, k)
+    prices = np.empty(cost.shape[1])
+    first_prices(cost, k, prices)
     value, col_of = improve_assignment(cost, k, prices, stop)
     return value, col_of, prices
 
 
-@jit
-def first_prices(cost, k):
+@jit_part
+def first_prices(cost, k, b):
     """Prices to start from: none, or the columns' own minima where all columns are matched."""
     n, m = cost.shape
-    b = np.zeros(m)
+    for j in range(m):
+        b[j] = 0.0
     if k == m:
         for j in range(m):
             b[j] = -cost[0, j]
             for i in range(1, n):
                 b[j] = max(b[j], -cost[i, j])
         _take_least_off(b)
-    return b
 
 
-@jit
+@jit_part
 def _take_least_off(b):
     low = least(b)
     for j in range(b.size):
@@ -195,7 +201,7 @@ def _relax(costs, b, shift, row, dist, pred):
         pred[j] = row if closer else pred[j]
 
 
-@jit
+@jit_part
 def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
     """The same by way of all rows at the spare column at once."""
     for j in range(b.size):
@@ -205,7 +211,7 @@ def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
             pred[j] = spare_row[j]
 
 
-@jit
+@jit_part
 def _augment(cost, spare_price, a, b, col_of, row_of, starts, stop):
     """Shortest augmenting paths from the free rows, and from the dummy row as often as it is short."""
     n, m = cost.shape

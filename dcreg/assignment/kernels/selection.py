@@ -6,7 +6,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from dcreg.jit import intrinsic, jit, jit_reduction
+from dcreg.jit import intrinsic, jit, jit_part, jit_reduction
 
 _MAGNITUDE = np.int64(0x7FFFFFFFFFFFFFFF)
 
@@ -21,7 +21,7 @@ def _as_float(typing_context, bits):
     return types.float64(types.int64), generate
 
 
-@jit
+@jit_part
 def _ordered(bits):
     """Integers in the order of the float64 they are the bits of; its own inverse."""
     return bits ^ ((bits >> 63) & _MAGNITUDE)
@@ -49,7 +49,7 @@ def place_of_least(values):
     return at
 
 
-@jit
+@jit_part
 def kth_smallest(values, k):
     """The number with k others before it in ascending order (Hoare's selection, on a copy)."""
     work = np.empty(values.size)

@@ -16,14 +16,22 @@ import numpy as np
 
 from dcreg.families.dc.bounds import SharedVertexBound
 from dcreg.families.similarity2d.kernels.bounds import Boxes, Effort, shared_bounds
-from dcreg.families.similarity2d.kernels.profiles import (
-    blend_prices,
-    boxes_of,
-    estimate_vertices,
-    solve_vertices,
-)
+from dcreg.families.similarity2d.kernels.profiles import blend_prices, bound_vertices
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Box
+
+
+def boxes_of(slots: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the boxes that have each of the vertices `which`, which ascend.
+
+    Those of ``which[at]`` are ``boxes[start[at] : start[at + 1]]``.
+    """
+    place = np.minimum(np.searchsorted(which, slots), which.size - 1)
+    box, vertex = np.nonzero(which[place] == slots)
+    place = place[box, vertex]
+    start = np.zeros(which.size + 1, np.int64)
+    np.cumsum(np.bincount(place, minlength=which.size), out=start[1:])
+    return start, box[np.argsort(place, kind="stable")]
 
 
 class SharedBound(SharedVertexBound[Similarity2D]):
@@ -69,10 +77,10 @@ class SharedBound(SharedVertexBound[Similarity2D]):
         new = np.arange(first_new, self.cache.used)
         known = self._blend(slots, new, settled=first_new)
         self._solve(new[~known], warm=False)
-        new, vertices = new[known], self.cache.vertices
+        new, clouds, vertices = new[known], self.space.clouds, self.cache.vertices
 
         def work(part: slice) -> int:
-            estimate_vertices(self.space.clouds, vertices, new[part])
+            bound_vertices(clouds, vertices, False, True, new[part])
             return 0
 
         self.map_slices(new.size, work)
@@ -98,7 +106,7 @@ class SharedBound(SharedVertexBound[Similarity2D]):
         """Compute the exact values at the vertices `which`."""
         clouds, vertices = self.space.clouds, self.cache.vertices
         self.map_slices(
-            which.size, lambda part: solve_vertices(clouds, vertices, warm, which[part])
+            which.size, lambda part: bound_vertices(clouds, vertices, True, warm, which[part])
         )
 
     def _bound(self, boxes: Boxes, rows: np.ndarray, effort: Effort) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dcreg.jit import jit
+from dcreg.jit import jit_part
 
 
-@jit
+@jit_part
 def n_vertices(lower, upper):
     """Distinct vertices of a box: axes of zero width do not count."""
     count = 1
@@ -15,7 +15,7 @@ def n_vertices(lower, upper):
     return count
 
 
-@jit
+@jit_part
 def vertex(lower, upper, index, out):
     """The index-th distinct vertex of a box, bit a of the index choosing the a-th wide axis."""
     for a in range(lower.size):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.jit import jit
+from dcreg.jit import jit_part
 
 _STEPS = 40
 
 
-@jit
+@jit_part
 def best_linearisation(vertices, values, weights, floor, enough, point):
     """Value and place (in `point`) of the theta0 with the greatest
     ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]``.

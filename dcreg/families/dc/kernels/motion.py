@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from dcreg.families.kernels import add_prices
-from dcreg.jit import jit
+from dcreg.jit import jit, jit_part
 
 
 @jit
@@ -51,7 +51,7 @@ def curvature(target, axes, delta, out):
         plane_curvature(axes, delta, out)
 
 
-@jit
+@jit_part
 def plane_curvature(axes, delta, out):
     """`curvature` over similarities in the plane."""
     x, y = axes[0], axes[1]

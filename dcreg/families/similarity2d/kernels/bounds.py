@@ -10,7 +10,7 @@ from dcreg.assignment.kernels.selection import smallest_sum, total
 from dcreg.families.dc.kernels.boxes import n_vertices
 from dcreg.families.dc.kernels.linearisation import best_linearisation
 from dcreg.families.dc.kernels.motion import plane_curvature
-from dcreg.jit import jit
+from dcreg.jit import jit, jit_part
 
 
 class Boxes(NamedTuple):
@@ -57,7 +57,7 @@ class Effort(NamedTuple):
     enough: float
 
 
-@jit
+@jit_part
 def charged_value(axes, k, low, level, profile, delta, charged):
     """Lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from what is kept of a vertex."""
     plane_curvature(axes, delta, charged)

@@ -12,17 +12,19 @@ import numpy as np
 from dcreg.assignment.kernels.dense import first_prices, improve_assignment, row_minima
 from dcreg.assignment.kernels.selection import least, smallest_sum, total
 from dcreg.families.dc.kernels.motion import pair_costs
-from dcreg.jit import jit
+from dcreg.jit import jit, jit_part
 
 # Added to the squared distance of a vertex that was not solved: any solved one counts for more.
 _UNSOLVED = 1e6
 
 
 @jit
-def solve_vertices(clouds, known, warm, slots):
-    """E at the vertices `slots`, with optimal duals and profile. Returns the assignments spent.
+def bound_vertices(clouds, known, solve, warm, slots):
+    """Fill bounds on E and profiles at the vertices `slots`. Returns how many were looked at.
 
-    With `warm` the duals already there are the start.
+    With `solve` E is computed, with optimal duals; with `warm` the duals already there are the start.
+    Else the duals there give a lower bound, in one pass over the costs instead of an assignment: `values`
+    stays infinite, no upper bound is known.
     """
     n, m = clouds.source.shape[1], clouds.target.shape[1]
     cost = np.empty((n, m))
@@ -30,35 +32,18 @@ def solve_vertices(clouds, known, warm, slots):
         if clouds.stop[0]:
             break
         slot = slots[at]
-        duals = known.duals[slot]
+        duals, value = known.duals[slot], np.inf
         pair_costs(clouds, known.thetas[slot], cost)
-        if not warm:
-            first = first_prices(cost, clouds.k)
-            for j in range(m):
-                duals[j] = first[j]
-        known.values[slot], _ = improve_assignment(cost, clouds.k, duals, clouds.stop)
-        known.lows[slot] = known.values[slot]
-        _, known.levels[slot] = _dual_profile(cost, clouds.k, duals, known.profiles[slot])
+        if solve:
+            if not warm:
+                first_prices(cost, clouds.k, duals)
+            value, _ = improve_assignment(cost, clouds.k, duals, clouds.stop)
+        low, known.levels[slot] = _dual_profile(cost, clouds.k, duals, known.profiles[slot])
+        known.lows[slot], known.values[slot] = value if solve else low, value
     return slots.size
 
 
-@jit
-def estimate_vertices(clouds, known, slots):
-    """Lower bounds on E and profiles at the vertices `slots` from the prices blended there.
-
-    One pass over the costs instead of an assignment. `values` stays infinite: no upper bound is known.
-    """
-    cost = np.empty((clouds.source.shape[1], clouds.target.shape[1]))
-    for at in range(slots.size):
-        slot = slots[at]
-        pair_costs(clouds, known.thetas[slot], cost)
-        known.lows[slot], known.levels[slot] = _dual_profile(
-            cost, clouds.k, known.duals[slot], known.profiles[slot]
-        )
-        known.values[slot] = np.inf
-
-
-@jit
+@jit_part
 def _dual_profile(cost, k, b, profile):
     """Fill r_i = min_j (c_ij + b_j) - (sum b) / k; sum and greatest of its k smallest entries."""
     row_minima(cost, b, profile)
@@ -67,34 +52,6 @@ def _dual_profile(cost, k, b, profile):
         profile[i] -= share
     mean = total(profile) / profile.size
     return smallest_sum(profile, k, mean, (mean - least(profile)) / profile.size)
-
-
-@jit
-def boxes_of(slots, which):
-    """Boxes that have the vertex ``which[at]``: ``boxes[start[at] : start[at + 1]]``; `which` ascends."""
-    first, n_boxes, n_vertices = which[0], slots.shape[0], slots.shape[1]
-    place = np.empty(which[which.size - 1] - first + 1, np.int64)
-    for at in range(place.size):
-        place[at] = -1
-    for at in range(which.size):
-        place[which[at] - first] = at
-    start, owner = np.zeros(which.size + 1, np.int64), np.empty(n_boxes * n_vertices, np.int64)
-    found = 0
-    for box in range(n_boxes):
-        for v in range(n_vertices):
-            slot = slots[box, v] - first
-            if 0 <= slot < place.size and place[slot] >= 0:
-                owner[found] = box * which.size + place[slot]
-                start[place[slot] + 1] += 1
-                found += 1
-    for at in range(which.size):
-        start[at + 1] += start[at]
-    boxes, filled = np.empty(found, np.int64), np.zeros(which.size, np.int64)
-    for entry in range(found):
-        box, at = owner[entry] // which.size, owner[entry] % which.size
-        boxes[start[at] + filled[at]] = box
-        filled[at] += 1
-    return start, boxes
 
 
 @jit
