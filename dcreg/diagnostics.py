@@ -36,8 +36,8 @@ _CLOSE = 1.5
 # RMSE in units of the target's spacing. Scans of one object stay below it if n_inliers is right.
 _LOOSE = 2.0
 _REMEDY = (
-    "Use downsample=200 (--downsample 200), which searches with a sample of the points and refines the "
-    "pose on all of them"
+    "Use downsample=200 (--downsample 200): it searches with a sample of the points and refines the "
+    "pose on all points"
 )
 
 
@@ -63,14 +63,14 @@ def advice(problem: Problem) -> Iterator[str]:
     """
     n, m = len(problem.source), len(problem.target)
     if max(n, m) > _VERY_MANY_POINTS:
-        yield f"warning: {n} x {m} points are many for a search. {_REMEDY}."
+        yield f"warning: a search with {n} x {m} points is slow. {_REMEDY}."
     radii = rms_radius(problem.source), rms_radius(problem.target)
     ratio = radii[0] / radii[1] if radii[1] > 0 else math.inf
     if problem.model == "rigid3d" and not 0.5 <= ratio <= 2.0:
         yield (
             f"hint: the RMS radii differ a lot (source {radii[0]:.4g}, target {radii[1]:.4g}), and "
-            "rigid3d has no scale. If the units differ, rescale one cloud; for two views that "
-            "overlap in part this may be all right."
+            "rigid3d has no scale. If the units differ, rescale one cloud. Views that overlap only "
+            "partially can have different radii."
         )
 
 
@@ -101,7 +101,7 @@ def _is_rounding(value: float, case: Case) -> bool:
 
 
 def nothing_proven(case: Case) -> str | None:
-    """The lower bound is 0, as for any sum of squares."""
+    """The lower bound is 0, which proves nothing."""
     result = case.result
     if result.lower_bound > 0.0 or _is_rounding(result.upper_bound, case):
         return None
@@ -115,7 +115,7 @@ def nothing_proven(case: Case) -> str | None:
         )
     return (
         f"{known}: nothing is proven. Allow more time, use fewer points, or choose a mode that closes "
-        "the gap (see the manual on modes)"
+        "the gap (see the page Modes of the manual)"
     )
 
 
@@ -164,13 +164,13 @@ def rough_pairs(case: Case) -> str | None:
 
 
 def scale_at_limit(case: Case) -> str | None:
-    """The scale is an end of its range."""
+    """The scale is at the limit of its range."""
     low, high = case.problem.scale_range
     scale = case.result.scale
     if low == high or not (scale <= low * (1.0 + 1e-6) or scale >= high * (1.0 - 1e-6)):
         return None
     return (
-        f"the scale {scale:.4g} is an end of scale_range ({low:g}, {high:g}); a better fit may lie "
+        f"the scale {scale:.4g} is at the limit of scale_range ({low:g}, {high:g}); a better fit may lie "
         "outside. Widen the range, or rescale one cloud"
     )
 
@@ -210,9 +210,9 @@ def loose_pairs(case: Case) -> str | None:
     if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_greedy:
         return None
     return (
-        f"matched points are {result.rmse_matched:.3g} apart (RMS), neighbours in the target "
-        f"{spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. Try "
-        "a smaller n_inliers (`dcreg sweep` tries several), or remove outliers first"
+        f"the RMS residual of the pairs is {result.rmse_matched:.3g}, but the point spacing of the "
+        f"target is only {spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. "
+        "Try a smaller n_inliers (`dcreg sweep` tries several), or remove outliers first"
     )
 
 
@@ -222,11 +222,12 @@ def ambiguous(case: Case) -> str | None:
     if other is None or other.objective_ratio >= _CLOSE:
         return None
     percent = 100.0 * (other.objective_ratio - 1.0)
-    more = f"only {percent:.2g} % more" if percent >= 0.1 else "no more"
+    more = f"only {percent:.2g} % higher" if percent >= 0.1 else "no higher"
     return (
-        f"another pose, {other.difference} relative to this one, costs {more}: {case.result.n_inliers} "
-        "pairs hardly distinguish the two. The shape may be symmetric, the noise large, or the number of "
-        "pairs wrong (`dcreg sweep` tries several). Look at both poses (`runner_up` of the result)"
+        f"the objective of another pose, {other.difference} relative to this one, is {more}: "
+        f"{case.result.n_inliers} pairs hardly distinguish the two. The shape may be symmetric, the "
+        "noise large, or the number of pairs wrong (`dcreg sweep` tries several). Look at both poses "
+        "(`runner_up` of the result)"
     )
 
 

@@ -19,7 +19,7 @@ from dcreg.status import Status
 
 MODE, BOUND = "matches", "nested"
 TOLERATED = 0.1  # gap per chosen match, in squared inlier distances
-SCOPE = "rigid pose over the given matches, those not chosen priced at inlier_distance^2"
+SCOPE = "rigid pose over the given matches, at a cost of inlier_distance^2 per unselected match"
 
 
 def register_match_problem(
@@ -28,7 +28,7 @@ def register_match_problem(
     """Solve a problem over matches; see `dcreg.register_matches`."""
     began = time.perf_counter()
     if replace(options, listener=None) != SolveOptions():
-        raise InputError("options: registration over matches has one mode; set the listener alone")
+        raise InputError("options: registration over matches has one mode; set only the listener")
     limits.check(problem.max_cardinality)
     certify = _certified(score, certify)
     warm_up_matches()

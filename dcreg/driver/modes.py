@@ -231,7 +231,7 @@ MODES = (
     ),
     Mode(
         "paper", "rigid3d",
-        "the paper's two stages: one translation in norm space, then its rotation",
+        "the paper's two stages: a translation in norm space, then a rotation for it",
         _translation, rotation=search_rotation, in_norm_space=True, certifies="translation3d",
     ),
 )  # fmt: skip

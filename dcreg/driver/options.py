@@ -24,7 +24,7 @@ class SolveOptions:
         Search mode, one of `dcreg.mode_names`; default: the library chooses. `Result.mode` gives the mode
         that ran, `Result.certificate_scope` what its bounds refer to.
     bound : str, optional
-        Lower bounding function, one of `dcreg.bound_names`; ``a+b`` takes the greater one. Default:
+        Lower bounding function, one of `dcreg.bound_names`; ``a+b`` takes the larger value. Default:
         ``tight``. Mode ``full`` has its own bounds and accepts none.
     start_box : {"stationary", "radius"}
         Both contain every optimum. ``radius`` follows from the radii of the clouds alone. ``stationary``
@@ -43,7 +43,7 @@ class SolveOptions:
         outlier removal, and refine the pose on all points. An integer `n_inliers` refers to the full
         clouds and is scaled down with them. Default, if neither mode, bound, certificate nor candidates
         are given: 300 in 2D above 1,000,000 pairs of points, 1,000 in 3D above 4,000,000 pairs of clouds
-        that match in part; all points otherwise.
+        that match only partially; all points otherwise.
     listener : callable, optional
         Called with every `dcreg.Event`, and at least every half second, then from another thread. If it
         returns True the solve stops with status ``stopped``.
@@ -72,7 +72,9 @@ class SolveOptions:
             raise InputError(f"threads: {self.threads!r} is not a whole number; give one such as 4")
         check_positive("threads", self.threads, minimum=1)
         if self.threads > MAX_THREADS:
-            raise InputError(f"threads: {self.threads} are too many; give at most {MAX_THREADS}")
+            raise InputError(
+                f"threads: {self.threads} threads are too many; give at most {MAX_THREADS}"
+            )
 
     @classmethod
     def of(cls, given: SolveOptions | None) -> SolveOptions:

@@ -30,7 +30,9 @@ from dcreg.problem.geometry import Frame
 from dcreg.search import Budget
 
 _LOGGER = logging.getLogger("dcreg")
-_MESSAGE = "compiling the kernels that this search needs; once, they are kept for later runs"
+_MESSAGE = (
+    "compiling the kernels that this search needs (only once; they are cached for later runs)"
+)
 
 
 def warm_up(processes: int = 1) -> None:

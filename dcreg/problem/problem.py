@@ -75,7 +75,7 @@ def _mask_of_lists(candidates: Candidates, n: int, m: int) -> np.ndarray:
         bad = row[(row != np.round(row)) | (row < 0) | (row >= m)]
         if bad.size:
             raise InputError(
-                f"candidates: {bad[0]:g} for source point {i} is no target index; "
+                f"candidates: {bad[0]:g} for source point {i} is not a target index; "
                 f"use integers from 0 to {m - 1}"
             )
         mask[i, row.astype(np.int64)] = True
@@ -84,7 +84,7 @@ def _mask_of_lists(candidates: Candidates, n: int, m: int) -> np.ndarray:
 
 ModelName = Literal["similarity2d", "rigid3d"]
 LARGEST_COORDINATE = 1e100  # its square, times any number of points, is far from overflow
-LARGEST_SCALE = 1e6  # beyond, the clouds share no digits; so below its inverse
+LARGEST_SCALE = 1e6  # beyond it, or below its inverse, the clouds share no digits
 DEFAULT_SCALE_RANGE = {"similarity2d": (0.5, 1.5), "rigid3d": (1.0, 1.0)}
 
 
@@ -171,7 +171,7 @@ def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndar
     if points.ndim != 2 or points.shape[1] != dim:
         raise InputError(
             f"{name}: shape {points.shape}, but model {model} needs (n, {dim}); "
-            f"one point per row, or choose the other model"
+            f"give one point per row, or choose the other model"
         )
     if len(points) == 0:
         raise InputError(f"{name}: no points; give at least one")
@@ -184,15 +184,15 @@ def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndar
     if np.abs(points).max() > LARGEST_COORDINATE:
         row = int(np.abs(points).max(axis=1).argmax())
         raise InputError(
-            f"{name}: {points[row].tolist()} in row {row} is too far away to square its distances; "
-            f"give both clouds in a larger unit, so that coordinates are below {LARGEST_COORDINATE:g}"
+            f"{name}: {points[row].tolist()} in row {row} is too large, its squared distances would "
+            f"overflow; give both clouds in a larger unit, so that coordinates are below "
+            f"{LARGEST_COORDINATE:g}"
         )
     extent = np.ptp(points, axis=0).max()
     if 0.0 < extent < 1.0 / LARGEST_COORDINATE:
         raise InputError(
-            f"{name}: all points lie within {extent:.3g}, too near to square their distances; "
-            f"give both clouds in a smaller unit, so that they extend over more than "
-            f"{1.0 / LARGEST_COORDINATE:g}"
+            f"{name}: the extent {extent:.3g} is too small, its squared distances would underflow; "
+            f"give both clouds in a smaller unit, so that it is above {1.0 / LARGEST_COORDINATE:g}"
         )
     return points
 
@@ -211,8 +211,8 @@ def check_n_inliers(n_inliers: int | float, limit: int) -> int:
         return max(1, math.floor(n_inliers * limit + 1e-9))
     if not 1 <= n_inliers <= limit:
         raise InputError(
-            f"n_inliers: {n_inliers} pairs cannot be chosen; the smaller cloud has {limit} points, "
-            f"so give an integer between 1 and {limit}"
+            f"n_inliers: {n_inliers} pairs cannot be matched, as the smaller cloud has {limit} points; "
+            f"give an integer between 1 and {limit}"
         )
     return int(n_inliers)
 
@@ -224,9 +224,11 @@ def check_scale_range(scale_range: tuple[float, float] | None, model: str) -> tu
     try:
         low, high = (float(value) for value in scale_range)
     except (TypeError, ValueError):
-        raise InputError(f"scale_range: {scale_range!r} is not a pair of numbers") from None
+        raise InputError(
+            f"scale_range: {scale_range!r} is not a pair of numbers; give (low, high)"
+        ) from None
     if not (math.isfinite(low) and math.isfinite(high) and 0.0 < low <= high):
-        raise InputError(f"scale_range: ({low}, {high}); it needs 0 < low <= high")
+        raise InputError(f"scale_range: ({low}, {high}) is invalid; it needs 0 < low <= high")
     if low < 1.0 / LARGEST_SCALE or high > LARGEST_SCALE:
         raise InputError(
             f"scale_range: ({low}, {high}) exceeds the range {1.0 / LARGEST_SCALE:g} to "

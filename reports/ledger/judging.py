@@ -172,7 +172,7 @@ def _verdict(claim: Claim, findings: list[Finding]) -> tuple[str, str]:
     lacking = [f.figure for f in findings if not f.parts]
     if verdict == REPRODUCED and (missing or lacking):
         what = ", ".join(missing or lacking)
-        return OPEN, f"the available part is as claimed; not in the tables: {what}"
+        return OPEN, f"the available part agrees with the claim; not in the tables: {what}"
     if missing:
         reason += f"; not in the tables: {', '.join(missing)}"
     return verdict, reason
@@ -189,7 +189,7 @@ def _of_parts(parts: list[Part]) -> tuple[str, str]:
             NOT: "the interval lies on the other side",
             OPEN: "runs at a limit could change the verdict"
             if parts[0].depends
-            else f"the interval contains both sides (n = {n})",
+            else f"the interval overlaps both sides (n = {n})",
         }
         return verdict, texts[verdict]
     shown = [

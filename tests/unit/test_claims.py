@@ -307,7 +307,7 @@ def test_holding_at_some_levels_only_is_inconclusive():
     assert judged(ours, {**VALUE, "levels": [0.1, 0.2]}).verdict == REPRODUCED
     found = judged(ours, {**VALUE, "levels": [0.2, 0.3]})
     assert (found.verdict, found.reason) == (
-        OPEN, "the available part is as claimed; not in the tables: level 0.3",
+        OPEN, "the available part agrees with the claim; not in the tables: level 0.3",
     )  # fmt: skip
     found = judged(ours, {**VALUE, "tests": ["noise", "deformation"]})
     assert found.verdict == OPEN

@@ -183,4 +183,4 @@ def test_hints_refer_to_what_is_searched(tmp_path, monkeypatch):
 def test_no_hint_without_reason(call):
     outcome = run(*call)
     assert "hint" not in outcome.stderr
-    assert "points are many" not in outcome.stderr
+    assert "points is slow" not in outcome.stderr

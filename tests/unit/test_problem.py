@@ -109,7 +109,7 @@ def test_clouds_beyond_memory_are_refused_before_any_work():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"source": np.full((4, 2), 1e300)}, "source: .*too far away"),
+        ({"source": np.full((4, 2), 1e300)}, "source: .*too large"),
         ({"scale_range": (1e-300, 1e300)}, "scale_range: .*rescale one cloud"),
     ],
 )
