@@ -57,14 +57,19 @@ def file_of(card: Card, path: str, parameter: str) -> File:
     return card.file(path)
 
 
+def key_path(location: Sequence[str | int]) -> str:
+    """Return a location as text, such as ``datasets[0].tests``."""
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
+    return "".join(parts).removeprefix(".")
+
+
 def explain(problem: Any, keys_at: Callable[[Sequence[str | int]], Iterable[str]]) -> str:
     """Describe one pydantic problem as ``key.path: what is wrong; remedy``.
 
     `keys_at` returns the keys that are known at a location.
     """
     location = problem["loc"]
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
-    key = key.removeprefix(".")
+    key = key_path(location)
     match problem["type"]:
         case "extra_forbidden":
             return f"{key}: unknown key{suggestion(str(location[-1]), keys_at(location[:-1]))}"

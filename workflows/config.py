@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 
 from baselines import registry
 from baselines.contract import Instance, Limits
-from data.parameters import explain
+from data.parameters import explain, key_path
 from dcreg.problem import suggestion
 from workflows import CHECKOUT, shown
 from workflows.compose import QUICK, ConfigError, has_quick_part, read
@@ -295,7 +295,7 @@ def _config_error(path: Path, problems: Sequence[str]) -> ConfigError:
 
 def _explain(problem: Any) -> str:
     """Describe one pydantic problem of a config."""
-    key = ".".join(map(str, problem["loc"]))
+    key = key_path(problem["loc"])
     if problem["type"] in ("too_short", "list_type") and key.endswith((".shapes", ".models")):
         return f"{key}: is {problem['input']!r}; list at least one, or leave it out for all"
     return explain(problem, _keys_at)

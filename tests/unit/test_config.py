@@ -144,15 +144,15 @@ def test_wrong_limits_of_single_methods_are_refused(write, monkeypatch, limits_o
     [
         (None, r"small\.yaml: has no quick part"),
         (5, r"small\.yaml: has no quick part"),
-        ({"limit": {}}, r"(?s)small\.yaml: limit: unknown key.* quick part; correct it, or leave"),
-        ({"limits": {"time_s": -1}}, r"(?s)limits\.time_s: .*of the quick part"),
+        ({"limit": {}}, r"(?s)small\.yaml: limit: unknown key.* quick part; correct it, or remove"),
+        ({"limits": {"time_s": -1}}, r"(?s)limits\.time_s: .*in the quick part"),
         (
             {"limits_of": {"ipc": {"nodes": 5}}},
-            r"(?s)limits_of: no method 'ipc'.*of the quick part",
+            r"(?s)limits_of: no method 'ipc'.*in the quick part",
         ),
         (
             {"vary": {"n_inliers_ratio": [True]}},
-            r"(?s)n_inliers_ratio\[0\] is true.*of the quick part",
+            r"(?s)n_inliers_ratio\[0\] is true.*in the quick part",
         ),
     ],
 )
@@ -227,7 +227,7 @@ def test_an_option_that_does_nothing_is_neither_taken_nor_varied(write):
     listed[0]["options"]["noise_factor"] = 2.0
     with pytest.raises(
         ConfigError,
-        match=r"small\.yaml: methods\[0\]\.options: gnc_tls: .* nothing with threshold: paper; leave",
+        match=r"small\.yaml: methods\[0\]\.options: gnc_tls: .* no effect with threshold: paper; leave",
     ):
         config.load(write({**GOOD, "methods": listed}))
 
@@ -302,7 +302,12 @@ def test_a_small_config_gets_the_documented_defaults(write):
         (("methods", 0), "options", {"boun": 1}, "options.boun: unknown option; did you mean 'bo"),
         (("methods", 0), "limits", {"nods": 1}, "methods[0].limits.nods: unknown key; did you mea"),
         (("methods", 1), "name", "dcreg", "name 'dcreg' is used 2 times"),
-        ((), "name", "demo", "name: 'demo' is that of workflows/configs/demo.yaml; give another"),
+        (
+            (),
+            "name",
+            "demo",
+            "name: 'demo' is the name of workflows/configs/demo.yaml; give another name",
+        ),
         ((), "chunk_size", True, "chunk_size is true; give a number"),
         ((), "limits", {"time_s": True}, "time_s is true; give a number or text"),
         (
@@ -370,7 +375,12 @@ def test_a_small_config_gets_the_documented_defaults(write):
             "leaves 0 of 100 true pairs; use at",
         ),
         (("datasets", 0), "tests", {"noise": []}, "noise: give one or more different levels"),
-        (("datasets", 0), "tests", {}, "datasets[0].tests: Dictionary should have at least 1 item"),
+        (
+            ("datasets", 0),
+            "tests",
+            {},
+            "datasets[0].tests: {}; dictionary should have at least 1 item",
+        ),
         (
             ("datasets", 0),
             "shapes",
@@ -473,7 +483,7 @@ def test_a_fixed_number_of_points_cannot_be_chosen(write):
 
 def test_the_same_config_elsewhere_may_not_write_into_the_results_of_the_first(write):
     text = (config.CONFIGS / "demo.yaml").read_text(encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"small\.yaml: name: 'demo' is that of"):
+    with pytest.raises(ConfigError, match=r"small\.yaml: name: 'demo' is the name of"):
         config.load(write(text))
     assert config.load(write(text.replace("name: demo\n", "name: mine\n"))).name == "mine"
 

@@ -53,6 +53,9 @@ def test_edges_lie_on_the_outline_in_pixels_x_first(tmp_path):
     assert np.ptp(points[:, 0]) > 1.5 * np.ptp(points[:, 1])
 
 
+# imageio tries all its plugins on the broken picture: one is deprecated, others leave the file open
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_too_few_edges_and_broken_pictures_are_named(tmp_path):
     with pytest.raises(
         DataError, match=r"a\.png: \d+ edge points at sigma 2, fewer than n_points=5000"
