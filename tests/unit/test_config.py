@@ -306,7 +306,7 @@ def test_a_small_config_gets_the_documented_defaults(write):
             (),
             "name",
             "demo",
-            "name: 'demo' is the name of workflows/configs/demo.yaml; give another name",
+            "name: 'demo' is the name of workflows/configs/demo.yaml; give another",
         ),
         ((), "chunk_size", True, "chunk_size is true; give a number"),
         ((), "limits", {"time_s": True}, "time_s is true; give a number or text"),
