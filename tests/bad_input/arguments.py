@@ -42,8 +42,8 @@ NUMBERS = {  # options that both commands have: value, what the message shows, r
         "-1": ("--threads: -1", "give a positive number"),
         "two": ("'two' is not a whole number", "give one such as"),
         "1.5": ("'1.5' is not a whole number", "give one such as"),
-        "1000000": ("--threads: 1000000 are too many", "give at most"),
-        "99999999999999999999": ("--threads: 99999999999999999999 are too many", "give at most"),
+        "1000000": ("--threads: 1000000 threads are too many", "give at most"),
+        "99999999999999999999": ("--threads: 99999999999999999999 threads are too many", "give at most"),
     },
     "bound": {
         "magic": ("--bound: 'magic'", "known: dc"),

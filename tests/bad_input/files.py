@@ -282,7 +282,7 @@ def _cases() -> Iterator[Case]:
     content = "\n".join(f"{x:g} {y:g}" for x, y in 1e-300 * A2).encode()
     for role in ("source", "target"):
         yield Case("files", f"tiny coordinates in {role}", register(**{role: "tiny.txt"}),
-                   [f"{role}: all points lie within", "e-301", "in a smaller unit"],
+                   [f"{role}: the extent", "e-301", "in a smaller unit"],
                    {"tiny.txt": content})  # fmt: skip
 
 

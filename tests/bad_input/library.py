@@ -46,7 +46,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
     "node limit": ({"node_limit": 0}, "node_limit: 0", "give a positive number"),
     "memory limit": ({"memory_limit_mb": -1}, "memory_limit_mb: -1", "give a positive number"),
     "threads": ({"threads": 0}, "threads: 0", "give a positive number"),
-    "threads without end": ({"threads": 10**9}, "threads: 1000000000 are too many", "give at most"),
+    "threads without end": ({"threads": 10**9}, "threads: 1000000000 threads", "give at most"),
     "mask of another shape": ({"candidates": np.ones((3, 3), bool)}, "candidates: mask of shape (3, 3)",
                               "need (8, 8)"),
     "too few lists": ({"candidates": [[0]]}, "candidates: 1 index lists", "give one each"),

@@ -448,7 +448,7 @@ def test_every_cardinality_has_the_warnings_of_a_single_call(clouds):
             line.split()[:4] for line in alone.warnings
         ]
     (scale,) = [line for line in swept.warnings if "scale_range" in line]
-    assert scale.startswith("the scale 1.5 is an end")  # said once
+    assert scale.startswith("the scale 1.5 is at the limit")  # said once
     assert f"warning: {scale}" in str(swept)
 
 
