@@ -269,7 +269,8 @@ def test_planted_faults_cost_their_runs_and_nothing_else(checkout):
 
 
 def test_a_part_has_tables_of_its_own_with_the_runs_of_the_whole(checkout):
-    before = checkout.runs().set_index("run_id")
+    checkout.run("--no-report")  # an edit of an earlier test may have left runs of other code
+    before, planned = checkout.runs().set_index("run_id"), checkout.planned()
     assert "solve icp" not in checkout.run("--tests", "noise", "--methods", "dcreg", "--no-report")
     folder = checkout.root / "results/tiny/parts/methods-dcreg_tests-noise"
     part = pd.read_parquet(folder / "tables/runs.parquet").set_index("run_id")
@@ -277,7 +278,7 @@ def test_a_part_has_tables_of_its_own_with_the_runs_of_the_whole(checkout):
     # The very same runs, with their times, not new ones.
     assert part["time_solve_s"].equals(before.loc[part.index, "time_solve_s"])
     assert checkout.runs().set_index("run_id").equals(before)
-    assert checkout.planned() == ["report"]  # as before: the whole is untouched
+    assert checkout.planned() == planned  # the whole is untouched
     refused = checkout.command("record", str(folder), "--version", "x", ok=False)
     assert "contains a part of the experiment" in refused
 
@@ -292,7 +293,8 @@ def test_a_plan_is_printed_as_a_table_and_makes_nothing(checkout):
         )
     assert "icp" in output
     assert "dcreg" not in output
-    assert "6 runs, 3 of them finished; the rest takes at most about 2 s on 2 cores" in output
+    assert "6 runs, 3 of them finished; the rest takes" in output
+    assert "about 2 s on 2 cores" in " ".join(output.split())
     assert sorted(checkout.root.glob("results/**/*")) == files
 
 
