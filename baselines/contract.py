@@ -141,7 +141,7 @@ class Instance:
         True pairs and random pairs, unmarked. Only for methods with the option ``front_end: oracle``,
         whose results are labelled accordingly.
     matches : dict of (k, 2) arrays
-        Putative pairs shared by all methods, by the name of their front end. Most data sets have none.
+        Putative pairs shared by all methods, by the name of their front end. Most datasets have none.
     """
 
     instance_id: str

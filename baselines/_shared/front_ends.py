@@ -18,7 +18,7 @@
 
 ``shared-mutual``, ``shared-nearest``, ``shared-several``
     Matches that come with the instance, the same for all methods: nearest neighbours by FPFH features
-    of the whole clouds, computed once by the harness with the settings of the data set. They are the
+    of the whole clouds, computed once by the harness with the settings of the dataset. They are the
     mutual ones, the nearest one of every source point, or its five nearest. 3D only.
 
 No front end returns more than `max_pairs` pairs: the least similar are dropped, and the message says so.
@@ -91,7 +91,7 @@ def unavailable(front_end: str) -> str | None:
 def missing_matches(instance: Instance, front_end: str | None) -> str | None:
     """Return why a shared front end has no matches for the instance; None for any other case."""
     if front_end in SHARED and front_end not in instance.matches:
-        return f"front end {front_end}: the data set of this instance has no shared matches"
+        return f"front end {front_end}: the dataset of this instance has no shared matches"
     return None
 
 

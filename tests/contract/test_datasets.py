@@ -1,4 +1,4 @@
-"""Requirements on every data set; new ones are found by discovery."""
+"""Requirements on every dataset; new ones are found by discovery."""
 
 from __future__ import annotations
 

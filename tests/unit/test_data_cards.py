@@ -1,4 +1,4 @@
-"""Cards whose parameters their loader cannot have are refused, and stop no other data set."""
+"""Cards whose parameters their loader cannot have are refused, and stop no other dataset."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def test_configs_have_every_pair_of_every_list():
         for instance in chunk.instances
     )
     planned["3DLoMatch"] //= 2  # alone, and with the other list
-    # every list of the data set, but the quick list of 3DLoMatch with oriented normals
+    # every list of the dataset, but the quick list of 3DLoMatch with oriented normals
     lists = [test for _, test, *_ in dataset("threedmatch").pairs if test != "overlap"]
     assert Counter(lists) - planned == {"3DLoMatch-quick-oriented": 112}
     assert not planned - Counter(lists)
@@ -163,7 +163,7 @@ def test_shared_front_ends_hand_on_the_matches_of_the_instance():
     instance = problem().for_solver(1.0, 0)
     options = {"front_end": "shared-mutual", "max_pairs": 20}
     np.testing.assert_array_equal(front_ends.putative_pairs(instance, options).pairs, MATCHES[:20])
-    with pytest.raises(front_ends.FrontEndError, match="shared-nearest: the data set"):
+    with pytest.raises(front_ends.FrontEndError, match="shared-nearest: the dataset"):
         front_ends.putative_pairs(instance, {**options, "front_end": "shared-nearest"})
     method = registry.load("teaser", front_end="shared-nearest")
     assert "no shared matches" in method.supports(instance)
