@@ -69,12 +69,12 @@ plan: setup
 baselines: setup
 	@$(BIN)/python -m workflows baselines
 
-## new-baseline: create a method from the template, NAME=folder
+## new-baseline: create a method from the template, NAME=name
 .PHONY: new-baseline
 new-baseline: setup
 	@$(BIN)/python -m workflows new-baseline $(NAME)
 
-## bench: measure the solver against its targets, tables in results/bench (QUICK=1: a few seconds)
+## bench: measure the solver against its performance targets, tables in results/bench (QUICK=1: a few seconds)
 .PHONY: bench
 bench: dev
 	@mkdir -p results/bench
@@ -92,7 +92,7 @@ modes: setup
 walk: setup
 	@$(BIN)/python -m workflows.studies.walk results/walk $(ARGS)
 
-## first-call: compare the processor time of a first call with an older checkout, OLD=folder
+## first-call: compare the processor time of a first call with that of an older checkout, OLD=folder
 .PHONY: first-call
 first-call: dev
 	@$(BIN)/python -m tests.bench.first_call $(OLD)

@@ -250,7 +250,7 @@ class Baseline(abc.ABC):
     def supports(self, instance: Instance) -> str | None:
         """Return None if the method can treat this instance, otherwise the reason."""
         if instance.model not in self.card.models:
-            return f"{self.card.display_name} does not treat {instance.model}"
+            return f"{self.card.display_name} does not support {instance.model}"
         return None
 
     def inlier_distance(self, instance: Instance) -> float:

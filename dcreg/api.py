@@ -36,8 +36,9 @@ def register(
 
     Minimises, over poses T of the model and one-to-one matchings P of exactly `n_inliers` pairs,
     ``sum_ij p_ij |T(x_i) - y_j|^2`` by branch and bound over the pose (DC-Reg, arXiv 2603.25442).
-    In 3D the paper's mode certifies the translation of the norm objective
-    ``sum p_ij (|x_i + t| - |y_j|)^2`` and recovers the rotation after it.
+    In 3D the default mode ``full`` certifies the rigid pose. Mode ``paper`` certifies only the
+    translation, for the norm objective ``sum p_ij (|x_i + t| - |y_j|)^2``; a search for the rotation
+    follows.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def register(
         rotation and translation only.
     candidates : (n, m) bool array, or n sequences of target indices, optional
         The feasible pairs, e.g. from descriptors or a distance gate. All other pairs are excluded from
-        the objective, the bounds and the answer.
+        the objective, the bounds and the assignment.
     gap_tol : float, optional
         Absolute tolerance on the gap of the objective, in squared units of the target; default
         ``n_inliers * (0.03 * RMS radius of the target)^2`` (`dcreg.default_gap_tol`), with 0.003 instead
@@ -109,32 +110,32 @@ def sweep(
 ) -> SweepResult:
     """Register two clouds for several numbers of inliers, with bounds for each.
 
-    For each cardinality the problem of `dcreg.register` is solved. Searches share their poses, and a
-    bound for fewer pairs serves for more pairs if it is good enough. The k cheapest pairs of a feasible
-    matching are feasible, so `candidates` do not change this.
+    Solves the problem of `dcreg.register` for each number of pairs. Searches share their poses. A bound
+    for fewer pairs implies one for more pairs, also with `candidates`, and replaces a search if it is
+    tight enough.
 
     Parameters
     ----------
     source, target : (n, d), (m, d) arrays
     n_inliers : sequence of int or float
-        Cardinalities, in any order and with repetitions; floats in (0, 1] are fractions of
+        Numbers of pairs, in any order; repetitions are ignored. Floats in (0, 1] are fractions of
         ``min(n, m)``.
     model, scale_range, candidates
         As in `dcreg.register`.
     gap_tol : float, optional
-        Absolute tolerance for every cardinality; default `dcreg.default_gap_tol` of each.
+        Absolute tolerance for every number of pairs; default `dcreg.default_gap_tol` of each.
     tol : float, optional
-        The tolerance as a length, as in `dcreg.register`: ``gap_tol = k * tol^2`` for cardinality k.
+        The tolerance as a length, as in `dcreg.register`: ``gap_tol = k * tol^2`` for k pairs.
     time_limit : float, optional
-        Seconds for all cardinalities, 60 by default; None or inf: no limit. Time that one cardinality
-        leaves is used by the next ones. A cardinality whose gap is open at the end has status
+        Seconds for all numbers of pairs together, 60 by default; None or inf: no limit. Time that one
+        search leaves unused is given to the next ones. A result whose gap is open at the end has status
         ``time_limit``, with valid bounds and a pose.
     node_limit, memory_limit_mb : optional
         For each search.
     options : SolveOptions, optional
-        As in `dcreg.register`, but a sweep keeps no certificate. The stages of events name the
-        cardinality (``k=40``) or are ``rotation``. Cardinalities that are the same number of pairs after
-        downsampling have the same bounds.
+        As in `dcreg.register`, but a sweep keeps no certificate. The stages of events are named after
+        the number of pairs (``k=40``) or ``rotation``. Numbers that become equal by downsampling have the
+        same bounds.
 
     Returns
     -------
@@ -185,49 +186,49 @@ def register_matches(
 ) -> Result:
     """Register two clouds in 3D over a list of matches, many of which may be wrong.
 
-    Chooses matches one to one and the rigid pose that minimise the sum of squared residuals of the
-    chosen matches plus `inlier_distance` squared for every match that could have been chosen and was not.
-    This is the objective of `register` over these feasible pairs, with a price in place of ``n_inliers``.
-    The result gives the number of chosen matches, for which it also solves the problem of `register`.
+    Selects matches one to one, and a rigid pose, such that the cost is minimal: the sum of squared
+    residuals of the selected matches, plus `inlier_distance` squared for each match by which their number
+    falls short of the maximum one-to-one number. If k matches are selected, the result also solves the
+    problem of `register` over these feasible pairs with ``n_inliers = k``.
 
     Poses on which many compatible matches agree are refined first. Branch and bound over the rotation,
-    with the translation inside, then certifies the best one as far as the limits allow. Time and memory
-    grow with the number of matches, not with the product of the sizes of the clouds.
+    with a nested search for the translation, then certifies the best one as far as the limits allow. Time
+    and memory grow with the number of matches, not with the product of the sizes of the clouds.
 
     Parameters
     ----------
     source, target : (n, 3), (m, 3) arrays
     matches : (N, 2) int array
-        Source row and target row of every match, the likely ones first; a point may be in several.
+        Source row and target row of every match, the most likely ones first; a point may be in several.
         Initial poses use the first 5,000.
     inlier_distance : float
-        A match with a larger residual counts as wrong. In the unit of the clouds.
+        A match with a larger residual counts as wrong. In units of the clouds.
     score : {"correspondences", "surfaces"}
         How to select among the poses on which matches agree. ``correspondences``: by the cost above.
         ``surfaces``: by the score of the matches times that of the surfaces of both clouds (near points
         with similar normals) at the pose. The latter has a higher success rate for dense scans with
-        partial overlap and has no meaning for sparse points. Its pose need not have minimum cost and is
+        partial overlap and is meaningless for sparse clouds. Its pose need not have minimum cost and is
         not certified.
     certify : bool, optional
         False: the pose only, with lower bound 0 and status ``converged``. Default: True for
         ``correspondences``.
     gap_tol : float, optional
         Absolute tolerance on the gap, in squared units; default a tenth of `inlier_distance` squared for
-        every match that the initial pose chooses.
+        every match that the initial pose selects.
     time_limit : float, optional
         Seconds for the solve, 60 by default; None or inf: no limit.
     node_limit : int, optional
-        Maximum number of boxes bounded. Like `gap_tol` it applies to the certificate only.
+        Maximum number of boxes bounded. It applies to the certificate only, as does `gap_tol`.
     options : SolveOptions, optional
-        Its listener; the other options do not apply and are refused.
+        Only `listener` may be set; other options are rejected.
 
     Returns
     -------
     Result
-        `n_inliers` is the number of chosen matches, `assignment` lists them, `objective` is their sum of
-        squared residuals. The bounds refer to the whole cost, including the price of matches that are
-        not chosen; `score` expresses the same in numbers of matches. `warnings` name what is not proven
-        or not determined, and another pose that agrees with the matches nearly as well.
+        `n_inliers` is the number of selected matches, `assignment` lists them, and `objective` is their
+        sum of squared residuals. The bounds refer to the cost above; `score` converts them to a number of
+        matches. `warnings` state what is not proven or not determined, and whether another pose agrees
+        with the matches nearly as well.
 
     Raises
     ------

@@ -270,7 +270,7 @@ def find_runner_up(
     objective : float
         At `T`.
     ends : iterable of (pose, objective)
-        Final poses of local descents, in the coordinates of the clouds.
+        Final poses of local searches, in the coordinates of the clouds.
     """
     source, target, d = problem.source, problem.target, problem.dim
     minimum = DISTINCT * rms_radius(target)

@@ -54,13 +54,13 @@ class Score(NamedTuple):
 
 @dataclass(frozen=True)
 class RunnerUp:
-    """The best distinct pose at which a local descent of the search ended; a better one may exist.
+    """The best distinct pose that a local search found; a better one may exist.
 
     Attributes
     ----------
     T_target_source : (d+1, d+1) array
     objective_ratio : float
-        Objective of this pose divided by the objective of the result. Near 1 the data hardly
+        Objective of this pose divided by the objective of the result. If it is near 1, the data hardly
         distinguish the two poses.
     rotation_difference_deg : float
         Angle between the two rotations.

@@ -1,4 +1,4 @@
-"""The result of a sweep: a result for each cardinality, their table, and a suggestion."""
+"""The result of a sweep: a result for each number of pairs, their table, and a suggestion."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _ROUNDING = 1e-3
 
 @dataclass(frozen=True, repr=False)
 class SweepResult:
-    """Optima for several cardinalities in ascending order. ``print(found)`` shows their table.
+    """Optima for several `n_inliers` in ascending order. ``print(found)`` shows their table.
 
     Attributes
     ----------
     results : list of Result
-        One for each cardinality, as from `dcreg.register`. Work and time are those spent on this
-        cardinality; if another search proved the bounds, there are no nodes.
+        One for each number of pairs, as from `dcreg.register`, with the work and time spent on it. If
+        another search proved the bounds, `n_nodes` is 0.
     proven_by : list of int or None
-        The cardinality whose search proved the `lower_bound` of each result; None if no search was
-        needed because 0 is a lower bound.
+        The number of pairs of the search that proved the `lower_bound` of each result; None if no search
+        was needed because 0 is a lower bound.
     """
 
     results: list[Result]
@@ -49,7 +49,7 @@ class SweepResult:
 
     @property
     def suggested_n_inliers(self) -> int | None:
-        """The cardinality with the minimum fractional RMSE of the final pose: a suggestion, not proven.
+        """The number of pairs with the minimum fractional RMSE of the final pose: not proven.
 
         The fractional RMSE is the RMSE divided by the cube of the number of pairs (after Phillips, Liu
         and Tomasi 2007). Results with a warning about too many pairs are excluded. None if the minimum is
@@ -70,18 +70,18 @@ class SweepResult:
     def warnings(self) -> list[str]:
         """The warnings of all `results`; lines that differ only in numbers are given once."""
         counts = [result.n_inliers for result in self.results]
-        found: dict[str, dict[int, str]] = {}  # cardinality and line, by the line without numbers
+        found: dict[str, dict[int, str]] = {}  # n_inliers and line, by the line without numbers
         for result in self.results:
             for line in result.warnings:
                 found.setdefault(_NUMBER.sub("#", line), {})[result.n_inliers] = line
         return [_one_of(lines, counts) for lines in found.values()]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one row of plain numbers for each cardinality, for tables and figures.
+        """Return one row of plain numbers for each number of pairs, for tables and figures.
 
         ``rms_lower`` and ``rms`` enclose the RMS residual at the optimum: they are the square roots of
         the bounds per pair. ``marginal_cost`` is the mean increase of the upper bound per additional pair
-        up to the next cardinality; ``marginal_cost_lower`` and ``marginal_cost_upper`` enclose that of
+        up to the next row; ``marginal_cost_lower`` and ``marginal_cost_upper`` enclose that of
         the optimum. ``rmse_matched`` refers to the final pose; in 3D mode ``paper`` the others refer to
         norms.
         """
@@ -186,13 +186,13 @@ class SweepResult:
     def __repr__(self) -> str:
         counts = [result.n_inliers for result in self.results]
         return (
-            f"<SweepResult {self.status.value}: {len(counts)} cardinalities from {counts[0]} to "
+            f"<SweepResult {self.status.value}: {len(counts)} values of n_inliers from {counts[0]} to  "
             f"{counts[-1]}>"
         )
 
 
 def _one_of(lines: dict[int, str], counts: list[int]) -> str:
-    """Return one warning for all cardinalities that have it."""
+    """Return one line per warning, with the values of `n_inliers` that have it."""
     (first, line), *others = lines.items()
     if len(lines) == len(counts) and len(set(lines.values())) == 1:
         return line

@@ -25,8 +25,8 @@ from reports.tables import check_study
 HERE = Path(__file__).parent
 PLACES = {
     "centred": "boxes centred on the optimum",
-    "holding": "boxes containing it off-centre",
-    "away": "boxes away from it",
+    "holding": "boxes with the optimum off-centre",
+    "away": "boxes without the optimum",
 }
 GAPS = (10.0, 3.0, 1.0, 0.3, 0.1)  # in units of the default tolerance
 SHOWN_WIDTHS = (0.5, 0.05)  # in the table of losses: the nearest measured widths
@@ -216,7 +216,7 @@ def build(folder: Path) -> Path:
     for name, draw, title, caption in (
         ("boxes", draw_boxes, "Bound value against box width",
          "Means over the boxes of one width and place. The loss of a bound decreases with the width; a "
-         "steeper line means faster convergence. Exact bounds have no loss and no point in its plot."),
+         "steeper line means faster convergence. Exact bounds have no loss and are not in its plot."),
         ("searches", draw_searches, "Work to a given gap",
          "Best-first search with every bound, with the same root box, incumbent and branching. A search "
          "ends at a tenth of the tolerance or at the time limit; a marker shows its end."),
@@ -227,7 +227,7 @@ def build(folder: Path) -> Path:
         {"id": "losses", "title": "Loss relative to the published DC bound",
          "caption": "Mean loss (minimum objective found − bound), divided by the mean loss of the "
          "bound `dc`, for boxes of one width (in RMS radii) that contain the optimum or lie away from "
-         "it. A dash: the method has no bound there."} | losses_rows(tables["losses"]),
+         "it. A dash: the method has no bound for these boxes."} | losses_rows(tables["losses"]),
         {"id": "orders", "title": "Empirical order of convergence",
          "caption": "Slope of log loss over log width at the smallest widths with a loss above a "
          "thousandth of the optimum."} | orders_rows(tables["orders"]),

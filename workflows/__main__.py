@@ -199,7 +199,7 @@ def forget(
     folder: Folder,
     status: Annotated[str, typer.Option(help="Statuses, comma-separated.")] = "failed",
 ) -> None:
-    """Delete runs with these statuses, so that the next `run` repeats only them."""
+    """Delete runs with the given statuses, so that the next `run` repeats only them."""
     import shutil
 
     from workflows.stages.solve import forget as drop

@@ -20,10 +20,10 @@ from workflows.hashing import digest_arrays, seed
 class Problem:
     """An instance as the harness stores it; `for_solver` returns what a worker receives.
 
-    ``n_inliers_prior`` is the true number of pairs, or that of the dataset's rule. As in the paper, the
-    solver receives a stated ratio of it as n_inliers. The only other value that derives from the ground
-    truth is ``noise_bound``, the same for all methods. ``matches`` are the putative pairs that all
-    methods share, if any.
+    ``n_inliers_prior`` is the true number of pairs, or the number that the dataset prescribes. As in the
+    paper, the solver receives a stated ratio of it as n_inliers. The only other value that derives from
+    the ground truth is ``noise_bound``, the same for all methods. ``matches`` are the putative pairs that
+    all methods share, if any.
     """
 
     instance_id: str

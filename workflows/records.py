@@ -59,10 +59,11 @@ RAW: dict[str, Column] = {
     "n_target": Column(int, "points of the target"),
     "n_inliers": Column(
         int,
-        "number of pairs given to the solver: round(ratio * true number, or that of the dataset's rule)",
+        "number of pairs given to the solver: round(ratio * true number, or * number that the dataset "
+        "prescribes)",
         True,
     ),
-    "seed": Column(int, "seed given to methods that draw random numbers"),
+    "seed": Column(int, "seed for methods that draw random numbers"),
     "status": Column(str, "how the run ended, one of dcreg.Status", True),
     "message": Column(str, "reason of the status, or what ran (DC-Reg: mode and bound)", True),
     "T_target_source": Column(str, "JSON of the pose (rows of the homogeneous matrix), or empty"),
@@ -112,7 +113,8 @@ def runs_columns() -> dict[str, Column]:
         "display_name": Column(str, "name of the method in figures"),
         "provenance": Column(str, "official, library, port or reconstruction"),
         "n_inliers_ratio": Column(
-            float, "given number of pairs over the true number, or that of the dataset's rule"
+            float,
+            "given number of pairs over the true number, or over the number that the dataset prescribes",
         ),
         "n_inliers_true": Column(int, "number of true pairs (never given to a solver)"),
         "dim": Column(int, "2 or 3"),

@@ -287,7 +287,7 @@ class CorrespondenceMethod(Baseline):
             return reason
         front_end = self.options["front_end"]
         if front_end == "fpfh-mutual" and instance.dim != 3:
-            return f"front end fpfh-mutual does not treat {instance.model}"
+            return f"front end fpfh-mutual does not support {instance.model}"
         return missing_matches(instance, front_end)
 
     def warm_up(self, instance: Instance) -> None:
@@ -316,7 +316,9 @@ class CorrespondenceMethod(Baseline):
             pose = fit_pose(
                 instance.source[pairs[:, 0]], instance.target[pairs[:, 1]], instance.scale_range
             )
-            notes.append("no pose by the time limit but the least-squares one of all pairs")
+            notes.append(
+                "stopped at the time limit; the pose is the least-squares fit to all pairs"
+            )
             status = Status.TIME_LIMIT
         elif pose is None:
             notes.append("the method found no consistent correspondences")

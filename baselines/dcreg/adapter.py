@@ -61,7 +61,7 @@ class Adapter(LibraryMethod):
     def supports(self, instance: Instance) -> str | None:
         mode = self.options["mode"]
         if mode not in (None, AUTO, *mode_names(instance.model)):
-            return f"mode {mode!r} does not treat {instance.model}"
+            return f"mode {mode!r} does not support {instance.model}"
         return missing_matches(instance, self.options["front_end"]) or super().supports(instance)
 
     def warm_up(self, instance: Instance) -> None:

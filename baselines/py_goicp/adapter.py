@@ -35,8 +35,8 @@ class Adapter(Baseline):
             answer = _in_child(problem, limits.time_s)
         except subprocess.TimeoutExpired:
             pose = homogeneous(1.0, np.eye(3), origin_target - origin_source)
-            message = "stopped at the time limit; the package gives nothing before its end, "
-            return Solution(Status.TIME_LIMIT, pose, message + "the pose joins the centroids")
+            message = "stopped at the time limit without a result of the package; "
+            return Solution(Status.TIME_LIMIT, pose, message + "the pose aligns the centroids")
         if isinstance(answer, str):
             return Solution(Status.FAILED, None, answer)
         rotation, translation = np.array(answer["rotation"]), np.array(answer["translation"])

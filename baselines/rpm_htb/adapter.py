@@ -39,7 +39,7 @@ class Adapter(OwnBound):
 
     def supports(self, instance: Instance) -> str | None:
         if instance.dim == 3 and "termwise-r3" in self.parts:
-            return f"bound termwise-r3 does not treat {instance.model}"
+            return f"bound termwise-r3 does not support {instance.model}"
         return super().supports(instance)
 
     def make_bound(

@@ -187,15 +187,15 @@ class Search:
         typer.Option(
             metavar="NAME",
             help=f"Search mode. In 2D: {', '.join(mode_names('similarity2d'))}. In 3D: "
-            f"{', '.join(mode_names('rigid3d'))}. Default: {AUTO}, which in 3D chooses full, or "
-            "paper for large clouds and if a bound or a certificate is requested.",
+            f"{', '.join(mode_names('rigid3d'))}. Default: {AUTO}, which in 3D selects full, or "
+            "paper if a bound or a certificate is requested or too many pairs are searched.",
         ),
     ] = None
     bound: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help=f"Lower bounding function: {', '.join(bound_names())}; 'a+b' takes the larger value.",
+            help=f"Lower bounding function: {', '.join(bound_names())}; 'a+b' takes the maximum of two.",
         ),
     ] = None
     start_box: Annotated[

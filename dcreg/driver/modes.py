@@ -1,4 +1,4 @@
-"""The table of modes. A mode refuses what it would ignore."""
+"""The table of modes. A mode rejects settings that it would ignore."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from dcreg.status import Status
 
 # A dense cost matrix of more pairs than this does not fit into the memory of a common machine.
 MAX_PAIRS = 100_000_000
-# In norm space these match sorted numbers and need no cost matrix.
+# In norm space these match sorted norms and need no cost matrix.
 MATRIX_FREE_BOUNDS = frozenset({"tight", "shared"})
-# By dimension: pairs of points above which a sample is searched, and the points of each cloud in it. In
-# 2D a search of some hundred points ends, while of thousands not one descent does; in 3D a single
-# assignment of mode `full` takes seconds.
+# By dimension: point pairs above which a sample is searched, and the points of each cloud in it. In 2D,
+# searches of some hundred points finish, but not even one local search of thousands of points does. In 3D
+# a single assignment of mode `full` takes seconds.
 LARGE_PAIRS = {2: 1_000_000, 3: 4_000_000}
 LARGE_SAMPLE = {2: 300, 3: 1_000}
 # Share of the time for the translation search; the rotation search follows.
@@ -42,7 +42,7 @@ RotationSearch = Callable[[NormalisedProblem, np.ndarray, Budget], Outcome]
 
 @dataclass(frozen=True)
 class Mode:
-    """One way from a problem to a pose.
+    """A method to solve the problems of one model.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Mode:
         return 1.0 if self.rotation is None else TRANSLATION_SHARE
 
     def check(self, problem: Problem, bound: str | None, certificate: bool) -> None:
-        """Refuse settings that this mode would ignore, and clouds that do not fit into memory.
+        """Reject settings that this mode would ignore, and clouds that do not fit into memory.
 
         Raises
         ------

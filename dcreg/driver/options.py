@@ -21,10 +21,10 @@ class SolveOptions:
     Attributes
     ----------
     mode : str, optional
-        Search mode, one of `dcreg.mode_names`; default: the library chooses. `Result.mode` gives the mode
-        that ran, `Result.certificate_scope` what its bounds refer to.
+        Search mode, one of `dcreg.mode_names`; default: the library selects it. `Result.mode` gives the
+        mode that ran, and `Result.certificate_scope` what its bounds refer to.
     bound : str, optional
-        Lower bounding function, one of `dcreg.bound_names`; ``a+b`` takes the larger value. Default:
+        Lower bounding function, one of `dcreg.bound_names`; ``a+b`` takes the maximum of two. Default:
         ``tight``. Mode ``full`` has its own bounds and accepts none.
     start_box : {"stationary", "radius"}
         Both contain every optimum. ``radius`` follows from the radii of the clouds alone. ``stationary``
@@ -41,12 +41,12 @@ class SolveOptions:
     downsample : int, optional
         Search with at most this many points of each cloud, chosen by farthest-point sampling after
         outlier removal, and refine the pose on all points. An integer `n_inliers` refers to the full
-        clouds and is scaled down with them. Default, if neither mode, bound, certificate nor candidates
-        are given: 300 in 2D above 1,000,000 pairs of points, 1,000 in 3D above 4,000,000 pairs of clouds
-        that match only partially; all points otherwise.
+        clouds and is scaled down with them. By default, all points are searched, except for large clouds
+        if neither mode, bound, certificate nor candidates are given: 300 points in 2D above 1,000,000
+        point pairs, and 1,000 points in 3D above 4,000,000 point pairs unless all points match.
     listener : callable, optional
-        Called with every `dcreg.Event`, and at least every half second, then from another thread. If it
-        returns True the solve stops with status ``stopped``.
+        Called with every `dcreg.Event` and at least every half second; the additional calls come from
+        another thread. If it returns True, the solve stops with status ``stopped``.
 
     Raises
     ------
@@ -89,7 +89,7 @@ class SolveOptions:
             return cls()
         if not isinstance(given, cls):
             raise InputError(
-                f"options: {given!r} is no SolveOptions; give one such as "
+                f"options: {given!r} is not a SolveOptions; give one such as "
                 "dcreg.SolveOptions(downsample=200)"
             )
         return given

@@ -59,7 +59,7 @@ def sweep_problems(
 ) -> SweepResult:
     """Solve problems that differ in `n_inliers`, given in ascending order; see `dcreg.sweep`."""
     if options.certificate:
-        raise InputError("certificate: a sweep keeps none; use register for one cardinality")
+        raise InputError("certificate: a sweep keeps none; use register for one n_inliers")
     setup = Setup.of(problems, limits, options)
     with setup.budget() as budget:
         solve = _Sweep(setup, budget)

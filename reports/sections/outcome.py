@@ -65,7 +65,7 @@ def _prior(runs: pd.DataFrame) -> str:
     is_whole = full["n_source"] == full.groupby("instance_id")["n_source"].transform("max")
     differs = is_whole & (full["n_inliers"] != full["n_inliers_true"])
     tests = full.loc[differs, "test"].unique()
-    other = f" ({', '.join(tests)}: × the number of the dataset's rule)" if len(tests) else ""
+    other = f" ({', '.join(tests)}: × the number that the dataset prescribes)" if len(tests) else ""
     fewer = "" if is_whole.all() else "; in proportion for methods that receive fewer points"
     return " and ".join(f"{ratio:g}" for ratio in ratios) + " × the true pairs" + other + fewer
 
@@ -82,7 +82,7 @@ def _limit(tables: Tables) -> str:
     limits = [card.get("limits", {}) for card in tables.cards.values()]
     known = sorted({each["time_s"] for each in limits if each.get("time_s") is not None})
     by_boxes = sum(any(each.get(key) for key in ("nodes", "nodes_at_100")) for each in limits)
-    boxes = f"; {by_boxes} of {len(limits)} methods also a limit on boxes or initial poses" * (
+    boxes = f"; {by_boxes} of {len(limits)} methods also with a limit on boxes or initial poses" * (
         by_boxes > 0
     )
     return (_range(known, " s per run") if known else "not stated") + boxes

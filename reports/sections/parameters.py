@@ -46,7 +46,8 @@ def parameters(card: dict[str, Any]) -> list[tuple[str, str, str]]:
         ("limits", ", ".join(limits_of(card).values()) or "not stated", ""),
         (
             "n_inliers",
-            f"{card.get('n_inliers_ratio', 1):g} × true pairs, or the dataset's rule",
+            f"{card.get('n_inliers_ratio', 1):g} × the true pairs, or × the number that the dataset "
+            "prescribes",
             "",
         ),
     ]

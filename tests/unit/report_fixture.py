@@ -119,7 +119,7 @@ def _status(method, model, level, trial):
     if method == "teaser":
         return "unavailable", "teaserpp_python is not installed; build it from its repository"
     if method == "fgr" and model == "similarity2d":
-        return "unsupported", "FGR does not treat similarity2d"
+        return "unsupported", "FGR does not support similarity2d"
     if method == "fgr" and level == LEVELS[-1] and trial == 0:
         return "failed", "worker killed: signal 11 <b>segfault</b>"
     if method in BOUNDING:

@@ -249,7 +249,7 @@ def test_poses_that_agree_nearly_as_well_are_told():
     twice = np.vstack([matches, [(i, 25 + i) for i in range(22)]])
     found = dcreg.register_matches(source, elsewhere, twice, inlier_distance=REACH, certify=False)
     (line,) = found.warnings
-    assert "another pose agrees with the matches nearly as well, 88% of this one" in line
+    assert "another pose agrees with the matches nearly as well (88% of the score)" in line
     assert "another pose" in str(found)
 
 

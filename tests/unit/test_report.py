@@ -353,7 +353,7 @@ def test_the_page_shows_the_limit_that_a_run_hit(tmp_path):
     build(folder, tmp_path / "index.html")
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     first = page.split('class="run"')[1].split("</dl>")[0]
-    assert f"10 s per run; 2 of {len(known['methods'])} methods also a limit on boxes" in first
+    assert f"10 s per run; 2 of {len(known['methods'])} methods also with a limit on boxes" in first
     assert "10 s, 700 boxes at 100 points" in page.split('id="parameters"')[1]
 
     unfinished = page.split('id="unfinished"')[1].split("</table>")[0]
@@ -368,7 +368,7 @@ def test_the_page_shows_the_limit_that_a_run_hit(tmp_path):
         ({}, "1 × the true pairs"),
         (
             {"n_inliers": [90, 90]},
-            "1 × the true pairs (canny: × the number of the dataset's rule)",
+            "1 × the true pairs (canny: × the number that the dataset prescribes)",
         ),
         (
             {"n_source": [400, 100], "n_inliers": [20, 5]},

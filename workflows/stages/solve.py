@@ -74,7 +74,7 @@ def solve(
 
 
 def forget(runs_folder: Path, statuses: set[str]) -> int:
-    """Delete runs with these statuses from a folder of results, so that the next run repeats them."""
+    """Delete runs with the given statuses from a folder of results, so that they are repeated."""
     dropped = 0
     for path in sorted(runs_folder.glob("*/*.journal.jsonl")):
         kept, lines = [], path.read_text(encoding="utf-8").splitlines()

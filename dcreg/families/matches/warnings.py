@@ -41,7 +41,7 @@ def warnings_of(
     if unproven is not None:
         lines.append(
             f"the search ended early: a pose with a score of up to {unproven[1]:.4g} is not ruled out, "
-            f"this one has {unproven[0]:.4g}. Give more time, or fewer matches, the likely ones"
+            f"this one has {unproven[0]:.4g}. Allow more time, or give only the most likely matches"
         )
     return [line for line in lines if line is not None]
 
@@ -55,8 +55,8 @@ def _undetermined(problem: MatchProblem, chosen: np.ndarray) -> str | None:
             return None
     return (
         f"the source points of the {len(chosen)} chosen matches do not determine the pose; at least "
-        "three that are not collinear are needed. Check inlier_distance, in the unit of the clouds, and "
-        "the matches"
+        "three that are not collinear are needed. Check the matches and inlier_distance (in units of "
+        "the clouds)"
     )
 
 
@@ -64,7 +64,7 @@ def _runner_up(score: str, best: float, other: float) -> str | None:
     """Warn if another pose is nearly as good."""
     if other < RUNNER_UP_RATIO * best:
         return None
-    share = f", {other / best:.0%} of this one" if best > 0.0 else ""
+    share = f" ({other / best:.0%} of the score)" if best > 0.0 else ""
     agrees = "agrees with the matches" + (" and the surfaces" if score == "surfaces" else "")
     return (
         f"another pose {agrees} nearly as well{share}: either may be right. {_REMEDY}, or several for "
@@ -73,7 +73,7 @@ def _runner_up(score: str, best: float, other: float) -> str | None:
 
 
 def _chance(best: float, other: float) -> str | None:
-    """Warn if the pose is hardly better than the next one, which is right by chance only."""
+    """Warn if the next pose is nearly as good, although matches support it by chance only."""
     if best - other >= MIN_MATCHES:
         return None
     return (
@@ -83,7 +83,7 @@ def _chance(best: float, other: float) -> str | None:
 
 
 def _few(chosen: np.ndarray) -> str | None:
-    """Warn if no more matches agree with the pose than often agree by chance."""
+    """Warn if so few matches agree with the pose that they may agree by chance."""
     if len(chosen) >= 2 * MIN_MATCHES:
         return None
-    return f"only {len(chosen)} matches agree with the pose, and that many often do by chance. {_REMEDY}"
+    return f"only {len(chosen)} matches agree with the pose, and as many often agree by chance. {_REMEDY}"
