@@ -1,9 +1,9 @@
 """Globally optimal point cloud registration with the holistic DC bound (DC-Reg, arXiv 2603.25442).
 
-`register` and `sweep` solve, `verify` checks a certificate apart from the search, `read_points` opens
-files; results print themselves, and are written and drawn by `Result.write_json`, `plot_registration`
-and their like. All public names are in ``__init__.pyi``; each is loaded when it is first used, so that
-``import dcreg`` costs next to nothing.
+`register`, `sweep` and `register_matches` solve, `verify` checks a certificate independently of the
+search, and `read_points` reads files. Results are printed by ``print``, written by `Result.write_json`
+and drawn by `plot_registration`. ``__init__.pyi`` lists all public names. Each is loaded when it is first
+used, so ``import dcreg`` is fast.
 """
 
 import lazy_loader

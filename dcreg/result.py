@@ -201,7 +201,7 @@ class Result:
     runner_up : RunnerUp, optional
         The best pose found that clearly differs from this one.
     warnings : list of str
-        Reasons to doubt the result, each with a remedy.
+        What needs a second look, and what to do about it.
     """
 
     status: Status

@@ -42,11 +42,11 @@ class Report:
     is_certificate : bool
         False if there was nothing to check: no file, or a file that is not a certificate.
     reason : str
-        Why the certificate was refused; empty if it was accepted.
+        Why the certificate was rejected; empty if it was accepted.
     statement : str
-        What is proven; empty if refused.
+        What is proven; empty if the certificate was rejected.
     is_trivial : bool
-        Whether the lower bound is 0, which holds for any sum of squares, and the upper one is not.
+        Whether the lower bound is 0, which holds for any sum of squares, and the upper bound is not 0.
     checks : list of str
         One line for each check passed.
     model : str
@@ -86,7 +86,7 @@ def verify(
     n_samples: int = 500,
     progress: Progress | None = None,
 ) -> Report:
-    """Check a certificate against its clouds, without trust in the search.
+    """Check a certificate against its clouds, independently of the search.
 
     An accepted certificate proves that the global optimum of its objective lies between ``lower_bound``
     and ``upper_bound``. The proof relies on this function, NumPy and SciPy, not on `dcreg.register`.
@@ -102,12 +102,12 @@ def verify(
     n_samples : int
         Number of random parameters that are compared with the bounds of their leaves.
     progress : callable, optional
-        Called with the number of boxes bounded and of those known to be needed, which may increase.
+        Called with the number of boxes bounded and the number known to be needed, which may increase.
 
     Returns
     -------
     Report
-        A bad certificate raises no exception; it is refused with the reason.
+        A bad certificate raises no exception; `reason` states why it was rejected.
 
     Examples
     --------

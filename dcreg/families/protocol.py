@@ -1,4 +1,4 @@
-"""What a family of poses consists of: a space with descents and seeds, and bounds over its boxes."""
+"""The interface of a pose family: a space with local searches, and bounds over its boxes."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class Space(abc.ABC):
     scope : str
         What a certificate over this space refers to.
     fixes_rotation : bool
-        Whether a parameter determines the pose; if not, a rotation search has to follow.
+        Whether a parameter determines the pose; if not, a search for the rotation must follow.
     n_descents : int
-        Descents made for the first incumbent: enough for a good upper bound, cheap next to a search.
+        Local searches for the first incumbent: enough for a good upper bound, cheap next to the search.
     min_gain : float
-        Relative decrease of the objective below which a descent ends.
+        Relative decrease of the objective below which a local search ends.
     stop_flag : (1,) uint8 array
         Kernels return at once when it is set, and `check` then raises; see `Budget.stop`.
     ends : sequence of (theta, value)
-        Where the descents of the last `start` ended.
+        Where the local searches of the last `start` ended.
     """
 
     clouds: Clouds
@@ -107,12 +107,12 @@ class Space(abc.ABC):
         """Return the pose of the source as a (d+1, d+1) matrix."""
 
     def poses_of_ends(self) -> list[tuple[np.ndarray, float]]:
-        """Return the poses at which the descents of the last `start` ended, and their values."""
+        """Return the poses at which the local searches of the last `start` ended, and their values."""
         return [(self.pose(theta), value) for theta, value in self.ends]
 
     @abc.abstractmethod
     def seeds(self) -> np.ndarray:
-        """Return (S, dim) parameters spread over the family, to start descents from."""
+        """Return (S, dim) parameters spread over the family, from which local searches start."""
 
     @abc.abstractmethod
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
@@ -140,7 +140,7 @@ class Space(abc.ABC):
         return np.ones(len(lower), dtype=bool)
 
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
-        """Yield parameters to descend from, best first, each with the assignments solved for it."""
+        """Yield initial parameters, best first, each with the assignments solved for it."""
         self.check()
         seeds = self.seeds()
         scores, spent = self.score(seeds)
@@ -150,15 +150,15 @@ class Space(abc.ABC):
             spent = 0
 
     def start(self, budget: Budget, enough: float = 0.0) -> tuple[np.ndarray, float, int]:
-        """Return the best end of the descents from `starts`.
+        """Return the best result of the local searches from `starts`.
 
-        At least one descent is begun, however short the time. After `n_descents` descents a value of at
-        most `enough` ends the list of starts.
+        At least one local search is begun, even if the time is over. After `n_descents` local searches, a
+        value of at most `enough` ends the list of starts.
 
         Returns
         -------
         theta, value, n_assignments
-            The value is infinite if not even one descent was completed.
+            The value is infinite if no local search was completed.
         """
         best: np.ndarray | None = None
         value, spent = np.inf, 0
@@ -186,7 +186,7 @@ def means_of_subsets(points: np.ndarray, count: int) -> tuple[np.ndarray, np.nda
     """Return, per axis of (d, n) points, the minimum and maximum mean of any `count` of them."""
     low = np.array([-mean_of_largest(-values, count) for values in points])
     high = np.array([mean_of_largest(values, count) for values in points])
-    # if all points are taken the two are equal up to rounding, which may reverse their order
+    # if all points are taken, both are equal up to rounding, which may reverse their order
     return np.minimum(low, high), np.maximum(low, high)
 
 
@@ -198,7 +198,7 @@ def mean_of_largest(values: np.ndarray, count: int) -> float:
 def infeasibility_penalty(
     candidates: np.ndarray | None, n_inliers: int, extent: float
 ) -> np.ndarray:
-    """Return what each pair costs in addition to its residual: 0, or more than any feasible matching.
+    """Return the additional cost of each pair: 0, or more than the cost of any feasible matching.
 
     Parameters
     ----------
@@ -247,14 +247,14 @@ class SpaceBound(abc.ABC, Generic[S]):
     Attributes
     ----------
     name : str
-        What users call the bound; empty for a base class.
+        The name in ``--bound``; empty for a base class.
     space_type : type of Space
         Spaces that it bounds.
     n_assignments : int
         Exact assignments solved so far.
     round_pairs, max_round : int
-        Pairs that one round of boxes may price, and its maximum number of boxes: enough to keep threads
-        busy, few enough for a search to stay interruptible.
+        Maximum number of pairs and of boxes in one round: enough to keep threads busy, few enough for
+        the search to stay interruptible.
     """
 
     name: ClassVar[str] = ""
@@ -308,7 +308,7 @@ class SpaceBound(abc.ABC, Generic[S]):
         """Apply `work` to slices that cover `count` items, in all threads.
 
         There are several times as many slices as threads, and each thread takes the next one when it is
-        free. What `work` returns is added to `n_assignments`.
+        free. The results of `work` are added to `n_assignments`.
         """
         self.space.check()
         if self._helpers is None or count < 2:
@@ -329,7 +329,7 @@ class SpaceBound(abc.ABC, Generic[S]):
 
 
 class Strongest:
-    """The maximum of several bounds over the same roots, box by box; all their candidates compete."""
+    """The maximum of several bounds over the same roots, box by box, with the best candidate of all."""
 
     def __init__(self, parts: Sequence[SpaceBound[Any]]) -> None:
         self.parts = parts

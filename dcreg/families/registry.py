@@ -65,12 +65,12 @@ def make_bound(
 ) -> SpaceBound[Any] | Strongest:
     """Return the bound called `name` over boxes made of `roots` (default: those of `space`).
 
-    Of names joined by ``+`` the maximum is taken.
+    Names joined by ``+`` give the maximum of their bounds.
 
     Raises
     ------
     InputError
-        For a name that no bound over this space has.
+        For a name that is not a bound over this space.
     """
     known = bounds_of(type(space))
     parts = [name] if name in known else bound_parts(name)

@@ -30,7 +30,7 @@ class Outcome:
     lower_bound, upper_bound : float
         ``lower_bound <= minimum <= upper_bound``; the latter is the objective at `theta`.
     n_nodes, n_assignments : int
-        Boxes bounded, and exact assignments solved, those of descents included.
+        Boxes bounded, and exact assignments solved, including those of local searches.
     time_s : float
     events : list of Event
         One for each change of a bound, and one at the end.
@@ -49,8 +49,8 @@ class Outcome:
     leaves: Leaves | None = None
 
 
-# A descent starts if the round's best value is at most that at the last descent's start, times this
-# factor for every round since. Descents are frequent while the search improves and rare afterwards.
+# A local search starts if the best value of the round is at most that at the start of the last one, times
+# this factor for every round since. Local searches are frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
 
 MIN_ROUND = 16  # minimum number of boxes divided in a round, if the bound allows it
@@ -65,7 +65,7 @@ class Start(NamedTuple):
     time_s: float = 0.0
 
 
-# theta -> (better theta, its objective, assignments spent): descent from a promising parameter
+# theta -> (better theta, its objective, assignments spent): local search from a promising parameter
 Refine = Callable[[np.ndarray], tuple[np.ndarray, float, int]]
 Branching = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -86,9 +86,9 @@ def branch_and_bound(
     Parameters
     ----------
     bound : Bound
-        The function enters only through its bound and must be non-negative. ``bound.roots`` are
-        searched. A round divides a share of the open boxes, at most ``bound.round_size``, so that boxes
-        are chosen carefully while few are open.
+        Bounds a non-negative function; ``bound.roots`` are searched. A round divides a share of the open
+        boxes, at most ``bound.round_size``, so that the search stays close to best-first while few boxes
+        are open.
     budget : Budget
         Its listener receives an event for every round; the search ends when the budget is spent.
     branching : callable
@@ -96,7 +96,7 @@ def branch_and_bound(
     gap_tol : float
         Stop when ``upper_bound - lower_bound <= gap_tol`` (the paper's epsilon).
     refine : callable, optional
-        Local descent from the best candidate of a round.
+        Local search from the best candidate of a round.
     start : Start or (theta, value), optional
         The first incumbent: an admissible parameter and its objective.
     stage : str
@@ -176,7 +176,7 @@ class _Search:
         return Boxes(lower, upper, np.zeros(len(lower)))
 
     def update_incumbent(self, found: Evaluation, refine: Refine | None) -> None:
-        """Update the incumbent by the round's best candidate and a descent from it."""
+        """Update the incumbent by the best candidate of the round and a local search from it."""
         best = int(np.argmin(_settled(found.values, self.gap_tol)))
         value = float(found.values[best])
         self._take(found.thetas[best], value)
@@ -273,10 +273,10 @@ class _Search:
 
 
 def _settled(values: np.ndarray, gap_tol: float) -> np.ndarray:
-    """Return the values lowered to a grid much finer than the tolerance.
+    """Return the values rounded down to a grid much finer than the tolerance.
 
-    Boxes that share a vertex often have equal bounds up to rounding. On the grid they are equal, so that
-    the order of the search, and with it every counter, does not depend on the last bits of a machine.
+    Boxes that share a vertex often have equal bounds up to rounding. On the grid they are equal. So the
+    order of the search, and with it every counter, does not depend on the last bits.
     """
     step = 1e-6 * gap_tol
     return step * (np.round(values / step) - 1.0) if step > 0.0 else values
@@ -296,7 +296,7 @@ class Searchable(Protocol):
         ...
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Descend from `theta`: return a better theta, its objective, assignments spent."""
+        """Search locally from `theta`: return a better theta, its objective, assignments spent."""
         ...
 
 
@@ -315,7 +315,7 @@ def minimise(
     Parameters
     ----------
     space : Searchable
-        Provides the first incumbent, the descents, and the weights for dividing boxes.
+        Provides the first incumbent, the local searches, and the weights for dividing boxes.
     bound : Bound
     budget : Budget
     gap_tol : float
