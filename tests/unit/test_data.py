@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import io
 import os
@@ -15,10 +16,12 @@ from pathlib import Path
 import grimp
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial import cKDTree
 
 from data import fetch as fetching
 from data.chui_rangarajan.loader import Loader as ChuiRangarajan
+from data.chui_rangarajan.loader import _checksums
 from data.contract import DataError, File, UnknownNameError
 from data.fetch import ChecksumError, UnavailableError, cache_path, fetch
 from data.registry import dataset, read_card
@@ -26,7 +29,6 @@ from data.sampling import farthest_points, mutual_nearest, normalise, voxel_down
 from data.threedmatch import loader as threedmatch
 from data.threedmatch.select_pairs import official, select
 from dcreg.problem import apply_pose
-from dcreg.problem.geometry import fit_pose
 from workflows.stages import generate
 
 NOWHERE = "http://127.0.0.1:9/none"  # refuses connections at once
@@ -121,8 +123,7 @@ def test_wrong_checksum_is_an_error_and_not_kept(where, tmp_path, serve, monkeyp
     address, _ = serve(root)
     url = f"{address}/2d/set/points.txt" if where == "origin" else NOWHERE
     if where.startswith("mirror"):
-        mirror = str(root) if where == "mirror folder" else address
-        monkeypatch.setenv("DCREG_DATA_MIRROR", mirror)
+        monkeypatch.setenv("DCREG_DATA_MIRROR", str(root) if "folder" in where else address)
     with pytest.raises(ChecksumError) as caught:
         fetch(file_of(url=url))
     message = str(caught.value)
@@ -194,8 +195,6 @@ def test_alternatives_serve_when_the_first_has_no_source(tmp_path, serve, no_mir
     ],
 )
 def test_bad_cards_are_refused(tmp_path, wrong, message):
-    import yaml
-
     good = {
         "name": "a",
         "title": "t",
@@ -204,13 +203,13 @@ def test_bad_cards_are_refused(tmp_path, wrong, message):
         "citation": "c",
         "loader": "points",
     }
-    folder = tmp_path / "a"
-    folder.mkdir()
-    (folder / "card.yaml").write_text(yaml.safe_dump(good))
-    assert read_card(folder / "card.yaml").name == "a"
-    (folder / "card.yaml").write_text(yaml.safe_dump({**good, **wrong}))
+    card = tmp_path / "a" / "card.yaml"
+    card.parent.mkdir()
+    card.write_text(yaml.safe_dump(good))
+    assert read_card(card).name == "a"
+    card.write_text(yaml.safe_dump({**good, **wrong}))
     with pytest.raises(DataError, match=message):
-        read_card(folder / "card.yaml")
+        read_card(card)
 
 
 def test_unknown_names_are_refused_with_a_suggestion():
@@ -257,21 +256,6 @@ def test_mutual_nearest_is_one_to_one_and_within_tolerance():
     assert len(expected) > 5
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_similarity_fit_recovers_a_pose_and_never_reflects(dim):
-    rng = np.random.default_rng(dim)
-    source = rng.standard_normal((20, dim))
-    Q = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
-    Q[:, 0] *= np.sign(np.linalg.det(Q))
-    T = np.eye(dim + 1)
-    T[:dim, :dim], T[:dim, dim] = 0.7 * Q, rng.standard_normal(dim)
-    np.testing.assert_allclose(
-        fit_pose(source, apply_pose(T, source), (0.0, np.inf)), T, atol=1e-12
-    )
-    mirrored = source * np.r_[-1, np.ones(dim - 1)]
-    assert np.linalg.det(fit_pose(source, mirrored, (0.0, np.inf))[:dim, :dim]) > 0
-
-
 # --- embedded shapes ---------------------------------------------------------------------------
 
 
@@ -297,9 +281,15 @@ def test_solids_are_not_their_own_mirror_image(shape):
         R = (U * [1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
         mirrored = x @ R.T + nearest.mean(axis=0)
     distance = cKDTree(points).query(mirrored)[0]
-    assert (
-        np.sqrt((distance**2).mean()) > spacing
-    )  # a symmetric pony has 0.5, these have 1.2 and 1.5
+    # a symmetric pony has 0.5, these have 1.2 and 1.5
+    assert np.sqrt((distance**2).mean()) > spacing
+
+
+def with_originals(loader, name, address):
+    """A data set that takes its original files from `address`."""
+    card = dataset(name).card
+    parameters = {**card.parameters, "originals": address}
+    return loader(card.model_copy(update={"parameters": parameters}))
 
 
 # --- Chui and Rangarajan -----------------------------------------------------------------------
@@ -324,10 +314,7 @@ def test_pack_and_original_give_the_same_instance(shape, test, serve, monkeypatc
 
 
 def _official_chui(address):
-    card = dataset("chui_rangarajan").card
-    return ChuiRangarajan(
-        card.model_copy(update={"parameters": {**card.parameters, "originals": address}})
-    )
+    return with_originals(ChuiRangarajan, "chui_rangarajan", address)
 
 
 def test_chui_offline_names_the_single_original(no_mirror, monkeypatch):
@@ -341,8 +328,6 @@ def test_checksum_table_is_that_of_the_originals(shape, test):
     stem = f"{'chinese' if shape == 'character' else shape}_{test}"
     with np.load(Path(MIRROR) / f"2d/chui-rangarajan/{stem}.npz") as pack:
         blob_ids = pack["git_blob_sha1"]
-    from data.chui_rangarajan.loader import _checksums
-
     table = _checksums()[stem]
     assert [[bytes(cell).hex() for cell in row] for row in table] == blob_ids.tolist()
 
@@ -416,12 +401,8 @@ def test_fragment_pack_and_original_give_the_same_points(number, serve, monkeypa
     """The mirror holds these two originals; neither is in the frozen list, hence the table here."""
     scene = "7-scenes-redkitchen"
     raw = Path(MIRROR) / f"3dmatch/raw/predator-redkitchen/cloud_bin_{number}.pth"
-    row = {
-        "scene": scene,
-        "fragment": str(number),
-        "size": str(raw.stat().st_size),
-        "sha256": hashlib.sha256(raw.read_bytes()).hexdigest(),
-    }
+    row = {"scene": scene, "fragment": str(number), "size": str(raw.stat().st_size)}
+    row["sha256"] = hashlib.sha256(raw.read_bytes()).hexdigest()
     monkeypatch.setattr(threedmatch, "read_csv", lambda name: [row])
     clouds = dataset("threedmatch")
     packed = threedmatch.fragment(clouds._fetch_fragment(scene, number), number)
@@ -432,8 +413,7 @@ def test_fragment_pack_and_original_give_the_same_points(number, serve, monkeypa
     address, asked = serve(tmp_path / "web")
     monkeypatch.delenv("DCREG_DATA_MIRROR")
     monkeypatch.setenv("DCREG_DATA_CACHE", str(tmp_path / "second"))
-    parameters = {**clouds.card.parameters, "originals": address}
-    official = threedmatch.Loader(clouds.card.model_copy(update={"parameters": parameters}))
+    official = with_originals(threedmatch.Loader, "threedmatch", address)
     path = official._fetch_fragment(scene, number)
     assert path.suffix == ".pth"
     assert len(asked) == 1
@@ -442,27 +422,20 @@ def test_fragment_pack_and_original_give_the_same_points(number, serve, monkeypa
 
 
 @needs_mirror
-def test_frozen_pairs_follow_their_rule():
+@pytest.mark.parametrize(
+    ("table", "names", "rule", "n_rows"),
+    [
+        ("pairs.csv", ("3DMatch", "3DLoMatch"), select, 40),
+        ("lists.csv", threedmatch.LISTS, official, 1623 + 1781),
+    ],
+)
+def test_frozen_tables_follow_their_rule(table, names, rule, n_rows):
     card = dataset("threedmatch").card
-    lists = {
-        name: threedmatch.read_metadata(fetch(card.file(f"3dmatch/meta/{name}.pkl")))
-        for name in ("3DMatch", "3DLoMatch")
-    }
-    chosen = [{key: str(value) for key, value in row.items()} for row in select(lists)]
-    frozen = threedmatch.read_csv("pairs.csv")
-    assert chosen == frozen
-    assert len(frozen) == 40
-
-
-@needs_mirror
-def test_frozen_lists_are_the_official_ones():
-    card = dataset("threedmatch").card
-    lists = {
-        name: threedmatch.read_metadata(fetch(card.file(f"3dmatch/meta/{name}.pkl")))
-        for name in threedmatch.LISTS
-    }
-    rows = [{key: str(value) for key, value in row.items()} for row in official(lists)]
-    assert rows == threedmatch.read_csv("lists.csv")
+    files = {name: fetch(card.file(f"3dmatch/meta/{name}.pkl")) for name in names}
+    rows = rule({name: threedmatch.read_metadata(file) for name, file in files.items()})
+    chosen = [{key: str(value) for key, value in row.items()} for row in rows]
+    assert chosen == threedmatch.read_csv(table)
+    assert len(chosen) == n_rows
 
 
 @needs_mirror
@@ -486,8 +459,6 @@ def test_official_pair_comes_whole_with_the_protocols_threshold():
 
 @needs_mirror
 def test_every_fragment_of_the_frozen_lists_has_its_checksum():
-    import csv
-
     with open(Path(MIRROR) / "3dmatch/fragments/MANIFEST.csv", newline="") as stream:
         known = {(r["scene"], r["fragment"]): r["original_sha256"] for r in csv.DictReader(stream)}
     listed = {
