@@ -1,4 +1,4 @@
-"""Bad input is refused with field, value and remedy before anything is searched."""
+"""Problems: what they hold, and bad input, which is refused before anything is searched."""
 
 import numpy as np
 import pytest
@@ -10,48 +10,21 @@ from tests.problems import register
 GOOD = np.random.default_rng(0).random((6, 2))
 
 
-def with_value(value):
-    points = GOOD.copy()
-    points[2, 1] = value
-    return points
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"source": with_value(np.nan)}, r"source: 1 point.*row 2.*remove"),
-        ({"target": with_value(np.inf)}, r"target: 1 point.*row 2.*remove"),
-        ({"source": np.empty((0, 2))}, r"source: no points"),
-        ({"source": np.zeros((4, 3))}, r"source: shape \(4, 3\).*needs \(n, 2\)"),
-        ({"target": np.zeros(4)}, r"target: shape \(4,\)"),
-        ({"source": [["a", "b"]]}, r"source: not an array of numbers"),
-        ({"model": "affine"}, r"model: 'affine' is unknown.*similarity2d"),
-        ({"n_inliers": 0}, r"n_inliers: 0 pairs.*between 1 and 6"),
-        ({"n_inliers": 7}, r"n_inliers: 7 pairs.*between 1 and 6"),
-        ({"n_inliers": 1.5}, r"n_inliers: the fraction 1.5 is outside"),
-        ({"n_inliers": "many"}, r"n_inliers: 'many' is not a number"),
-        ({"n_inliers": True}, r"n_inliers: True is not a number"),
-        ({"scale_range": (0.0, 1.0)}, r"scale_range: \(0.0, 1.0\)"),
-        ({"scale_range": (2.0, 1.0)}, r"scale_range: \(2.0, 1.0\)"),
-        ({"scale_range": 3}, r"scale_range: 3 is not a pair"),
-        ({"gap_tol": -1.0}, r"gap_tol: -1.0"),
-        ({"time_limit": 0.0}, r"time_limit: 0.0"),
-        ({"node_limit": 0}, r"node_limit: 0"),
-        ({"tol": "small"}, r"tol: 'small'.*give a length"),
-        ({"threads": 0}, r"threads: 0"),
-        ({"threads": 2.5}, r"threads: 2.5 is not a whole number"),
-        ({"threads": None}, r"threads: None is not a whole number"),
-        ({"bound": "papr"}, r"bound: 'papr' is unknown"),
-        ({"bound": 3}, r"bound: 3 is unknown"),
-        ({"mode": "best"}, r"mode: 'best' is unknown"),
-        ({"mode": ""}, r"mode: '' is unknown"),
-        ({"start_box": "tiny"}, r"start_box: 'tiny' is unknown"),
+        ({"scale_range": 3}, "scale_range: 3 is not a pair"),
+        ({"tol": "small"}, "tol: 'small'.*give a length"),
+        ({"threads": 2.5}, r"threads: 2\.5 is not a whole number"),
+        ({"threads": None}, "threads: None is not a whole number"),
+        ({"bound": 3}, "bound: 3 is unknown"),
+        ({"mode": ""}, "mode: '' is unknown"),
     ],
 )
 def test_bad_input_is_named(change, message):
-    arguments = {"source": GOOD, "target": GOOD, "n_inliers": 6, "model": "similarity2d"} | change
+    """More of it is in `tests.bad_input`."""
     with pytest.raises(dcreg.InputError, match=message):
-        register(**arguments)
+        register(GOOD, GOOD, n_inliers=6, model="similarity2d", **change)
 
 
 @pytest.mark.parametrize("options", [{"mode": "paper"}, {}, "paper", dcreg.SolveOptions])
@@ -98,22 +71,3 @@ def test_default_gap_tol_scales_with_the_square_of_the_target():
     assert default_gap_tol(source, 3 * GOOD, 4) == pytest.approx(9 * tolerance)
     radius = np.sqrt(((GOOD - GOOD.mean(0)) ** 2).sum(1).mean())
     assert tolerance == pytest.approx(4 * (0.03 * radius) ** 2)
-
-
-def test_clouds_beyond_memory_are_refused_before_any_work():
-    large = np.zeros((20_000, 2))
-    with pytest.raises(dcreg.InputError, match="downsample"):
-        register(large, large, n_inliers=5, model="similarity2d", mode="paper")
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"source": np.full((4, 2), 1e300)}, "source: .*too large"),
-        ({"scale_range": (1e-300, 1e300)}, "scale_range: .*rescale one cloud"),
-    ],
-)
-def test_numbers_beyond_all_measure_are_refused(change, words):
-    given = {"source": GOOD, "target": GOOD, "n_inliers": 3, "model": "similarity2d"}
-    with pytest.raises(dcreg.InputError, match=words):
-        Problem(**given | change)
