@@ -24,11 +24,7 @@ GOOD = {
     },
     "pairs": {"folder": ".", "tolerance": 0.1},
 }  # fmt: skip
-REQUIRED = [
-    (loader, key)
-    for loader, given in GOOD.items()
-    for key in given
-]  # fmt: skip
+REQUIRED = [(loader, key) for loader, given in GOOD.items() for key in given]
 
 
 def built(loader: str, parameters: dict) -> None:
@@ -75,6 +71,10 @@ def test_a_missing_parameter_is_named(loader, key):
         ("photographs", "layout", "coco", "layout: 'coco'; input should be 'voc' or 'caltech'"),
         ("photographs", "sigma", float("nan"), "sigma: nan; "),
         ("photographs", "n_trials", 0, "n_trials: 0; "),
+        ("pairs", "tolerance", 0, "tolerance: 0; input should be greater than 0"),
+        ("pairs", "n_points", 1, "n_points: 1; input should be greater than or equal to 3"),
+        ("pairs", "scale_range", [2, 1],
+         r"scale_range: \[2\.0, 1\.0\]; give two numbers, 0 < low <= high"),
     ],
 )  # fmt: skip
 def test_a_value_that_cannot_be_is_named(loader, key, value, expected):
