@@ -137,26 +137,15 @@ def test_leaves_cover_the_root_exactly(limits):
     assert (inside.all(axis=2).sum(axis=1) == 1).all()
 
 
-def test_two_runs_are_equal():
-    first, second = solve(), solve()
-    assert first.n_nodes == second.n_nodes
-    np.testing.assert_array_equal(first.theta, second.theta)
-
-
 def test_root_without_admissible_parameter_is_not_searched():
-    class Nothing:
-        n_assignments = 0
-        round_size = 16
-        roots = ROOT
+    class Nothing(Ripples):
+        def value(self, thetas):
+            return np.full(len(thetas), np.inf)
 
-        def evaluate(self, lower, upper, cutoff, warm_start=None):
-            size = len(lower)
-            return Evaluation(np.full(size, np.inf), lower.copy(), np.full(size, np.inf))
-
-    start = (np.zeros(2), 1.0)
     found = branch_and_bound(
-        Nothing(), Budget(), branching=LongestEdge(np.ones(2)), gap_tol=0.1, start=start
-    )
+        Nothing(), Budget(), branching=LongestEdge(np.ones(2)), gap_tol=0.1,
+        start=(np.zeros(2), 1.0),
+    )  # fmt: skip
     assert found.upper_bound == 1.0
     assert found.n_nodes == 1
 
