@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from baselines.registry import load
 from dcreg.families.matches.surfaces import Surfaces, normals_of
 
 REACH = 0.1
@@ -173,16 +172,3 @@ def test_normals_are_those_of_all_points_where_some_are_drawn(monkeypatch):
     monkeypatch.setattr("dcreg.families.matches.surfaces.MAX_SOURCE", 300)
     some = Surfaces(cloud, cloud, REACH).scores(np.eye(3, 4)[None])[0] / 300
     assert some == pytest.approx(whole, abs=0.03)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"front_end": "shared-mutual", "score": "nonsense"},
-        {"front_end": "shared-mutual", "score": "surfaces", "certify": True},
-        {"score": "surfaces"},
-    ],
-)
-def test_the_method_refuses_what_it_would_ignore(options):
-    with pytest.raises(ValueError, match="option score"):
-        load("dcreg", **options)
