@@ -185,8 +185,6 @@ def test_dcreg_registers_over_shared_matches():
     assert "no shared matches" in registry.load("dcreg", front_end="shared-nearest").supports(
         instance
     )
-    with pytest.raises(ValueError, match="option front_end = 'oracle'"):
-        registry.load("dcreg", front_end="oracle")
 
 
 def test_shared_matches_are_nearest_neighbours_in_order(monkeypatch):
