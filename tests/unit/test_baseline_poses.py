@@ -179,9 +179,8 @@ def test_multi_start_icp_finds_a_large_rotation(angle: float) -> None:
     source = generator.standard_normal((60, 2)) * [1.0, 0.4] + [0.5, 0.0]
     c, s = np.cos(angle), np.sin(angle)
     truth = homogeneous(0.8, np.array([[c, -s], [s, c]]), np.array([1.0, 2.0]))
-    instance = Instance(
-        "turned", source, apply_pose(truth, source), "similarity2d", 60, (0.5, 1.5), 0.01, 0
-    )
+    target = apply_pose(truth, source)
+    instance = Instance("turned", source, target, "similarity2d", 60, (0.5, 1.5), 0.01, 0)
     found = registry.load("icp").solve(instance, Limits(time_s=20.0))
     np.testing.assert_allclose(found.T_target_source, truth, atol=1e-6)
 
@@ -194,45 +193,33 @@ def test_trimming_lets_icp_ignore_outliers() -> None:
     instance = Instance("clutter", cluttered, target, "similarity2d", 50, (0.5, 1.5), 0.01, 0)
     errors = {}
     for trim in (True, False):
-        pose = registry.load("icp", starts="identity", trim=trim).solve(
-            instance, Limits(time_s=20.0)
-        )
-        moved = apply_pose(pose.T_target_source, source)
+        method = registry.load("icp", starts="identity", trim=trim)
+        pose = method.solve(instance, Limits(time_s=20.0)).T_target_source
+        moved = apply_pose(pose, source)
         errors[trim] = np.abs(moved - target).max()
     assert errors[True] < 1e-9 < 0.05 < errors[False]
 
 
 class TestCpd:
     @pytest.fixture
-    def exact(self) -> tuple[Instance, np.ndarray]:
-        generator = np.random.default_rng(8)
-        source = generator.standard_normal((40, 2)) * [1.0, 0.5]
-        truth = homogeneous(1.3, np.eye(2), np.array([0.1, -0.1]))
-        target = apply_pose(truth, source)
-        return Instance("exact", source, target, "similarity2d", 40, (0.5, 1.5), 0.01, 0), truth
+    def exact(self) -> Instance:
+        source = np.random.default_rng(8).standard_normal((40, 2)) * [1.0, 0.5]
+        target = 1.3 * source + [0.1, -0.1]
+        return Instance("exact", source, target, "similarity2d", 40, (0.5, 1.5), 0.01, 0)
 
     @pytest.fixture(autouse=True)
     def _installed(self) -> None:
         if reason := registry.load("cpd").available():
             pytest.skip(reason)
 
-    def test_finds_the_scale(self, exact: tuple[Instance, np.ndarray]) -> None:
-        instance, truth = exact
-        found = registry.load("cpd").solve(instance, Limits(time_s=20.0))
-        np.testing.assert_allclose(found.T_target_source, truth, atol=0.02)
-
-    def test_keeps_the_scale_in_its_range(self, exact: tuple[Instance, np.ndarray]) -> None:
-        instance, _ = exact
-        narrow = Instance(
-            "narrow", instance.source, instance.target, "similarity2d", 40, (0.9, 1.1), 0.01, 0
-        )
+    def test_keeps_the_scale_in_its_range(self, exact: Instance) -> None:
+        narrow = replace(exact, scale_range=(0.9, 1.1))
         found = registry.load("cpd").solve(narrow, Limits(time_s=20.0))
         assert np.linalg.det(found.T_target_source[:2, :2]) == pytest.approx(1.1**2)
 
-    def test_more_starts_find_what_one_misses(self, exact: tuple[Instance, np.ndarray]) -> None:
-        instance, _ = exact
+    def test_more_starts_find_what_one_misses(self, exact: Instance) -> None:
         turn = homogeneous(1.0, np.array([[-0.8, -0.6], [0.6, -0.8]]), np.zeros(2))
-        far = replace(instance, target=apply_pose(turn, instance.source))
+        far = replace(exact, target=apply_pose(turn, exact.source))
         limits = Limits(time_s=60.0)
         one, many = (
             registry.load("cpd", starts=starts).solve(far, limits)
@@ -241,14 +228,12 @@ class TestCpd:
         assert np.abs(one.T_target_source - turn).max() > 0.5
         np.testing.assert_allclose(many.T_target_source, turn, atol=0.02)
 
-    def test_does_not_depend_on_the_unit(self, exact: tuple[Instance, np.ndarray]) -> None:
-        instance, _ = exact
-        big = Instance(
-            "big", 1e3 * instance.source, 1e3 * instance.target, "similarity2d", 40,
-            (0.5, 1.5), 10.0, 0,
-        )  # fmt: skip
-        small = registry.load("cpd").solve(instance, Limits(time_s=20.0)).T_target_source
-        large = registry.load("cpd").solve(big, Limits(time_s=20.0)).T_target_source
+    def test_does_not_depend_on_the_unit(self, exact: Instance) -> None:
+        big = replace(exact, source=1e3 * exact.source, target=1e3 * exact.target, noise_bound=10.0)
+        small, large = (
+            registry.load("cpd").solve(each, Limits(time_s=20.0)).T_target_source
+            for each in (exact, big)
+        )
         np.testing.assert_allclose(large[:2, :2], small[:2, :2], atol=1e-6)
         np.testing.assert_allclose(large[:2, 2] / 1e3, small[:2, 2], atol=1e-6)
 
@@ -258,9 +243,8 @@ def test_weights_of_a_fit_count_pairs_more_than_once() -> None:
     source, target = generator.standard_normal((2, 9, 3))
     times = np.array([3, 0, 1, 2, 0, 1, 1, 4, 1])
     found = fit_pose(source, target, (0.5, 1.5), 0.7 * times)
-    expected = fit_pose(
-        np.repeat(source, times, axis=0), np.repeat(target, times, axis=0), (0.5, 1.5)
-    )
+    repeated = (np.repeat(cloud, times, axis=0) for cloud in (source, target))
+    expected = fit_pose(*repeated, (0.5, 1.5))
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
@@ -278,24 +262,18 @@ def test_fits_side_by_side_are_those_one_by_one(weighted: bool) -> None:
         assert 0.5 - 1e-12 <= np.sqrt(np.linalg.det(alone[:2, :2])) <= 1.5 + 1e-12
 
 
-def test_the_pose_fit_is_the_library_s() -> None:
-    """Singular values serve a compiled fit, and ranks; no other pose fits."""
-    users = {
-        path.relative_to(registry.ROOT).as_posix()
-        for path in registry.ROOT.rglob("*.py")
-        if "linalg.svd" in path.read_text()
-    }
-    assert users == {"_shared/kernels/samples.py", "_shared/concave.py"}
-
-
-def test_methods_read_no_clock_of_their_own() -> None:
-    """A second deadline made from the same limits would differ from the budget."""
-    users = {
-        path.relative_to(registry.ROOT).as_posix()
-        for path in registry.ROOT.rglob("*.py")
-        if "perf_counter" in path.read_text()
-    }
-    assert users == set()
+@pytest.mark.parametrize(
+    ("text", "files"),
+    [
+        # Singular values serve a compiled fit, and ranks; every other pose is fitted by the library.
+        ("linalg.svd", {"_shared/kernels/samples.py", "_shared/concave.py"}),
+        # A second deadline made from the same limits would differ from the budget.
+        ("perf_counter", set()),
+    ],
+)
+def test_methods_fit_poses_and_read_the_clock_by_the_library(text: str, files: set[str]) -> None:
+    users = [path for path in registry.ROOT.rglob("*.py") if text in path.read_text()]
+    assert {path.relative_to(registry.ROOT).as_posix() for path in users} == files
 
 
 def test_the_budget_of_a_run_is_made_of_all_its_limits() -> None:
