@@ -17,19 +17,18 @@ class BallBound(SpaceBound[Similarity2D]):
     ``|T'(x) - y| >= max(0, |T(x) - y| - r)``. One assignment of the squares bounds the box.
     """
 
-    def _evaluate(self, lower, upper, cutoff, warm_start):
+    def _evaluate(self, boxes, cutoff):
         space, k = self.space, self.space.n_inliers
-        centres, halves = 0.5 * (lower + upper), 0.5 * (upper - lower)
-        found = Evaluation(np.empty(len(lower)), centres, np.empty(len(lower)))
+        found, halves = Evaluation.empty(boxes), 0.5 * (boxes.upper - boxes.lower)
         length, target = np.linalg.norm(space.source, axis=1), space.clouds.target.T
-        for box, (centre, half) in enumerate(zip(centres, halves, strict=True)):
+        for box, (centre, half) in enumerate(zip(boxes.centres, halves, strict=True)):
             T = space.pose(centre)
             moved = space.source @ T[:2, :2].T + T[:2, 2]
             distance = np.linalg.norm(moved[:, None] - target[None], axis=2)
             reach = np.hypot(half[0], half[1]) * length + np.hypot(half[2], half[3])
             nearest = np.maximum(0.0, distance - reach[:, None])
             found.lower_bounds[box] = k_assignment(nearest**2, k)[0]
-        self.n_assignments += len(lower) + space.objectives(centres, found.values)
+        self.n_assignments += len(boxes) + space.objectives(found.thetas, found.values)
         return found
 
 

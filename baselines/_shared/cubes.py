@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.search import Box, Budget, Evaluation, Outcome, branch_and_bound
+from dcreg.search import Box, Boxes, Budget, Evaluation, Outcome, branch_and_bound
 
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 _SHARE_OF_BOXES = 0.5  # of the memory; the rest is for data that cubes pass on
@@ -102,14 +102,12 @@ def with_bounds(found: Outcome, of_value: Callable[[float], float]) -> Outcome:
     )
 
 
-def divide_in_eight(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (8 B, 3) octants of B boxes; the octants of a box are adjacent."""
-    centre = np.repeat(0.5 * (lower + upper), 8, axis=0)
-    high = np.tile(OCTANTS > 0, (len(lower), 1))
-    return (
-        np.where(high, centre, np.repeat(lower, 8, axis=0)),
-        np.where(high, np.repeat(upper, 8, axis=0), centre),
-    )
+def divide_in_eight(boxes: Boxes) -> Boxes:
+    """Return the 8 B octants of B boxes; the octants of a box are adjacent."""
+    octants, high = boxes.repeated(8), np.tile(OCTANTS > 0, (len(boxes), 1))
+    centres = octants.centres
+    octants.lower[high], octants.upper[~high] = centres[high], centres[~high]
+    return octants
 
 
 class _Cubes:
@@ -134,21 +132,15 @@ class _Cubes:
         self._passed: dict[bytes, Any] = {}
         self._bytes_left = np.inf if memory_mb is None else memory_mb * 2**20
 
-    def evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None = None,
-    ) -> Evaluation:
+    def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         """Bound the octants of one cube; octants after the time limit keep the bound of the cube.
 
         A bound stops early by the incumbent, not by the cutoff.
         """
-        bounds = np.zeros(len(lower))
-        centres, halves = 0.5 * (lower + upper), 0.5 * (upper - lower).max(axis=1)
+        lower, upper, centres = boxes.lower, boxes.upper, boxes.centres
+        bounds, halves = np.zeros(len(boxes)), 0.5 * (upper - lower).max(axis=1)
         passed_on = self._taken(lower.min(axis=0), upper.max(axis=0))
-        for cube in range(len(lower)):
+        for cube in range(len(boxes)):
             try:
                 value, own = self.bound(centres[cube], float(halves[cube]), passed_on)
             except OutOfTimeError:
@@ -156,7 +148,7 @@ class _Cubes:
             bounds[cube] = value - self.floor
             if cutoff is None or bounds[cube] < cutoff:
                 self._keep(lower[cube], upper[cube], own)
-        values = np.full(len(lower), self.incumbent.value - self.floor)
+        values = np.full(len(boxes), self.incumbent.value - self.floor)
         return Evaluation(bounds, centres, values)
 
     def _keep(self, lower: np.ndarray, upper: np.ndarray, passed_on: Any) -> None:

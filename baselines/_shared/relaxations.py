@@ -31,7 +31,7 @@ from baselines._shared.kernels.products import (
 )
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.protocol import SpaceBound
-from dcreg.search import Box, Evaluation
+from dcreg.search import Box, Boxes, Evaluation
 
 # (beta, gamma, lower, upper) -> relaxed minimum of beta.theta + gamma.phi + k (t3^2 + t4^2) over the box,
 # and the theta that attains it
@@ -62,18 +62,11 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
     def minimum_over_box(self) -> MinimumOverBox:
         """Return a solver of the programme in theta and phi for one thread."""
 
-    def _evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None,
-    ) -> Evaluation:
-        space, count = self.space, len(lower)
-        found = Evaluation(np.empty(count), np.empty_like(lower), np.empty(count))
+    def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
+        space, found = self.space, Evaluation.empty(boxes)
 
         def work(part: slice) -> int:
-            lo, up, bounds = lower[part], upper[part], found.lower_bounds[part]
+            lo, up, bounds = boxes.lower[part], boxes.upper[part], found.lower_bounds[part]
             beta, gamma = np.empty_like(lo), np.empty((len(lo), 3))
             spent = linearise(
                 self.features, self.low, self.high, space.n_inliers, lo, up, bounds, beta, gamma
@@ -85,5 +78,5 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
                 found.thetas[part][box] = np.clip(theta, lo[box], up[box])
             return spent + space.objectives(found.thetas[part], found.values[part])
 
-        self.map_slices(count, work)
+        self.map_slices(len(boxes), work)
         return found

@@ -9,7 +9,7 @@ from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.protocol import MakeBound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
-from dcreg.search import Box
+from dcreg.search import Box, Boxes
 
 
 def box_space(instance: Instance) -> FeatureSpace:
@@ -33,5 +33,5 @@ def bound_of_box(make: MakeBound, space: FeatureSpace, box: Box) -> tuple[float,
     box : Box
     """
     bound = make(space, [box])
-    found = bound.evaluate(box.lower[None], box.upper[None], None)
+    found = bound.evaluate(Boxes.of([box]), None)
     return float(found.lower_bounds[0]), bound.n_assignments

@@ -22,7 +22,7 @@ from dcreg.families.protocol import SpaceBound
 from dcreg.families.rotation3d.kernels.geometry import chord_matrix
 from dcreg.families.rotation3d.kernels.rotation import box_corners
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.search import Box, Evaluation
+from dcreg.search import Box, Boxes, Evaluation
 
 
 class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
@@ -47,25 +47,19 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
     def _assign(self, cost: np.ndarray) -> float:
         return float(cheapest_pairs(np.ascontiguousarray(cost), self.space.n_inliers)[0])
 
-    def _evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None,
-    ) -> Evaluation:
-        found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
+    def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
+        found = Evaluation.empty(boxes)
 
         def work(part: slice) -> int:
             lifted = LiftedBox(3)
-            boxes = range(len(lower))[part]
-            for box in boxes:
-                found.lower_bounds[box], theta = self._bound(Box(lower[box], upper[box]), lifted)
-                found.thetas[box] = theta
-                found.values[box] = self.space.objective(theta)[0]
-            return 2 * len(boxes)
+            rows = range(len(boxes))[part]
+            for at in rows:
+                box = Box(boxes.lower[at], boxes.upper[at])
+                found.lower_bounds[at], found.thetas[at] = self._bound(box, lifted)
+                found.values[at] = self.space.objective(found.thetas[at])[0]
+            return 2 * len(rows)
 
-        self.map_slices(len(lower), work)
+        self.map_slices(len(boxes), work)
         return found
 
     def _bound(self, box: Box, lifted: LiftedBox) -> tuple[float, np.ndarray]:

@@ -17,7 +17,7 @@ from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.protocol import SpaceBound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
-from dcreg.search import Box, Evaluation
+from dcreg.search import Box, Boxes, Evaluation
 
 
 class TermwiseBound(SpaceBound[FeatureSpace]):
@@ -56,21 +56,15 @@ class SeparableBound(TermwiseBound):
         self.n_assignments += 2 * products.N_FEATURES
         return low, high
 
-    def _evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None,
-    ) -> Evaluation:
-        found = Evaluation(np.empty(len(lower)), 0.5 * (lower + upper), np.empty(len(lower)))
+    def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
+        found = Evaluation.empty(boxes)
 
         def work(part: slice) -> int:
             bounds, thetas = found.lower_bounds[part], found.thetas[part]
-            spent = self._bound(lower[part], upper[part], bounds, thetas)
+            spent = self._bound(boxes.lower[part], boxes.upper[part], bounds, thetas)
             return spent + self.space.objectives(thetas, found.values[part])
 
-        self.map_slices(len(lower), work)
+        self.map_slices(len(boxes), work)
         return found
 
     def _bound(
@@ -82,15 +76,9 @@ class SeparableBound(TermwiseBound):
                 space.clouds, self.low, self.high, self.averaged, lower, upper, bounds, thetas
             )
         if self.averaged:
+            ranges = self.low, self.high
             return kernels.aggregated_bound(
-                self.features,
-                (self.low, self.high),
-                k,
-                space.stop_flag,
-                lower,
-                upper,
-                bounds,
-                thetas,
+                self.features, ranges, k, space.stop_flag, lower, upper, bounds, thetas
             )
         return kernels.entry_bound(self.features, k, space.stop_flag, lower, upper, bounds)
 

@@ -27,7 +27,7 @@ from baselines.rpm_htb.kernels import TRILINEAR
 from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.similarity2d.space import Similarity2D
-from dcreg.search import Box, Evaluation
+from dcreg.search import Box, Boxes, Evaluation
 
 MAX_ROUNDS = 100
 RECENT = 40  # matchings kept for the next boxes
@@ -69,19 +69,13 @@ class TermwiseR3(TermwiseBound):
         rows = np.flatnonzero(col_of >= 0)
         return float(value), self.features[:, rows, col_of[rows]].sum(axis=1)
 
-    def _evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None,
-    ) -> Evaluation:
+    def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         enough = np.inf if cutoff is None else cutoff
-        found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
-        for box in range(len(lower)):
+        found = Evaluation.empty(boxes)
+        for at, (lower, upper) in enumerate(zip(boxes.lower, boxes.upper, strict=True)):
             self.space.check()
-            found.lower_bounds[box], theta = self._solve(lower[box], upper[box], enough)
-            found.thetas[box] = self._project(theta)
+            found.lower_bounds[at], theta = self._solve(lower, upper, enough)
+            found.thetas[at] = self._project(theta)
         self.n_assignments += self.space.objectives(found.thetas, found.values)
         return found
 

@@ -27,7 +27,7 @@ from dcreg.jit import forget_old_kernels, when_compiling
 from dcreg.names import BOUND_NAMES
 from dcreg.problem import Problem
 from dcreg.problem.geometry import Frame
-from dcreg.search import Budget
+from dcreg.search import Boxes, Budget
 
 _LOGGER = logging.getLogger("dcreg")
 _MESSAGE = (
@@ -127,7 +127,7 @@ def warm_up_mode(
             cloud = generator.standard_normal((1 + FEW_PAIRS, 3))
             space = Rigid3D(cloud[:1], cloud, 1)
             (box, *_) = space.roots()
-            RigidBound(space).evaluate(box.lower[None], box.upper[None], None)
+            RigidBound(space).evaluate(Boxes.of([box]), None)
         if large:
             sparse_matching(points, moved, 6)
             if dim == 3:

@@ -13,7 +13,7 @@ import numpy as np
 from dcreg.assignment.descent import alternate
 from dcreg.families.kernels import Clouds
 from dcreg.jit import NEVER
-from dcreg.search import Bound, Box, Budget, Evaluation, Interrupted
+from dcreg.search import Bound, Box, Boxes, Budget, Evaluation, Interrupted
 
 Arrays = TypeVar("Arrays", bound=tuple[Any, ...])
 
@@ -273,36 +273,23 @@ class SpaceBound(abc.ABC, Generic[S]):
         return int(np.clip(self.round_pairs // self.space.n_pairs, 1, self.max_round))
 
     @abc.abstractmethod
-    def _evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None,
-    ) -> Evaluation: ...
+    def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation: ...
 
-    def evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None = None,
-    ) -> Evaluation:
+    def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         """Bound B boxes; see `dcreg.search.Bound`."""
-        touched = np.flatnonzero(self.space.touches(lower, upper))
+        touched = np.flatnonzero(self.space.touches(boxes.lower, boxes.upper))
+        found = self._evaluate(boxes[touched], cutoff)
+        found.values[~self.space.admissible(found.thetas)] = np.inf
+        if len(touched) == len(boxes):
+            return found
+        count, warm_start = len(boxes), found.warm_start
+        every = Evaluation(np.full(count, np.inf), boxes.centres, np.full(count, np.inf))
+        every.lower_bounds[touched], every.thetas[touched] = found.lower_bounds, found.thetas
+        every.values[touched] = found.values
         if warm_start is not None:
-            warm_start = warm_start[touched]
-        found = self._evaluate(lower[touched], upper[touched], cutoff, warm_start)
-        bounds = np.full(len(lower), np.inf)
-        thetas = 0.5 * (lower + upper)
-        values = np.full(len(lower), np.inf)
-        bounds[touched], thetas[touched] = found.lower_bounds, found.thetas
-        values[touched] = np.where(self.space.admissible(found.thetas), found.values, np.inf)
-        warm_start = found.warm_start
-        if warm_start is not None and len(touched) < len(lower):
-            warm_start = np.zeros((len(lower), *warm_start.shape[1:]), warm_start.dtype)
-            warm_start[touched] = found.warm_start
-        return Evaluation(bounds, thetas, values, warm_start)
+            every.warm_start = np.zeros((count, *warm_start.shape[1:]), warm_start.dtype)
+            every.warm_start[touched] = warm_start
+        return every
 
     def map_slices(self, count: int, work: Callable[[slice], int]) -> None:
         """Apply `work` to slices that cover `count` items, in all threads.
@@ -346,17 +333,11 @@ class Strongest:
     def n_assignments(self) -> int:
         return sum(part.n_assignments for part in self.parts)
 
-    def evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None = None,
-    ) -> Evaluation:
+    def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         """Bound B boxes; see `dcreg.search.Bound`. There is no warm start: parts would need one each."""
-        best = self.parts[0].evaluate(lower, upper, cutoff)
+        best = self.parts[0].evaluate(boxes, cutoff)
         for part in self.parts[1:]:
-            other = part.evaluate(lower, upper, cutoff)
+            other = part.evaluate(boxes, cutoff)
             best.lower_bounds = np.maximum(best.lower_bounds, other.lower_bounds)
             better = other.values < best.values
             best.thetas[better], best.values[better] = other.thetas[better], other.values[better]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -43,6 +44,50 @@ class Box:
         return generator.uniform(self.lower, self.upper, (size, self.dim))
 
 
+class Boxes:
+    """B boxes, and what a search knows about them.
+
+    Attributes
+    ----------
+    lower, upper : (B, d) arrays
+    bounds : (B,) array
+        Lower bounds on the objective; zeros by default.
+    warm_start : (B, h) array, optional
+        `Evaluation.warm_start` of the boxes or of their parents.
+    """
+
+    def __init__(
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        bounds: np.ndarray | None = None,
+        warm_start: np.ndarray | None = None,
+    ) -> None:
+        self.lower, self.upper, self.warm_start = lower, upper, warm_start
+        self.bounds = np.zeros(len(lower)) if bounds is None else bounds
+
+    @classmethod
+    def of(cls, boxes: Sequence[Box]) -> Boxes:
+        """Return single boxes as one object."""
+        return cls(np.array([box.lower for box in boxes]), np.array([box.upper for box in boxes]))
+
+    def __len__(self) -> int:
+        return len(self.lower)
+
+    def __getitem__(self, chosen: slice | np.ndarray) -> Boxes:
+        """Return some of the boxes."""
+        warm_start = None if self.warm_start is None else self.warm_start[chosen]
+        return Boxes(self.lower[chosen], self.upper[chosen], self.bounds[chosen], warm_start)
+
+    @property
+    def centres(self) -> np.ndarray:
+        return 0.5 * (self.lower + self.upper)
+
+    def repeated(self, count: int) -> Boxes:
+        """Return each box `count` times, one copy after the other."""
+        return self[np.repeat(np.arange(len(self)), count)]
+
+
 class LongestEdge:
     """Bisect the longest edge, with axes weighted by the residual that they cause.
 
@@ -53,16 +98,12 @@ class LongestEdge:
     def __init__(self, weights: np.ndarray) -> None:
         self.weights = np.asarray(weights, dtype=np.float64)
 
-    def __call__(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the (2 B, d) children of B boxes; the halves of a box are adjacent."""
-        axis = np.argmax((upper - lower) * self.weights, axis=1)
-        rows = np.arange(len(lower))
-        centre = 0.5 * (lower[rows, axis] + upper[rows, axis])
-        child_lower = np.repeat(lower, 2, axis=0)
-        child_upper = np.repeat(upper, 2, axis=0)
-        child_upper[2 * rows, axis] = centre
-        child_lower[2 * rows + 1, axis] = centre
-        return child_lower, child_upper
+    def __call__(self, boxes: Boxes) -> Boxes:
+        """Return the 2 B children of B boxes; the halves of a box are adjacent."""
+        axis = np.argmax((boxes.upper - boxes.lower) * self.weights, axis=1)
+        rows, halves = np.arange(len(boxes)), boxes.repeated(2)
+        halves.upper[2 * rows, axis] = halves.lower[2 * rows + 1, axis] = boxes.centres[rows, axis]
+        return halves
 
 
 @dataclass
@@ -88,6 +129,11 @@ class Evaluation:
     values: np.ndarray
     warm_start: np.ndarray | None = None
 
+    @classmethod
+    def empty(cls, boxes: Boxes) -> Evaluation:
+        """Return one to be filled, with the centres of the boxes as candidates."""
+        return cls(np.empty(len(boxes)), boxes.centres, np.empty(len(boxes)))
+
 
 class Bound(Protocol):
     """A lower bounding function over the boxes that bisection makes of `roots`."""
@@ -107,39 +153,13 @@ class Bound(Protocol):
         """Number of exact assignments solved so far."""
         ...
 
-    def evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None = None,
-    ) -> Evaluation:
-        """Bound B boxes.
+    def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
+        """Bound B boxes, which may have the warm starts of their parents.
 
-        Parameters
-        ----------
-        lower, upper : (B, d) arrays
-        cutoff : float or None
-            A bound may stop early when it exceeds the cutoff, or when the cutoff is out of reach, because
-            the box is then divided in any case. None: no early stop.
-        warm_start : (B, h) array, optional
-            `Evaluation.warm_start` of the parents of these boxes.
+        A bound may stop early when it exceeds the cutoff, or when the cutoff is out of reach, because the
+        box is then divided in any case. None: no early stop.
         """
         ...
-
-
-class Boxes(NamedTuple):
-    """B boxes with their lower bounds and warm starts."""
-
-    lower: np.ndarray
-    upper: np.ndarray
-    bounds: np.ndarray
-    warm_start: np.ndarray | None = None
-
-    def where(self, chosen: np.ndarray) -> Boxes:
-        """Return some of the boxes."""
-        warm_start = None if self.warm_start is None else self.warm_start[chosen]
-        return Boxes(self.lower[chosen], self.upper[chosen], self.bounds[chosen], warm_start)
 
 
 class OpenNodes:
@@ -168,28 +188,19 @@ class OpenNodes:
     def lower_bound(self) -> float:
         return float(self._bounds[self._heap[0]]) if self._length else np.inf
 
-    def push(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        bounds: np.ndarray,
-        warm_start: np.ndarray | None = None,
-    ) -> None:
+    def push(self, boxes: Boxes) -> None:
         """Add boxes; either all boxes of a search have warm starts or none has."""
-        count = len(bounds)
-        if (
-            warm_start is not None
-            and not self._length
-            and warm_start.shape[1] != self._warm_starts.shape[1]
-        ):
+        count, warm_start = len(boxes), boxes.warm_start
+        if warm_start is not None and not self._length:
             self._warm_starts = np.empty((len(self._heap), warm_start.shape[1]), warm_start.dtype)
         while self._length + count > len(self._heap):
             self._double()
         slots = self._free[self._length : self._length + count]
-        self._lower[slots], self._upper[slots], self._bounds[slots] = lower, upper, bounds
+        self._lower[slots], self._upper[slots] = boxes.lower, boxes.upper
+        self._bounds[slots] = boxes.bounds
         if warm_start is not None:
             self._warm_starts[slots] = warm_start
-        self._sizes[slots] = (upper - lower).sum(axis=1)
+        self._sizes[slots] = (boxes.upper - boxes.lower).sum(axis=1)
         self._serials[slots] = np.arange(self._serial, self._serial + count)
         self._serial += count
         self._length = heap.push(
@@ -227,11 +238,9 @@ class Leaves:
     def __init__(self) -> None:
         self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
 
-    def add(
-        self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray, is_open: bool = False
-    ) -> None:
-        state = np.full(len(bounds), is_open)
-        self._parts.append((lower.copy(), upper.copy(), bounds.copy(), state))
+    def add(self, boxes: Boxes, is_open: bool = False) -> None:
+        state = np.full(len(boxes), is_open)
+        self._parts.append((boxes.lower, boxes.upper, boxes.bounds, state))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return ``lower`` (L, d), ``upper`` (L, d), ``bounds`` (L,) and ``is_open`` (L,)."""

@@ -67,7 +67,7 @@ class Start(NamedTuple):
 
 # theta -> (better theta, its objective, assignments spent): local search from a promising parameter
 Refine = Callable[[np.ndarray], tuple[np.ndarray, float, int]]
-Branching = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+Branching = Callable[[Boxes], Boxes]
 
 
 def branch_and_bound(
@@ -92,7 +92,7 @@ def branch_and_bound(
     budget : Budget
         Its listener receives an event for every round; the search ends when the budget is spent.
     branching : callable
-        Divides every box into the same number of children, adjacent in the output.
+        From boxes to their children, which inherit bounds and warm starts.
     gap_tol : float
         Stop when ``upper_bound - lower_bound <= gap_tol`` (the paper's epsilon).
     refine : callable, optional
@@ -112,10 +112,10 @@ def branch_and_bound(
     began = budget.elapsed()
     first = Start(bound.roots[0].centre) if start is None else Start(*start)
     search = _Search(bound, budget, gap_tol, stage, Leaves() if keep_leaves else None, first)
-    boxes = search.roots()
+    boxes = Boxes.of(bound.roots)  # sums of squares have the bound 0
     while search.status is None:
         try:
-            found = bound.evaluate(boxes.lower, boxes.upper, search.cutoff, boxes.warm_start)
+            found = bound.evaluate(boxes, search.cutoff)
         except Interrupted:
             search.put_back(boxes)
             break
@@ -123,18 +123,8 @@ def branch_and_bound(
         search.prune(boxes, found)
         search.terminate()
         if search.status is None:
-            boxes = _divide(search.select(), branching)
+            boxes = branching(search.select())
     return search.outcome(first.time_s + budget.elapsed() - began)
-
-
-def _divide(parents: Boxes, branching: Branching) -> Boxes:
-    """Return the children; they inherit bounds and warm starts."""
-    lower, upper = branching(parents.lower, parents.upper)
-    parts = len(lower) // len(parents.lower)
-    warm_start = parents.warm_start
-    if warm_start is not None:
-        warm_start = np.repeat(warm_start, parts, axis=0)
-    return Boxes(lower, upper, np.repeat(parents.bounds, parts), warm_start)
 
 
 class _Search:
@@ -169,12 +159,6 @@ class _Search:
     def lower_bound(self) -> float:
         return min(self.nodes.lower_bound, self.pruned_bound, self.upper_bound)
 
-    def roots(self) -> Boxes:
-        """Return the root boxes; the objective is a sum of squares, so 0 is a lower bound."""
-        lower = np.array([box.lower for box in self.bound.roots])
-        upper = np.array([box.upper for box in self.bound.roots])
-        return Boxes(lower, upper, np.zeros(len(lower)))
-
     def update_incumbent(self, found: Evaluation, refine: Refine | None) -> None:
         """Update the incumbent by the best candidate of the round and a local search from it."""
         best = int(np.argmin(_settled(found.values, self.gap_tol)))
@@ -205,12 +189,12 @@ class _Search:
         if not keep.all():
             self.pruned_bound = min(self.pruned_bound, float(bounds[~keep].min()))
             if self.leaves is not None:
-                self.leaves.add(*boxes.where(~keep)[:3])
-        self.nodes.push(*boxes.where(keep))
+                self.leaves.add(boxes[~keep])
+        self.nodes.push(boxes[keep])
 
     def put_back(self, boxes: Boxes) -> None:
         """End the search with boxes that could not be bounded in time."""
-        self.nodes.push(*boxes)
+        self.nodes.push(boxes)
         self.is_over = True
         self.terminate()
 
@@ -239,7 +223,7 @@ class _Search:
         lower_bound = self.lower_bound
         if self.leaves is not None and len(self.nodes):
             is_open = self.status is not Status.OPTIMAL
-            self.leaves.add(*self.nodes.pop(len(self.nodes), np.inf)[:3], is_open=is_open)
+            self.leaves.add(self.nodes.pop(len(self.nodes), np.inf), is_open)
         assert self.status is not None
         return Outcome(
             self.status,

@@ -9,7 +9,7 @@ from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import BOUND_NAMES
-from dcreg.search import Box, LongestEdge
+from dcreg.search import Box, Boxes, LongestEdge
 from tests.oracles import kernels as reference
 from tests.problems import models, models_with_boxes
 
@@ -20,9 +20,7 @@ FAMILIES = ("similarity2d", "norm3d")
 
 
 def evaluate(name, model, *boxes):
-    lower = np.array([box.lower for box in boxes])
-    upper = np.array([box.upper for box in boxes])
-    return make_bound(name, model).evaluate(lower, upper, np.inf)
+    return make_bound(name, model).evaluate(Boxes.of(boxes), np.inf)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -38,7 +36,7 @@ def test_bound_is_below_the_objective_anywhere_in_the_box(name, data):
 
 def strongest(name, model, box):
     """Without a cutoff no bound stops early."""
-    return make_bound(name, model).evaluate(box.lower[None], box.upper[None], None).lower_bounds[0]
+    return make_bound(name, model).evaluate(Boxes.of([box]), None).lower_bounds[0]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -53,7 +51,7 @@ def test_bound_without_a_cutoff_is_below_the_objective_and_no_weaker(name, data,
     if np.isfinite(lowest):
         cutoff = tightness * lowest + 1e-3
         # what a search gets of it; above the cutoff precision is of no use
-        plain = make_bound(name, model).evaluate(box.lower[None], box.upper[None], cutoff)
+        plain = make_bound(name, model).evaluate(Boxes.of([box]), cutoff)
         assert bound >= min(plain.lower_bounds[0], cutoff) - 1e-3 * (1.0 + abs(bound))
 
 
@@ -119,24 +117,21 @@ def test_shared_vertices_keep_every_descendant_valid(name, data):
     centre, _, _ = model.refine(model.identity + 0.2)
     box = Box(centre - half, centre + half)
     bound = make_bound(name, model, [box])
-    lower, upper = box.lower[None], box.upper[None]
+    boxes = Boxes.of([box])
     generator = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     # below a low cutoff estimates stay estimates, below a high one the binding vertices are solved
     cutoff = data.draw(st.sampled_from([-np.inf, 0.0, 0.3, np.inf]))
     for _ in range(7):
-        found = bound.evaluate(lower, upper, cutoff)
-        for at in range(len(lower)):
-            thetas = generator.uniform(lower[at], upper[at], (3, box.dim))
-            thetas = np.vstack(
-                [thetas, np.where(generator.random(box.dim) < 0.5, lower[at], upper[at])]
-            )
+        found = bound.evaluate(boxes, cutoff)
+        for at, (lower, upper) in enumerate(zip(boxes.lower, boxes.upper, strict=True)):
+            vertex = np.where(generator.random(box.dim) < 0.5, lower, upper)
+            thetas = np.vstack([generator.uniform(lower, upper, (3, box.dim)), vertex])
             for theta in thetas[model.admissible(thetas)]:
                 assert found.lower_bounds[at] <= reference.objective(model, theta) + 1e-9
             if np.isfinite(found.values[at]):
                 expected = reference.objective(model, found.thetas[at])
                 assert found.values[at] == pytest.approx(expected, abs=1e-9)
-        keep = generator.permutation(len(lower))[:4]
-        lower, upper = branching(lower[keep], upper[keep])
+        boxes = branching(boxes[generator.permutation(len(boxes))[:4]])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -149,8 +144,7 @@ def test_bounds_over_several_roots_do_not_mix_them_up(name, data):
     shift = np.zeros(box.dim)
     shift[-1] = 3.0
     roots = [Box(flat - far, np.maximum(flat, box.upper) - far) for far in (0.0 * shift, shift)]
-    lower, upper = (np.array([getattr(root, end) for root in roots]) for end in ("lower", "upper"))
-    together = make_bound(name, model, roots).evaluate(lower, upper, np.inf).lower_bounds
+    together = make_bound(name, model, roots).evaluate(Boxes.of(roots), np.inf).lower_bounds
     alone = [evaluate(name, model, root).lower_bounds[0] for root in roots]
     generator = np.random.default_rng(0)
     for bound, root in zip(together, roots, strict=True):
@@ -190,11 +184,10 @@ def test_combined_bound_is_the_greater_one(model_and_box):
 @given(data=st.data())
 def test_threads_do_not_change_a_bound(name, data):
     model, box = data.draw(models_with_boxes(families=FAMILIES))
-    lower, upper = LongestEdge(model.axis_weights)(box.lower[None], box.upper[None])
-    lower, upper = LongestEdge(model.axis_weights)(lower, upper)
-    one = make_bound(name, model, threads=1)
-    two = make_bound(name, model, threads=2)
-    a, b = one.evaluate(lower, upper, np.inf), two.evaluate(lower, upper, np.inf)
+    branching = LongestEdge(model.axis_weights)
+    quarters = branching(branching(Boxes.of([box])))
+    one, two = (make_bound(name, model, threads=threads) for threads in (1, 2))
+    a, b = one.evaluate(quarters, np.inf), two.evaluate(quarters, np.inf)
     np.testing.assert_array_equal(a.lower_bounds, b.lower_bounds)
     np.testing.assert_array_equal(a.values, b.values)
     assert one.n_assignments == two.n_assignments

@@ -21,7 +21,7 @@ from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import BOUND_NAMES
 from dcreg.problem import InputError, Problem
 from dcreg.problem.geometry import fit_pose
-from dcreg.search import Box
+from dcreg.search import Box, Boxes
 from tests.fuzz.reference import optimum_rigid3d
 from tests.oracles import kernels as reference
 from tests.oracles.matchings import matchings
@@ -63,12 +63,12 @@ def test_bounds_hold_for_the_feasible_pairs(seed, name):
         lower = generator.uniform(start.lower, start.upper)
         upper = generator.uniform(lower, start.upper)
         if name in ("tight", "shared"):  # they know the start box's lattice only
-            box = (start.lower[None], start.upper[None])
-        else:
-            box = (lower[None], upper[None])
-        bound = make_bound(name, model).evaluate(*box, np.inf).lower_bounds[0]
+            lower, upper = start.lower, start.upper
+        bound = (
+            make_bound(name, model).evaluate(Boxes.of([Box(lower, upper)]), np.inf).lower_bounds[0]
+        )
         free = dim == 2
-        for theta in generator.uniform(box[0][0], box[1][0], (20, start.dim)):
+        for theta in generator.uniform(lower, upper, (20, start.dim)):
             if free and not model.admissible(theta[None])[0]:
                 continue
             moved = reference.features(model, theta)
@@ -87,7 +87,7 @@ def test_rotation_bound_holds_for_the_feasible_pairs(seed):
     generator = np.random.default_rng(seed + 1)
     centre = generator.standard_normal(4)
     lower, upper = centre - 0.2, centre + 0.2
-    bound = RotationBound(model).evaluate(lower[None], upper[None], np.inf).lower_bounds[0]
+    bound = RotationBound(model).evaluate(Boxes(lower[None], upper[None]), np.inf).lower_bounds[0]
     for theta in generator.uniform(lower, upper, (10, 4)):
         moved = x @ model.matrix(theta).T
         true = least(((moved[:, None] - y[None]) ** 2).sum(-1), mask, k)
@@ -142,7 +142,7 @@ def test_rigid_bound_holds_for_the_feasible_pairs(seed, size, tightness, reduced
     generator = np.random.default_rng(seed + 1)
     theta, best, _ = model.refine(rigid_box(model, generator, 0.0).centre)
     box = box_about(model.normalised(theta), generator, size)
-    found = RigidBound(model).evaluate(box.lower[None], box.upper[None], tightness * best + 1e-12)
+    found = RigidBound(model).evaluate(Boxes.of([box]), tightness * best + 1e-12)
     assert 0.0 <= found.lower_bounds[0] <= best + 1e-9
     assert found.values[0] >= least_at(box.centre, *problem) - 1e-9
 
@@ -166,7 +166,7 @@ def test_rigid_bound_at_a_pose_is_the_objective_of_the_feasible_pairs(seed):
     model, problem = rigid_model(seed)
     theta = rigid_box(model, np.random.default_rng(seed + 1), 0.0).centre
     true = least_at(theta, *problem)
-    bound = RigidBound(model).evaluate(theta[None], theta[None], 1.01 * true + 1e-6)
+    bound = RigidBound(model).evaluate(Boxes(theta[None], theta[None]), 1.01 * true + 1e-6)
     assert bound.lower_bounds[0] == pytest.approx(true, abs=1e-7)
     refined, refined_value, _ = model.refine(theta)
     assert refined_value <= true + 1e-9

@@ -11,14 +11,13 @@ from baselines._shared.kernels.products import BILINEAR
 from baselines.rpm_htb.adapter import BOUNDS
 from baselines.rpm_htb.kernels import TRILINEAR
 from baselines.rpm_htb.lp import TermwiseR3
-from dcreg.search import Box, LongestEdge
+from dcreg.search import Box, Boxes, LongestEdge
 from tests.problems import models_with_boxes
 
 
 def value(name, model, box):
     """Return the bound, also if the box contains no admissible parameter."""
-    bound = BOUNDS[name](model)
-    return bound._evaluate(box.lower[None], box.upper[None], np.inf, None).lower_bounds[0]
+    return BOUNDS[name](model)._evaluate(Boxes.of([box]), np.inf).lower_bounds[0]
 
 
 def plain_programme(model, box):
@@ -111,6 +110,6 @@ def test_children_are_no_weaker_than_their_parent(model_and_box):
     """The facets of the children imply those of the parent; this does not hold for the means of R1."""
     model, box = model_and_box
     parent = value("termwise-r3", model, box)
-    lower, upper = LongestEdge(model.axis_weights)(box.lower[None], box.upper[None])
-    for child in map(Box, lower, upper):
+    halves = LongestEdge(model.axis_weights)(Boxes.of([box]))
+    for child in map(Box, halves.lower, halves.upper):
         assert value("termwise-r3", model, child) >= parent - 1e-4 * (1 + abs(parent))

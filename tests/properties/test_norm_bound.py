@@ -9,7 +9,7 @@ from dcreg.families.dc.kernels.linearisation import best_linearisation
 from dcreg.families.registry import make_bound
 from dcreg.families.translation3d.kernels.curvature import norm_curvature
 from dcreg.families.translation3d.space import Translation3D
-from dcreg.search import Box, LongestEdge
+from dcreg.search import Box, Boxes, LongestEdge
 from tests.oracles import kernels as reference
 
 seeds = st.integers(0, 2**32 - 1)
@@ -79,26 +79,26 @@ def test_bound_below_a_finite_cutoff_holds_in_every_descendant(seed, noise, half
     centre = centre + half * generator.uniform(-1.5, 1.5, 3)
     box = Box(centre - half, centre + half)
     bound = make_bound("tight", model, [box])
-    lower, upper = box.lower[None], box.upper[None]
+    boxes = Boxes.of([box])
     for factor in (1.0, 1.3, 3.0):
         cutoff = factor * least + 1e-4
-        found = bound.evaluate(lower, upper, cutoff)
-        for at in range(len(lower)):
-            thetas = generator.uniform(lower[at], upper[at], (10, 3))
-            inside = np.clip(model.refine(0.5 * (lower[at] + upper[at]))[0], lower[at], upper[at])
+        found = bound.evaluate(boxes, cutoff)
+        for at, (lower, upper) in enumerate(zip(boxes.lower, boxes.upper, strict=True)):
+            thetas = generator.uniform(lower, upper, (10, 3))
+            inside = np.clip(model.refine(0.5 * (lower + upper))[0], lower, upper)
             for theta in [*thetas, inside]:
                 assert found.lower_bounds[at] <= reference.objective(model, theta) + 1e-9
-        lower, upper = LongestEdge(model.axis_weights)(lower, upper)
+        boxes = LongestEdge(model.axis_weights)(boxes)
 
 
 def test_curvature_raises_the_bound_near_an_optimum_that_fits():
     """Off the optimum, with a cutoff near the least value, the box falls; not by the plain bound."""
     model, optimum = planted(np.random.default_rng(1), 200, 200, 0.005)
     centre, least, _ = model.refine(optimum)
-    lower, upper = centre + 0.08, centre + 0.13
+    box = Box(centre + 0.08, centre + 0.13)
     cutoff = 1.2 * least
-    corners = Box(lower, upper).vertices()
+    corners = box.vertices()
     values = np.array([reference.objective(model, corner) for corner in corners])
     plain = best_linearisation(corners, values, np.full(3, 200.0), -np.inf, np.inf, np.empty(3))
-    found = make_bound("tight", model).evaluate(lower[None], upper[None], cutoff).lower_bounds[0]
-    assert plain < cutoff < found <= reference.objective(model, lower)
+    found = make_bound("tight", model).evaluate(Boxes.of([box]), cutoff).lower_bounds[0]
+    assert plain < cutoff < found <= reference.objective(model, box.lower)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dcreg.families.dc.bounds import IntervalBound
 from dcreg.families.similarity2d.space import Similarity2D
-from dcreg.search.boxes import OpenNodes
+from dcreg.search.boxes import Boxes, OpenNodes
 
 # few distinct bounds and sizes: ties are what the order is about
 batches = st.lists(
@@ -35,19 +35,19 @@ def test_best_bound_then_larger_then_older(batches, has_warm_starts):
             heapq.heappush(reference, (bound, -upper[i].sum(), serial + i, tuple(upper[i])))
         serial += len(boxes)
         warm_starts = upper.astype(np.uint16) if has_warm_starts else None
-        nodes.push(lower, upper, bounds, warm_starts)
+        nodes.push(Boxes(lower, upper, bounds, warm_starts))
         assert len(nodes) == len(reference)
         assert nodes.lower_bound == (reference[0][0] if reference else np.inf)
-        _, taken, taken_bounds, taken_warm_starts = nodes.pop(count, cutoff)
+        taken = nodes.pop(count, cutoff)
         if has_warm_starts:
-            assert (taken_warm_starts == taken.astype(np.uint16)).all()
+            assert (taken.warm_start == taken.upper.astype(np.uint16)).all()
         else:
-            assert taken_warm_starts is None
+            assert taken.warm_start is None
         expected = []
         while reference and len(expected) < count and reference[0][0] < cutoff:
             expected.append(heapq.heappop(reference))
-        assert [tuple(box) for box in taken] == [entry[3] for entry in expected]
-        assert taken_bounds.tolist() == [entry[0] for entry in expected]
+        assert [tuple(box) for box in taken.upper] == [entry[3] for entry in expected]
+        assert taken.bounds.tolist() == [entry[0] for entry in expected]
         assert len(nodes) == len(reference)
 
 

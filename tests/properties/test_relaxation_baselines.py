@@ -27,7 +27,7 @@ from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import rms_radius
-from dcreg.search import Box, Budget, LongestEdge, minimise
+from dcreg.search import Box, Boxes, Budget, LongestEdge, minimise
 from dcreg.status import Status
 from tests.oracles import kernels as reference
 from tests.problems import models_with_boxes
@@ -45,7 +45,7 @@ def families(bound):
 
 
 def value(bound, box):
-    return bound.evaluate(box.lower[None], box.upper[None], np.inf).lower_bounds[0]
+    return bound.evaluate(Boxes.of([box]), np.inf).lower_bounds[0]
 
 
 def slack(model):
@@ -60,7 +60,7 @@ def slack(model):
 @given(data=st.data())
 def test_bound_is_below_the_objective_anywhere_in_the_box(bound, data):
     model, box = data.draw(families(bound))
-    found = bound(model).evaluate(box.lower[None], box.upper[None], np.inf)
+    found = bound(model).evaluate(Boxes.of([box]), np.inf)
     thetas = np.concatenate([box.sample(np.random.default_rng(0), 40), box.vertices()])
     thetas = thetas[model.admissible(thetas)]
     objectives = [reference.objective(model, theta) for theta in thetas]
@@ -108,10 +108,10 @@ def test_threads_do_not_change_a_bound(bound, family, rng):
     else:
         model = Translation3D(rng.normal(size=(8, 3)), rng.normal(size=(7, 3)), 5)
     dim = model.axis_weights.size
-    lower, upper = np.full((1, dim), -0.5), np.full((1, dim), 0.5)
+    boxes = Boxes(np.full((1, dim), -0.5), np.full((1, dim), 0.5))
     for _ in range(3):
-        lower, upper = LongestEdge(model.axis_weights)(lower, upper)
-    one, two = (bound(model, threads=threads).evaluate(lower, upper, np.inf) for threads in (1, 2))
+        boxes = LongestEdge(model.axis_weights)(boxes)
+    one, two = (bound(model, threads=threads).evaluate(boxes, np.inf) for threads in (1, 2))
     np.testing.assert_array_equal(one.lower_bounds, two.lower_bounds)
     np.testing.assert_array_equal(one.values, two.values)
 

@@ -30,7 +30,7 @@ from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.families.rotation3d.kernels.caps import cap_costs
 from dcreg.jit import NEVER
-from dcreg.search import Box, Budget, minimise
+from dcreg.search import Box, Boxes, Budget, minimise
 from tests.problems import KINDS, cloud
 
 
@@ -76,7 +76,7 @@ def values_in(problem, box, count=40):
 
 
 def evaluate(problem, box, cutoff):
-    return RigidBound(Rigid3D(*problem)).evaluate(box.lower[None], box.upper[None], cutoff)
+    return RigidBound(Rigid3D(*problem)).evaluate(Boxes.of([box]), cutoff)
 
 
 def best_pose(problem, generator):
@@ -459,7 +459,7 @@ def box_with(theta, generator):
         generator.random(7),
     )
     lower = theta - places[generator.integers(4)] * width
-    return np.minimum(lower, theta), np.maximum(lower + width, theta)
+    return Box(np.minimum(lower, theta), np.maximum(lower + width, theta))
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -469,12 +469,14 @@ def test_no_box_with_a_local_optimum_is_bounded_above_it(seed):
     model, theta, best = near_optimum(generator)
     bound = RigidBound(model)
     for _ in range(8):
-        lower, upper = box_with(theta, generator)
+        boxes = Boxes.of([box_with(theta, generator)])
         for beyond in 10.0 ** generator.uniform(-4.5, 0.5, 3):
             cutoff = best + beyond * max(best, 0.01)
-            found = bound.evaluate(lower[None], upper[None], cutoff)
+            found = bound.evaluate(boxes, cutoff)
             assert found.lower_bounds[0] <= best + 1e-9
-            found = bound.evaluate(lower[None], upper[None], cutoff, found.warm_start)
+            found = bound.evaluate(
+                Boxes(boxes.lower, boxes.upper, warm_start=found.warm_start), cutoff
+            )
             assert found.lower_bounds[0] <= best + 1e-9
 
 
@@ -486,9 +488,9 @@ def test_without_its_loss_the_bound_would_pass_local_optima(rng):
         bound = RigidBound(model)
         bound._limits = Limits(0.0, 0.0, 0.0)
         for _ in range(8):
-            lower, upper = box_with(theta, rng)
+            boxes = Boxes.of([box_with(theta, rng)])
             cutoff = best + 10.0 ** rng.uniform(-4.5, 0.5) * max(best, 0.01)
-            passed += bound.evaluate(lower[None], upper[None], cutoff).lower_bounds[0] > best + 1e-6
+            passed += bound.evaluate(boxes, cutoff).lower_bounds[0] > best + 1e-6
     assert passed
 
 
@@ -535,10 +537,10 @@ def test_values_at_corners_close_boxes_that_nothing_else_does(rng, monkeypatch):
     centres = theta + rng.choice([-1.0, 1.0], (200, 7)) * rng.uniform(0.1, 0.3, (200, 7))
     half = 0.11 * np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     centres[:, 0] = 1.0
-    lower, upper = centres - half, centres + half
-    with_corners = RigidBound(model).evaluate(lower, upper, best).lower_bounds
+    boxes = Boxes(centres - half, centres + half)
+    with_corners = RigidBound(model).evaluate(boxes, best).lower_bounds
     monkeypatch.setattr(VertexValues, "raise_bounds", lambda *_: None)
-    without = RigidBound(model).evaluate(lower, upper, best).lower_bounds
+    without = RigidBound(model).evaluate(boxes, best).lower_bounds
     assert (with_corners >= without).all()
     assert (with_corners >= best).sum() > 20 + 2 * (without >= best).sum()
 

@@ -14,7 +14,7 @@ from dcreg.families.rotation3d.bound import RotationBound
 from dcreg.families.rotation3d.kernels import rotation as kernels
 from dcreg.families.rotation3d.kernels.caps import cap_costs
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.search import Box, LongestEdge
+from dcreg.search import Box, Boxes, LongestEdge
 from tests.problems import KINDS, cloud
 
 
@@ -96,8 +96,7 @@ def corners_of(box):
 
 
 def evaluate(problem, box, cutoff=np.inf):
-    bound = RotationBound(Rotation3D(*problem))
-    return bound.evaluate(box.lower[None], box.upper[None], cutoff)
+    return RotationBound(Rotation3D(*problem)).evaluate(Boxes.of([box]), cutoff)
 
 
 def rotations_in(box, count=40):
@@ -186,14 +185,13 @@ def test_matrix_agrees_with_scipy(box):
 
 
 def test_roots_and_their_children_hold_every_rotation(rng):
-    lower = np.array([root.lower for root in Rotation3D.roots()])
-    upper = np.array([root.upper for root in Rotation3D.roots()])
+    boxes = Boxes.of(Rotation3D.roots())
     for _ in range(6):
-        lower, upper = LongestEdge(np.ones(4))(lower, upper)
-    assert len(lower) == 4 * 64
+        boxes = LongestEdge(np.ones(4))(boxes)
+    assert len(boxes) == 4 * 64
     for q in Rotation.random(500, random_state=1).as_quat(scalar_first=True):
         theta = q / q[np.argmax(np.abs(q))]
-        assert ((lower <= theta) & (theta <= upper)).all(axis=1).any()
+        assert ((boxes.lower <= theta) & (theta <= boxes.upper)).all(axis=1).any()
 
 
 def test_bound_is_second_order_at_the_optimum(rng):

@@ -73,9 +73,9 @@ def test_bounds_are_asked_for_their_full_strength(cases, monkeypatch):
         def __init__(self, name, space, roots):
             self.roots = roots
 
-        def evaluate(self, lower, upper, cutoff, warm_start=None):
+        def evaluate(self, boxes, cutoff):
             asked.append((self.roots, cutoff))
-            return IntervalBound(cases["plane"].space, self.roots).evaluate(lower, upper, cutoff)
+            return IntervalBound(cases["plane"].space, self.roots).evaluate(boxes, cutoff)
 
     monkeypatch.setattr(study, "make_bound", Recording)
     box = Box(cases["plane"].theta - 0.1, cases["plane"].theta + 0.1)

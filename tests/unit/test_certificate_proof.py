@@ -14,7 +14,7 @@ from dcreg.certificate.assignment import cheapest_pairs, duals_of
 from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Proof, check_partition
 from dcreg.families.similarity2d.space import Similarity2D
-from dcreg.search import LongestEdge
+from dcreg.search import Boxes, LongestEdge
 from tests.certificates import DIM, certify, clouds, made_case
 from tests.problems import models_with_boxes
 
@@ -154,9 +154,9 @@ def partitions(draw):
     start = lower[0], upper[0]
     for _ in range(draw(st.integers(1, 40))):
         pick = generator.integers(len(lower))
-        halves = LongestEdge(generator.random(3) + 0.1)(lower[[pick]], upper[[pick]])
-        lower = np.vstack([np.delete(lower, pick, axis=0), halves[0]])
-        upper = np.vstack([np.delete(upper, pick, axis=0), halves[1]])
+        halves = LongestEdge(generator.random(3) + 0.1)(Boxes(lower[[pick]], upper[[pick]]))
+        lower = np.vstack([np.delete(lower, pick, axis=0), halves.lower])
+        upper = np.vstack([np.delete(upper, pick, axis=0), halves.upper])
     order = generator.permutation(len(lower))
     return start, lower[order], upper[order], generator
 

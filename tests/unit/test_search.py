@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcreg.search import Box, Budget, Evaluation, LongestEdge, branch_and_bound
+from dcreg.search import Box, Boxes, Budget, Evaluation, LongestEdge, branch_and_bound
 from dcreg.status import Status
 
 ROOT = [Box(-np.ones(2), np.ones(2))]
@@ -23,12 +23,11 @@ class Ripples:
     def value(self, thetas):
         return ((thetas - self.centre) ** 2).sum(axis=1) + 0.3 * (1 - np.cos(8 * thetas[:, 0]))
 
-    def evaluate(self, lower, upper, cutoff, warm_start=None):
-        centres = 0.5 * (lower + upper)
-        values = self.value(centres)
+    def evaluate(self, boxes, cutoff):
+        values = self.value(boxes.centres)
         self.n_assignments += len(values)
-        radius = np.linalg.norm(0.5 * (upper - lower), axis=1)
-        return Evaluation(values - self.lipschitz * radius, centres, values)
+        radius = np.linalg.norm(0.5 * (boxes.upper - boxes.lower), axis=1)
+        return Evaluation(values - self.lipschitz * radius, boxes.centres, values)
 
 
 def solve(round_size=16, keep_leaves=False, **limits):
@@ -53,12 +52,13 @@ def test_bounds_enclose_the_minimum_and_close():
 
 
 class Remembering(Ripples):
-    """Hints are the lower corners, so that every box can tell whether they come from its parent."""
+    """Warm starts are lower vertices, so that a box can tell whether its own comes from its parent."""
 
     n_warm = 0
 
-    def evaluate(self, lower, upper, cutoff, warm_start=None):
-        found = super().evaluate(lower, upper, cutoff)
+    def evaluate(self, boxes, cutoff):
+        found = super().evaluate(boxes, cutoff)
+        lower, upper, warm_start = boxes.lower, boxes.upper, boxes.warm_start
         if warm_start is not None:
             self.n_warm += len(warm_start)
             assert warm_start.shape == (len(lower), 2)
@@ -70,7 +70,7 @@ class Remembering(Ripples):
         return found
 
 
-def test_warm_start_of_a_box_go_to_its_parts():
+def test_children_inherit_the_warm_start_of_their_parent():
     bound = Remembering()
     found = branch_and_bound(bound, Budget(), gap_tol=1e-2, branching=LongestEdge(np.ones(2)))
     assert bound.n_warm == found.n_nodes - len(ROOT) > 0
@@ -151,10 +151,10 @@ def test_root_without_admissible_parameter_is_not_searched():
 
 
 def test_children_cover_their_parent_along_the_weighted_longest_edge():
-    lower, upper = np.array([[0.0, 0.0]]), np.array([[1.0, 0.9]])
-    child_lower, child_upper = LongestEdge(np.array([1.0, 2.0]))(lower, upper)
-    np.testing.assert_allclose(child_lower, [[0, 0], [0, 0.45]])
-    np.testing.assert_allclose(child_upper, [[1, 0.45], [1, 0.9]])
+    box = Box(np.zeros(2), np.array([1.0, 0.9]))
+    halves = LongestEdge(np.array([1.0, 2.0]))(Boxes.of([box]))
+    np.testing.assert_allclose(halves.lower, [[0, 0], [0, 0.45]])
+    np.testing.assert_allclose(halves.upper, [[1, 0.45], [1, 0.9]])
 
 
 def test_box_refuses_crossed_limits():

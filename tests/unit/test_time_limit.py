@@ -32,9 +32,8 @@ class Parabola:
     round_size = 16
     roots = (Box(np.array([1.0]), np.array([3.0])),)
 
-    def evaluate(self, lower, upper, cutoff, warm_start=None):
-        centres = 0.5 * (lower + upper)
-        return Evaluation(np.zeros(len(lower)), centres, (centres**2).sum(axis=1))
+    def evaluate(self, boxes, cutoff):
+        return Evaluation(boxes.bounds, boxes.centres, (boxes.centres**2).sum(axis=1))
 
 
 @pytest.mark.parametrize(("time_s", "descends"), [(0.0, False), (60.0, True)])

@@ -18,6 +18,7 @@ from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import MODEL_DIM, mode_names
+from dcreg.search import Boxes
 
 ROOT = Path(__file__).parents[2]
 N_POINTS = 5
@@ -84,8 +85,8 @@ def bound_boxes(bound):
     centre, _, _ = bound.space.refine(bound.space.seeds()[0])
     widths, found = bound.roots[0].upper - bound.roots[0].lower, []
     for size in 0.3, 0.1, 0.03, 1e-3:
-        lower, upper = centre - size * widths, centre + size * widths
-        outcome = bound.evaluate(lower[None], upper[None], 1.0)
+        boxes = Boxes((centre - size * widths)[None], (centre + size * widths)[None])
+        outcome = bound.evaluate(boxes, 1.0)
         found += [*outcome.lower_bounds, *outcome.values]
     return {"numbers": found, "n_assignments": bound.n_assignments}
 

@@ -56,9 +56,9 @@ WEAKER = """
 _evaluate = SpaceBound.evaluate
 
 
-def _weaker(self, lower, upper, cutoff, warm_start=None):
-    found = _evaluate(self, lower, upper, cutoff, warm_start)
-    found.lower_bounds -= 10 * ((upper - lower) ** 2).sum(axis=1)
+def _weaker(self, boxes, cutoff):
+    found = _evaluate(self, boxes, cutoff)
+    found.lower_bounds -= 10 * ((boxes.upper - boxes.lower) ** 2).sum(axis=1)
     return found
 
 

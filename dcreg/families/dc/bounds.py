@@ -21,7 +21,7 @@ from dcreg.families.dc.kernels.bounds import dc_bound, interval_bound
 from dcreg.families.dc.kernels.lattice import Lattice, Vertices, find_or_add, rebuild
 from dcreg.families.dc.space import F, FeatureSpace
 from dcreg.families.protocol import SpaceBound
-from dcreg.search import Box, Evaluation
+from dcreg.search import Box, Boxes, Evaluation
 
 # Beyond this size the cache drops the half of its vertices that was used least recently: bounds stay
 # valid, some vertices are solved twice.
@@ -45,18 +45,12 @@ class DCBound(SpaceBound[FeatureSpace]):
     name = "dc"
     space_type = FeatureSpace
 
-    def _evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None,
-    ) -> Evaluation:
-        found = Evaluation(np.empty(len(lower)), np.empty_like(lower), np.empty(len(lower)))
+    def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
+        found = Evaluation.empty(boxes)
         self.map_slices(
-            len(lower),
+            len(boxes),
             lambda part: dc_bound(
-                self.space.clouds, lower[part], upper[part], found.lower_bounds[part],
+                self.space.clouds, boxes.lower[part], boxes.upper[part], found.lower_bounds[part],
                 found.thetas[part], found.values[part],
             ),
         )  # fmt: skip
@@ -74,22 +68,16 @@ class IntervalBound(SpaceBound[FeatureSpace]):
     name = "interval"
     space_type = FeatureSpace
 
-    def _evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None,
-    ) -> Evaluation:
-        space, centres = self.space, 0.5 * (lower + upper)
-        bounds, values = np.empty(len(lower)), np.empty(len(lower))
+    def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
+        space, found = self.space, Evaluation.empty(boxes)
 
         def work(part: slice) -> int:
-            spent = interval_bound(space.clouds, lower[part], upper[part], bounds[part])
-            return spent + space.objectives(centres[part], values[part])
+            box, bounds = boxes[part], found.lower_bounds[part]
+            spent = interval_bound(space.clouds, box.lower, box.upper, bounds)
+            return spent + space.objectives(found.thetas[part], found.values[part])
 
-        self.map_slices(len(lower), work)
-        return Evaluation(bounds, centres, values)
+        self.map_slices(len(boxes), work)
+        return found
 
 
 class SharedVertexBound(SpaceBound[F]):
@@ -121,27 +109,16 @@ class SharedVertexBound(SpaceBound[F]):
         super().__init__(space, roots, threads)
         self.cache = VertexCache(self.roots, profile_size, duals_size)
 
-    def _evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None,
-    ) -> Evaluation:
-        slots, first_new = self.cache.find(lower, upper)
-        bounds = self._bound_boxes(slots, first_new, lower, upper, cutoff)
+    def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
+        slots, first_new = self.cache.find(boxes.lower, boxes.upper)
+        bounds = self._bound_boxes(boxes, slots, first_new, cutoff)
         best = np.where(slots >= 0, self.cache.values[slots], np.inf).argmin(axis=1)
         best = slots[np.arange(len(slots)), best]
         return Evaluation(bounds, self.cache.thetas[best], self.cache.values[best])
 
     @abc.abstractmethod
     def _bound_boxes(
-        self,
-        slots: np.ndarray,
-        first_new: int,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
+        self, boxes: Boxes, slots: np.ndarray, first_new: int, cutoff: float | None
     ) -> np.ndarray:
         """Return the bounds of B boxes with the vertices in `slots`; those from `first_new` are new."""
 

@@ -9,7 +9,7 @@ from dcreg.families.matches.kernels.compatible import caps
 from dcreg.families.matches.problem import MatchProblem
 from dcreg.families.matches.start import descend
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.search import Box, Budget, Evaluation, LongestEdge, Outcome, branch_and_bound
+from dcreg.search import Box, Boxes, Budget, Evaluation, LongestEdge, Outcome, branch_and_bound
 
 ROUND_WORK = 200_000  # matches evaluated in a round
 MARGIN = 1e-5  # of a bound above the cutoff, in gap tolerances, so that rounding keeps no box
@@ -49,20 +49,14 @@ class MatchBound:
         """Boxes bounded between two readings of the clock, at most."""
         return int(np.clip(ROUND_WORK // max(1, self.n_left), 16, 512))
 
-    def evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None = None,
-    ) -> Evaluation:
+    def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         """Bound B boxes; only the value of the most promising pose is computed."""
         cutoff = np.inf if cutoff is None else cutoff
-        count = len(lower)
+        count = len(boxes)
         highest, poses = np.full(count, self._best), np.zeros((count, 3, 4))
         if self.n_left:
             enough = max(self._best, self._problem.score(cutoff + self._margin))
-            rotation_bounds(self._matches, lower, upper, enough, highest, poses)
+            rotation_bounds(self._matches, boxes.lower, boxes.upper, enough, highest, poses)
         values = np.full(count, np.inf)
         best = int(np.argmax(highest))
         if self.n_left:

@@ -129,6 +129,7 @@ import numpy as np
 from dcreg.families.protocol import SpaceBound, rows_of
 from dcreg.families.rigid3d.kernels.boxes import (
     FEW_PAIRS,
+    Found,
     allocate_found,
     bound_boxes,
     price_boxes,
@@ -137,7 +138,7 @@ from dcreg.families.rigid3d.kernels.priced import allocate_workspace
 from dcreg.families.rigid3d.kernels.stationary import Limits
 from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.families.rigid3d.vertex_values import VertexValues
-from dcreg.search import Box, Evaluation
+from dcreg.search import Box, Boxes, Evaluation
 
 
 class RigidBound(SpaceBound[Rigid3D]):
@@ -163,52 +164,38 @@ class RigidBound(SpaceBound[Rigid3D]):
         few = space.n_pairs <= FEW_PAIRS
         self._vertices = None if few else VertexValues(space.clouds, self.map_slices)
 
-    def _evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None,
-    ) -> Evaluation:
-        count = len(lower)
+    def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
+        count = len(boxes)
         most = count if self._vertices is None else self._vertices.most_boxes
-        if warm_start is None:
-            warm_start = np.zeros((count, self.space.n_target), np.uint16)
+        duals = boxes.warm_start
+        if duals is None:
+            duals = np.zeros((count, self.space.n_target), np.uint16)
+        result = Evaluation(np.empty(count), boxes.centres, np.empty(count), duals)
         enough = np.inf if cutoff is None else cutoff
-        parts = [
-            self._evaluate_part(lower[part], upper[part], enough, warm_start[part])
-            for part in (slice(at, at + most) for at in range(0, count, most))
-        ]
-        bounds, thetas, values = map(np.concatenate, zip(*parts, strict=True))
-        return Evaluation(bounds, thetas, values, warm_start)
+        for part in (slice(at, at + most) for at in range(0, count, most)):
+            found = self._evaluate_part(boxes[part], enough, duals[part])
+            result.lower_bounds[part], result.values[part] = found.bounds, found.values
+        return result
 
-    def _evaluate_part(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, duals: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _evaluate_part(self, boxes: Boxes, cutoff: float, duals: np.ndarray) -> Found:
         """Bound boxes, as many as the cache has room for; `duals` is updated in place."""
         space, vertices, found = self.space, self._vertices, allocate_found(duals)
+        problem = cutoff, space.clouds, self._limits
 
         def work(part: slice) -> int:
-            boxes = (
-                lower[part],
-                upper[part],
-                cutoff,
-                space.clouds,
-                self._limits,
-                rows_of(found, part),
-            )
-            spent: int = bound_boxes(*boxes)
+            lower, upper, rows = boxes.lower[part], boxes.upper[part], rows_of(found, part)
+            spent: int = bound_boxes(lower, upper, *problem, rows)
             if vertices is not None:
-                price_boxes(*boxes, allocate_workspace(space.n_source, space.n_target))
-                spent += bound_boxes(*boxes)
+                workspace = allocate_workspace(space.n_source, space.n_target)
+                price_boxes(lower, upper, *problem, rows, workspace)
+                spent += bound_boxes(lower, upper, *problem, rows)
             return spent
 
-        self.map_slices(len(lower), work)
+        self.map_slices(len(boxes), work)
         if vertices is not None:
-            vertices.raise_bounds(lower, upper, cutoff, found)
-        thetas = 0.5 * (lower + upper)
-        self._look_at_best(thetas, found.estimates, found.values)
-        return found.bounds, thetas, found.values
+            vertices.raise_bounds(boxes, cutoff, found)
+        self._look_at_best(boxes.centres, found.estimates, found.values)
+        return found
 
     def _look_at_best(self, thetas: np.ndarray, estimates: np.ndarray, values: np.ndarray) -> None:
         """Compute the objective where its estimate is smallest."""

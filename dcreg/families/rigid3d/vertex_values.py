@@ -18,6 +18,7 @@ from dcreg.families.rigid3d.kernels.vertices import (
     price_vertices,
     request_values,
 )
+from dcreg.search import Boxes
 
 # Vertices that a box requests, round after round, until a value decides; 0: boxes are judged only.
 _REQUESTED = 1, 4, VERTICES, VERTICES, 0
@@ -60,11 +61,9 @@ class VertexValues:
         price_vertices(self.known, requests, kept, self._clouds, work)
         return 0
 
-    def raise_bounds(
-        self, lower: np.ndarray, upper: np.ndarray, cutoff: float, found: Found
-    ) -> None:
+    def raise_bounds(self, boxes: Boxes, cutoff: float, found: Found) -> None:
         """Raise the bounds of the boxes whose vertices cost enough."""
-        most = VERTICES * len(lower)
+        most = VERTICES * len(boxes)
         if self._used + most > len(self.known.values):  # the memory is full: forget all values
             self.known.table[:] = -1
             self._used = 0
@@ -73,16 +72,17 @@ class VertexValues:
         )
 
         def request(part: slice, share: int) -> int:
-            boxes = lower[part], upper[part], rows_of(found.boxes, part)
+            states = rows_of(found.boxes, part)
             self._used, count = request_values(
-                self.known, self._used, *boxes, cutoff, share, requests
-            )
+                self.known, self._used, boxes.lower[part], boxes.upper[part], states, cutoff, share,
+                requests,
+            )  # fmt: skip
             return count
 
         def judge(part: slice) -> int:
             return request(part, 0)
 
-        self._map_slices(len(lower), judge)
+        self._map_slices(len(boxes), judge)
         for share in _REQUESTED:
             count = request(slice(None), share)
             self._map_slices(count, lambda part: self._price(rows_of(requests, part), found.kept))

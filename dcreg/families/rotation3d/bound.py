@@ -45,7 +45,7 @@ import numpy as np
 from dcreg.families.protocol import SpaceBound
 from dcreg.families.rotation3d.kernels.rotation import bound_boxes
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.search import Evaluation
+from dcreg.search import Boxes, Evaluation
 
 
 class RotationBound(SpaceBound[Rotation3D]):
@@ -55,19 +55,14 @@ class RotationBound(SpaceBound[Rotation3D]):
     space_type = Rotation3D
     round_pairs, max_round = 4_000_000, 32
 
-    def _evaluate(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
-        warm_start: np.ndarray | None,
-    ) -> Evaluation:
-        bounds, values = np.empty(len(lower)), np.empty(len(lower))
+    def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
+        found, clouds = Evaluation.empty(boxes), self.space.clouds
         enough = np.inf if cutoff is None else cutoff
         self.map_slices(
-            len(lower),
+            len(boxes),
             lambda part: bound_boxes(
-                lower[part], upper[part], enough, self.space.clouds, bounds[part], values[part]
+                boxes.lower[part], boxes.upper[part], enough, clouds, found.lower_bounds[part],
+                found.values[part],
             ),
-        )
-        return Evaluation(bounds, 0.5 * (lower + upper), values)
+        )  # fmt: skip
+        return found

@@ -15,10 +15,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from dcreg.families.dc.bounds import SharedVertexBound
-from dcreg.families.similarity2d.kernels.bounds import Boxes, Effort, shared_bounds
+from dcreg.families.protocol import rows_of
+from dcreg.families.similarity2d.kernels.bounds import Effort, SharedBoxes, shared_bounds
 from dcreg.families.similarity2d.kernels.profiles import blend_prices, bound_vertices
 from dcreg.families.similarity2d.space import Similarity2D
-from dcreg.search import Box
+from dcreg.search import Box, Boxes
 
 
 def boxes_of(slots: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -47,30 +48,30 @@ class SharedBound(SharedVertexBound[Similarity2D]):
         self.loss_weights = space.n_inliers * space.axis_weights**2
 
     def _bound_boxes(
-        self,
-        slots: np.ndarray,
-        first_new: int,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
+        self, boxes: Boxes, slots: np.ndarray, first_new: int, cutoff: float | None
     ) -> np.ndarray:
         self._estimate(slots, first_new)
-        boxes = Boxes(
-            lower, upper, slots, 0.5 * (lower + upper),
-            np.empty(len(lower)), np.empty(len(lower), np.int64),
-        )  # fmt: skip
+        count = len(boxes)
+        shared = SharedBoxes(
+            boxes.lower,
+            boxes.upper,
+            slots,
+            boxes.centres,
+            np.empty(count),
+            np.empty(count, np.int64),
+        )
         floor, enough = (-np.inf, np.inf) if cutoff is None else (cutoff, cutoff)
         effort = Effort(self.loss_weights, self.moves, floor, enough)
-        rows = np.arange(len(lower))
+        rows = np.arange(count)
         while rows.size:
-            self._bound(boxes, rows, effort)
+            self._bound(shared, rows, effort)
             # an estimated vertex that limits a box which is not pruned yet is solved
-            estimated = np.isinf(self.cache.values[boxes.binding[rows]])
-            rows = rows[(boxes.bounds[rows] < enough) & estimated]
-            which = np.unique(boxes.binding[rows])
+            estimated = np.isinf(self.cache.values[shared.binding[rows]])
+            rows = rows[(shared.bounds[rows] < enough) & estimated]
+            which = np.unique(shared.binding[rows])
             self._blend(slots, which, settled=0)
             self._solve(which, warm=True)
-        return boxes.bounds
+        return shared.bounds
 
     def _estimate(self, slots: np.ndarray, first_new: int) -> None:
         """Bound E at the vertices from `first_new` on; solve those without a known neighbour."""
@@ -109,15 +110,13 @@ class SharedBound(SharedVertexBound[Similarity2D]):
             which.size, lambda part: bound_vertices(clouds, vertices, True, warm, which[part])
         )
 
-    def _bound(self, boxes: Boxes, rows: np.ndarray, effort: Effort) -> None:
+    def _bound(self, boxes: SharedBoxes, rows: np.ndarray, effort: Effort) -> None:
         """Bound some of the boxes."""
-        some = Boxes(*(array[rows] for array in boxes))
+        some = SharedBoxes(*(array[rows] for array in boxes))
         clouds, vertices = self.space.clouds, self.cache.vertices
         self.map_slices(
             rows.size,
-            lambda part: shared_bounds(
-                clouds, vertices, effort, Boxes(*(array[part] for array in some))
-            ),
+            lambda part: shared_bounds(clouds, vertices, effort, rows_of(some, part)),
         )
         boxes.points[rows], boxes.bounds[rows] = some.points, some.bounds
         boxes.binding[rows] = some.binding

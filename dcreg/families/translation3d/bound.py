@@ -11,6 +11,7 @@ import numpy as np
 from dcreg.families.dc.bounds import SharedVertexBound
 from dcreg.families.translation3d.kernels.bounds import centre_bounds, tight_bounds
 from dcreg.families.translation3d.space import Translation3D
+from dcreg.search import Boxes
 
 
 class SharedBound(SharedVertexBound[Translation3D]):
@@ -20,35 +21,26 @@ class SharedBound(SharedVertexBound[Translation3D]):
     space_type = Translation3D
 
     def _bound_boxes(
-        self,
-        slots: np.ndarray,
-        first_new: int,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        cutoff: float | None,
+        self, boxes: Boxes, slots: np.ndarray, first_new: int, cutoff: float | None
     ) -> np.ndarray:
-        cache, space, bounds = self.cache, self.space, np.empty(len(lower))
+        cache, space, bounds = self.cache, self.space, np.empty(len(boxes))
 
         def solve(part: slice) -> int:
             new = slice(first_new + part.start, first_new + part.stop)
             return space.objectives(cache.thetas[new], cache.values[new])
 
         def bound(part: slice) -> int:
-            return self._bound(lower[part], upper[part], slots[part], cutoff, bounds[part])
+            return self._bound(boxes[part], slots[part], cutoff, bounds[part])
 
         self.map_slices(cache.used - first_new, solve)
-        self.map_slices(len(lower), bound)
+        self.map_slices(len(boxes), bound)
         return bounds
 
     def _bound(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        slots: np.ndarray,
-        cutoff: float | None,
-        bounds: np.ndarray,
+        self, boxes: Boxes, slots: np.ndarray, cutoff: float | None, bounds: np.ndarray
     ) -> int:
-        return centre_bounds(self.cache.values, self.space.n_inliers, lower, upper, slots, bounds)
+        values, k = self.cache.values, self.space.n_inliers
+        return centre_bounds(values, k, boxes.lower, boxes.upper, slots, bounds)
 
 
 class TightBound(SharedBound):
@@ -60,15 +52,10 @@ class TightBound(SharedBound):
     name = "tight"
 
     def _bound(
-        self,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        slots: np.ndarray,
-        cutoff: float | None,
-        bounds: np.ndarray,
+        self, boxes: Boxes, slots: np.ndarray, cutoff: float | None, bounds: np.ndarray
     ) -> int:
         known, thorough = (self.cache.thetas, self.cache.values), cutoff is None
         return tight_bounds(
-            self.space.clouds, known, lower, upper, slots, np.inf if thorough else cutoff, thorough,
-            bounds,
+            self.space.clouds, known, boxes.lower, boxes.upper, slots,
+            np.inf if thorough else cutoff, thorough, bounds,
         )  # fmt: skip

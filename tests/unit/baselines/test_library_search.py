@@ -16,7 +16,7 @@ from dcreg.assignment.objective import objective
 from dcreg.driver import modes as table
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.problem import InputError, Problem
-from dcreg.search import LongestEdge
+from dcreg.search import Boxes, LongestEdge
 from workflows import config
 
 # Compiled functions in a process, from the cache or new, before and after a solve.
@@ -108,12 +108,11 @@ def test_a_method_with_its_own_bound_searches_all_points(monkeypatch):
 
 def test_hbsp_bounds_rotations_alike_with_any_threads(rng):
     space = Rotation3D(rng.normal(size=(7, 3)), rng.normal(size=(6, 3)), 5)
-    [root, *_] = space.roots()
-    lower, upper = root.lower[None], root.upper[None]
+    boxes = Boxes.of(space.roots()[:1])
     for _ in range(3):
-        lower, upper = LongestEdge(np.ones(4))(lower, upper)
+        boxes = LongestEdge(np.ones(4))(boxes)
     bounds = [SemidefiniteRotationBound(space, threads=threads) for threads in (1, 2)]
-    one, two = (bound.evaluate(lower, upper, np.inf) for bound in bounds)
+    one, two = (bound.evaluate(boxes, np.inf) for bound in bounds)
     np.testing.assert_array_equal(one.lower_bounds, two.lower_bounds)
     np.testing.assert_array_equal(one.values, two.values)
     assert bounds[0].n_assignments == bounds[1].n_assignments

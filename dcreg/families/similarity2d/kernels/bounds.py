@@ -13,7 +13,7 @@ from dcreg.families.dc.kernels.motion import plane_curvature
 from dcreg.jit import jit, jit_part
 
 
-class Boxes(NamedTuple):
+class SharedBoxes(NamedTuple):
     """Boxes, the slots of their vertices, and what is found for them.
 
     Attributes
