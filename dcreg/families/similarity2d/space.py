@@ -79,6 +79,8 @@ class Similarity2D(FeatureSpace):
         self._candidates = candidates
         self.n_inliers = n_inliers
         self.scale_range = scale_range
+        # a scale fitted and clipped to an end of the range may be a rounding error outside
+        self._admissible_scales = scale_range[0] * (1 - 1e-12), scale_range[1] * (1 + 1e-12)
         self.stationary_box = stationary_box
         spread = max(float(np.sqrt((source**2).sum(axis=1).mean())), 1e-12)
         self.axis_weights = np.array([spread, spread, 1.0, 1.0])
@@ -99,12 +101,11 @@ class Similarity2D(FeatureSpace):
 
     def admissible(self, thetas: np.ndarray) -> np.ndarray:
         scale = np.hypot(thetas[:, 0], thetas[:, 1])
-        low, high = self.scale_range
-        # a scale fitted and clipped to the end of the range may be a rounding error outside
-        return (scale >= low * (1 - 1e-12)) & (scale <= high * (1 + 1e-12))
+        low, high = self._admissible_scales
+        return (scale >= low) & (scale <= high)
 
     def touches(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        low, high = self.scale_range
+        low, high = self._admissible_scales
         near = np.maximum(np.maximum(lower[:, :2], -upper[:, :2]), 0.0)
         far = np.maximum(-lower[:, :2], upper[:, :2])
         return (np.hypot(*near.T) <= high) & (np.hypot(*far.T) >= low)
