@@ -38,9 +38,9 @@ def certify(
     frame = Frame.of(problem)
     points = frame.source(source), frame.target(target), n_inliers
     space = (
-        Translation3D(*points, reduced)
+        Translation3D(*points, stationary_box=reduced)
         if model == "translation3d"
-        else Similarity2D(*points, problem.scale_range, reduced)
+        else Similarity2D(*points, problem.scale_range, stationary_box=reduced)
     )
     theta, value, _ = space.refine(space.identity)
     searched, gap_tol = make_bound(bound, space), n_inliers * tau**2

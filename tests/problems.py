@@ -59,9 +59,11 @@ def models(draw, families=("similarity2d", "norm3d"), max_points=6):
         target[:both] = source[:both] + 0.05 * generator.standard_normal((both, dim))
     n_inliers = draw(st.integers(1, min(n, m)))
     if family == "similarity2d":
-        model = Similarity2D(source, target, n_inliers, (0.5, 1.5), draw(st.booleans()))
+        model = Similarity2D(
+            source, target, n_inliers, (0.5, 1.5), stationary_box=draw(st.booleans())
+        )
     else:
-        model = Translation3D(source, target, n_inliers, draw(st.booleans()))
+        model = Translation3D(source, target, n_inliers, stationary_box=draw(st.booleans()))
     model.target = target  # for tests that build the same problem anew
     return model
 

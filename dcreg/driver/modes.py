@@ -202,21 +202,22 @@ def search_rotation(problem: NormalisedProblem, shifted: np.ndarray, budget: Bud
 def _similarity(problem: NormalisedProblem) -> Similarity2D:
     return Similarity2D(
         problem.source, problem.target, problem.n_inliers, problem.scale_range,
-        problem.stationary_box, problem.candidates, problem.budget.stop,
+        problem.candidates, problem.budget.stop, problem.stationary_box,
     )  # fmt: skip
 
 
 def _translation(problem: NormalisedProblem) -> Translation3D:
-    return Translation3D(
-        problem.source, problem.target, problem.n_inliers, problem.stationary_box,
-        problem.candidates, problem.budget.stop,
-    )  # fmt: skip
+    return Translation3D(*_rigid_arguments(problem))
 
 
 def _rigid(problem: NormalisedProblem) -> Rigid3D:
-    return Rigid3D.between(
-        problem.source, problem.target, problem.n_inliers, problem.stationary_box,
-        problem.candidates, problem.budget.stop,
+    return Rigid3D.between(*_rigid_arguments(problem))
+
+
+def _rigid_arguments(problem: NormalisedProblem) -> tuple[Any, ...]:
+    return (
+        problem.source, problem.target, problem.n_inliers,
+        problem.candidates, problem.budget.stop, problem.stationary_box,
     )  # fmt: skip
 
 

@@ -186,7 +186,7 @@ class _Sweep:
                 taker.take(*taker.space.refine(theta))
         with suppress(Interrupted):
             if self.searching.is_over:
-                value, _ = taker.space.objective(theta, self.budget.hard_stop)
+                value, _ = taker.space.with_stop_flag(self.budget.hard_stop).objective(theta)
                 taker.take(theta, value, 1)
         taker.descending_s += self.budget.elapsed() - began
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import abc
+import copy
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -21,11 +22,25 @@ Arrays = TypeVar("Arrays", bound=tuple[Any, ...])
 class Space(abc.ABC):
     """A parameterised family of poses over a normalised problem.
 
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) arrays
+        Normalised points.
+    n_inliers : int
+    candidates : (n, m) bool array, optional
+        The feasible pairs.
+    stop_flag : (1,) uint8 array
+        Set from another thread to stop kernels.
+    stationary_box : bool
+        Whether the start box is that of the translations of stationary points, or that given by the radii
+        of the clouds. Without effect on a space without translations.
+    max_scale : float
+        Maximum scale of a pose.
+
     Attributes
     ----------
     clouds : Clouds
         The problem as the kernels take it.
-    n_inliers : int
     axis_weights : (dim,) array
         RMS motion of the source per unit step along each axis.
     scope : str
@@ -36,35 +51,67 @@ class Space(abc.ABC):
         Local searches for the first incumbent: enough for a good upper bound, cheap next to the search.
     min_gain : float
         Relative decrease of the objective below which a local search ends.
-    stop_flag : (1,) uint8 array
-        Kernels return at once when it is set, and `check` then raises; see `Budget.stop`.
     ends : sequence of (theta, value)
         Where the local searches of the last `start` ended.
     """
 
-    clouds: Clouds
-    n_inliers: int
     axis_weights: np.ndarray
     scope: str
     fixes_rotation: bool = True
     n_descents: int
     min_gain: float
-    stop_flag: np.ndarray = NEVER
     ends: Sequence[tuple[np.ndarray, float]] = ()
 
-    def check(self, stop_flag: np.ndarray | None = None) -> None:
-        """Raise after a kernel if the flag is set: the kernel's output is then incomplete.
+    def __init__(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        candidates: np.ndarray | None = None,
+        stop_flag: np.ndarray = NEVER,
+        stationary_box: bool = True,
+        max_scale: float = 1.0,
+    ) -> None:
+        source, target = (np.asarray(points, dtype=np.float64) for points in (source, target))
+        self.clouds = Clouds(
+            np.ascontiguousarray(source.T),
+            self.target_features(target),
+            infeasibility_penalty(
+                candidates, n_inliers, max_scale * radius(source) + radius(target)
+            ),
+            n_inliers,
+            stop_flag,
+        )
+        self.candidates, self.stationary_box = candidates, stationary_box
 
-        Parameters
-        ----------
-        stop_flag : (1,) uint8 array, optional
-            Default: that of the space.
+    @staticmethod
+    def target_features(target: np.ndarray) -> np.ndarray:
+        """Return what the moved source is compared with: the (d, m) target by default."""
+        return np.ascontiguousarray(target.T)
+
+    @property
+    def n_inliers(self) -> int:
+        return self.clouds.k
+
+    @property
+    def stop_flag(self) -> np.ndarray:
+        """(1,) uint8 array: kernels return at once when it is set, and `check` then raises."""
+        return self.clouds.stop
+
+    def with_stop_flag(self, stop_flag: np.ndarray) -> Self:
+        """Return the same space with another stop flag."""
+        other = copy.copy(self)
+        other.clouds = self.clouds._replace(stop=stop_flag)
+        return other
+
+    def check(self) -> None:
+        """Raise after a kernel if the flag is set: the kernel's output is then incomplete.
 
         Raises
         ------
         Interrupted
         """
-        if (self.stop_flag if stop_flag is None else stop_flag)[0]:
+        if self.stop_flag[0]:
             raise Interrupted
 
     @abc.abstractmethod
@@ -72,13 +119,8 @@ class Space(abc.ABC):
         """Return boxes that together contain every global minimiser."""
 
     @abc.abstractmethod
-    def objective(
-        self, theta: np.ndarray, stop_flag: np.ndarray | None = None
-    ) -> tuple[float, np.ndarray]:
-        """Return E(theta) and the column matched to every source row (-1: none).
-
-        `stop_flag` replaces that of the space for this call.
-        """
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return E(theta) and the column matched to every source row (-1: none)."""
 
     @abc.abstractmethod
     def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:

@@ -70,7 +70,9 @@ def test_start_box_holds_the_optimum(start_box, rng):
         source, target = rng.standard_normal((5, 3)), rng.standard_normal((5, 3))
         source, target = source - source.mean(axis=0), target - target.mean(axis=0)
         for k in (2, 4, 5):
-            box = Rigid3D(source, target, k, start_box == "stationary").translations()
+            box = Rigid3D(
+                source, target, k, stationary_box=start_box == "stationary"
+            ).translations()
             rows, columns = rng.permutation(5)[:k], rng.permutation(5)[:k]
             t = fit_pose(source[rows], target[columns], (1.0, 1.0))[:3, 3]
             assert (t >= box.lower - 1e-12).all()

@@ -30,12 +30,9 @@ class FeatureSpace(Space):
         """(n, d) normalised source points."""
         return np.ascontiguousarray(self.clouds.source.T)
 
-    def objective(
-        self, theta: np.ndarray, stop_flag: np.ndarray | None = None
-    ) -> tuple[float, np.ndarray]:
-        stop_flag = self.stop_flag if stop_flag is None else stop_flag
-        value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers, stop_flag)
-        self.check(stop_flag)
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop_flag)
+        self.check()
         return float(value), col_of
 
     def _costs(self, theta: np.ndarray) -> np.ndarray:

@@ -58,17 +58,7 @@ def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> fl
 class Rigid3D(CloudSpace):
     """Rigid poses of centred clouds; theta is a quaternion and a translation, y = R x + t.
 
-    Parameters
-    ----------
-    source, target : (n, 3), (m, 3) arrays
-        Both centred, for the smallest start box; n <= m is best, see `between`.
-    n_inliers : int
-    stationary_box : bool
-        Whether the start box is that of the translations of stationary points, or that given by the radii
-        of the clouds.
-    candidates : (n, m) bool array, optional
-        The feasible pairs.
-    stop_flag : (1,) uint8 array
+    Centred clouds have the smallest start box; n <= m is best, see `between`.
     """
 
     # A unit step of a facet coordinate rotates by 1 to 2 radians, which moves points at the RMS radius
@@ -77,19 +67,7 @@ class Rigid3D(CloudSpace):
     scope = RIGID_POSE
     n_descents = 24
 
-    def __init__(
-        self,
-        source: np.ndarray,
-        target: np.ndarray,
-        n_inliers: int,
-        stationary_box: bool = True,
-        candidates: np.ndarray | None = None,
-        stop_flag: np.ndarray = NEVER,
-    ) -> None:
-        super().__init__(source, target, n_inliers, candidates, stop_flag)
-        self.stationary_box = stationary_box
-        self._candidates = candidates
-        self._swapped = False
+    _swapped = False
 
     @classmethod
     def between(
@@ -97,9 +75,9 @@ class Rigid3D(CloudSpace):
         source: np.ndarray,
         target: np.ndarray,
         n_inliers: int,
-        stationary_box: bool = True,
         candidates: np.ndarray | None = None,
         stop_flag: np.ndarray = NEVER,
+        stationary_box: bool = True,
     ) -> Rigid3D:
         """Return the space in which the smaller cloud moves; `pose` still returns poses of `source`.
 
@@ -111,7 +89,7 @@ class Rigid3D(CloudSpace):
             source, target = target, source
             if candidates is not None:  # in C order: kernels are compiled for no other
                 candidates = np.ascontiguousarray(candidates.T)
-        space = cls(source, target, n_inliers, stationary_box, candidates, stop_flag)
+        space = cls(source, target, n_inliers, candidates, stop_flag, stationary_box)
         space._swapped = swapped
         return space
 
@@ -139,14 +117,11 @@ class Rigid3D(CloudSpace):
             for facet in Rotation3D.roots()
         ]
 
-    def objective(
-        self, theta: np.ndarray, stop_flag: np.ndarray | None = None
-    ) -> tuple[float, np.ndarray]:
-        stop_flag = self.stop_flag if stop_flag is None else stop_flag
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
         cost = np.empty((self.n_source, self.n_target))
         pose_costs(theta, self.clouds, cost)
-        value, col_of, _ = cheapest_pairs(cost, self.n_inliers, stop_flag)
-        self.check(stop_flag)
+        value, col_of, _ = cheapest_pairs(cost, self.n_inliers, self.stop_flag)
+        self.check()
         return float(value), col_of
 
     @staticmethod
@@ -180,7 +155,7 @@ class Rigid3D(CloudSpace):
                 if budget.is_over:
                     return
                 poses = congruent_poses(
-                    source, target, self.n_inliers, scale, self._candidates, seed=seed,
+                    source, target, self.n_inliers, scale, self.candidates, seed=seed,
                     stop=self.stop_flag,
                 )  # fmt: skip
                 if self.n_pairs > DENSE_DESCENTS:

@@ -24,48 +24,16 @@ import abc
 import numpy as np
 
 from dcreg.assignment.kernels.dense import cheapest_pairs
-from dcreg.families.kernels import Clouds
-from dcreg.families.protocol import Space, infeasibility_penalty, radius
+from dcreg.families.protocol import Space
 from dcreg.families.rotation3d.kernels import rotation as kernels
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
-from dcreg.jit import NEVER
 from dcreg.search import Box
 
 
 class CloudSpace(Space):
-    """A space of poses of 3D points.
-
-    Parameters
-    ----------
-    source, target : (n, 3), (m, 3) arrays
-    n_inliers : int
-    candidates : (n, m) bool array, optional
-        The feasible pairs.
-    stop_flag : (1,) uint8 array
-        Set from another thread to stop kernels.
-    """
+    """A space of poses of 3D points."""
 
     min_gain = 1e-12
-
-    def __init__(
-        self,
-        source: np.ndarray,
-        target: np.ndarray,
-        n_inliers: int,
-        candidates: np.ndarray | None = None,
-        stop_flag: np.ndarray = NEVER,
-    ) -> None:
-        source, target = (np.asarray(points, dtype=np.float64) for points in (source, target))
-        reach = radius(source) + radius(target)
-        self.clouds = Clouds(
-            np.ascontiguousarray(source.T),
-            np.ascontiguousarray(target.T),
-            infeasibility_penalty(candidates, n_inliers, reach),
-            n_inliers,
-            stop_flag,
-        )
-        self.stop_flag = stop_flag
-        self.n_inliers = n_inliers
 
     @staticmethod
     @abc.abstractmethod
@@ -85,16 +53,7 @@ _START_CELLS_PER_AXIS = 4  # of the regular grid of seeds
 
 
 class Rotation3D(CloudSpace):
-    """Rotations about the origin; theta is a quaternion (w, x, y, z) of any non-zero length.
-
-    Parameters
-    ----------
-    source, target : (n, 3), (m, 3) arrays
-    n_inliers : int
-    candidates : (n, m) bool array, optional
-        The feasible pairs.
-    stop_flag : (1,) uint8 array
-    """
+    """Rotations about the origin; theta is a quaternion (w, x, y, z) of any non-zero length."""
 
     axis_weights = np.ones(4)
     scope = "rotation about the origin"
@@ -131,15 +90,12 @@ class Rotation3D(CloudSpace):
         """Return the rotation matrix of a quaternion; theta, -theta and 2 theta give the same one."""
         return rotation_matrix(np.asarray(theta, dtype=np.float64))
 
-    def objective(
-        self, theta: np.ndarray, stop_flag: np.ndarray | None = None
-    ) -> tuple[float, np.ndarray]:
-        stop_flag = self.stop_flag if stop_flag is None else stop_flag
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
         cost = np.empty((self.n_source, self.n_target))
         R = self.matrix(theta)
         kernels.pair_costs(R, self.clouds, cost)
-        _, col_of, _ = cheapest_pairs(cost, self.n_inliers, stop_flag)
-        self.check(stop_flag)
+        _, col_of, _ = cheapest_pairs(cost, self.n_inliers, self.stop_flag)
+        self.check()
         # summed again: the expanded squares of `pair_costs` cancel and may leave a tiny negative sum
         x, y = self.matched(col_of)
         return float(((R @ x - y) ** 2).sum()), col_of

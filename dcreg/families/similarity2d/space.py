@@ -11,8 +11,7 @@ from dcreg.assignment.descent import alternate
 from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
 from dcreg.families.dc.kernels.bounds import objectives
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.kernels import Clouds
-from dcreg.families.protocol import infeasibility_penalty, means_of_subsets, radius
+from dcreg.families.protocol import means_of_subsets, radius
 from dcreg.families.similarity2d.starts import similar_poses
 from dcreg.jit import NEVER
 from dcreg.names import SIMILARITY_POSE
@@ -37,21 +36,16 @@ def largest_subset_mean(points: np.ndarray, count: int, n_directions: int = 64) 
 class Similarity2D(FeatureSpace):
     """T(x) = [[t1, -t2], [t2, t1]] x + (t3, t4), DC-Reg section "2D similarity".
 
+    Both clouds are best centred, for good conditioning. In the stationary box, t is a mean of matched y -
+    s R mean of matched x, because the residuals of a stationary point have zero mean.
+
     Parameters
     ----------
-    source, target : (n, 2), (m, 2) arrays
-        Normalised points; both clouds centred, for the best conditioning.
-    n_inliers : int
+    source, target, n_inliers, candidates, stop_flag, stationary_box
+        As in `Space`.
     scale_range : (low, high)
         Parameters outside this annulus are not poses. Without a lower limit the scale would collapse,
         with all source points in one neighbourhood of the target.
-    stationary_box : bool
-        Whether the start box is that of the translations of stationary points (their residuals have zero
-        mean, so t = mean of matched y - s R mean of matched x), or that given by the radii of the clouds.
-    candidates : (n, m) bool array, optional
-        The feasible pairs.
-    stop_flag : (1,) uint8 array
-        Set from another thread to stop kernels.
     """
 
     scope = SIMILARITY_POSE
@@ -63,25 +57,16 @@ class Similarity2D(FeatureSpace):
         target: np.ndarray,
         n_inliers: int,
         scale_range: tuple[float, float],
-        stationary_box: bool = True,
         candidates: np.ndarray | None = None,
         stop_flag: np.ndarray = NEVER,
+        stationary_box: bool = True,
     ) -> None:
-        reach = scale_range[1] * radius(source) + radius(target)
-        self.clouds = Clouds(
-            np.ascontiguousarray(source.T),
-            np.ascontiguousarray(target.T),
-            infeasibility_penalty(candidates, n_inliers, reach),
-            n_inliers,
-            stop_flag,
+        super().__init__(
+            source, target, n_inliers, candidates, stop_flag, stationary_box, scale_range[1]
         )
-        self.stop_flag = stop_flag
-        self._candidates = candidates
-        self.n_inliers = n_inliers
         self.scale_range = scale_range
         # a scale fitted and clipped to an end of the range may be a rounding error outside
         self._admissible_scales = scale_range[0] * (1 - 1e-12), scale_range[1] * (1 + 1e-12)
-        self.stationary_box = stationary_box
         spread = max(float(np.sqrt((source**2).sum(axis=1).mean())), 1e-12)
         self.axis_weights = np.array([spread, spread, 1.0, 1.0])
 
@@ -152,7 +137,7 @@ class Similarity2D(FeatureSpace):
             return np.empty((0, 4))
         return similar_poses(
             self.source, self.clouds.target.T, self.n_inliers, self.scale_range,
-            self._candidates, stop=self.stop_flag,
+            self.candidates, stop=self.stop_flag,
         )  # fmt: skip
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from dcreg.assignment.kernels.sorting import COLUMNS
 from dcreg.families.dc.kernels.bounds import objectives
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.kernels import Clouds
 from dcreg.families.protocol import (
-    infeasibility_penalty,
     mean_of_largest,
     means_of_subsets,
-    radius,
 )
 from dcreg.families.translation3d.kernels.fit import fit_norm3d
 from dcreg.families.translation3d.kernels.line import match_on_line, objectives_on_line
-from dcreg.jit import NEVER
 from dcreg.names import NORM_TRANSLATION
 from dcreg.search import Box
 
@@ -30,48 +28,33 @@ class Translation3D(FeatureSpace):
     The objective is ``sum p_ij (|x_i + t| - |y_j|)^2``. It is a lower bound on the rigid objective for
     every rotation. It is only a surrogate: its optimum need not be the optimal rigid pose.
 
-    Parameters
-    ----------
-    source, target : (n, 3), (m, 3) arrays
-        Normalised points. The origin of the target is the centre of rotation.
-    n_inliers : int
-    stationary_box : bool
-        Whether the start box is that of the translations of stationary points, or that given by the radii
-        of the clouds.
-    candidates : (n, m) bool array, optional
-        The feasible pairs. With them the assignment is not one-dimensional, which takes longer.
-    stop_flag : (1,) uint8 array
-        Set from another thread to stop kernels.
+    The origin of the target is the centre of rotation. With `candidates` the assignment is not
+    one-dimensional, which takes longer.
     """
 
     scope = NORM_TRANSLATION
     fixes_rotation = False
     identity = np.zeros(3)
 
-    def __init__(
-        self,
-        source: np.ndarray,
-        target: np.ndarray,
-        n_inliers: int,
-        stationary_box: bool = True,
-        candidates: np.ndarray | None = None,
-        stop_flag: np.ndarray = NEVER,
-    ) -> None:
-        self.norms = np.sqrt((target**2).sum(axis=1))
-        self._ordered = np.sort(self.norms)
-        # if every pair is feasible, scalars are matched, which needs no matrix of costs
-        self._on_line = candidates is None
-        self.clouds = Clouds(
-            np.ascontiguousarray(source.T),
-            self.norms,
-            infeasibility_penalty(candidates, n_inliers, radius(source) + radius(target)),
-            n_inliers,
-            stop_flag,
-        )
-        self.stop_flag = stop_flag
-        self.n_inliers = n_inliers
-        self.stationary_box = stationary_box
-        self.axis_weights = np.ones(3)
+    axis_weights = np.ones(3)
+
+    @staticmethod
+    def target_features(target: np.ndarray) -> np.ndarray:
+        """Return the (m,) norms of the target."""
+        return np.sqrt((target**2).sum(axis=1))
+
+    @property
+    def norms(self) -> np.ndarray:
+        return self.clouds.target
+
+    @cached_property
+    def _ordered(self) -> np.ndarray:
+        return np.sort(self.norms)
+
+    @property
+    def _on_line(self) -> bool:
+        """Whether scalars are matched, which needs no matrix of costs: if every pair is feasible."""
+        return self.candidates is None
 
     def roots(self) -> list[Box]:
         """Return the start box.
@@ -90,12 +73,10 @@ class Translation3D(FeatureSpace):
         steps = 0.5 * np.array([0.0, -1.0, 1.0])
         return np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
 
-    def objective(
-        self, theta: np.ndarray, stop_flag: np.ndarray | None = None
-    ) -> tuple[float, np.ndarray]:
+    def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
         if not self._on_line:
-            return super().objective(theta, stop_flag)
-        self.check(stop_flag)
+            return super().objective(theta)
+        self.check()
         x, y, z = (axis + shift for axis, shift in zip(self.clouds.source, theta, strict=True))
         return match_on_line(np.sqrt(x * x + y * y + z * z), self.norms, self.n_inliers)
 
