@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dcreg.assignment.kernels.prices import assignment_prices
+from dcreg.assignment.kernels.duals import assignment_duals
 from dcreg.assignment.kernels.sparse import greedy_matching, priced_matching
 from dcreg.jit import NEVER
 
@@ -183,7 +183,7 @@ def _is_proved(
     own: np.ndarray,
 ) -> bool:
     """Tell whether no farther pair can improve the matching, by the dual variables."""
-    u, v, settled = assignment_prices(columns, costs, col_of, own, tree.n)
+    u, v, settled = assignment_duals(columns, costs, col_of, own, tree.n)
     if not settled:
         return False
     neighbours = columns.shape[1]

@@ -18,7 +18,7 @@ class Clouds(NamedTuple):
     source : (d, n) array
     target : (d, m) array, or (m,) array of norms
         The number of dimensions tells norms from points when a kernel is compiled.
-    prices : (n, m) array, or (0, 0) if every pair is feasible
+    infeasibility_penalty : (n, m) array, or (0, 0) if every pair is feasible
         What a pair costs in addition to its residual: 0, or prohibitive.
     k : int
         Number of pairs to match.
@@ -28,17 +28,17 @@ class Clouds(NamedTuple):
 
     source: np.ndarray
     target: np.ndarray
-    prices: np.ndarray
+    infeasibility_penalty: np.ndarray
     k: int
     stop: np.ndarray
 
 
 @jit_part
-def add_prices(prices, costs):
-    """Add what pairs cost beyond their residual to (n, m) costs; nothing where `prices` is empty."""
-    for i in range(prices.shape[0]):
-        for j in range(prices.shape[1]):
-            costs[i, j] += prices[i, j]
+def add_penalty(penalty, costs):
+    """Add what pairs cost beyond their residual to (n, m) costs; nothing where `penalty` is empty."""
+    for i in range(penalty.shape[0]):
+        for j in range(penalty.shape[1]):
+            costs[i, j] += penalty[i, j]
 
 
 class NearnessField(NamedTuple):

@@ -56,8 +56,8 @@ def test_equals_a_second_solver_and_is_a_matching(case):
     assert value == pytest.approx(reference.k_assignment(cost, k), abs=1e-8)
 
 
-def proven_by(prices, cost, k):
-    return np.sort((cost + prices).min(axis=1))[:k].sum() - prices.sum()
+def proven_by(duals, cost, k):
+    return np.sort((cost + duals).min(axis=1))[:k].sum() - duals.sum()
 
 
 @given(costs(most=25), st.integers(0, 2**32 - 1))
@@ -73,13 +73,13 @@ def test_duals_prove_the_optimum_and_any_duals_bound_it(case, seed):
 @given(costs(most=25), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.1, 3.0]))
 def test_any_starting_prices_lead_to_the_optimum(case, seed, spread):
     cost, k = case
-    prices = spread * np.random.default_rng(seed).random(cost.shape[1])
-    value, col_of = kernels.improve_assignment(cost, k, prices, NEVER)
+    duals = spread * np.random.default_rng(seed).random(cost.shape[1])
+    value, col_of = kernels.improve_assignment(cost, k, duals, NEVER)
     matched = np.flatnonzero(col_of >= 0)
     assert len(matched) == len(set(col_of[matched])) == k
     assert cost[matched, col_of[matched]].sum() == pytest.approx(value, abs=1e-9)
     assert value == pytest.approx(reference.k_assignment(cost, k), abs=1e-8)
-    assert proven_by(prices, cost, k) == pytest.approx(value, abs=1e-8)
+    assert proven_by(duals, cost, k) == pytest.approx(value, abs=1e-8)
 
 
 @given(arrays(np.float64, st.integers(1, 40), elements=st.floats(allow_nan=False)))

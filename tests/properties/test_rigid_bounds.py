@@ -13,7 +13,12 @@ from dcreg.families.protocol import Strongest
 from dcreg.families.rigid3d import vertex_values
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.kernels.cayley import vertex_bound
-from dcreg.families.rigid3d.kernels.poses import View, nearest_sums, relative_vertices
+from dcreg.families.rigid3d.kernels.poses import (
+    empty_view,
+    look_from,
+    nearest_sums,
+    relative_vertices,
+)
 from dcreg.families.rigid3d.kernels.priced import allocate_workspace, priced_bound, priced_value
 from dcreg.families.rigid3d.kernels.rough import Auction, auction, rough_costs, rough_minima, settle
 from dcreg.families.rigid3d.kernels.stationary import (
@@ -29,7 +34,6 @@ from dcreg.families.rigid3d.kernels.vertices import vertex_pose
 from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.families.rotation3d.kernels.caps import cap_costs
-from dcreg.jit import NEVER
 from dcreg.search import Box, Boxes, Budget, minimise
 from tests.problems import KINDS, cloud
 
@@ -110,19 +114,19 @@ class Parts:
         self.tangent = np.linalg.norm(self.corners, axis=1).max() if count else np.inf
         self.angle = 2.0 * np.arctan(self.tangent)
         self.half = box.half_widths[4:]
-        source, target, prices, k, _ = model.clouds
-        moved = model.pose(box.centre)[:3, :3] @ source
-        shifted = target - box.centre[4:, None]
-        self.view = View(moved, shifted, prices, k, NEVER)
+        self.view = empty_view(model.clouds)
+        look_from(model.clouds, box.centre, self.view)
 
     def costs(self):
-        out = np.empty((self.view.moved.shape[1], self.view.shifted.shape[1]))
-        cap_costs(self.view.moved, self.angle, self.view.shifted, self.view.prices, out)
+        out = np.empty((self.view.source.shape[1], self.view.target.shape[1]))
+        cap_costs(
+            self.view.source, self.angle, self.view.target, self.view.infeasibility_penalty, out
+        )
         return out
 
     def squares(self):
         """Squared residuals at the centre."""
-        moved, shifted = self.view.moved, self.view.shifted
+        moved, shifted = self.view.source, self.view.target
         return ((moved[:, :, None] - shifted[:, None, :]) ** 2).sum(axis=0)
 
     @property
@@ -263,11 +267,11 @@ def test_sums_at_corners_are_below_all_ways(problem, box, level, seed):
     if not len(parts.corners):
         return
     generator = np.random.default_rng(seed)
-    n, k = parts.view.moved.shape[1], parts.k
+    n, k = parts.view.source.shape[1], parts.k
     low = generator.exponential(0.1, n)
     found = np.empty(64)
     geometry = BoxGeometry(parts.corners, parts.half, parts.tangent, 0.0)
-    least = costs_at_vertices(parts.view.moved, low, k, geometry, level, np.empty((5, n)), found)
+    least = costs_at_vertices(parts.view.source, low, k, geometry, level, np.empty((5, n)), found)
     assert least == found.min()
     weights = np.concatenate(
         [np.eye(len(parts.corners)), generator.dirichlet(np.ones(len(parts.corners)), 20)]
@@ -276,7 +280,7 @@ def test_sums_at_corners_are_below_all_ways(problem, box, level, seed):
     sums = []
     for r in weights @ parts.corners:
         for s in signs * parts.half:
-            ways = 2.0 * np.cross(r, parts.view.moved.T) + s
+            ways = 2.0 * np.cross(r, parts.view.source.T) + s
             sums.append(np.sort(low - (ways**2).sum(axis=1))[:k].sum())
     at_corners = 8 * len(parts.corners)
     assert (found[:at_corners] <= np.array(sums[:at_corners]) + 1e-9).all()
@@ -502,7 +506,7 @@ def test_corners_come_in_one_order(rng):
     half[[0, 2]] = 0.0
     parts = Parts(model, Box(centre - half, centre + half))
     _, col_of = model.objective(centre)
-    matched = parts.view.shifted[:, col_of[col_of >= 0]], parts.view.moved[:, col_of >= 0]
+    matched = parts.view.target[:, col_of[col_of >= 0]], parts.view.source[:, col_of >= 0]
     for index in range(8 * len(parts.corners)):
         pose = np.empty(7)
         vertex_pose(centre - half, centre + half, index, pose)

@@ -124,7 +124,8 @@ def test_angular_bound_agrees_with_its_definition(problem, box):
     space = Rotation3D(*problem)
     caps, moved = np.empty((space.n_source, space.n_target)), space.matrix(box.centre)
     angle = kernels.box_angle(box.centre, corners_of(box))
-    cap_costs(moved @ space.clouds.source, angle, space.clouds.target, space.clouds.prices, caps)
+    clouds = space.clouds
+    cap_costs(moved @ clouds.source, angle, clouds.target, clouds.infeasibility_penalty, caps)
     assert cheapest_pairs(caps, problem[2])[0] == pytest.approx(exact_b1(*problem, box), abs=1e-7)
 
 

@@ -9,7 +9,7 @@ from dcreg.families.dc.bounds import VertexCache
 from dcreg.families.dc.kernels.lattice import Vertices
 from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.bound import boxes_of
-from dcreg.families.similarity2d.kernels.profiles import blend_prices
+from dcreg.families.similarity2d.kernels.profiles import blend_duals
 from dcreg.search import Box, Budget, LongestEdge, branch_and_bound
 from tests.problems import models
 
@@ -38,7 +38,7 @@ def test_prices_are_the_mean_of_the_neighbours_by_distance(seed):
     # as in the search, a neighbour whose prices count is none of those that are being replaced
     apart = not any(values[s] < np.inf or s < settled for s in which)
     vertices = Vertices(thetas, values, values, values, np.empty((used, 0)), duals)
-    found = blend_prices(vertices, weights, slots, which, *boxes_of(slots, which), settled)
+    found = blend_duals(vertices, weights, slots, which, *boxes_of(slots, which), settled)
     assert found.tolist() == known
     first = which[0]
     assert duals[first] == pytest.approx(expected[first])

@@ -1,10 +1,10 @@
 """Exact k-cardinality assignment: the cheapest k pairs, at most one per row and one per column.
 
 The problem is a balanced transportation problem: a *spare* column takes the n - k unmatched rows and a
-*dummy* row the m - k unmatched columns, both at no cost. Any column prices ``b >= 0`` give feasible duals
-for it, so the search for the optimum may start from the prices of a similar problem: rows take their
-cheapest column where no other row has it, and only the rest is matched by shortest augmenting paths. Good
-prices leave a handful of paths instead of k. Costs may be negative.
+*dummy* row the m - k unmatched columns, both at no cost. Any ``b >= 0`` gives feasible dual variables, so
+the search for the optimum may start from those of a similar problem: rows take their cheapest column if
+no other row has it, and only the rest is matched by shortest augmenting paths. Good dual variables leave
+a handful of paths instead of k. Costs may be negative.
 
 Nodes of the transportation problem: rows 0..n-1 and the dummy row n; columns 0..m-1 and the spare
 column m. ``row_of[j]`` and ``col_of[i]`` are -1 while free. Duals: ``a`` of rows, ``-b`` of columns, with
@@ -20,38 +20,38 @@ from dcreg.jit import NEVER, jit, jit_part, jit_reduction
 
 
 def cheapest_pairs(cost, k, stop=NEVER):
-    """Value, column of every row (-1: unmatched) and optimal prices of the cheapest k pairs.
+    """Value, column of every row (-1: unmatched) and optimal dual variables of the cheapest k pairs.
 
     For calls from Python; kernels call `k_assignment_duals`. Both run the same compiled functions.
     """
-    prices = np.zeros(cost.shape[1])
-    if k == prices.size:  # as `first_prices`
+    duals = np.zeros(cost.shape[1])
+    if k == duals.size:  # as `first_duals`
         lowest = cost.min(axis=0)
-        prices = lowest.max() - lowest
-    value, col_of = improve_assignment(cost, k, prices, stop)
-    return value, col_of, prices
+        duals = lowest.max() - lowest
+    value, col_of = improve_assignment(cost, k, duals, stop)
+    return value, col_of, duals
 
 
 @jit_part
 def k_assignment(cost, k, stop):
     """Value and column of every row (-1: unmatched) of the cheapest k pairs."""
-    prices = np.empty(cost.shape[1])
-    first_prices(cost, k, prices)
-    return improve_assignment(cost, k, prices, stop)
+    duals = np.empty(cost.shape[1])
+    first_duals(cost, k, duals)
+    return improve_assignment(cost, k, duals, stop)
 
 
 @jit_part
 def k_assignment_duals(cost, k, stop):
-    """Value, column of every row (-1: unmatched) and optimal prices of the cheapest k pairs."""
-    prices = np.empty(cost.shape[1])
-    first_prices(cost, k, prices)
-    value, col_of = improve_assignment(cost, k, prices, stop)
-    return value, col_of, prices
+    """Value, column of every row (-1: unmatched) and optimal dual variables of the cheapest k pairs."""
+    duals = np.empty(cost.shape[1])
+    first_duals(cost, k, duals)
+    value, col_of = improve_assignment(cost, k, duals, stop)
+    return value, col_of, duals
 
 
 @jit_part
-def first_prices(cost, k, b):
-    """Prices to start from: none, or the columns' own minima where all columns are matched."""
+def first_duals(cost, k, b):
+    """Initial dual variables: zeros, or the minima of the columns if all columns are matched."""
     n, m = cost.shape
     for j in range(m):
         b[j] = 0.0
@@ -72,7 +72,7 @@ def _take_least_off(b):
 
 @jit
 def improve_assignment(cost, k, b, stop):
-    """Value and column of every row of the cheapest k pairs, from prices `b`, which become optimal.
+    """Value and column of every row of the cheapest k pairs, from dual variables `b`.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def improve_assignment(cost, k, b, stop):
     k : int
         1 <= k <= min(n, m).
     b : (m,) array
-        Any non-negative prices; on return optimal ones. For any of them the k least
+        Non-negative dual variables, optimal on return. For any of them the k smallest
         ``min_j (c_ij + b_j)``, less the sum of b, are a lower bound; for optimal ones, the value.
     stop : (1,) uint8 array
         Looked at before every path; once it is set what is returned is unfinished and of no use.
@@ -122,22 +122,22 @@ def row_minima(cost, b, out):
 
 @jit_part
 def _leave_rows(cost, k, b, a, col_of):
-    """The n - k rows with the greatest minima start at the spare column. Returns its price."""
+    """The n - k rows with the greatest minima start at the spare column. Returns its dual variable."""
     n, m = cost.shape
     row_minima(cost, b, a)
     if k == n:
         return np.inf
-    price = kth_smallest(a[:n], k)
+    spare = kth_smallest(a[:n], k)
     left = n - k
     for i in range(n):
-        if a[i] > price:
+        if a[i] > spare:
             col_of[i] = m
             left -= 1
     for i in range(n - 1, -1, -1):
-        if left > 0 and a[i] == price:
+        if left > 0 and a[i] == spare:
             col_of[i] = m
             left -= 1
-    return price
+    return spare
 
 
 @jit_part
@@ -167,7 +167,7 @@ def _raise_to(lowest, costs, level):
 
 @jit_part
 def _lower_prices(cost, spare_price, a, b, col_of, row_of):
-    """Prices of free columns fall as far as the rows' duals allow: most of them to zero."""
+    """Dual variables of free columns fall as far as the rows' duals allow: most of them to zero."""
     n, m = cost.shape
     lowest, low = np.empty(m), least(b)
     for j in range(m):
@@ -181,7 +181,7 @@ def _lower_prices(cost, spare_price, a, b, col_of, row_of):
 
 @jit_part
 def _leave_columns(left, a, b, row_of):
-    """Free columns of the lowest price go to the dummy row; returns how many it still needs."""
+    """Free columns of the lowest dual variable go to the dummy row; returns how many it still needs."""
     dummy = a.size - 1
     a[dummy] = least(b)
     for j in range(b.size):

@@ -44,7 +44,7 @@ def priced_matching(columns, costs, m, price, stop, col_of):
                 end, end_row, end_col = reach + price - u[row], row, -1
             for c in range(width):
                 if reach + costs[row, c] - u[row] >= end:
-                    break  # prices of columns are never positive
+                    break  # dual variables of columns are never positive
                 j = columns[row, c]
                 d = reach + costs[row, c] - u[row] - v[j]
                 if d < dist[j] and d < end and not done[j]:

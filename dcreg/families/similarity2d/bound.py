@@ -17,7 +17,7 @@ import numpy as np
 from dcreg.families.dc.bounds import SharedVertexBound
 from dcreg.families.protocol import rows_of
 from dcreg.families.similarity2d.kernels.bounds import Effort, SharedBoxes, shared_bounds
-from dcreg.families.similarity2d.kernels.profiles import blend_prices, bound_vertices
+from dcreg.families.similarity2d.kernels.profiles import blend_duals, bound_vertices
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Box, Boxes
 
@@ -95,7 +95,7 @@ class SharedBound(SharedVertexBound[Similarity2D]):
         vertices = self.cache.vertices
 
         def work(part: slice) -> int:
-            known[part] = blend_prices(
+            known[part] = blend_duals(
                 vertices, self.loss_weights, slots, which[part], start[part.start :], boxes, settled
             )
             return 0

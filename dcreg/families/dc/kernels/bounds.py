@@ -7,7 +7,7 @@ import numpy as np
 from dcreg.assignment.kernels.dense import k_assignment
 from dcreg.families.dc.kernels.boxes import n_vertices, vertex
 from dcreg.families.dc.kernels.motion import curvature, interval_costs, pair_costs
-from dcreg.families.kernels import add_prices
+from dcreg.families.kernels import add_penalty
 from dcreg.jit import jit
 
 
@@ -68,6 +68,6 @@ def interval_bound(clouds, lower, upper, bounds):
         if clouds.stop[0]:
             break
         interval_costs(clouds.source, clouds.target, lower[box], upper[box], cost)
-        add_prices(clouds.prices, cost)
+        add_penalty(clouds.infeasibility_penalty, cost)
         bounds[box], _ = k_assignment(cost, clouds.k, clouds.stop)
     return lower.shape[0]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from dcreg.families.kernels import add_prices
+from dcreg.families.kernels import add_penalty
 from dcreg.jit import jit, jit_part
 
 
@@ -17,7 +17,7 @@ from dcreg.jit import jit, jit_part
 def pair_costs(clouds, theta, cost):
     """cost_ij = squared distance of the features at `theta`, and the price of the pair."""
     squared_distances(clouds.source, clouds.target, theta, cost)
-    add_prices(clouds.prices, cost)
+    add_penalty(clouds.infeasibility_penalty, cost)
 
 
 @jit

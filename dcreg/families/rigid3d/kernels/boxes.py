@@ -18,7 +18,7 @@ from dcreg.assignment.kernels.dense import improve_assignment, k_assignment, row
 from dcreg.assignment.kernels.selection import kth_smallest, total
 from dcreg.families.rigid3d.kernels.cayley import vertex_bound
 from dcreg.families.rigid3d.kernels.poses import (
-    View,
+    empty_view,
     look_from,
     nearest_sums,
     pair_costs,
@@ -125,7 +125,7 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
     found : Found
     """
     n, m, k = clouds.source.shape[1], clouds.target.shape[1], clouds.k
-    view = View(np.empty((3, n)), np.empty((3, m)), clouds.prices, k, clouds.stop)
+    view = empty_view(clouds)
     radius, few = extent(clouds.source)[0], n * m <= FEW_PAIRS
     costs, b, work = np.empty((n, m)), np.empty(m), np.empty((5, n))
     low, buffer, centre, half = work[0], np.empty((8, 3)), np.empty(7), np.empty(3)
@@ -149,18 +149,18 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
             if bounds[at] >= cutoff or not small or box.tangent > _WIDE:
                 continue
         steps[at] = _DONE
-        pair_costs(view.moved, view.shifted, view.prices, costs)
+        pair_costs(view, costs)
         for j in range(m):
             b[j] = found.duals[at, j]
         _, col_of = improve_assignment(costs, k, b, clouds.stop)
         keep_duals(b, found.kept[at])
         spent += 1
-        found.values[at] = matched_cost(view.moved, view.shifted, col_of)
+        found.values[at] = matched_cost(view.source, view.target, col_of)
         row_minima(costs, b, low)
         level = kth_smallest(low, k - 1)
         out = found.boxes.costs[at]
         duals = total(b)
-        cost = costs_at_vertices(view.moved, low, k, box, level, work, out) - duals
+        cost = costs_at_vertices(view.source, low, k, box, level, work, out) - duals
         for vertex in range(out.size):
             out[vertex] -= duals
         loss = loss_of(box, limits)
@@ -178,8 +178,8 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
 @jit
 def price_boxes(lower, upper, cutoff, clouds, limits, found, work):
     """Bound the boxes that `bound_boxes` leaves over; `work` is a `Workspace`."""
-    n, m, k = clouds.source.shape[1], clouds.target.shape[1], clouds.k
-    view = View(np.empty((3, n)), np.empty((3, m)), clouds.prices, k, clouds.stop)
+    m, k = clouds.target.shape[1], clouds.k
+    view = empty_view(clouds)
     radius, farthest = extent(clouds.source)
     buffer, centre, half = np.empty((8, 3)), np.empty(7), np.empty(3)
     bounds, steps, boxes = found.bounds, found.steps, found.boxes
@@ -212,7 +212,9 @@ def price_boxes(lower, upper, cutoff, clouds, limits, found, work):
 def _capped(view, box, cutoff, small, costs):
     """The bound by caps, and the number of assignments it took."""
     slack = box.slack
-    cap_costs(view.moved, 2.0 * math.atan(box.tangent), view.shifted, view.prices, costs)
+    cap_costs(
+        view.source, 2.0 * math.atan(box.tangent), view.target, view.infeasibility_penalty, costs
+    )
     nearest, narrowed = nearest_sums(costs, slack, view.k)
     shift = view.k * slack * slack
     bound, solved = max(narrowed, nearest - shift), 0

@@ -9,7 +9,7 @@ import numpy as np
 
 from dcreg.assignment.kernels.dense import k_assignment_duals
 from dcreg.assignment.kernels.selection import least, place_of_least, sum_of_smallest
-from dcreg.families.rigid3d.kernels.poses import add_prices_by_target
+from dcreg.families.rigid3d.kernels.poses import add_penalty_by_target
 from dcreg.jit import jit, jit_part
 
 _REFITS = 2
@@ -23,7 +23,7 @@ def residuals(view, delta, terms):
     e = x - y + s + r x m with m = x + y: the residual that bounds the true one from below. What a
     pair costs beyond it is added to |e|^2.
     """
-    moved, shifted = view.moved, view.shifted
+    moved, shifted = view.source, view.target
     r0, r1, r2, s0, s1, s2 = delta[0], delta[1], delta[2], delta[3], delta[4], delta[5]
     for j in range(shifted.shape[1]):
         u, v, w = shifted[0, j], shifted[1, j], shifted[2, j]
@@ -40,13 +40,13 @@ def residuals(view, delta, terms):
             terms[4, j, i] = 2.0 * e
             terms[5, j, i] = 2.0 * f
             terms[6, j, i] = 2.0 * g
-    add_prices_by_target(view.prices, terms[0])
+    add_penalty_by_target(view.infeasibility_penalty, terms[0])
 
 
 @jit
 def fit_delta(view, col_of, lower, upper, delta):
     """Best (r, s) in a box for given pairs: bounded least squares by coordinate descent."""
-    moved, shifted = view.moved, view.shifted
+    moved, shifted = view.source, view.target
     H = np.zeros((6, 6))
     g = np.zeros(6)
     for i in range(col_of.size):
@@ -108,7 +108,7 @@ def linear_costs(terms, step, out):
 
 @jit
 def dual_bound_at(terms, step, k, b, low):
-    """What prices prove of the k-assignment of `linear_costs`, without forming the matrix."""
+    """Lower bound of dual variables on the k-assignment of `linear_costs`, without the matrix."""
     _, m, n = terms.shape
     p, q, r, u, v, w = step[0], step[1], step[2], step[3], step[4], step[5]
     for i in range(n):
@@ -135,7 +135,7 @@ def vertex_bound(view, vertices, half, floor, cutoff, col_of):
     `col_of` is a good matching at the centre. -inf once a first pass shows that the bound will not
     exceed `floor`.
     """
-    n, m = view.moved.shape[1], view.shifted.shape[1]
+    n, m = view.source.shape[1], view.target.shape[1]
     low_box, high_box, delta = np.empty(6), np.empty(6), np.zeros(6)
     scale = _step_box(vertices, half, low_box, high_box)
     goal, hopeless, spent = cutoff * scale, False, 0

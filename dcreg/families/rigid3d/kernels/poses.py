@@ -3,36 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from dcreg.assignment.kernels.selection import least, sum_of_smallest
-from dcreg.families.kernels import add_prices
+from dcreg.families.kernels import Clouds, add_penalty
 from dcreg.families.rotation3d.kernels.geometry import chord_matrix, transform
-from dcreg.jit import jit
-
-
-class View(NamedTuple):
-    """A problem as seen from the centre of a box, which becomes the pose (I, 0).
-
-    Attributes
-    ----------
-    moved : (3, n) array
-        R_c x.
-    shifted : (3, m) array
-        y - t_c.
-    prices : (n, m) array, or (0, 0) where every pair is feasible
-    k : int
-    stop : (1,) uint8 array
-        Set when the search is over, wherever a kernel stands.
-    """
-
-    moved: np.ndarray
-    shifted: np.ndarray
-    prices: np.ndarray
-    k: int
-    stop: np.ndarray
+from dcreg.jit import jit, jit_part
 
 
 @jit
@@ -63,11 +40,18 @@ def relative_vertices(centre, lower, upper, out):
     return count
 
 
+@jit_part
+def empty_view(clouds):
+    """Clouds to be filled by `look_from`."""
+    source, target = np.empty(clouds.source.shape), np.empty(clouds.target.shape)
+    return Clouds(source, target, clouds.infeasibility_penalty, clouds.k, clouds.stop)
+
+
 @jit
 def look_from(clouds, theta, view):
-    """Move the points of `view` to where they are seen from the pose `theta`."""
-    transform(chord_matrix(theta, theta), clouds.source, view.moved)
-    _shift(clouds.target, theta, view.shifted)
+    """Fill `view` with R x and y - t for the pose `theta`, which becomes (I, 0)."""
+    transform(chord_matrix(theta, theta), clouds.source, view.source)
+    _shift(clouds.target, theta, view.target)
 
 
 @jit
@@ -79,11 +63,11 @@ def _shift(target, theta, out):
 
 
 @jit
-def add_prices_by_target(prices, out):
+def add_penalty_by_target(penalty, out):
     """Add what pairs cost beyond their residual to (m, n) costs."""
-    for i in range(prices.shape[0]):
-        for j in range(prices.shape[1]):
-            out[j, i] += prices[i, j]
+    for i in range(penalty.shape[0]):
+        for j in range(penalty.shape[1]):
+            out[j, i] += penalty[i, j]
 
 
 @jit
@@ -100,22 +84,22 @@ def nearest_sums(caps, slack, k):
 
 @jit
 def pose_costs(theta, clouds, out):
-    """(n, m) squared residuals at a pose, and the prices."""
-    moved, shifted = np.empty(clouds.source.shape), np.empty(clouds.target.shape)
-    transform(chord_matrix(theta, theta), clouds.source, moved)
-    _shift(clouds.target, theta, shifted)
-    pair_costs(moved, shifted, clouds.prices, out)
+    """(n, m) squared residuals at a pose, with the penalties of infeasible pairs."""
+    view = empty_view(clouds)
+    look_from(clouds, theta, view)
+    pair_costs(view, out)
 
 
 @jit
-def pair_costs(moved, shifted, prices, out):
-    """(n, m) squared distances, and the prices."""
+def pair_costs(clouds, out):
+    """(n, m) squared distances, with the penalties of infeasible pairs."""
+    source, target = clouds.source, clouds.target
     for i in range(out.shape[0]):
-        a, b, c = moved[0, i], moved[1, i], moved[2, i]
+        a, b, c = source[0, i], source[1, i], source[2, i]
         for j in range(out.shape[1]):
-            x, y, z = a - shifted[0, j], b - shifted[1, j], c - shifted[2, j]
+            x, y, z = a - target[0, j], b - target[1, j], c - target[2, j]
             out[i, j] = x * x + y * y + z * z
-    add_prices(prices, out)
+    add_penalty(clouds.infeasibility_penalty, out)
 
 
 @jit

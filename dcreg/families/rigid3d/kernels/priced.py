@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcreg.assignment.kernels.selection import smallest_sum, total
-from dcreg.families.kernels import add_prices
+from dcreg.families.kernels import add_penalty
 from dcreg.families.rigid3d.kernels.rough import Auction, auction, rough_costs, rough_minima, settle
 from dcreg.families.rigid3d.kernels.stationary import costs_at_vertices
 from dcreg.families.rotation3d.kernels.geometry import extent
@@ -81,7 +81,7 @@ def priced_bound(view, box, farthest, goal, kept, work, out):
 
     Parameters
     ----------
-    view : View
+    view : Clouds
     box : BoxGeometry
     farthest : float
         The largest norm of a source point.
@@ -148,10 +148,10 @@ def _begin(view, kept, work):
     """Costs at a pose, and duals from another."""
     for j in range(kept.size):
         for c in range(3):
-            work.columns[c, j] = view.shifted[c, j]
+            work.columns[c, j] = view.target[c, j]
         work.columns[4, j] = np.float32(kept[j] * (_KEPT * _UNIT))
-    rough_costs(view.moved, work.columns, work.costs)
-    add_prices(view.prices, work.costs)
+    rough_costs(view.source, work.columns, work.costs)
+    add_penalty(view.infeasibility_penalty, work.costs)
 
 
 @jit_part
@@ -185,7 +185,7 @@ def _at_vertices(view, box, farthest, level, work, out):
     low = work.exact[0]
     for i in range(low.size):
         low[i] = work.rows[1, i]
-    found = costs_at_vertices(view.moved, low, view.k, box, level, work.exact, out)
+    found = costs_at_vertices(view.source, low, view.k, box, level, work.exact, out)
     duals = total(work.columns[3])
     reach = box.slack + 2.0 * box.tangent * farthest  # of a displacement
     off = duals + _rounding(view, farthest, reach, found, duals)
@@ -203,6 +203,6 @@ def _rounding(view, farthest, reach, found, duals):
     root of k times the sum of their squares.
     """
     size = max(0.0, found - duals) + view.k * reach * reach
-    step = 2.0 * _ROUNDING * (farthest + extent(view.shifted)[1])
+    step = 2.0 * _ROUNDING * (farthest + extent(view.target)[1])
     off = 2.0 * step * math.sqrt(view.k * size) + view.k * step * step
     return off + 2.0 * _ROUNDING * (size + duals)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.families.rigid3d.kernels.poses import View, look_from
+from dcreg.families.rigid3d.kernels.poses import empty_view, look_from
 from dcreg.families.rigid3d.kernels.priced import priced_value
 from dcreg.families.rigid3d.kernels.stationary import needed, proven
 from dcreg.families.rotation3d.kernels.geometry import extent
@@ -222,9 +222,7 @@ def bounds_by_vertices(known, boxes, cutoff, bounds):
 @jit
 def price_vertices(known, requests, duals, clouds, work):
     """Values of the vertices requested, from the duals (B, m) of the boxes that need them."""
-    n, m = clouds.source.shape[1], clouds.target.shape[1]
-    view = View(np.empty((3, n)), np.empty((3, m)), clouds.prices, clouds.k, clouds.stop)
-    farthest = extent(clouds.source)[1]
+    view, farthest = empty_view(clouds), extent(clouds.source)[1]
     for at in range(requests.slots.size):
         if clouds.stop[0]:
             break

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from dcreg.families.kernels import add_prices
+from dcreg.families.kernels import add_penalty
 from dcreg.jit import jit
 
 
 @jit
-def cap_costs(moved, angle, target, prices, out):
-    """(n, m) least squares of residuals where `moved` may turn by up to `angle`; and the prices."""
+def cap_costs(moved, angle, target, penalty, out):
+    """Least squared residuals (n, m) if `moved` may rotate by up to `angle`, with the penalties."""
     cosine, sine = math.cos(angle), math.sin(angle)
     for i in range(moved.shape[1]):
         x, y, z = moved[0, i], moved[1, i], moved[2, i]
@@ -23,4 +23,4 @@ def cap_costs(moved, angle, target, prices, out):
             turned = dot * cosine + math.sqrt(max(0.0, reach * reach - dot * dot)) * sine
             best = reach if dot >= reach * cosine else turned
             out[i, j] = max(0.0, own + other - 2.0 * best)
-    add_prices(prices, out)
+    add_penalty(penalty, out)

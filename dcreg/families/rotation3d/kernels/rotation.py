@@ -12,7 +12,7 @@ import numpy as np
 
 from dcreg.assignment.kernels.dense import k_assignment_duals
 from dcreg.assignment.kernels.selection import least, place_of_least, sum_of_smallest
-from dcreg.families.kernels import add_prices
+from dcreg.families.kernels import add_penalty
 from dcreg.families.rotation3d.kernels.caps import cap_costs
 from dcreg.families.rotation3d.kernels.geometry import chord_matrix, matched_cost, transform
 from dcreg.jit import jit, jit_part
@@ -57,11 +57,11 @@ def _length(q):
 
 @jit
 def pair_costs(M, clouds, out):
-    """|a_i|^2 + |y_j|^2 - 2 y_j.(M a_i), and the price.
+    """|a_i|^2 + |y_j|^2 - 2 y_j.(M a_i), with the penalties.
 
     Affine in M, and the squared residual if M is a rotation.
     """
-    source, target, prices = clouds.source, clouds.target, clouds.prices
+    source, target, penalty = clouds.source, clouds.target, clouds.infeasibility_penalty
     moved = np.empty(source.shape)
     transform(M, source, moved)
     for i in range(source.shape[1]):
@@ -70,7 +70,7 @@ def pair_costs(M, clouds, out):
         for j in range(target.shape[1]):
             u, v, w = target[0, j], target[1, j], target[2, j]
             out[i, j] = own + u * u + v * v + w * w - 2.0 * (x * u + y * v + z * w)
-    add_prices(prices, out)
+    add_penalty(penalty, out)
 
 
 @jit
@@ -89,8 +89,8 @@ def nearest_bound(costs, k):
 
 @jit
 def dual_bound_at(M, clouds, b):
-    """What prices prove of the k-assignment of `pair_costs` at M, without forming the matrix."""
-    source, target, prices = clouds.source, clouds.target, clouds.prices
+    """Lower bound of dual variables on the k-assignment of `pair_costs` at M, without the matrix."""
+    source, target, penalty = clouds.source, clouds.target, clouds.infeasibility_penalty
     n = source.shape[1]
     moved, low = np.empty(source.shape), np.empty(n)
     transform(M, source, moved)
@@ -104,9 +104,9 @@ def dual_bound_at(M, clouds, b):
         u, v, w = target[0, j], target[1, j], target[2, j]
         own = u * u + v * v + w * w + b[j]
         whole += b[j]
-        if prices.size > 0:
+        if penalty.size > 0:
             for i in range(n):
-                cost = own + xs[i] * u + ys[i] * v + zs[i] * w + prices[i, j]
+                cost = own + xs[i] * u + ys[i] * v + zs[i] * w + penalty[i, j]
                 low[i] = cost if cost < low[i] else low[i]
         else:
             for i in range(n):
@@ -175,7 +175,8 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
             centre[c] = 0.5 * (lower[box, c] + upper[box, c])
         count = box_corners(lower[box], upper[box], corners)
         transform(chord_matrix(centre, centre), clouds.source, moved)
-        cap_costs(moved, box_angle(centre, corners[:count]), clouds.target, clouds.prices, caps)
+        angle = box_angle(centre, corners[:count])
+        cap_costs(moved, angle, clouds.target, clouds.infeasibility_penalty, caps)
         values[box] = np.inf
         bounds[box] = nearest_bound(caps, clouds.k)
         if bounds[box] >= cutoff:

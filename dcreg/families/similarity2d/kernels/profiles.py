@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.assignment.kernels.dense import first_prices, improve_assignment, row_minima
+from dcreg.assignment.kernels.dense import first_duals, improve_assignment, row_minima
 from dcreg.assignment.kernels.selection import least, smallest_sum, total
 from dcreg.families.dc.kernels.motion import pair_costs
 from dcreg.jit import jit, jit_part
@@ -36,7 +36,7 @@ def bound_vertices(clouds, known, solve, warm, slots):
         pair_costs(clouds, known.thetas[slot], cost)
         if solve:
             if not warm:
-                first_prices(cost, clouds.k, duals)
+                first_duals(cost, clouds.k, duals)
             value, _ = improve_assignment(cost, clouds.k, duals, clouds.stop)
         low, known.levels[slot] = _dual_profile(cost, clouds.k, duals, known.profiles[slot])
         known.lows[slot], known.values[slot] = value if solve else low, value
@@ -55,10 +55,10 @@ def _dual_profile(cost, k, b, profile):
 
 
 @jit
-def blend_prices(known, weights, slots, which, start, boxes, settled):
-    """Prices at the vertices `which` from the other vertices of all boxes that have them (`boxes_of`).
+def blend_duals(known, weights, slots, which, start, boxes, settled):
+    """Dual variables at vertices from the other vertices of all boxes that have them (`boxes_of`).
 
-    A mean with weights ``distance^-6``: optimal prices are continuous and piecewise linear in the costs,
+    A mean with weights ``distance^-6``: optimal ones are continuous and piecewise linear in the costs,
     so the mean of the nearest on all sides lies closer than any one of them. Estimates count only where
     no neighbour is solved, and only those of slots below `settled`. Returns which vertices have any.
     """
