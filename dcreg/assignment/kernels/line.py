@@ -1,14 +1,14 @@
 """Exact k-cardinality assignment on a line: cost ``(a_i - b_j)^2`` for sorted scalars.
 
-Lay all points on the line in one merged order. The matched ones always form balanced stretches, each
-matched in sorted order, and one more pair is gained by closing a *gap*: two neighbouring unmatched
-points of opposite sides are taken in, and everything from one to the other is matched anew in sorted
-order. Closing the cheapest gap k times is optimal for every cardinality on the way (these are the
-shortest augmenting paths of the general problem), and every price is at least the one before.
+Sort the points of both sides in one merged order. The matched points form balanced intervals, each
+matched in sorted order. Closing a *gap* adds one pair: it takes two neighbouring unmatched points of
+opposite sides and matches everything between them again in sorted order. Closing the cheapest gap k
+times is optimal for each number of pairs up to k, because these are the shortest augmenting paths of
+the general problem. The cost of a gap is never below that of the gap before.
 
-What a new gap costs is known from its parts when the sides alternate around it; otherwise the stretch
-is summed afresh, two contiguous slices of `a` and `b`. In all: O((n + m + k) log(n + m)) for the heap
-and at most ``k min(n, m)`` multiply-adds, in practice far fewer.
+If the sides alternate around a new gap, its cost follows from its parts. Otherwise it is summed over
+the interval, which is two contiguous slices of `a` and `b`. The heap takes O((n + m + k) log(n + m))
+operations and the sums take at most ``k min(n, m)`` multiply-adds, in practice far fewer.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from dcreg.jit import jit
 
 @jit
 def line_assignment(a, b, k, values):
-    """Optimal values for 1..k pairs into `values[:k]`, returning the last; a, b sorted ascending."""
+    """Write the optimal values for 1..k pairs into `values`; return the last. a and b are sorted."""
     return _close_gaps(a, b, k, values, np.empty(a.size + b.size, np.bool_))
 
 
 @jit
 def line_value(a, b, k):
-    """The optimum for k pairs alone: O(n) when all points match."""
+    """Return the optimum for k pairs only: O(n) if all points match."""
     if k == a.size and k == b.size:
         return _sorted_cost(a, b)
     return line_assignment(a, b, k, np.empty(k))
@@ -34,13 +34,13 @@ def line_value(a, b, k):
 
 @jit
 def line_matching(a, b, k):
-    """Column of every row (-1: unmatched) of an optimal matching, in sorted indices."""
+    """Return the column of every row (-1: unmatched) of an optimal matching, in sorted indices."""
     n, m = a.size, b.size
     if k == n and k == m:
         return np.arange(n)
     free = np.empty(n + m, np.bool_)
     _close_gaps(a, b, k, np.empty(k), free)
-    # whichever points are chosen, they are matched in sorted order
+    # the selected points are always matched in sorted order
     rows, columns = np.empty(k, np.int64), np.empty(k, np.int64)
     i = j = n_rows = n_columns = 0
     for p in range(n + m):
@@ -62,11 +62,11 @@ def line_matching(a, b, k):
 
 @jit
 def _close_gaps(a, b, k, values, free):
-    """Close the cheapest gap k times; `free` tells which points of the merged order stay unmatched."""
+    """Close the cheapest gap k times; `free` marks the points of the merged order that stay unmatched."""
     n, m = a.size, b.size
     total_points = n + m
     is_a = np.empty(total_points, np.bool_)
-    index = np.empty(total_points, np.int64)  # place within its own side
+    index = np.empty(total_points, np.int64)  # index within its own side
     place = np.empty(total_points)
     i = j = 0
     for p in range(total_points):
@@ -79,12 +79,12 @@ def _close_gaps(a, b, k, values, free):
             index[p], place[p] = j, b[j]
             j += 1
     left, right = np.empty(total_points, np.int64), np.empty(total_points, np.int64)
-    matched = np.zeros(total_points)  # cost of the matched stretch between p and right[p]
-    price = np.empty(total_points)  # what closing the gap (p, right[p]) adds
-    # heap of gaps; one is stale when its left end was matched or got another neighbour
+    matched = np.zeros(total_points)  # cost of the matched interval between p and right[p]
+    price = np.empty(total_points)  # increase of the cost if the gap (p, right[p]) is closed
+    # heap of gaps; a gap is stale if its left end was matched or has another neighbour now
     key = np.empty(total_points + k)
     gap = np.empty((total_points + k, 2), np.int64)
-    size = np.int64(0)  # not the literal 0, for which the heap's functions would be compiled anew
+    size = np.int64(0)  # not the literal 0, for which the heap's functions would be compiled again
     for p in range(total_points):
         left[p], right[p] = p - 1, p + 1
         if p + 1 < total_points and is_a[p] != is_a[p + 1]:
@@ -126,7 +126,7 @@ def _close_gaps(a, b, k, values, free):
 
 @jit
 def _sorted_cost(a, b):
-    """Sum of ``(a_i - b_i)^2``; four sums so that it vectorises."""
+    """Return the sum of ``(a_i - b_i)^2``, in four partial sums so that it vectorises."""
     pairs = a.size
     s0 = s1 = s2 = s3 = 0.0
     whole = pairs - pairs % 4

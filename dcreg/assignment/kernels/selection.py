@@ -1,4 +1,4 @@
-"""The least of some numbers, the k-th smallest, and the sum of the k smallest."""
+"""The minimum of some numbers, the k-th smallest, and the sum of the k smallest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MAGNITUDE = np.int64(0x7FFFFFFFFFFFFFFF)
 
 @intrinsic(lambda bits: bits.view(np.float64))
 def _as_float(typing_context, bits):
-    """The float64 with these 64 bits."""
+    """Return the float64 with these 64 bits."""
 
     def generate(context, builder, signature, arguments):
         return builder.bitcast(arguments[0], ir.DoubleType())
@@ -23,7 +23,7 @@ def _as_float(typing_context, bits):
 
 @jit_part
 def _ordered(bits):
-    """Integers in the order of the float64 they are the bits of; its own inverse."""
+    """Map the bits of a float64 to an integer of the same order; the map is its own inverse."""
     return bits ^ ((bits >> 63) & _MAGNITUDE)
 
 
@@ -31,7 +31,7 @@ def _ordered(bits):
 def least(values):
     """Minimum of a contiguous array without NaN.
 
-    By way of integers: the compiler vectorises their minimum, and not that of floating-point numbers.
+    It compares integers, because the compiler vectorises their minimum but not that of floats.
     """
     low, bits = _MAGNITUDE, values.view(np.int64)
     for i in range(bits.size):
@@ -41,7 +41,7 @@ def least(values):
 
 @jit
 def place_of_least(values):
-    """Where the first of the smallest numbers is."""
+    """Return the index of the first minimum."""
     at = 0
     for i in range(1, values.size):
         if values[i] < values[at]:
@@ -51,7 +51,7 @@ def place_of_least(values):
 
 @jit_part
 def kth_smallest(values, k):
-    """The number with k others before it in ascending order (Hoare's selection, on a copy)."""
+    """Return the number with k others before it in ascending order (Hoare's selection, on a copy)."""
     work = np.empty(values.size)
     for i in range(values.size):
         work[i] = values[i]
@@ -77,7 +77,7 @@ def kth_smallest(values, k):
 
 @jit
 def sum_of_smallest(values, k):
-    """Sum of the k smallest numbers, by selection."""
+    """Return the sum of the k smallest numbers, by selection."""
     if k == values.size:
         found = 0.0
         for i in range(values.size):
@@ -93,7 +93,7 @@ def sum_of_smallest(values, k):
 
 @jit_reduction
 def _below(values, level):
-    """How many numbers lie below `level`, and how far all of them together."""
+    """Return how many numbers lie below `level`, and the sum of their distances from it."""
     count, depth = 0.0, 0.0
     for i in range(values.size):
         depth += max(level - values[i], 0.0)
@@ -104,7 +104,7 @@ def _below(values, level):
 
 @jit_reduction
 def total(values):
-    """Sum in whatever order is fastest (the same on every run)."""
+    """Return the sum, in the fastest order (the same in every run)."""
     found = 0.0
     for i in range(values.size):
         found += values[i]
@@ -113,11 +113,12 @@ def total(values):
 
 @jit
 def smallest_sum(values, k, level, spacing):
-    """Sum of the k smallest numbers, from below up to rounding, and their greatest up to rounding.
+    """Return the sum of the k smallest numbers, from below, and the largest of them, up to rounding.
 
-    It is the maximum over levels t of the concave ``k t - sum max(0, t - value)``. Cutting planes find it
-    in a few vectorised passes, where selection would branch on every number: the fewer, the nearer the
-    guess `level` of the k-th smallest number and `spacing` of those around it.
+    The sum is the maximum over t of the concave ``k t - sum max(0, t - value)``. Cutting planes find it
+    in a few vectorised passes, while a selection would branch on every number. The number of passes is
+    small if `level` is near the k-th smallest number and `spacing` near the spacing of the numbers
+    around it.
     """
     if k == values.size:
         return total(values), level

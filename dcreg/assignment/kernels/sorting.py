@@ -1,9 +1,9 @@
-"""Sorting many arrays of one length at once, side by side as columns.
+"""Sort many arrays of one length at once, as the columns of a table.
 
-A sorting network makes the same comparisons whatever the numbers are. So every step takes two rows and
-orders all their columns by one vector minimum and maximum: no branch to mispredict, no bad input. The
-network is bitonic, in the form where every comparison moves the smaller number up: rows that would lie
-beyond the last one act as infinite, and any number of rows will do.
+A sorting network makes the same comparisons for all numbers. So each step takes two rows and orders all
+their columns by one vector minimum and one vector maximum, without branches. The network is bitonic, in
+the form in which each comparison moves the smaller number up. Rows beyond the last one count as
+infinite, so the number of rows is arbitrary.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ from numba.core import cgutils
 
 from dcreg.jit import intrinsic, jit
 
-COLUMNS = 8  # doubles of the widest vector registers; narrower ones take them in parts
+COLUMNS = 8  # doubles in the widest vector registers; narrower registers take them in parts
 _ROW = ir.VectorType(ir.DoubleType(), COLUMNS)
 
 
 def _network(*pairs):
-    """``(table, first, step)``: order the rows first, first + step, ... by these pairs of them.
+    """Return a function ``(table, first, step)`` that orders pairs of the rows first, first + step, ....
 
-    Written as vector instructions, as the compiler cannot know that rows do not overlap. All rows stay
-    in registers from the first pair to the last, since memory access takes most of the time.
+    It consists of vector instructions, because the compiler cannot know that rows do not overlap. All
+    rows stay in registers from the first pair to the last, because memory access takes most of the
+    time.
     """
 
     def in_python(table, first, step):
@@ -55,7 +56,7 @@ def _network(*pairs):
 
 
 def _extreme(builder, name, a, b):
-    """Entry-wise minimum or maximum of two rows without NaN, where 0 and -0 are the same."""
+    """Build the entry-wise minimum or maximum of two rows without NaN; 0 and -0 count as equal."""
     function = cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(_ROW, [_ROW, _ROW]), f"llvm.{name}.v{COLUMNS}f64"
     )
@@ -70,7 +71,7 @@ _sort_four = _network((0, 1), (2, 3), (0, 2), (1, 3), (1, 2))
 @jit
 def sort_columns(table):
     """Sort each of the `COLUMNS` columns of a contiguous table without NaN in place."""
-    n, half = table.shape[0], np.int64(4)  # a literal would compile what it is handed to anew
+    n, half = table.shape[0], np.int64(4)  # a literal would compile the called functions again
     _sort_fours(table)
     while half < n:
         _mirror(table, half)
@@ -96,7 +97,7 @@ def _sort_fours(table):
 
 @jit
 def _mirror(table, half):
-    """Of two sorted blocks the smaller half of all rows first: last against first, and so on."""
+    """Move the smaller half of two sorted blocks to the front: compare last with first, and so on."""
     n = table.shape[0]
     for middle in range(half, n, 2 * half):
         for i in range(min(half, n - middle)):
@@ -105,7 +106,7 @@ def _mirror(table, half):
 
 @jit
 def _round(table, start, step):
-    """Rows from `start` on against those `step` further, in blocks of 2 step."""
+    """Compare the rows from `start` on with those `step` further, in blocks of 2 step."""
     n = table.shape[0]
     for block in range(start, n - step, 2 * step):
         for i in range(block, min(block + step, n - step)):
@@ -114,7 +115,7 @@ def _round(table, start, step):
 
 @jit
 def _two_rounds(table, step):
-    """The rounds with 2 step and with step."""
+    """Run the rounds with 2 step and with step."""
     n = table.shape[0]
     whole = n - n % (4 * step)
     for block in range(0, whole, 4 * step):
