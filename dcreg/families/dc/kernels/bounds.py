@@ -13,7 +13,7 @@ from dcreg.jit import jit
 
 @jit
 def objectives(clouds, thetas, values):
-    """E at every row of `thetas`. Returns the number of assignments."""
+    """Write E at every row of `thetas` into `values`; return the number of assignments."""
     cost = np.empty((clouds.source.shape[1], clouds.target.shape[-1]))
     for row in range(thetas.shape[0]):
         if clouds.stop[0]:
@@ -25,10 +25,10 @@ def objectives(clouds, thetas, values):
 
 @jit
 def dc_bound(clouds, lower, upper, bounds, thetas, values):
-    """DC bound as published: tangent at the box centre, one assignment at every vertex.
+    """Compute the published DC bound: tangent at the box centre, one assignment at every vertex.
 
-    Fills per box the bound, the minimising vertex and the objective of the matching found there (an
-    upper bound on E at that vertex). Returns the number of assignments.
+    Fills, for each box, the bound, the minimising vertex and the objective of the matching found there,
+    which is an upper bound on E at that vertex. Returns the number of assignments.
     """
     n, m, dim = clouds.source.shape[1], clouds.target.shape[-1], lower.shape[1]
     missed, cost = np.empty(n), np.empty((n, m))
@@ -62,7 +62,7 @@ def dc_bound(clouds, lower, upper, bounds, thetas, values):
 
 @jit
 def interval_bound(clouds, lower, upper, bounds):
-    """Every pair at its own best place in the box: sum of k interval distances, never negative."""
+    """Bound each pair by its own best parameter in the box: k interval distances, never negative."""
     cost = np.empty((clouds.source.shape[1], clouds.target.shape[-1]))
     for box in range(lower.shape[0]):
         if clouds.stop[0]:

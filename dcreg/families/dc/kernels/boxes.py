@@ -7,7 +7,7 @@ from dcreg.jit import jit_part
 
 @jit_part
 def n_vertices(lower, upper):
-    """Distinct vertices of a box: axes of zero width do not count."""
+    """Return the number of distinct vertices of a box: axes of zero width do not count."""
     count = 1
     for a in range(lower.size):
         if upper[a] > lower[a]:
@@ -17,7 +17,7 @@ def n_vertices(lower, upper):
 
 @jit_part
 def vertex(lower, upper, index, out):
-    """The index-th distinct vertex of a box, bit a of the index choosing the a-th wide axis."""
+    """Write the index-th distinct vertex of a box; bit a of the index refers to the a-th wide axis."""
     for a in range(lower.size):
         out[a] = lower[a]
         if upper[a] > lower[a]:

@@ -1,6 +1,6 @@
-"""Vertices of boxes made by bisection, told apart by their place on a dyadic lattice of the root box.
+"""Vertices of bisected boxes, identified by their position on a dyadic lattice of the root box.
 
-A vertex is stored once under its integer coordinates, whichever boxes it belongs to.
+A vertex is stored once, under its integer coordinates, for all boxes that have it.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import numpy as np
 from dcreg.families.dc.kernels.boxes import n_vertices, vertex
 from dcreg.jit import jit, jit_part
 
-CELLS = 2.0**30  # per axis; finer boxes are not told apart
+CELLS = 2.0**30  # per axis; finer boxes are not distinguished
 
 
 class Lattice(NamedTuple):
-    """The vertices met so far, by slot, and a hash table to find them.
+    """The vertices seen so far, by slot, and a hash table to find them.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Lattice(NamedTuple):
         Coordinates on the lattice.
     thetas : (S, dim) array
     met : (S,) int array
-        The call that asked for the vertex last.
+        The last call that requested the vertex.
     origin, width : (dim,) arrays
         Of the root box.
     """
@@ -40,7 +40,7 @@ class Lattice(NamedTuple):
 
 
 class Vertices(NamedTuple):
-    """What is known of the vertices, by slot.
+    """Values and bounds of the vertices, by slot.
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class Vertices(NamedTuple):
     lows : (S,) array
         Lower bounds on E.
     values : (S,) array
-        E where it was solved, else infinite.
+        E if it was solved, otherwise infinite.
     levels : (S,) array
-        About the k-th smallest entry of the profile.
+        Approximately the k-th smallest entry of the profile.
     profiles, duals : (S, n), (S, m) arrays
     """
 
@@ -73,7 +73,7 @@ def _hash(q0, q1, q2, q3):
 
 @jit
 def rebuild(table, keys, used):
-    """Hash table over the first `used` keys."""
+    """Build the hash table of the first `used` keys."""
     for at in range(table.size):
         table[at] = -1
     mask = np.uint64(table.size - 1)
@@ -86,9 +86,9 @@ def rebuild(table, keys, used):
 
 @jit
 def find_or_add(lattice, used, call, lower, upper, slots):
-    """Slot of every distinct vertex of every box (-1 beyond the last); new ones are appended.
+    """Return the slot of each distinct vertex of each box (-1 beyond the last); append new ones.
 
-    Returns the number of slots in use, `used` of which were before. The caller guarantees room.
+    Returns the number of slots in use; before the call it was `used`. The caller provides enough slots.
     """
     table, keys, dim = lattice.table, lattice.keys, lattice.origin.size
     mask = np.uint64(table.size - 1)

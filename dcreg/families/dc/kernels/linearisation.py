@@ -1,4 +1,4 @@
-"""The linearisation point at which a DC bound is greatest, where its loss is a fixed quadratic."""
+"""The linearisation point that maximises a DC bound with a fixed quadratic loss."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ _STEPS = 40
 
 @jit_part
 def best_linearisation(vertices, values, weights, floor, enough, point):
-    """Value and place (in `point`) of the theta0 with the greatest
-    ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]``.
+    """Return the maximum of ``min_v [E(v) - sum_a weights_a (v_a - theta0_a)^2]`` over theta0.
 
-    The dual is the least of ``sum_v w_v (E(v) - Q(v)) + Q(sum_v w_v v)`` over weights w on the
-    vertices. Pairwise Frank-Wolfe steps with exact line search; theta0 is the weighted vertex and every
-    iterate is valid, so the best one is kept. Given up where the dual shows that `floor` is out of
-    reach, and ended where `enough` is reached.
+    The maximiser is written to `point`. The dual is the minimum of
+    ``sum_v w_v (E(v) - Q(v)) + Q(sum_v w_v v)`` over weights w of the vertices. It is solved by pairwise
+    Frank-Wolfe steps with exact line search; theta0 is the weighted mean of the vertices. Every iterate
+    is valid, so the best one is kept. The search ends early if the dual shows that `floor` is out of
+    reach, or if `enough` is reached.
     """
     count, dim = vertices.shape
     w, centre = np.empty(count), np.zeros(dim)

@@ -1,8 +1,8 @@
 """Costs of all pairs at a parameter, the curvature of the costs, and their range over a box.
 
-Both problems match *features*: plane points, or norms ``|x + t|``. The residual of a pair is a squared
-distance of features, so that bounds are written once. A target of one dimension holds norms; kernels
-that take it as an argument of its own are compiled for one of the two problems alone.
+Both problems match *features*: points in 2D, or norms ``|x + t|``. The residual of a pair is a squared
+distance of features, so both problems share the bounds. A one-dimensional target holds norms. Kernels
+that receive the target as a separate argument are compiled for only one of the two problems.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from dcreg.jit import jit, jit_part
 
 @jit
 def pair_costs(clouds, theta, cost):
-    """cost_ij = squared distance of the features at `theta`, and the price of the pair."""
+    """Fill cost_ij: the squared distance of the features at `theta`, plus the penalty of the pair."""
     squared_distances(clouds.source, clouds.target, theta, cost)
     add_penalty(clouds.infeasibility_penalty, cost)
 
 
 @jit
 def squared_distances(source, target, theta, cost):
-    """Squared distances of the features of the moved source and the target."""
+    """Fill the squared distances between features of the moved source and of the target."""
     if target.ndim == 1:
         for i in range(source.shape[1]):
             a, b, c = source[0, i] + theta[0], source[1, i] + theta[1], source[2, i] + theta[2]
@@ -42,7 +42,7 @@ def squared_distances(source, target, theta, cost):
 
 @jit
 def curvature(target, axes, delta, out):
-    """R_i(delta) = |J_i delta|^2: what the tangent at theta0 misses at theta0 + delta."""
+    """Return R_i(delta) = |J_i delta|^2: the error of the tangent at theta0 in theta0 + delta."""
     if target.ndim == 1:
         r = delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2
         for i in range(out.size):
@@ -53,7 +53,7 @@ def curvature(target, axes, delta, out):
 
 @jit_part
 def plane_curvature(axes, delta, out):
-    """`curvature` over similarities in the plane."""
+    """Return `curvature` for similarities in 2D."""
     x, y = axes[0], axes[1]
     cos, sin, right, up = delta[0], delta[1], delta[2], delta[3]
     for i in range(out.size):
@@ -64,7 +64,7 @@ def plane_curvature(axes, delta, out):
 
 @jit
 def interval_costs(source, target, lower, upper, cost):
-    """cost_ij = squared distance of the target's feature from all those that x_i has over the box."""
+    """Fill cost_ij: squared distance of the target's feature from the interval of x_i over the box."""
     if target.ndim == 1:
         for i in range(source.shape[1]):
             near = far = 0.0

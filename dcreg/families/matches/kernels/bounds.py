@@ -1,10 +1,10 @@
-"""Bounds over boxes of rotations: the best translation is searched inside, over shrinking cubes.
+"""Bounds over boxes of rotations, with a nested search for the translation over shrinking cubes.
 
-With the rotation R of the box's centre, a match (x, y) asks for the translation y - R x. Another rotation
-of the box moves x by at most the chord of the box's angle times |x|, its *slack*. In a cube of
-translations the residual is therefore at least the distance of y - R x from the cube, less the slack.
-A cube is divided into eight while its bound may beat the best cube found, and only the matches that
-agree with it go on to its parts.
+With the rotation R at the centre of the box, a match (x, y) determines the translation y - R x. Another
+rotation of the box moves x by at most the chord of the box's angle times |x|, its *slack*. In a cube of
+translations the residual is therefore at least the distance of y - R x from the cube, minus the slack.
+A cube is divided into eight if its bound may beat the best cube found. Its parts receive only the
+matches that agree with it.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from dcreg.families.rotation3d.kernels.geometry import chord_matrix
 from dcreg.families.rotation3d.kernels.rotation import box_angle, box_corners
 from dcreg.jit import jit
 
-LISTS = 40  # room for so many times all matches, in the lists of waiting cubes
-CUBES = 400  # that wait at most
-FINE = 0.5  # a cube is small enough with this share of the mean slack as half its side
+LISTS = 40  # capacity of the lists of waiting cubes, in multiples of the number of matches
+CUBES = 400  # maximum number of waiting cubes
+FINE = 0.5  # a cube is small enough if half its side is this share of the mean slack
 
 
 @jit
 def rotation_bounds(matches, lower, upper, enough, bounds, poses):
-    """Upper bounds on the score over B boxes of quaternions, and a pose (3, 4) of each worth knowing.
+    """Write upper bounds on the score over B boxes of quaternions, and a promising (3, 4) pose of each.
 
-    Bounds up to `enough` are of no interest: such a box gets `enough` itself.
+    A box with a bound below `enough` gets the bound `enough`.
     """
     n = matches.source.shape[0]
     corners = np.empty((16, 4))
@@ -58,7 +58,7 @@ def rotation_bounds(matches, lower, upper, enough, bounds, poses):
 
 @jit
 def _best_cube(matches, demands, fine, enough, space, pose):
-    """The greatest bound among cubes of half-side `fine` or less; its centre goes into `pose`."""
+    """Return the maximum bound of cubes with half-side at most `fine`; write its centre to `pose`."""
     wanted, _ = demands
     members, cubes, _, _ = space
     n = wanted.shape[0]
@@ -90,7 +90,7 @@ def _best_cube(matches, demands, fine, enough, space, pose):
 
 @jit
 def _divide(matches, demands, at, best, space):
-    """Replace the waiting cube `at` by its parts with bounds above `best`, the greatest last."""
+    """Replace the waiting cube `at` by its parts with bounds above `best`, the maximum last."""
     wanted, slack = demands
     members, cubes, by_row, by_column = space
     centre = cubes[at, :3].copy()

@@ -1,4 +1,4 @@
-"""Which matches can be right together: a rigid motion keeps the distance of two points."""
+"""Compatibility of matches: a rigid motion preserves the distance of two points."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from dcreg.jit import jit
 
 @jit
 def compatible_matches(matches, shortest):
-    """(N, words) rows of bits: whether two matches of a list change their distance by at most `reach`.
+    """Return (N, words) bits: whether the lengths of two matches differ by at most `reach`.
 
-    Not where they share a point, nor where they are nearer than `shortest`, which tells little.
+    Matches that share a point, or that are nearer than `shortest` and thus carry little information,
+    are not compatible.
     """
     n = matches.source.shape[0]
     bits = np.zeros((n, (n + 63) >> 6), dtype=np.uint64)
@@ -29,7 +30,7 @@ def compatible_matches(matches, shortest):
 
 @jit
 def closest_allies(bits, count):
-    """(N, count) of every match the compatible ones that share most compatible ones with it; -1: none."""
+    """Return (N, count) compatible matches that share most compatible ones with each; -1: none."""
     n, words = bits.shape
     allies = np.full((n, count), -1, dtype=np.int64)
     others, shared = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
@@ -50,10 +51,10 @@ def closest_allies(bits, count):
 
 @jit
 def caps(matches, out):
-    """Of every match a bound on the score of any pose that it agrees with.
+    """Return, for each match, a bound on the score of any pose with which it agrees.
 
-    Two residuals below the reach c change a distance by their sum at most: a match whose distance to
-    this one changes by g has a residual of g - c at least.
+    Two residuals below the reach c change a distance by at most their sum. A match whose distance to
+    this one changes by g therefore has a residual of at least g - c.
     """
     n = matches.source.shape[0]
     by_row, by_column = np.zeros(matches.n_rows), np.zeros(matches.n_columns)
@@ -73,7 +74,7 @@ def caps(matches, out):
 
 @jit
 def _lengths(matches, i, j):
-    """Distance of two matches in the source, and in the target."""
+    """Return the distance of two matches in the source and in the target."""
     a, b = 0.0, 0.0
     for axis in range(3):
         a += (matches.source[i, axis] - matches.source[j, axis]) ** 2
@@ -88,7 +89,7 @@ def _share(matches, i, j):
 
 @jit
 def _count(word):
-    """Number of bits set."""
+    """Return the number of bits set."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     word = (word & np.uint64(0x3333333333333333)) + (
         (word >> np.uint64(2)) & np.uint64(0x3333333333333333)

@@ -1,4 +1,4 @@
-"""A list of matches as the kernels see it, and how well poses agree with it."""
+"""A list of matches as kernels receive it, and scores of poses over it."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from dcreg.jit import jit, jit_part
 
 
 class MatchList(NamedTuple):
-    """N matches: the k-th says that `source[k]` belongs to `target[k]`.
+    """N matches: the k-th pairs `source[k]` with `target[k]`.
 
     Attributes
     ----------
     source, target : (N, 3) arrays
     rows, columns : (N,) int arrays
-        Which point of either cloud it is, numbered from 0: equal numbers, equal points.
+        Indices of the distinct points of either cloud, from 0.
     n_rows, n_columns : int
-        How many different points there are.
+        Numbers of distinct points.
     reach : float
-        Residual from which on a match counts as wrong.
+        Residual above which a match counts as wrong.
     """
 
     source: np.ndarray
@@ -35,16 +35,16 @@ class MatchList(NamedTuple):
 
 @jit_part
 def agreement(distance, reach):
-    """1 for a residual of zero, 0 from `reach` on, quadratic between."""
+    """Return 1 for a residual of zero and 0 from `reach` on, quadratic between."""
     return 1.0 - (distance / reach) ** 2 if distance < reach else 0.0
 
 
 @jit
 def scores(matches, poses, out):
-    """Upper bounds on the score of (P, 3, 4) poses, which is that of the best one-to-one matching.
+    """Write upper bounds on the score of (P, 3, 4) poses, that of the best one-to-one matching.
 
-    The best match of every source point is counted, then that of every target point, and the lesser sum
-    taken: it is the score itself where no match competes at both of its ends.
+    The bound is the smaller of two sums: over the best match of each source point, and of each target
+    point. It equals the score if no match competes at both of its ends.
     """
     by_row, by_column = np.zeros(matches.n_rows), np.zeros(matches.n_columns)
     x, y = matches.source, matches.target

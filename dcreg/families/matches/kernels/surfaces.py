@@ -1,4 +1,4 @@
-"""How well the surfaces of two clouds coincide at a pose: near points with like normals."""
+"""Agreement of the surfaces of two clouds at a pose: near points with similar normals."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from dcreg.jit import jit, jit_part
 
 
 class SurfaceGrid(NamedTuple):
-    """A cloud with normals, and which of its points is nearest to every cell of a grid around it.
+    """A cloud with normals, and the nearest point to each cell of a grid around it.
 
     Attributes
     ----------
     points, normals : (m, 3) arrays
     origin : (3,) array
-        Corner of the first cell.
+        Minimum vertex of the first cell.
     cell : float
     nearest : (A, B, C) int32 array
-        Point nearest to the centre of a cell, -1 where none is near enough.
+        Point nearest to the centre of a cell, -1 if none is near enough.
     """
 
     points: np.ndarray
@@ -31,7 +31,7 @@ class SurfaceGrid(NamedTuple):
 
 @jit
 def fill_nearest(points, origin, cell, reach, nearest, square):
-    """Fill `nearest`, which comes as -1; `square` of the same shape, as infinities, is for work."""
+    """Fill `nearest`, initially -1; `square` is a buffer of the same shape, initially infinite."""
     farthest = reach + 0.9 * cell
     span = int(farthest / cell) + 1
     size_a, size_b, size_c = nearest.shape
@@ -52,7 +52,7 @@ def fill_nearest(points, origin, cell, reach, nearest, square):
 
 @jit_part
 def partner(grid, u, v, w):
-    """The point of the grid's cloud to look at for a point of space, -1: none."""
+    """Return the point stored for the cell of a position, -1: none."""
     a, b, c = u - grid.origin[0], v - grid.origin[1], w - grid.origin[2]
     if a < 0.0 or b < 0.0 or c < 0.0:
         return -1
@@ -64,16 +64,16 @@ def partner(grid, u, v, w):
 
 @jit_part
 def moved_axis(T, a, p):
-    """Coordinate `a` of a moved point."""
+    """Return coordinate `a` of a moved point."""
     return T[a, 0] * p[0] + T[a, 1] * p[1] + T[a, 2] * p[2] + T[a, 3]
 
 
 @jit_part
 def pull(T, point, normal, grid, reach):
-    """The point of the grid's cloud to which a moved point is pulled, and how much; 0: not at all.
+    """Return the point of the grid's cloud that attracts a moved point, and its weight (0: none).
 
-    At distance d the nearness is 1 - (d / reach)^2, at an angle a between the normals, whose sign does
-    not count, the likeness cos 2a; the pull is their product, and 0 where one would be negative.
+    The weight is the product of the nearness 1 - (d / reach)^2 at distance d and the similarity cos 2a
+    at an angle a between the normals, whose sign does not count. It is 0 if either factor is negative.
     """
     u, v, w = moved_axis(T, 0, point), moved_axis(T, 1, point), moved_axis(T, 2, point)
     j = partner(grid, u, v, w)
@@ -92,7 +92,7 @@ def pull(T, point, normal, grid, reach):
 
 @jit
 def surface_scores(points, normals, grid, reach, poses, out):
-    """For (P, 3, 4) poses the sum of the pulls of all points."""
+    """Write the summed weights of all points for (P, 3, 4) poses."""
     for p in range(poses.shape[0]):
         out[p] = 0.0
         for i in range(points.shape[0]):
@@ -102,6 +102,6 @@ def surface_scores(points, normals, grid, reach, poses, out):
 
 @jit
 def surface_pulls(points, normals, grid, reach, T, columns, weights):
-    """For every point the one it is pulled to at the pose T, and how much."""
+    """Write, for each point, the point that attracts it at the pose T, and its weight."""
     for i in range(points.shape[0]):
         columns[i], weights[i] = pull(T, points[i], normals[i], grid, reach)

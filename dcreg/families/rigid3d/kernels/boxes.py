@@ -3,7 +3,7 @@
 A box has seven axes: four of a quaternion, three of the translation of y = R x + t. Point sets are
 stored by axis, (3, n) and (3, m). `dcreg.families.rigid3d.bound` proves the bounds.
 
-Two kernels share the work, so that a search over few pairs need not compile the second:
+Two kernels share the work, so a search over few pairs does not need to compile the second:
 `bound_boxes` bounds boxes by caps and by exact assignments, `price_boxes` by duals.
 """
 
@@ -38,12 +38,13 @@ from dcreg.families.rotation3d.kernels.caps import cap_costs
 from dcreg.families.rotation3d.kernels.geometry import extent, matched_cost
 from dcreg.jit import jit, jit_part
 
-# Boxes with rotations farther than this from the centre, as tangents of half the angle, are left to caps:
-# the second-order loss exceeds the objective there, so that the other bounds are vacuous.
+# Boxes with rotations farther than this from the centre, as tangents of half the angle, are bounded by
+# caps only: the second-order loss exceeds the objective there, so the other bounds are vacuous.
 _WIDE = 0.6
-# As many pairs are assigned in the time of one pricing: their boxes are left to caps too.
+# An assignment of so many pairs takes as long as one bound by duals: such boxes are bounded by caps
+# only.
 FEW_PAIRS = 1000
-# An assignment pays where the sum of nearest costs exceeds this share of the pruning threshold.
+# An assignment is worthwhile if the sum of nearest costs exceeds this share of the pruning threshold.
 _WORTH_ASSIGNMENT = 0.35
 # Next step for a box: caps, duals, an exact assignment, none.
 _BEGIN, _PRICE, _SOLVE, _DONE = 0, 1, 2, 3
@@ -55,11 +56,11 @@ class Found(NamedTuple):
     Attributes
     ----------
     bounds, values : (B,) arrays
-        Lower bounds on E, and upper bounds on it at the centres: +inf where no matching was computed.
+        Lower bounds on E, and upper bounds on E at the centres: +inf if no matching was computed.
     estimates : (B,) array
-        Estimates of E at the centres, from below up to rounding: +inf where none was made.
+        Estimates of E at the centres, from below up to rounding: +inf if there is none.
     kept : (B, m) uint16 array
-        Duals of the parent boxes, replaced by those of the boxes.
+        Duals of the parent boxes; replaced by those of the boxes.
     duals : (B, m) float32 array
         Duals from which an exact assignment starts.
     steps : (B,) int8 array
@@ -78,7 +79,7 @@ class Found(NamedTuple):
 
 
 def allocate_found(kept: np.ndarray) -> Found:
-    """Allocate the results for boxes with these duals of their parents."""
+    """Allocate the results for boxes whose parents have these duals."""
     count, m = kept.shape
     return Found(
         np.empty(count), np.full(count, np.inf), np.full(count, np.inf), kept,
@@ -88,7 +89,7 @@ def allocate_found(kept: np.ndarray) -> Found:
 
 @jit_part
 def _geometry(lower, upper, centre, half, buffer):
-    """The box relative to its centre. Fills the next two; `buffer` is (8, 3)."""
+    """Express the box relative to its centre. Fills the next two; `buffer` is (8, 3)."""
     for c in range(7):
         centre[c] = 0.5 * (lower[c] + upper[c])
     for c in range(3):
@@ -104,7 +105,7 @@ def _geometry(lower, upper, centre, half, buffer):
 
 @jit_part
 def _is_small(box, radius, k, cutoff):
-    """Whether the poses of a box are alike: however low their bounds, they must be told from others."""
+    """Whether a box is so small that exact assignments pay: its displacements cost below `cutoff`."""
     return k * (2.0 * math.atan(box.tangent) * radius + box.slack) ** 2 < cutoff
 
 
@@ -112,14 +113,14 @@ def _is_small(box, radius, k, cutoff):
 def bound_boxes(lower, upper, cutoff, clouds, limits, found):
     """Bound boxes by caps and by exact assignments; return the number of assignments.
 
-    Boxes that are to be priced are left to `price_boxes`; those which that leaves over are bounded by a
-    second call.
+    Boxes whose next step is a bound by duals are left to `price_boxes`. A second call bounds the boxes
+    that `price_boxes` leaves over.
 
     Parameters
     ----------
     lower, upper : (B, 7) arrays
     cutoff : float
-        A higher bound has no use.
+        Bounds above it are not improved.
     clouds : Clouds
     limits : Limits
     found : Found
@@ -210,7 +211,7 @@ def price_boxes(lower, upper, cutoff, clouds, limits, found, work):
 
 @jit_part
 def _capped(view, box, cutoff, small, costs):
-    """The bound by caps, and the number of assignments it took."""
+    """Return the bound by caps, and the number of assignments solved for it."""
     slack = box.slack
     cap_costs(
         view.source, 2.0 * math.atan(box.tangent), view.target, view.infeasibility_penalty, costs

@@ -1,8 +1,8 @@
-"""Poses from congruent triples: where a rigid search starts when many points have no partner.
+"""Poses from congruent triples: initial poses of a rigid search if many points have no partner.
 
-A rigid motion keeps distances. So for three source points all triples of the target with the same three
-distances, up to a tolerance, are tried; each pair of triples fixes a pose, and each pose is scored by how
-many source points it brings near the target. Point sets are stored by row, (n, 3) and (m, 3).
+A rigid motion preserves distances. For three source points, all target triples with the same three
+distances, up to a tolerance, are tried. Each pair of triples determines a pose. Its score is the number
+of source points near the target. Point sets are stored by row, (n, 3) and (m, 3).
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from dcreg.families.kernels import overlap
 from dcreg.jit import jit
 
-_N_FIRST = 12  # source points after which a pose is dropped that scores less than ...
-_FIRST_SHARE = 0.3  # ... this share of what the poses kept so far score there on average
+_N_FIRST = 12  # source points after which a pose is dropped if it scores less than ...
+_FIRST_SHARE = 0.3  # ... this share of the average score of the stored poses at this point
 
 
 @jit
 def frame(p, q, r, out):
-    """Orthonormal frame of a triangle, as columns: along p q, in the plane, across it. False if flat."""
+    """Fill the frame of a triangle, as columns: along p q, in its plane, normal. False if degenerate."""
     for a in range(3):
         out[a, 0] = q[a] - p[a]
         out[a, 1] = r[a] - p[a]
@@ -53,24 +53,24 @@ def _in_shell(points, i, k, low, high):
 
 @jit
 def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores):
-    """The best poses of every source triple.
+    """Find the best poses of each source triple; return the number of target triples tried.
 
     Parameters
     ----------
     triples : (T, 3) int array
     sides : (T, 4) array
-        Distances of the first to the third point and of the second to the third; then where the target
-        pairs begin and end that are as long as the first two points are apart.
+        Distances of the first to the third point and of the second to the third; then the range of the
+        target pairs as long as the distance of the first two points.
     clouds : (source, target), (n, 3) and (m, 3) arrays
     feasible : (n, m) or (0, 0) bool array
-        Which points may be matched; empty: all.
+        Feasible pairs; empty: all.
     pairs : (first, second)
         The ordered pairs of target points by length.
     search : (tolerance, looked, field, stop)
-        Tolerance of a distance, the source points that score, the `NearnessField` of the target, and the
-        stop flag.
+        Tolerance of a distance, the source points used for the score, the `NearnessField` of the
+        target, and the stop flag.
     poses, scores : (T, K, 3, 4), (T, K) arrays
-        Receive the best poses of each triple; scores come as zeros.
+        Receive the best poses of each triple; scores are initially zero.
 
     Returns
     -------

@@ -17,37 +17,37 @@ from dcreg.families.rigid3d.kernels.stationary import costs_at_vertices
 from dcreg.families.rotation3d.kernels.geometry import extent
 from dcreg.jit import jit, jit_part
 
-# Share of a dual that is taken over from another pose. All of it would leave columns expensive that no
-# row wants here, and auction steps only raise duals.
+# Each dual from another pose is multiplied by this factor. Full duals would stay too high for columns
+# that no row needs here, because auction steps only raise duals.
 _KEPT = 0.7
-_STEPS = 2  # auction steps per pair to be matched, at most
-_ROUNDS = 2  # of auction steps, at most
+_STEPS = 2  # maximum number of auction steps per pair
+_ROUNDS = 2  # maximum number of rounds of auction steps
 # Auction steps continue while the bound is within this fraction of the loss from the pruning threshold.
 _HOPELESS, _CERTAIN = -0.4, 0.1
-# Smallest raise, as a share of the k-th row's cost: equal columns would be raised in vain.
+# Minimum raise of a dual, as a share of the k-th row's cost, so that ties between columns do not stall.
 _RAISE = 0.02
-# Rows that cost this many times the k-th row are not matched anywhere in a box.
+# Rows that cost more than this multiple of the k-th row are not matched anywhere in a box.
 _CEILING = np.float32(1.5)
 _ONE = np.float32(1.0)
-_UNIT = 2.0**-14  # of the duals that are kept, in squared radii of the target
+_UNIT = 2.0**-14  # of the stored duals, in squared radii of the target
 _LARGEST = 65_535.0
 _ROUNDING = 2.0**-23  # of single precision, relative
 
 
 class Workspace(NamedTuple):
-    """Scratch arrays for one box: few, because every array costs compile time in every kernel.
+    """Scratch arrays for one box: only few, because each array adds compile time to each kernel.
 
     Attributes
     ----------
     costs : (n, m) float32 array
     columns : (5, m) float32 array
-        The coordinates of the targets, the best duals, and those being tried.
+        The coordinates of the targets, the best duals, and the duals on trial.
     rows : (2, n) float32 array
-        Row minima under the duals being tried, and under the best ones.
+        Row minima under the duals on trial, and under the best duals.
     integers : (3, max(n, m)) int32 array
         For `auction`.
     exact : (5, n) array
-        Row minima, and what `costs_at_vertices` needs.
+        Row minima, and the work array of `costs_at_vertices`.
     """
 
     costs: np.ndarray
@@ -76,19 +76,19 @@ def keep_duals(b, kept):
 def priced_bound(view, box, farthest, goal, kept, work, out):
     """Return a lower bound on C of `Loss` and an estimate of the sum of costs at the centre.
 
-    The bound is improved where it is in doubt whether it reaches `goal`. ``work.columns[3]`` holds the
-    duals afterwards.
+    Auction steps improve the bound if it may or may not reach `goal`. Afterwards ``work.columns[3]``
+    holds the duals.
 
     Parameters
     ----------
     view : Clouds
     box : BoxGeometry
     farthest : float
-        The largest norm of a source point.
+        The maximum norm of a source point.
     goal : float
-        For the mean of C and of the sum of costs at the centre.
+        Required mean of C and of the sum of costs at the centre.
     kept : (m,) uint16 array
-        Duals from another pose, replaced by better ones.
+        Duals from another pose; replaced by better ones.
     work : Workspace
     out : (64,) array
         Receives bounds on C at the vertices of the box.
@@ -145,7 +145,7 @@ def priced_value(view, farthest, goal, kept, work):
 
 @jit_part
 def _begin(view, kept, work):
-    """Costs at a pose, and duals from another."""
+    """Compute the costs at a pose, and initialise the duals from another pose."""
     for j in range(kept.size):
         for c in range(3):
             work.columns[c, j] = view.target[c, j]
@@ -156,14 +156,14 @@ def _begin(view, kept, work):
 
 @jit_part
 def _raise(view, level, work):
-    """Raise the duals being tried by auction steps."""
+    """Raise the duals on trial by auction steps."""
     limits = Auction(int(_STEPS * view.k) + 1, np.float32(level), np.float32(_RAISE * level))
     auction(work.costs, work.columns[4], work.rows[0], limits, work.integers)
 
 
 @jit_part
 def _evaluate(view, ceiling, work):
-    """Settle the duals being tried; return their bound and a cost between the k-th and the next row."""
+    """Settle the duals on trial; return their bound and a cost between the k-th and the next row."""
     low, b, exact = work.rows[0], work.columns[4], work.exact[0]
     rough_minima(work.costs, b, low)
     mean = 0.0
@@ -181,7 +181,7 @@ def _evaluate(view, ceiling, work):
 
 @jit
 def _at_vertices(view, box, farthest, level, work, out):
-    """C of `Loss` from below, less the rounding error of single precision."""
+    """Return C of `Loss` from below, minus the rounding error of single precision."""
     low = work.exact[0]
     for i in range(low.size):
         low[i] = work.rows[1, i]
@@ -196,11 +196,11 @@ def _at_vertices(view, box, farthest, level, work, out):
 
 @jit_part
 def _rounding(view, farthest, reach, found, duals):
-    """The rounding error of single precision in a sum of k costs less squared displacements.
+    """Bound the rounding error of single precision in a sum of k costs minus squared displacements.
 
-    Displacements are at most `reach`. A residual of length d is off by less than
-    step = 2 eps (|x| + |y|), its square by 2 d step + step^2; the sum of d over k pairs is at most the
-    root of k times the sum of their squares.
+    Displacements are at most `reach`. The error of a residual of length d is below step = 2 eps (|x| +
+    |y|), and that of its square below 2 d step + step^2. The sum of d over k pairs is at most the root
+    of k times the sum of their squares.
     """
     size = max(0.0, found - duals) + view.k * reach * reach
     step = 2.0 * _ROUNDING * (farthest + extent(view.target)[1])

@@ -1,7 +1,7 @@
-"""Dual variables of all pairs at one pose in single precision: rough, and several times as fast.
+"""Dual variables at one pose in single precision: approximate, and several times as fast.
 
-Whatever duals these passes end at, the bound they give is valid up to rounding, which the caller
-subtracts. Every pass runs along the targets, which lets the compiler vectorise it.
+All duals give a valid bound up to rounding, which the caller subtracts. Each pass runs along the
+targets, so that the compiler vectorises it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _ZERO = np.float32(0.0)
 
 @intrinsic(lambda value: value.view(np.int32))
 def _bits(typing_context, value):
-    """The 32 bits of a number: of those that are not negative, in their order."""
+    """Return the 32 bits of a number; for non-negative numbers they have the same order."""
 
     def generate(context, builder, signature, arguments):
         return builder.bitcast(arguments[0], ir.IntType(32))
@@ -30,7 +30,7 @@ def _bits(typing_context, value):
 
 @intrinsic(lambda bits: bits.view(np.float32))
 def _as_float(typing_context, bits):
-    """The number with these 32 bits."""
+    """Return the number with these 32 bits."""
 
     def generate(context, builder, signature, arguments):
         return builder.bitcast(arguments[0], ir.FloatType())
@@ -40,7 +40,7 @@ def _as_float(typing_context, bits):
 
 @jit_reduction
 def rough_costs(moved, target, out):
-    """(n, m) squared distances of (3, n) points and the first three rows of `target`."""
+    """Fill (n, m) squared distances of (3, n) points and the first three rows of `target`."""
     u, v, w = target[0], target[1], target[2]
     for i in range(out.shape[0]):
         x, y, z = np.float32(moved[0, i]), np.float32(moved[1, i]), np.float32(moved[2, i])
@@ -52,7 +52,7 @@ def rough_costs(moved, target, out):
 
 @jit_reduction
 def rough_minima(cost, b, low):
-    """low_i = min_j (c_ij + b_j)."""
+    """Fill low_i = min_j (c_ij + b_j)."""
     for i in range(cost.shape[0]):
         row, best = cost[i], _NONE
         for j in range(cost.shape[1]):
@@ -62,10 +62,10 @@ def rough_minima(cost, b, low):
 
 @jit_reduction
 def settle(cost, low, ceiling, b):
-    """The minimum duals that lower no row minimum, of those up to `ceiling`.
+    """Lower the duals as far as no row minimum up to `ceiling` decreases.
 
-    Duals that come from another pose and support no row minimum fall. `low` is cut at the ceiling, above
-    which it no longer holds.
+    Duals from another pose that support no row minimum decrease. `low` is clipped at the ceiling, above
+    which it is no longer valid.
     """
     for j in range(b.size):
         b[j] = _ZERO
@@ -79,9 +79,9 @@ def settle(cost, low, ceiling, b):
 
 @jit_reduction
 def _two_cheapest(row, b, places, totals):
-    """The cheapest column of a row, and the totals of the two cheapest, cut to some digits.
+    """Return the cheapest column of a row, and the truncated totals of the two cheapest.
 
-    The last bits of every total hold its column, so that one minimum gives both.
+    The last bits of each total hold its column, so one minimum gives both.
     """
     first = second = _NONE
     for j in range(b.size):
@@ -98,11 +98,11 @@ class Auction(NamedTuple):
     Attributes
     ----------
     steps : int
-        The number of steps, at most.
+        Maximum number of steps.
     level : float
-        Rows that cost more than this leave.
+        Rows that cost more than this remain unmatched.
     step : float
-        The smallest raise of a dual.
+        Minimum raise of a dual.
     """
 
     steps: int
@@ -112,10 +112,9 @@ class Auction(NamedTuple):
 
 @jit
 def auction(cost, b, low, limits, integers):
-    """Raise duals by the steps of a rough auction.
+    """Raise duals by auction steps.
 
-    `low` are the row minima under the duals; `integers` is an int32 array of three rows with room for
-    every row and every column.
+    `low` holds the row minima under the duals; `integers` is a (3, max(n, m)) int32 array.
     """
     queue, owner, totals = integers[0], integers[1], integers[2]
     left, n = limits.steps, low.size

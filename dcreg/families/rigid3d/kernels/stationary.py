@@ -15,7 +15,7 @@ from dcreg.jit import jit, jit_part, jit_reduction
 
 
 class Loss(NamedTuple):
-    """How much an optimum may cost less than its matching costs at the centre of a box.
+    """Bound on the difference between an optimum and the cost of its matching at the centre of a box.
 
     Let C be the minimum of ``sum (cost - |displacement|^2)`` over the matchings and the vertices of the
     box. Every optimum E* in the box then has ``E* + root * sqrt(E*) + rest >= C``.
@@ -39,7 +39,7 @@ class BoxGeometry(NamedTuple):
     half : (3,) array
         Half its widths in translation.
     tangent, slack : float
-        The largest length of a Gibbs vector, and of a shift.
+        The maximum length of a Gibbs vector, and of a shift.
     """
 
     vertices: np.ndarray
@@ -54,9 +54,9 @@ class Limits(NamedTuple):
     Attributes
     ----------
     inertia : float
-        On the sum of their squares.
+        On the sum of their squared norms.
     drift : float
-        On the length of their sum.
+        On the norm of their sum.
     spread : float
         On the difference of two eigenvalues of their second moments.
     """
@@ -68,7 +68,7 @@ class Limits(NamedTuple):
 
 @jit_part
 def loss_of(box, limits):
-    """The loss of third order in a box."""
+    """Return the third-order loss in a box."""
     square = box.tangent * box.tangent
     return Loss(
         4.0 * square / (1.0 + square) * math.sqrt(limits.inertia),
@@ -78,7 +78,7 @@ def loss_of(box, limits):
 
 @jit_part
 def joint_loss_of(box, limits):
-    """The loss of the mean of C at a vertex and the minimum sum of costs there."""
+    """Return the loss of the mean of C at a vertex and the minimum sum of costs there."""
     square = box.tangent * box.tangent
     return Loss(
         2.0 * square * math.sqrt(limits.inertia),
@@ -90,7 +90,7 @@ def joint_loss_of(box, limits):
 
 @jit_part
 def needed(root, rest, cutoff):
-    """The C that proves `cutoff`, with the terms of a `Loss`."""
+    """Return the C that proves `cutoff`, with the terms of a `Loss`."""
     cutoff = max(0.0, cutoff)
     lost = root * math.sqrt(cutoff) if root > 0.0 else 0.0
     return cutoff + lost + rest
@@ -98,14 +98,14 @@ def needed(root, rest, cutoff):
 
 @jit_part
 def proven(root, rest, cost):
-    """The bound on E* that C = `cost` proves."""
+    """Return the bound on E* that C = `cost` proves."""
     left = cost - rest
     return (0.5 * (math.sqrt(root * root + 4.0 * left) - root)) ** 2 if left > 0.0 else 0.0
 
 
 @jit_reduction
 def _turn(moved, p, q, r, low, work):
-    """Displacements by a rotation into rows 1 to 3 of `work`, and `low` less their squares into row 4."""
+    """Write displacements by a rotation to rows 1 to 3 of `work`, `low` minus their squares to row 4."""
     x, y, z = moved[0], moved[1], moved[2]
     u, v, w, net = work[1], work[2], work[3], work[4]
     for i in range(low.size):
@@ -115,7 +115,7 @@ def _turn(moved, p, q, r, low, work):
 
 @jit_reduction
 def _depths(work, a, b, c, level):
-    """How far all net costs lie below a level, at a shift and at its opposite."""
+    """Return the summed depths of all net costs below a level, for a shift and its opposite."""
     u, v, w, net = work[1], work[2], work[3], work[4]
     one = other = 0.0
     for i in range(net.size):
@@ -127,15 +127,15 @@ def _depths(work, a, b, c, level):
 
 @jit
 def costs_at_vertices(moved, low, k, box, level, work, out):
-    """Lower bounds on C of `Loss` at every vertex of a box, for rows that cost at least `low`.
+    """Fill lower bounds on C of `Loss` at each vertex of a box, for rows that cost at least `low`.
 
-    Returns the minimum. It is the minimum over the box, since displacements are linear in (r, s): turned
-    by Gibbs vector r and shifted by s, a point x moves by 2 r x x + s. The sum of the k smallest numbers
-    is at least ``k level - sum max(0, level - number)`` at any level: one that is best for one vertex
-    serves all.
+    Returns their minimum, which is also the minimum over the box, because displacements are linear in
+    (r, s): a rotation with Gibbs vector r and a shift s move a point x by 2 r x x + s. The sum of the k
+    smallest numbers is at least ``k level - sum max(0, level - number)`` for any level. The best level
+    of one vertex serves all vertices.
 
     Entry 8 a + s of `out` is that of the rotation vertex a and the shift s, whose three bits mark
-    negative axes; +inf where there is no such vertex. `work` is (5, n); row 0 is left as it is.
+    negative axes; +inf if there is no such vertex. `work` is (5, n); row 0 is not changed.
     """
     vertices, half, n = box.vertices, box.half, low.size
     square = k * (half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
@@ -147,7 +147,7 @@ def costs_at_vertices(moved, low, k, box, level, work, out):
         if a == 0 or k == n:
             spacing = 0.02 * (abs(level) + abs(total(work[4])) / n)
             found, level = smallest_sum(work[4], k, level, spacing)
-        if k == n:  # all rows are matched: the shifts of all add up
+        if k == n:  # all rows are matched, so the shifts of all rows add up
             u, v, w = total(work[1]), total(work[2]), total(work[3])
         for sign in range(4):
             x, y, z = half[0], half[1] * (1.0 - 2.0 * (sign & 1)), half[2] * (1.0 - (sign & 2))

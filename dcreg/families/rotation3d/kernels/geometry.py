@@ -1,6 +1,6 @@
-"""Rotation matrices of quaternions, and what bounds over rotations and over poses share.
+"""Rotation matrices of quaternions, and functions shared by bounds over rotations and over poses.
 
-A rotation is a quaternion q = (w, x, y, z) of any length but zero: q, -q and 2q are the same one.
+A rotation is a nonzero quaternion q = (w, x, y, z); q, -q and 2q are the same rotation.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from dcreg.jit import jit
 
 @jit
 def chord_matrix(q, r):
-    """Image of (q r^T + r q^T) / (2 q.r) under the linear map that takes q q^T, |q| = 1, to R(q).
+    """Fill the image of (q r^T + r q^T) / (2 q.r) under the linear map from q q^T, |q| = 1, to R(q).
 
-    R(q) if q = r, else a point outside the rotations.
+    It is R(q) if q = r, otherwise a matrix that is not a rotation.
     """
     scale = 0.5 / (q[0] * r[0] + q[1] * r[1] + q[2] * r[2] + q[3] * r[3])
     Q = np.empty((4, 4))
@@ -38,7 +38,7 @@ def chord_matrix(q, r):
 
 @jit
 def transform(M, points, out):
-    """out = M points, both (3, n)."""
+    """Write M points to `out`, both (3, n)."""
     for i in range(points.shape[1]):
         x, y, z = points[0, i], points[1, i], points[2, i]
         out[0, i] = M[0, 0] * x + M[0, 1] * y + M[0, 2] * z
@@ -48,7 +48,7 @@ def transform(M, points, out):
 
 @jit
 def extent(points):
-    """RMS and greatest length of (3, n) points."""
+    """Return the RMS and the maximum length of (3, n) points."""
     square = most = 0.0
     for i in range(points.shape[1]):
         own = points[0, i] ** 2 + points[1, i] ** 2 + points[2, i] ** 2
@@ -59,7 +59,7 @@ def extent(points):
 
 @jit
 def matched_cost(moved, target, col_of):
-    """Sum of squared residuals of given pairs."""
+    """Return the sum of squared residuals of given pairs."""
     total = 0.0
     for i in range(col_of.size):
         j = col_of[i]
@@ -70,14 +70,14 @@ def matched_cost(moved, target, col_of):
 
 
 def rotation_matrix(q):
-    """The rotation of a quaternion."""
+    """Return the rotation matrix of a quaternion."""
     return chord_matrix(q, q)
 
 
 def best_rotation(source, target):
-    """Quaternion of the rotation that fits paired (3, k) points best, without centring (Horn 1987).
+    """Fit a rotation to paired (3, k) points without centring; return its quaternion (Horn 1987).
 
-    The largest eigenvector of a symmetric 4x4 matrix; a quaternion is never a reflection.
+    It is the eigenvector of the largest eigenvalue of a symmetric 4x4 matrix, and never a reflection.
     """
     G = source @ target.T
     N = np.empty((4, 4))

@@ -1,7 +1,7 @@
-"""Similarities of the plane that map two source points onto two target points.
+"""Similarities in 2D that map two source points onto two target points.
 
-They are scored by how many source points they bring near the target. Point sets are stored by row, (n, 2)
-and (m, 2).
+Their score is the number of source points near the target. Point sets are stored by row, (n, 2) and (m,
+2).
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 from dcreg.families.kernels import overlap
 from dcreg.jit import jit
 
-_N_FIRST = 10  # source points after which a pose is dropped that scores less than ...
-_FIRST_SHARE = 0.4  # ... this share of what the poses kept so far score there on average
+_N_FIRST = 10  # source points after which a pose is dropped if it scores less than ...
+_FIRST_SHARE = 0.4  # ... this share of the average score of the stored poses at this point
 
 
 @jit
 def pair_poses(pairs, source, target, feasible, search, thetas, scores):
-    """The best poses of every source pair, each from one of the target pairs.
+    """Find the best poses of each source pair over the target pairs.
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ def pair_poses(pairs, source, target, feasible, search, thetas, scores):
         Rows of distinct source points.
     source, target : (n, 2), (m, 2) arrays
     feasible : (n, m) or (0, 0) bool array
-        Which points may be matched; empty: all.
+        Feasible pairs; empty: all.
     search : (looked, field, low, high, stop)
-        The (n, 3) source points that score, the `NearnessField` of the target, the range of scales, and
-        the stop flag.
+        The (n, 3) source points used for the score, the `NearnessField` of the target, the range of
+        scales, and the stop flag.
     thetas, scores : (P, K, 4), (P, K) arrays
-        Receive the best poses of each pair; scores come as zeros.
+        Receive the best poses of each pair; scores are initially zero.
     """
     looked, field, low, high, stop = search
     theta, R, t = np.empty(4), np.zeros((3, 3)), np.zeros(3)
@@ -56,7 +56,7 @@ def pair_poses(pairs, source, target, feasible, search, thetas, scores):
                 other = u * u + v * v
                 if other < low * low * square or other > high * high * square:
                     continue
-                # the complex number (u + iv) / (x + iy) turns and scales one pair into the other
+                # the complex number (u + iv) / (x + iy) rotates and scales one pair into the other
                 a, b = (u * x + v * y) / square, (v * x - u * y) / square
                 theta[0], theta[1] = a, b
                 theta[2] = 0.5 * (target[p, 0] + target[q, 0]) - (a * middle_x - b * middle_y)
@@ -65,7 +65,7 @@ def pair_poses(pairs, source, target, feasible, search, thetas, scores):
                 for kept in range(1, scores.shape[1]):
                     if scores[at, kept] < scores[at, worst]:
                         worst = kept
-                # a shrunken source comes near more by chance
+                # a smaller source is near the target more often by chance
                 weight = math.sqrt(math.sqrt(other / square))
                 floor = scores[at, worst] / weight
                 R[0, 0], R[0, 1], R[1, 0], R[1, 1] = a, -b, b, a

@@ -1,6 +1,6 @@
 """The DC bound of boxes in norm space, from the values at their vertices.
 
-All R_i are alike, |v - theta0|^2: a vertex's value alone gives the bound for every theta0.
+All R_i are equal, |v - theta0|^2, so the value at a vertex is sufficient for every theta0.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dcreg.jit import jit
 
 @jit
 def centre_bounds(values, k, lower, upper, slots, bounds):
-    """The bound with theta0 at the box centre, which is equally far from all vertices. Returns 0."""
+    """Compute the bound with theta0 at the box centre, equally far from all vertices. Returns 0."""
     for box in range(lower.shape[0]):
         loss, low = 0.0, np.inf
         for a in range(lower.shape[1]):
@@ -30,12 +30,11 @@ def centre_bounds(values, k, lower, upper, slots, bounds):
 
 @jit
 def tight_bounds(clouds, vertices, lower, upper, slots, cutoff, thorough, bounds):
-    """The bound at the best theta0, with k |.|^2 and then with the curvature of E in the box.
+    """Compute the bound at the best theta0, with k |.|^2 and then with the curvature of E in the box.
 
-    The latter asks for a `reach` that E does not exceed at the box's minimiser, where that matters:
-    beyond the cutoff by more than rounding, or, if `thorough`, the least value at a vertex of the box.
-    The lesser of the bound and the reach always is a bound. `vertices` holds places and values by slot.
-    Returns 0.
+    The latter needs a `reach`: an upper limit of E at the minimiser of the box. It is slightly above
+    the cutoff or, if `thorough`, the minimum value at a vertex of the box. The minimum of the bound and
+    the reach is always a bound. `vertices` holds positions and values by slot. Returns 0.
     """
     thetas, values = vertices
     k, dim = clouds.k, lower.shape[1]

@@ -9,10 +9,10 @@ from dcreg.jit import jit, jit_reduction
 
 @jit
 def fit_norm3d(axes, lengths, steps, theta):
-    """Lower ``sum (|x_i + t| - r_i)^2`` from `theta`, in place, by majorise-minimise steps.
+    """Decrease ``sum (|x_i + t| - r_i)^2`` from `theta`, in place, by majorise-minimise steps.
 
-    A step puts every x_i + t at its length along its direction and takes the mean of the translations.
-    `axes` is the matched source with one row per axis, `lengths` the norms of its partners.
+    A step moves each x_i + t to its length along its direction and takes the mean of the translations.
+    `axes` is the matched source, one row per axis; `lengths` are the norms of its partners.
     """
     for _ in range(steps):
         x, y, z = _missing(axes, lengths, theta)
