@@ -1,4 +1,4 @@
-"""The tuple in which kernels receive a problem, and a score of poses by nearness to the target."""
+"""The problem as kernels receive it, and a score of poses by the distance to the target."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from dcreg.jit import jit, jit_part
 
 
 class Clouds(NamedTuple):
-    """Both clouds of a problem, by axis, and what else its kernels need.
+    """Both clouds of a problem, by axis, with the other inputs of its kernels.
 
     Attributes
     ----------
     source : (d, n) array
     target : (d, m) array, or (m,) array of norms
-        The number of dimensions tells norms from points when a kernel is compiled.
+        When a kernel is compiled, the number of dimensions distinguishes norms from points.
     infeasibility_penalty : (n, m) array, or (0, 0) if every pair is feasible
-        What a pair costs in addition to its residual: 0, or prohibitive.
+        Cost of a pair in addition to its residual: 0, or a penalty if the pair is infeasible.
     k : int
         Number of pairs to match.
     stop : (1,) uint8 array
-        Set from another thread; a kernel then returns at once, with incomplete output.
+        Another thread sets it; a kernel then returns at once, with incomplete output.
     """
 
     source: np.ndarray
@@ -35,19 +35,19 @@ class Clouds(NamedTuple):
 
 @jit_part
 def add_penalty(penalty, costs):
-    """Add what pairs cost beyond their residual to (n, m) costs; nothing where `penalty` is empty."""
+    """Add the penalties of infeasible pairs to (n, m) costs; nothing if `penalty` is empty."""
     for i in range(penalty.shape[0]):
         for j in range(penalty.shape[1]):
             costs[i, j] += penalty[i, j]
 
 
 class NearnessField(NamedTuple):
-    """How near the cells of a cube are to the target; of points in 2D one layer of cells.
+    """Nearness of the cells of a cube to the target; one layer of cells in 2D.
 
     Attributes
     ----------
     origin : (3,) array
-        A corner of the cube.
+        The minimum vertex of the cube.
     cell : float
         Side of a cell.
     values : (a, b, c) array
@@ -61,7 +61,7 @@ class NearnessField(NamedTuple):
 
 @jit
 def fill_nearness(points, reach, field):
-    """Fill the zeros of a `NearnessField` for (m, 3) points."""
+    """Fill a `NearnessField` of zeros for (m, 3) points."""
     cell, values = field.cell, field.values
     span = int(reach / cell) + 1
     n0, n1, n2 = values.shape
@@ -82,9 +82,10 @@ def fill_nearness(points, reach, field):
 
 @jit_part
 def overlap(R, t, points, field, floor, n_first, share):
-    """Sum of the nearness of the moved points; incomplete once it cannot exceed `floor`.
+    """Return the summed nearness of the moved points; incomplete if it cannot exceed `floor`.
 
-    A pose is dropped too if its first `n_first` points score less than their part of `share` of `floor`.
+    The sum also ends early if the first `n_first` points score less than their part of `share` of
+    `floor`.
     """
     n, cell, origin = points.shape[0], field.cell, field.origin
     n0, n1, n2 = field.values.shape

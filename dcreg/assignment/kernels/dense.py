@@ -1,14 +1,14 @@
 """Exact k-cardinality assignment: the cheapest k pairs, at most one per row and one per column.
 
-The problem is a balanced transportation problem: a *spare* column takes the n - k unmatched rows and a
-*dummy* row the m - k unmatched columns, both at no cost. Any ``b >= 0`` gives feasible dual variables, so
-the search for the optimum may start from those of a similar problem: rows take their cheapest column if
-no other row has it, and only the rest is matched by shortest augmenting paths. Good dual variables leave
-a handful of paths instead of k. Costs may be negative.
+This is a balanced transportation problem: a *spare* column is matched to the n - k unmatched rows and a
+*dummy* row to the m - k unmatched columns, both at no cost. Any ``b >= 0`` gives feasible dual
+variables, so the solver can start from those of a similar problem. Each row first takes its cheapest
+column unless another row has it. Shortest augmenting paths match the remaining rows. Good dual
+variables leave a few paths instead of k. Costs may be negative.
 
 Nodes of the transportation problem: rows 0..n-1 and the dummy row n; columns 0..m-1 and the spare
-column m. ``row_of[j]`` and ``col_of[i]`` are -1 while free. Duals: ``a`` of rows, ``-b`` of columns, with
-``a_i - b_j <= c_ij``.
+column m. ``row_of[j]`` and ``col_of[i]`` are -1 while unmatched. The duals are ``a`` for rows and
+``-b`` for columns, with ``a_i - b_j <= c_ij``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dcreg.jit import NEVER, jit, jit_part, jit_reduction
 
 
 def cheapest_pairs(cost, k, stop=NEVER):
-    """Value, column of every row (-1: unmatched) and optimal dual variables of the cheapest k pairs.
+    """Return value, column of every row (-1: unmatched) and optimal duals of the cheapest k pairs.
 
     For calls from Python; kernels call `k_assignment_duals`. Both run the same compiled functions.
     """
@@ -34,7 +34,7 @@ def cheapest_pairs(cost, k, stop=NEVER):
 
 @jit_part
 def k_assignment(cost, k, stop):
-    """Value and column of every row (-1: unmatched) of the cheapest k pairs."""
+    """Return value and column of every row (-1: unmatched) of the cheapest k pairs."""
     duals = np.empty(cost.shape[1])
     first_duals(cost, k, duals)
     return improve_assignment(cost, k, duals, stop)
@@ -42,7 +42,7 @@ def k_assignment(cost, k, stop):
 
 @jit_part
 def k_assignment_duals(cost, k, stop):
-    """Value, column of every row (-1: unmatched) and optimal dual variables of the cheapest k pairs."""
+    """Return value, column of every row (-1: unmatched) and optimal duals of the cheapest k pairs."""
     duals = np.empty(cost.shape[1])
     first_duals(cost, k, duals)
     value, col_of = improve_assignment(cost, k, duals, stop)
@@ -72,7 +72,7 @@ def _take_least_off(b):
 
 @jit
 def improve_assignment(cost, k, b, stop):
-    """Value and column of every row of the cheapest k pairs, from dual variables `b`.
+    """Return value and column of every row of the cheapest k pairs, from dual variables `b`.
 
     Parameters
     ----------
@@ -80,10 +80,10 @@ def improve_assignment(cost, k, b, stop):
     k : int
         1 <= k <= min(n, m).
     b : (m,) array
-        Non-negative dual variables, optimal on return. For any of them the k smallest
-        ``min_j (c_ij + b_j)``, less the sum of b, are a lower bound; for optimal ones, the value.
+        Non-negative dual variables, optimal on return. The sum of the k smallest ``min_j (c_ij + b_j)``
+        minus the sum of b is a lower bound, which optimal ones attain.
     stop : (1,) uint8 array
-        Looked at before every path; once it is set what is returned is unfinished and of no use.
+        Checked before every path. Once it is set, the returned values are incomplete.
     """
     n, m = cost.shape
     a = np.empty(n + 1)
@@ -122,7 +122,7 @@ def row_minima(cost, b, out):
 
 @jit_part
 def _leave_rows(cost, k, b, a, col_of):
-    """The n - k rows with the greatest minima start at the spare column. Returns its dual variable."""
+    """Assign the n - k rows with the largest minima to the spare column; return its dual variable."""
     n, m = cost.shape
     row_minima(cost, b, a)
     if k == n:
@@ -142,7 +142,7 @@ def _leave_rows(cost, k, b, a, col_of):
 
 @jit_part
 def _take_cheapest(cost, a, b, col_of, row_of, free):
-    """Rows take a cheapest column that no other row has; those without one are listed in `free`."""
+    """Match each row with a cheapest column that no other row has; list the other rows in `free`."""
     n, m = cost.shape
     n_free = 0
     for i in range(n):
@@ -167,7 +167,7 @@ def _raise_to(lowest, costs, level):
 
 @jit_part
 def _lower_prices(cost, spare_price, a, b, col_of, row_of):
-    """Dual variables of free columns fall as far as the rows' duals allow: most of them to zero."""
+    """Lower the duals of unmatched columns as far as the row duals allow: most of them to zero."""
     n, m = cost.shape
     lowest, low = np.empty(m), least(b)
     for j in range(m):
@@ -181,7 +181,7 @@ def _lower_prices(cost, spare_price, a, b, col_of, row_of):
 
 @jit_part
 def _leave_columns(left, a, b, row_of):
-    """Free columns of the lowest dual variable go to the dummy row; returns how many it still needs."""
+    """Assign unmatched columns with the smallest dual to the dummy row; return how many it lacks."""
     dummy = a.size - 1
     a[dummy] = least(b)
     for j in range(b.size):
@@ -193,7 +193,7 @@ def _leave_columns(left, a, b, row_of):
 
 @jit_reduction
 def _relax(costs, b, shift, row, dist, pred):
-    """Shorten distances by way of `row`. Closed columns have b infinite."""
+    """Shorten distances through `row`. Closed columns have infinite b."""
     for j in range(costs.size):
         d = shift + (costs[j] + b[j])
         closer = d < dist[j]
@@ -203,7 +203,7 @@ def _relax(costs, b, shift, row, dist, pred):
 
 @jit_part
 def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
-    """The same by way of all rows at the spare column at once."""
+    """Shorten distances through all rows at the spare column at once."""
     for j in range(b.size):
         d = shift + (spare_cost[j] + b[j])
         if d < dist[j]:
@@ -213,7 +213,7 @@ def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
 
 @jit_part
 def _augment(cost, spare_price, a, b, col_of, row_of, starts, stop):
-    """Shortest augmenting paths from the free rows, and from the dummy row as often as it is short."""
+    """Augment from each unmatched row, and from the dummy row once per column that it lacks."""
     n, m = cost.shape
     dummy, spare = n, m
     dist, open_b, no_cost = np.empty(m), np.empty(m), np.zeros(m)
@@ -292,7 +292,7 @@ def _first(dist, low):
 
 @jit_part
 def _flip(column, source, dummy_entry, pred, col_of, row_of):
-    """Match along the path that ends in `column`. Returns the rows that joined and left the spare."""
+    """Match along the path that ends in `column`; return the rows that joined and left the spare."""
     spare, dummy = row_of.size, col_of.size
     joined, gone = -1, -1
     while True:

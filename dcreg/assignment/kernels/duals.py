@@ -1,4 +1,4 @@
-"""Dual variables of a sparse assignment: they tell whether pairs left out could help."""
+"""Dual variables of a sparse assignment: they show whether excluded pairs could lower its cost."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ _MAX_PASSES = 10_000
 def assignment_duals(columns, costs, col_of, own, m):
     """Dual variables u of rows and v <= 0 of columns that prove an optimal matching.
 
-    Row i may take columns[i] at costs[i] (ascending); `own` is what it pays, for its pair or for staying
+    Row i may take columns[i] at costs[i] (ascending); `own` is its cost, for its pair or for staying
     unmatched. v is lowered, and u_i = own_i - v_col raised, until ``cost >= u_i + v_j`` for all
-    candidates. A pair left out with ``cost >= u_i + v_j``, for which ``cost >= u_i`` is enough, cannot
-    help either. The last value tells whether they settled, as they do for an optimal matching.
+    candidates. An excluded pair with ``cost >= u_i + v_j`` cannot lower the cost of the matching;
+    ``cost >= u_i`` is sufficient. The last value tells whether the duals converged, as they do for an
+    optimal matching.
     """
     u, v = own.copy(), np.zeros(m)
     tolerance = 1e-12 * own.max()

@@ -1,4 +1,4 @@
-"""Assignments over few candidate pairs per row, where every row may also stay unmatched for a price."""
+"""Assignments over few candidate pairs per row, in which a row may stay unmatched at a fixed cost."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from dcreg.jit import jit
 
 @jit
 def priced_matching(columns, costs, m, price, stop, col_of):
-    """Cheapest matching where each unmatched row costs `price`: columns (-1: none) into `col_of`.
+    """Write the cheapest matching into `col_of` (-1: none), if each unmatched row costs `price`.
 
-    Shortest augmenting paths, row by row. A path may end at a free column, or leave a row on its way
-    unmatched: so it ends near its start, and the heap holds little.
+    Finds shortest augmenting paths, row by row. A path may end at an unmatched column, or leave one of
+    its rows unmatched. It therefore ends near its start, and the heap stays small.
 
     Parameters
     ----------
     columns, costs : (n, c) arrays
         Candidates of every row, cheapest first; no cost is negative.
     m : int
-        Columns there are.
+        Number of columns.
     price : float
     stop : (1,) uint8 array
-        Looked at before every row; once set the matching is unfinished and of no use.
+        Checked before every row. Once it is set, the matching is incomplete.
     col_of : (n,) int array
         Filled.
     """
@@ -107,7 +107,7 @@ def _push(keys, items, size, key, item):
 
 @jit
 def _pop(keys, items, size):
-    """Least key, its item, and the size left."""
+    """Remove the smallest key; return it, its item, and the remaining size."""
     key, item = keys[0], items[0]
     size -= 1
     last, at = keys[size], 0
@@ -134,7 +134,7 @@ def _twice(values):
 
 @jit
 def greedy_matching(rows, columns, n, m, k):
-    """Column of every row (-1: none): up to k pairs, each taken where both its points are still free."""
+    """Return the column of every row (-1: none): up to k pairs whose points are both unmatched."""
     col_of, taken = np.full(n, -1), np.zeros(m, np.bool_)
     count = 0
     for p in range(rows.size):

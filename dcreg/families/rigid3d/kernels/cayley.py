@@ -18,10 +18,10 @@ _SWEEPS = 30
 
 @jit
 def residuals(view, delta, terms):
-    """Terms of every pair at delta = (r, s): |e|^2, 2e and 2 m x e, as (7, m, n).
+    """Fill the terms of each pair at delta = (r, s): |e|^2, 2e and 2 m x e, as (7, m, n).
 
-    e = x - y + s + r x m with m = x + y: the residual that bounds the true one from below. What a
-    pair costs beyond it is added to |e|^2.
+    e = x - y + s + r x m with m = x + y is the residual that bounds the true one from below. The
+    penalty of an infeasible pair is added to |e|^2.
     """
     moved, shifted = view.source, view.target
     r0, r1, r2, s0, s1, s2 = delta[0], delta[1], delta[2], delta[3], delta[4], delta[5]
@@ -45,7 +45,7 @@ def residuals(view, delta, terms):
 
 @jit
 def fit_delta(view, col_of, lower, upper, delta):
-    """Best (r, s) in a box for given pairs: bounded least squares by coordinate descent."""
+    """Fit (r, s) in a box to given pairs: bounded least squares by coordinate descent."""
     moved, shifted = view.source, view.target
     H = np.zeros((6, 6))
     g = np.zeros(6)
@@ -96,7 +96,7 @@ def fit_delta(view, col_of, lower, upper, delta):
 
 @jit
 def linear_costs(terms, step, out):
-    """(n, m) linearised costs of all pairs a `step` away from where `terms` were taken."""
+    """Fill (n, m) linearised costs of all pairs, a `step` away from the point of `terms`."""
     _, m, n = terms.shape
     for j in range(m):
         for i in range(n):
@@ -108,7 +108,7 @@ def linear_costs(terms, step, out):
 
 @jit
 def dual_bound_at(terms, step, k, b, low):
-    """Lower bound of dual variables on the k-assignment of `linear_costs`, without the matrix."""
+    """Return the dual bound on the k-assignment of `linear_costs`, without forming the matrix."""
     _, m, n = terms.shape
     p, q, r, u, v, w = step[0], step[1], step[2], step[3], step[4], step[5]
     for i in range(n):
@@ -130,10 +130,10 @@ def dual_bound_at(terms, step, k, b, low):
 
 @jit_part
 def vertex_bound(view, vertices, half, floor, cutoff, col_of):
-    """The linearised vertex bound as far as it decides, and the assignments solved.
+    """Return the linearised vertex bound, and the number of assignments solved.
 
-    `col_of` is a good matching at the centre. -inf once a first pass shows that the bound will not
-    exceed `floor`.
+    `col_of` is a good matching at the centre. The result is -inf if a first pass shows that the bound
+    will not exceed `floor`.
     """
     n, m = view.source.shape[1], view.target.shape[1]
     low_box, high_box, delta = np.empty(6), np.empty(6), np.zeros(6)
@@ -146,7 +146,7 @@ def vertex_bound(view, vertices, half, floor, cutoff, col_of):
         linear_costs(terms, np.zeros(6), costs)
         value, matching, b = k_assignment_duals(costs, view.k, view.stop)
         spent += 1
-        hopeless = value <= floor * scale  # already at delta, which is a point of the box
+        hopeless = value <= floor * scale  # already at delta, which lies in the box
         if hopeless or view.stop[0] or _same(matching, col_of):
             break
         col_of = matching
@@ -183,7 +183,7 @@ def vertex_bound(view, vertices, half, floor, cutoff, col_of):
 
 @jit
 def _step_box(vertices, half, low_box, high_box):
-    """Box of (r, s) that holds all poses of the box; returns 1 + the greatest |r|^2."""
+    """Fill a box of (r, s) that contains all poses of the box; return 1 + the maximum of |r|^2."""
     largest = 0.0
     for c in range(6):
         low_box[c] = high_box[c] = 0.0

@@ -1,4 +1,4 @@
-"""Rigid poses as seen from one of them, what pairs cost at one, and bounds by nearest points."""
+"""Rigid poses relative to one of them, costs of pairs at a pose, and bounds by nearest points."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from dcreg.jit import jit, jit_part
 
 @jit
 def relative_vertices(centre, lower, upper, out):
-    """Gibbs vectors from the rotation `centre` to the vertices of a quaternion box.
+    """Return the Gibbs vectors from the rotation `centre` to the vertices of a quaternion box.
 
-    Fills rows of `out` (8, 3), returns their number; 0 where a vertex lies a half-turn away or more.
+    Fills rows of `out` (8, 3) and returns their number; 0 if a vertex is a half-turn away or more.
     """
     count = 0
     a, b, c, d = centre[0], -centre[1], -centre[2], -centre[3]  # the inverse of the centre
@@ -24,7 +24,7 @@ def relative_vertices(centre, lower, upper, out):
         flat = False
         for axis in range(4):
             flat |= (v >> axis) & 1 == 1 and upper[axis] <= lower[axis]
-        if flat:  # the same vertex as another one
+        if flat:  # duplicate of another vertex
             continue
         w = upper[0] if v & 1 else lower[0]
         x = upper[1] if v & 2 else lower[1]
@@ -42,7 +42,7 @@ def relative_vertices(centre, lower, upper, out):
 
 @jit_part
 def empty_view(clouds):
-    """Clouds to be filled by `look_from`."""
+    """Allocate clouds that `look_from` fills."""
     source, target = np.empty(clouds.source.shape), np.empty(clouds.target.shape)
     return Clouds(source, target, clouds.infeasibility_penalty, clouds.k, clouds.stop)
 
@@ -56,7 +56,7 @@ def look_from(clouds, theta, view):
 
 @jit
 def _shift(target, theta, out):
-    """Targets as seen from the translation of a pose."""
+    """Shift the targets by the translation of a pose."""
     for c in range(3):
         for j in range(target.shape[1]):
             out[c, j] = target[c, j] - theta[4 + c]
@@ -64,7 +64,7 @@ def _shift(target, theta, out):
 
 @jit
 def add_penalty_by_target(penalty, out):
-    """Add what pairs cost beyond their residual to (m, n) costs."""
+    """Add the penalties of infeasible pairs to (m, n) costs."""
     for i in range(penalty.shape[0]):
         for j in range(penalty.shape[1]):
             out[j, i] += penalty[i, j]
@@ -72,7 +72,7 @@ def add_penalty_by_target(penalty, out):
 
 @jit
 def nearest_sums(caps, slack, k):
-    """Sums of the k smallest row minima: of squared distances, and of squares of (distance - slack)."""
+    """Sum the k smallest row minima: of squared distances, and of (distance - slack)^2."""
     low = np.empty(caps.shape[0])
     for i in range(low.size):
         low[i] = least(caps[i])
@@ -84,7 +84,7 @@ def nearest_sums(caps, slack, k):
 
 @jit
 def pose_costs(theta, clouds, out):
-    """(n, m) squared residuals at a pose, with the penalties of infeasible pairs."""
+    """Fill (n, m) squared residuals at a pose, with the penalties of infeasible pairs."""
     view = empty_view(clouds)
     look_from(clouds, theta, view)
     pair_costs(view, out)
@@ -92,7 +92,7 @@ def pose_costs(theta, clouds, out):
 
 @jit
 def pair_costs(clouds, out):
-    """(n, m) squared distances, with the penalties of infeasible pairs."""
+    """Fill (n, m) squared distances, with the penalties of infeasible pairs."""
     source, target = clouds.source, clouds.target
     for i in range(out.shape[0]):
         a, b, c = source[0, i], source[1, i], source[2, i]
@@ -104,7 +104,7 @@ def pair_costs(clouds, out):
 
 @jit
 def nearest_scores(thetas, clouds, scores):
-    """Sum of the k smallest squared nearest distances at every pose: a cheap guess of E."""
+    """Sum the k smallest squared nearest distances at each pose: a cheap estimate of E."""
     n, m = clouds.source.shape[1], clouds.target.shape[1]
     costs = np.empty((n, m))
     for at in range(thetas.shape[0]):

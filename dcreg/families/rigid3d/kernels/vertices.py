@@ -1,6 +1,6 @@
-"""Values at the vertices of boxes of poses: each is found once, for all boxes that have the vertex.
+"""Values at the vertices of boxes of poses: each is computed once for all boxes with the vertex.
 
-How they prune a box is written in `dcreg.families.rigid3d.bound`.
+`dcreg.families.rigid3d.bound` explains how they prune a box.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from dcreg.families.rigid3d.kernels.stationary import needed, proven
 from dcreg.families.rotation3d.kernels.geometry import extent
 from dcreg.jit import jit, jit_part
 
-VERTICES = 64  # of a box: rotations times shifts
-# States of a box: values at its vertices may prune it; it remains open; they prune it.
+VERTICES = 64  # vertices of a box: rotations times shifts
+# States of a box: vertex values may prune it; it remains open; vertex values have pruned it.
 VALUES_NEEDED, OPEN, PRUNED = 0, 1, 2
 
 
 class VertexTable(NamedTuple):
-    """The vertices met so far, by slot, and a hash table to find them.
+    """The vertices seen so far, by slot, and a hash table to find them.
 
     Attributes
     ----------
@@ -42,7 +42,8 @@ class VertexTable(NamedTuple):
 
 
 class VertexRequests(NamedTuple):
-    """Vertices to be priced: slots, the boxes that need them, and the values needed: (64 B,) arrays."""
+    """Requested vertices: their slots, the boxes that need them, and the values needed, (64 B,)
+    arrays."""
 
     slots: np.ndarray
     boxes: np.ndarray
@@ -50,16 +51,16 @@ class VertexRequests(NamedTuple):
 
 
 class BoxStates(NamedTuple):
-    """What remains to be done for B boxes.
+    """Vertex values and states of B boxes.
 
     Attributes
     ----------
     costs : (B, 64) array
         C of `dcreg.families.rigid3d.kernels.stationary.Loss` at the vertices of the boxes, from below.
     losses : (B, 2) array
-        The `Loss` of its mean with a value at the vertex.
+        The `Loss` of the mean of C and the value at a vertex.
     slots : (B, 64) int32 array
-        Of known vertices; -1 elsewhere.
+        Slots of known vertices; -1 elsewhere.
     states : (B,) int8 array
         VALUES_NEEDED, OPEN or PRUNED.
     """
@@ -71,7 +72,7 @@ class BoxStates(NamedTuple):
 
 
 def allocate_states(count: int) -> BoxStates:
-    """Allocate the states of so many open boxes."""
+    """Allocate the states of `count` open boxes."""
     return BoxStates(
         np.empty((count, VERTICES)), np.empty((count, 2)),
         np.full((count, VERTICES), -1, np.int32), np.full(count, OPEN, np.int8),
@@ -80,7 +81,7 @@ def allocate_states(count: int) -> BoxStates:
 
 @jit
 def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
-    """Judge boxes by the values known, and list the vertices to be priced to know more.
+    """Decide boxes by the known values, and request further vertex values for the others.
 
     Parameters
     ----------
@@ -89,11 +90,11 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
         Slots taken.
     lower, upper : (B, 7) arrays
     boxes : BoxStates
-        Updated where the values known decide.
+        Updated if the known values decide.
     cutoff : float
         Boxes with at least this bound are pruned.
     most : int
-        Vertices to be requested per box, those of smallest C first.
+        Maximum number of vertices requested per box, smallest C first.
     requests : VertexRequests
 
     Returns
@@ -116,7 +117,7 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
                 candidates[n_open] = vertex
                 n_open += 1
         for turn in range(min(most, n_open)):
-            if most < n_open:  # the next in the order of C
+            if most < n_open:  # the next vertex in the order of C
                 best = turn
                 for other in range(turn + 1, n_open):
                     if boxes.costs[box, candidates[other]] < boxes.costs[box, candidates[best]]:
@@ -139,7 +140,7 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
 
 @jit_part
 def _slot_of(known, used, theta):
-    """The slot of a vertex; the first free one where it has none."""
+    """Return the slot of a vertex; the first free slot if it has none."""
     turn, shift = _hashes(theta)
     place = _place(known, theta, _joined(turn, shift))
     slot = known.table[place]
@@ -155,14 +156,14 @@ def _slot_of(known, used, theta):
 
 @jit
 def _goals(boxes, box, cutoff):
-    """The C that is enough at a vertex whose value is not known, and the mean that is where it is."""
+    """Return the sufficient C at a vertex without a known value, and the sufficient mean with one."""
     root, rest = boxes.losses[box, 0], boxes.losses[box, 1]
     return needed(2.0 * root, 2.0 * rest, cutoff), needed(root, rest, cutoff)
 
 
 @jit
 def _may_improve(known, slot, goal):
-    """Whether to request the value of a vertex that has to reach `goal`."""
+    """Whether to request the value of a vertex that must reach `goal`."""
     if slot < 0:
         return True
     value = known.values[slot]
@@ -171,7 +172,7 @@ def _may_improve(known, slot, goal):
 
 @jit
 def _judged(known, lower, upper, boxes, box, cutoff, theta):
-    """The state of a box by the values known."""
+    """Return the state of a box by the known values."""
     alone, together = _goals(boxes, box, cutoff)
     turns, shifts = np.empty(8, np.uint64), np.empty(8, np.uint64)
     for part in range(8):
@@ -221,7 +222,7 @@ def bounds_by_vertices(known, boxes, cutoff, bounds):
 
 @jit
 def price_vertices(known, requests, duals, clouds, work):
-    """Values of the vertices requested, from the duals (B, m) of the boxes that need them."""
+    """Compute the requested values from the duals (B, m) of the boxes that need them."""
     view, farthest = empty_view(clouds), extent(clouds.source)[1]
     for at in range(requests.slots.size):
         if clouds.stop[0]:
@@ -234,7 +235,7 @@ def price_vertices(known, requests, duals, clouds, work):
 
 @jit
 def vertex_pose(lower, upper, vertex, theta):
-    """The pose of a vertex, in the order of `costs_at_vertices`."""
+    """Return the pose of a vertex, in the order of `costs_at_vertices`."""
     turn = vertex >> 3
     for axis in range(4):
         theta[axis] = lower[axis]
@@ -248,7 +249,7 @@ def vertex_pose(lower, upper, vertex, theta):
 
 @jit
 def _hashes(theta):
-    """Hash rotation and shift by their bits: vertices that boxes share are equal to the last bit."""
+    """Hash rotation and shift by their bits: shared vertices of boxes are equal to the last bit."""
     bits = theta.view(np.uint64)
     turn = shift = np.uint64(0x9E3779B97F4A7C15)
     for axis in range(7):
@@ -269,7 +270,7 @@ def _joined(turn, shift):
 
 @jit
 def _place(known, theta, at):
-    """Where a pose with hash `at` stands in the table, or would stand."""
+    """Return the position of a pose with hash `at` in the table, or the free one for it."""
     table, poses = known.table, known.poses
     mask = np.uint64(table.size - 1)
     while True:

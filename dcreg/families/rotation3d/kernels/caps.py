@@ -1,4 +1,4 @@
-"""What a pair of points costs at least where the source may turn within a cap."""
+"""Lower bounds on the costs of pairs if the source may rotate within a cap."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dcreg.jit import jit
 
 @jit
 def cap_costs(moved, angle, target, penalty, out):
-    """Least squared residuals (n, m) if `moved` may rotate by up to `angle`, with the penalties."""
+    """Fill (n, m) minimum squared residuals if `moved` may rotate by up to `angle`, with penalties."""
     cosine, sine = math.cos(angle), math.sin(angle)
     for i in range(moved.shape[1]):
         x, y, z = moved[0, i], moved[1, i], moved[2, i]

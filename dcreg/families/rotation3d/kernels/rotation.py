@@ -1,7 +1,7 @@
 """Bounds over boxes of rotations.
 
-Point sets are stored by axis, (3, n) and (3, m): every pass over the pairs is a plain sweep. Why the
-bounds hold is written in `dcreg.families.rotation3d.bound`.
+Point sets are stored by axis, (3, n) and (3, m), so every pass over the pairs is contiguous.
+`dcreg.families.rotation3d.bound` proves the bounds.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from dcreg.jit import jit, jit_part
 
 @jit
 def box_corners(lower, upper, corners):
-    """Distinct corners of a box of quaternions into rows of `corners`; returns how many.
+    """Write the distinct vertices of a box of quaternions to `corners`; return their number.
 
-    Numbered so that i and j ^ i differ in bits j.
+    They are numbered such that i and j ^ i differ in bits j.
     """
     count = 1
     for c in range(4):
@@ -39,7 +39,7 @@ def box_corners(lower, upper, corners):
 
 @jit
 def box_angle(centre, corners):
-    """Largest angle (at most pi) between the rotation `centre` and any rotation of the box."""
+    """Return the maximum angle (at most pi) between the rotation `centre` and those of the box."""
     own, chord = _length(centre), 0.0
     for v in range(corners.shape[0]):
         length, square = _length(corners[v]), 0.0
@@ -57,9 +57,9 @@ def _length(q):
 
 @jit
 def pair_costs(M, clouds, out):
-    """|a_i|^2 + |y_j|^2 - 2 y_j.(M a_i), with the penalties.
+    """Fill |a_i|^2 + |y_j|^2 - 2 y_j.(M a_i), with the penalties.
 
-    Affine in M, and the squared residual if M is a rotation.
+    The cost is affine in M, and the squared residual if M is a rotation.
     """
     source, target, penalty = clouds.source, clouds.target, clouds.infeasibility_penalty
     moved = np.empty(source.shape)
@@ -75,7 +75,7 @@ def pair_costs(M, clouds, out):
 
 @jit
 def nearest_bound(costs, k):
-    """Sum of the k smallest row or column minima, the greater: no more than a k-assignment."""
+    """Return the larger sum of the k smallest row or column minima: a bound on the k-assignment."""
     n, m = costs.shape
     rows, cols = np.empty(n), np.empty(m)
     for j in range(m):
@@ -89,7 +89,7 @@ def nearest_bound(costs, k):
 
 @jit
 def dual_bound_at(M, clouds, b):
-    """Lower bound of dual variables on the k-assignment of `pair_costs` at M, without the matrix."""
+    """Return the dual bound on the k-assignment of `pair_costs` at M, without forming the matrix."""
     source, target, penalty = clouds.source, clouds.target, clouds.infeasibility_penalty
     n = source.shape[1]
     moved, low = np.empty(source.shape), np.empty(n)
@@ -119,17 +119,17 @@ def dual_bound_at(M, clouds, b):
 
 @jit_part
 def vertex_bound(corners, clouds, b, floor, cutoff):
-    """B2 as far as it decides: the least vertex value and the assignments solved.
+    """Return the bound B2, the minimum vertex value, and the number of assignments solved.
 
-    Every vertex has a lower bound on its assignment, at first from the duals `b`. The binding
-    vertex is then solved, and its duals raise the others, until the least value is exact or reaches
-    `cutoff`. -inf once the first pass shows that B2 will hardly exceed `floor`, or where B2 is
-    undefined: a box that spans a right angle between quaternions.
+    Each vertex has a lower bound on its assignment, initially from the duals `b`. The vertex with the
+    minimum is solved, and its duals raise the bounds of the others, until the minimum is exact or
+    reaches `cutoff`. B2 is -inf if the first pass shows that it will hardly exceed `floor`, or if it is
+    undefined because the box spans a right angle between quaternions.
     """
     size, count, spent = corners.shape[0], 0, 0
     values, ends = np.empty(size * (size + 1) // 2), np.empty((size * (size + 1) // 2, 2), np.int64)
     hopeless = False
-    # far pairs of corners first: their matrices lie farthest outside, so a hopeless pass ends early
+    # distant vertices first: their matrices are farthest from rotations, so a vain pass ends early
     for difference in range(size - 1, -1, -1):
         for u in range(size):
             v = u ^ difference
@@ -160,9 +160,9 @@ def vertex_bound(corners, clouds, b, floor, cutoff):
 
 @jit
 def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
-    """max(B1, B2) of every box, cheapest test first; returns the assignments solved.
+    """Fill max(B1, B2) of each box, cheapest test first; return the number of assignments solved.
 
-    `values` receives an upper bound on E at the box centre, +inf where the box was closed before.
+    `values` receives an upper bound on E at the box centre, +inf if the box was pruned before.
     """
     n, m = clouds.source.shape[1], clouds.target.shape[1]
     moved, caps = np.empty((3, n)), np.empty((n, m))
@@ -181,7 +181,7 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
         bounds[box] = nearest_bound(caps, clouds.k)
         if bounds[box] >= cutoff:
             continue
-        # the one assignment most boxes need: it gives B1, a matching for E and duals for B2
+        # most boxes need only this assignment: it gives B1, a matching for E, and duals for B2
         bounds[box], col_of, b = k_assignment_duals(caps, clouds.k, clouds.stop)
         values[box] = matched_cost(moved, clouds.target, col_of)
         spent += 1
@@ -195,7 +195,7 @@ def bound_boxes(lower, upper, cutoff, clouds, bounds, values):
 
 @jit
 def nearest_scores(quaternions, clouds, scores):
-    """`nearest_bound` at every rotation: a cheap, one-sided guess of E."""
+    """Fill `nearest_bound` at each rotation: a cheap lower bound on E."""
     costs = np.empty((clouds.source.shape[1], clouds.target.shape[1]))
     for at in range(quaternions.shape[0]):
         if clouds.stop[0]:

@@ -1,4 +1,4 @@
-"""The DC bound of boxes from what is kept of their vertices, at the best linearisation point."""
+"""The DC bound of boxes from stored vertex profiles, at the best linearisation point."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dcreg.jit import jit, jit_part
 
 
 class SharedBoxes(NamedTuple):
-    """Boxes, the slots of their vertices, and what is found for them.
+    """Boxes, the slots of their vertices, and their results.
 
     Attributes
     ----------
@@ -22,7 +22,7 @@ class SharedBoxes(NamedTuple):
     slots : (B, 2^dim) int array
         -1 beyond the last distinct vertex.
     points : (B, dim) array
-        Linearisation points: where to start, then the best.
+        Linearisation points: initial ones, replaced by the best.
     bounds : (B,) array
     binding : (B,) int array
         Slot of the vertex that limits the bound.
@@ -37,18 +37,18 @@ class SharedBoxes(NamedTuple):
 
 
 class Effort(NamedTuple):
-    """How hard to try.
+    """Effort spent on each bound.
 
     Attributes
     ----------
     weights : (dim,) array
         Diagonal of the quadratic that models the loss.
     moves : int
-        Moves of the linearisation point, at most.
+        Maximum number of moves of the linearisation point.
     floor : float
-        Bounds that cannot reach this are of no use: the box will be divided in any case.
+        Bounds that cannot reach this value are not improved: the box will be divided in any case.
     enough : float
-        Bounds above this need not be better.
+        Bounds above this value are not improved.
     """
 
     weights: np.ndarray
@@ -59,7 +59,7 @@ class Effort(NamedTuple):
 
 @jit_part
 def charged_value(axes, k, low, level, profile, delta, charged):
-    """Lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from what is kept of a vertex."""
+    """Return a lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from the profile of a vertex."""
     plane_curvature(axes, delta, charged)
     level -= total(charged) / charged.size
     for i in range(charged.size):
@@ -69,10 +69,10 @@ def charged_value(axes, k, low, level, profile, delta, charged):
 
 @jit
 def shared_bounds(clouds, known, effort, boxes):
-    """``max_theta0 min_v min_P sum p_ij [E_ij(v) - R_i(v - theta0)]`` per box, from shared values.
+    """Bound each box by ``max_theta0 min_v min_P sum p_ij [E_ij(v) - R_i(v - theta0)]``.
 
-    Starts with theta0 at ``boxes.points`` and moves it to the best place of a quadratic model of the
-    loss; the bound itself is always evaluated with the true R_i.
+    Uses shared vertex values. theta0 starts at ``boxes.points`` and moves to the optimum of a quadratic
+    model of the loss. The bound itself is always evaluated with the true R_i.
     """
     dim, weights = boxes.lower.shape[1], effort.weights
     charges = np.empty(clouds.source.shape[1])
@@ -106,7 +106,7 @@ def shared_bounds(clouds, known, effort, boxes):
                 break
             if step > 1 and bound <= previous + 1e-3 * abs(previous):
                 break
-            # the loss at theta0 as if it were quadratic with these weights
+            # the loss at theta0, modelled as a quadratic with these weights
             for v in range(count):
                 for a in range(dim):
                     charged[v] += weights[a] * (corner[v, a] - point[a]) ** 2

@@ -1,7 +1,7 @@
-"""What is kept of a vertex in the plane: its value, and a profile that bounds it under any row charges.
+"""Vertex values in 2D, and profiles that bound the k-assignment under any row charges.
 
-With duals b >= 0 let r_i = min_j (c_ij + b_j) - (sum b) / k, the *profile*. For any charge R_i on the
-rows the sum of the k smallest r_i - R_i is at most the k-assignment of c_ij - R_i, whatever b. With
+With duals b >= 0 let r_i = min_j (c_ij + b_j) - (sum b) / k, the *profile*. For any b and any charge
+R_i on the rows, the sum of the k smallest r_i - R_i is at most the k-assignment of c_ij - R_i. With
 optimal b the k smallest r_i add up to E(v).
 """
 
@@ -14,17 +14,17 @@ from dcreg.assignment.kernels.selection import least, smallest_sum, total
 from dcreg.families.dc.kernels.motion import pair_costs
 from dcreg.jit import jit, jit_part
 
-# Added to the squared distance of a vertex that was not solved: any solved one counts for more.
+# Added to the squared distance of a vertex that was not solved, so that any solved one has more weight.
 _UNSOLVED = 1e6
 
 
 @jit
 def bound_vertices(clouds, known, solve, warm, slots):
-    """Fill bounds on E and profiles at the vertices `slots`. Returns how many were looked at.
+    """Fill bounds on E and profiles at the vertices `slots`; return the number of vertices evaluated.
 
-    With `solve` E is computed, with optimal duals; with `warm` the duals already there are the start.
-    Else the duals there give a lower bound, in one pass over the costs instead of an assignment: `values`
-    stays infinite, no upper bound is known.
+    With `solve`, E is computed with optimal duals; with `warm`, from the stored duals. Otherwise the
+    stored duals give a lower bound in one pass over the costs. `values` then stays infinite, because no
+    upper bound is known.
     """
     n, m = clouds.source.shape[1], clouds.target.shape[1]
     cost = np.empty((n, m))
@@ -45,7 +45,7 @@ def bound_vertices(clouds, known, solve, warm, slots):
 
 @jit_part
 def _dual_profile(cost, k, b, profile):
-    """Fill r_i = min_j (c_ij + b_j) - (sum b) / k; sum and greatest of its k smallest entries."""
+    """Fill r_i = min_j (c_ij + b_j) - (sum b) / k; return sum and maximum of its k smallest entries."""
     row_minima(cost, b, profile)
     share = total(b) / k
     for i in range(profile.size):
@@ -56,11 +56,12 @@ def _dual_profile(cost, k, b, profile):
 
 @jit
 def blend_duals(known, weights, slots, which, start, boxes, settled):
-    """Dual variables at vertices from the other vertices of all boxes that have them (`boxes_of`).
+    """Estimate dual variables at vertices from the other vertices of all their boxes (`boxes_of`).
 
-    A mean with weights ``distance^-6``: optimal ones are continuous and piecewise linear in the costs,
-    so the mean of the nearest on all sides lies closer than any one of them. Estimates count only where
-    no neighbour is solved, and only those of slots below `settled`. Returns which vertices have any.
+    The estimate is a mean with weights ``distance^-6``. Optimal duals are continuous and piecewise
+    linear in the costs, so the mean over the nearest vertices on all sides is better than any of them.
+    Estimated neighbours count only if no neighbour is solved, and only in slots below `settled`.
+    Returns which vertices have an estimate.
     """
     found, mean = np.empty(which.size, np.bool_), np.empty(known.duals.shape[1])
     for at in range(which.size):
