@@ -69,12 +69,11 @@ class Incumbent:
 
     def offer(self, col_of: np.ndarray) -> bool:
         """Descend from a matching if it is better than the incumbent; return whether it replaced it."""
-        source, target, k, *_ = self.clouds
+        source, target, k, *scales = self.clouds
         pairs = pairs_of(col_of)
         pose = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], self.clouds.scale_range)
-        pose, value, _, spent = polish(
-            source, target, pose, k, self.clouds.scale_range, budget=self.budget
-        )
+        problem = Problem(source, target, k, "similarity2d", (scales[0], scales[1]))
+        pose, value, _, spent = polish(problem, pose, self.budget)
         self.n_assignments += spent
         if value >= self.value:
             return False

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from dcreg.assignment.objective import is_large, objective
 from dcreg.assignment.sparse import nearest_pairs
+from dcreg.problem import Problem
 from dcreg.problem.geometry import apply_pose, fit_pose
 from dcreg.search import Budget
 
@@ -63,21 +64,14 @@ def alternate(
 
 
 def polish(
-    source: np.ndarray,
-    target: np.ndarray,
-    T_target_source: np.ndarray,
-    n_inliers: int,
-    scale_range: tuple[float, float],
-    candidates: np.ndarray | None = None,
-    budget: Budget | None = None,
+    problem: Problem, T_target_source: np.ndarray, budget: Budget | None = None
 ) -> tuple[np.ndarray, float, np.ndarray, int]:
     """Alternate matching and least-squares pose from `T_target_source` until neither changes.
 
     Parameters
     ----------
-    source, target, T_target_source, n_inliers, candidates
-        As in `objective`.
-    scale_range : (low, high)
+    problem : Problem
+    T_target_source : (d+1, d+1) array
     budget : Budget, optional
         No further step begins when it is over.
 
@@ -87,6 +81,8 @@ def polish(
         Never worse than the pose given.
     """
     budget = budget or Budget()
+    source, target, n_inliers = problem.source, problem.target, problem.n_inliers
+    scale_range, candidates = problem.scale_range, problem.candidates
     large = candidates is None and is_large(len(source), len(target))
 
     def evaluate(T: np.ndarray) -> tuple[float, np.ndarray]:

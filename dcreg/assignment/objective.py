@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -11,6 +12,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from dcreg.assignment import sparse
 from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.jit import NEVER
+from dcreg.problem import Problem
 from dcreg.problem.geometry import apply_pose
 
 # So few pairs are matched exactly in a quarter of a second, even after the time limit.
@@ -67,10 +69,7 @@ def objective(
     T_target_source: np.ndarray,
     n_inliers: int,
     candidates: np.ndarray | None = None,
-    *,
-    prove: bool = True,
-    stop: np.ndarray = NEVER,
-    at_once: int = AT_ONCE_PAIRS,
+    **effort: Any,
 ) -> tuple[float, np.ndarray]:
     """Return the minimum sum of squared residuals of `n_inliers` one-to-one pairs at a pose.
 
@@ -84,22 +83,15 @@ def objective(
     n_inliers : int
     candidates : (n, m) bool array, optional
         The feasible pairs.
-    prove : bool
-        For large clouds: False returns a quick upper bound instead.
-    stop : (1,) uint8 array
-        Set from another thread to get an upper bound at once: near pairs, chosen greedily.
-    at_once : int
-        Maximum number of pairs of points that are matched exactly even if `stop` is set.
+    **effort
+        ``prove``, ``stop`` and ``at_once`` of `match_at`, for large clouds.
 
     Returns
     -------
     value : float, in squared units of the target
     assignment : (n_inliers, 2) int array
     """
-    return match_at(
-        source, target, T_target_source, n_inliers, candidates,
-        prove=prove, stop=stop, at_once=at_once,
-    )[:2]  # fmt: skip
+    return match_at(source, target, T_target_source, n_inliers, candidates, **effort)[:2]
 
 
 def match_at(
@@ -113,7 +105,19 @@ def match_at(
     stop: np.ndarray = NEVER,
     at_once: int = AT_ONCE_PAIRS,
 ) -> tuple[float, np.ndarray, bool]:
-    """Return value and pairs of `objective`, and whether the pairs were chosen greedily."""
+    """Return value and pairs of `objective`, and whether the pairs were chosen greedily.
+
+    Parameters
+    ----------
+    source, target, T_target_source, n_inliers, candidates
+        As in `objective`.
+    prove : bool
+        For large clouds: False returns a quick upper bound instead.
+    stop : (1,) uint8 array
+        Set from another thread to get an upper bound at once: near pairs, chosen greedily.
+    at_once : int
+        Maximum number of pairs of points that are matched exactly even if `stop` is set.
+    """
     moved = apply_pose(T_target_source, source)
     if len(source) * len(target) <= at_once:
         stop = NEVER
@@ -163,13 +167,10 @@ class Matched:
 
 
 def quick_objective(
-    source: np.ndarray,
-    target: np.ndarray,
+    problem: Problem,
     T_target_source: np.ndarray,
-    n_inliers: int,
-    candidates: np.ndarray | None = None,
+    known: Matched | None = None,
     *,
-    known: Matched | None,
     prove: bool = True,
     stop: np.ndarray = NEVER,
 ) -> tuple[float, np.ndarray, bool]:
@@ -177,10 +178,12 @@ def quick_objective(
 
     Parameters
     ----------
-    source, target, T_target_source, n_inliers, candidates, prove, stop
-        As in `objective`.
+    problem : Problem
+    T_target_source : (d+1, d+1) array
     known : Matched, optional
         Feasible pairs, at least `n_inliers`.
+    prove, stop
+        As in `match_at`.
 
     Returns
     -------
@@ -188,14 +191,16 @@ def quick_objective(
         As in `match_at`. The value is that of these pairs, an upper bound on the minimum.
     """
 
+    source, target, k = problem.source, problem.target, problem.n_inliers
+
     def own() -> tuple[float, np.ndarray, bool]:
         return match_at(
-            source, target, T_target_source, n_inliers, candidates, prove=prove, stop=stop
+            source, target, T_target_source, k, problem.candidates, prove=prove, stop=stop
         )
 
     if known is None or not stop[0]:
         return own()
-    value, pairs = known.cheapest(source, target, T_target_source, n_inliers)
+    value, pairs = known.cheapest(source, target, T_target_source, k)
     # own pairs of small clouds are exact: known ones can be as good, not better
     given = value, pairs, len(source) * len(target) > AT_ONCE_PAIRS
     if known.greedy and np.array_equal(known.T_target_source, T_target_source):

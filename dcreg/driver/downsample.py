@@ -116,9 +116,7 @@ def refined(
     began = budget.elapsed()
     clouds, k = (problem.source, problem.target), problem.n_inliers
     T = result.T_target_source
-    before, pairs, greedy = quick_objective(
-        *clouds, T, k, known=known, prove=False, stop=budget.hard_stop
-    )
+    before, pairs, greedy = quick_objective(problem, T, known, prove=False, stop=budget.hard_stop)
     poses, tried = [(before, T, pairs)], 1
     if result.runner_up is not None and not budget.is_over:
         T, tried = result.runner_up.T_target_source, tried + 1
@@ -161,10 +159,7 @@ def refine_poses(problem: Problem, poses: Sequence[Pose], budget: Budget) -> tup
     for at, (value, T, _) in enumerate(refined):
         if budget.is_over or value > HOPELESS * min(map(_value, refined)):
             break
-        T, better, pairs, more = polish(
-            problem.source, problem.target, T, problem.n_inliers, problem.scale_range,
-            problem.candidates, budget,
-        )  # fmt: skip
+        T, better, pairs, more = polish(problem, T, budget)
         spent += more
         if better < value:
             refined[at] = better, T, pairs

@@ -235,13 +235,16 @@ class Finish:
         The pairs of a sample are not returned to the user: they may be rough, and are not called greedy.
         """
         problem, budget = self.setup.searched[self.at], self.placing
-        given = problem.source, problem.target, T, problem.n_inliers, problem.candidates
         prove = not (self.setup.options.polish or budget.is_over)
         if self.setup.is_sampled:
-            value, pairs = objective(*given, prove=prove, stop=budget.hard_stop, at_once=0)
+            clouds, candidates = (problem.source, problem.target), problem.candidates
+            value, pairs = objective(
+                *clouds, T, problem.n_inliers, candidates,
+                prove=prove, stop=budget.hard_stop, at_once=0,
+            )  # fmt: skip
             return (value, T, pairs), False
         value, pairs, greedy = quick_objective(
-            *given, known=self.known, prove=prove, stop=budget.hard_stop
+            problem, T, self.known, prove=prove, stop=budget.hard_stop
         )
         return (value, T, pairs), greedy
 

@@ -120,7 +120,7 @@ def warm_up_mode(
                 threads=1, budget=Budget(nodes=8),
             )
         )  # fmt: skip
-        polish(points, moved, np.eye(dim + 1), 6, scale_range, candidates)
+        polish(Problem(points, moved, 6, mode.model, candidates=candidates), np.eye(dim + 1))
         # what is met past the limit
         objective(points, moved, np.eye(dim + 1), 6, stop=np.ones(1, np.uint8))
         if many and mode.name == "full":

@@ -127,28 +127,27 @@ def branch_and_bound(
     return search.outcome(first.time_s + budget.elapsed() - began)
 
 
+@dataclass
 class _Search:
     """The state of one search; its methods are the steps of Algorithm 1."""
 
-    def __init__(
-        self,
-        bound: Bound,
-        budget: Budget,
-        gap_tol: float,
-        stage: str,
-        leaves: Leaves | None,
-        start: Start,
-    ) -> None:
-        self.bound, self.budget, self.gap_tol = bound, budget, gap_tol
-        self.stage, self.leaves = stage, leaves
-        self.start, self.theta, self.upper_bound = start, start.theta, start.value
-        self.nodes = OpenNodes(bound.roots[0].dim)
-        self.pruned_bound = np.inf  # minimum over the pruned boxes: part of the certificate
-        self.n_nodes = self.n_refining = 0
-        self.worth_refining = np.inf
-        self.is_over = False
-        self.status: Status | None = None
-        self.events: list[Event] = []
+    bound: Bound
+    budget: Budget
+    gap_tol: float
+    stage: str
+    leaves: Leaves | None
+    start: Start
+    n_nodes: int = 0
+    n_refining: int = 0
+    pruned_bound: float = np.inf  # minimum over the pruned boxes: part of the certificate
+    worth_refining: float = np.inf
+    is_over: bool = False
+    status: Status | None = None
+    events: list[Event] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.theta, self.upper_bound = self.start.theta, self.start.value
+        self.nodes = OpenNodes(self.bound.roots[0].dim)
 
     @property
     def cutoff(self) -> float:
@@ -225,30 +224,18 @@ class _Search:
             is_open = self.status is not Status.OPTIMAL
             self.leaves.add(self.nodes.pop(len(self.nodes), np.inf), is_open)
         assert self.status is not None
+        spent = self.bound.n_assignments + self.n_refining + self.start.n_assignments
         return Outcome(
-            self.status,
-            self.theta,
-            lower_bound,
-            self.upper_bound,
-            self.n_nodes,
-            self.bound.n_assignments + self.n_refining + self.start.n_assignments,
-            time_s,
-            self.events,
-            self.leaves,
-        )
+            self.status, self.theta, lower_bound, self.upper_bound, self.n_nodes, spent, time_s,
+            self.events, self.leaves,
+        )  # fmt: skip
 
     def _report(self, kind: str) -> None:
+        spent = self.bound.n_assignments + self.n_refining
         event = Event(
-            kind,
-            self.stage,
-            self.budget.elapsed(),
-            self.n_nodes,
-            self.bound.n_assignments + self.n_refining,
-            len(self.nodes),
-            self.lower_bound,
-            self.upper_bound,
-            self.status.value if self.status is not None else "",
-        )
+            kind, self.stage, self.budget.elapsed(), self.n_nodes, spent, len(self.nodes),
+            self.lower_bound, self.upper_bound, self.status.value if self.status is not None else "",
+        )  # fmt: skip
         if kind == "bound" and self.events and _same_bounds(self.events[-1], event):
             event = replace(event, kind="heartbeat")  # passed to the listener, not kept
         else:
@@ -291,8 +278,7 @@ def minimise(
     *,
     gap_tol: float,
     start: Sequence[Any] | None = None,
-    stage: str = "search",
-    keep_leaves: bool = False,
+    **settings: Any,
 ) -> Outcome:
     """Minimise the objective of a space over the roots of `bound`, to within `gap_tol`.
 
@@ -306,10 +292,8 @@ def minimise(
         Absolute, in the units of the objective.
     start : (theta, value), optional
         A known parameter and its objective; default: the result of ``space.start``.
-    stage : str
-        Name of this search in its events.
-    keep_leaves : bool
-        Keep the leaf boxes for a certificate.
+    **settings
+        ``stage`` and ``keep_leaves`` of `branch_and_bound`.
 
     Returns
     -------
@@ -319,13 +303,13 @@ def minimise(
         began = budget.elapsed()
         start = space.start(budget, gap_tol)
         start = Start(*start, budget.elapsed() - began)
+    branching = LongestEdge(space.axis_weights)
     return branch_and_bound(
         bound,
         budget,
-        branching=LongestEdge(space.axis_weights),
+        branching=branching,
         gap_tol=gap_tol,
         refine=space.refine,
         start=start,
-        stage=stage,
-        keep_leaves=keep_leaves,
+        **settings,
     )

@@ -37,7 +37,7 @@ def turned(angle):
 
 @pytest.mark.parametrize(("angle", "stop"), [(1.5, OVER), (0.01, UNDER_WAY)])
 def test_elsewhere_and_in_time_points_are_looked_up(clouds, known, angle, stop):
-    found = quick_objective(*clouds, turned(angle), 40, known=known, stop=stop)
+    found = quick_objective(Problem(*clouds, 40, "rigid3d"), turned(angle), known, stop=stop)
     alone = objective(*clouds, turned(angle), 40, stop=stop)
     assert found[0] == alone[0]
     np.testing.assert_array_equal(found[1], alone[1])
@@ -46,7 +46,7 @@ def test_elsewhere_and_in_time_points_are_looked_up(clouds, known, angle, stop):
 def test_pairs_of_a_bad_pose_do_not_pass_for_those_of_a_good_one(clouds):
     _, pairs = objective(*clouds, turned(1.5), 60)
     bad = Matched(turned(1.5), pairs)
-    found = quick_objective(*clouds, np.eye(4), 40, known=bad, stop=OVER)
+    found = quick_objective(Problem(*clouds, 40, "rigid3d"), np.eye(4), bad, stop=OVER)
     assert found[0] == objective(*clouds, np.eye(4), 40)[0]
 
 
@@ -96,7 +96,7 @@ def test_one_greedy_matching_of_large_clouds_serves_all_cardinalities_of_its_pos
     target = source[rng.permutation(1200)] + 0.01 * rng.standard_normal((1200, 3))
     T = turned(0.05)
     known = Matched(T, objective(source, target, T, 900, stop=OVER)[1], greedy=True)
-    given = quick_objective(source, target, T.copy(), 400, known=known, stop=OVER)
+    given = quick_objective(Problem(source, target, 400, "rigid3d"), T.copy(), known, stop=OVER)
     own = objective(source, target, T, 400, stop=OVER)
     assert given[0] == pytest.approx(own[0], rel=1e-12)
     np.testing.assert_array_equal(given[1], own[1])
@@ -135,7 +135,7 @@ def test_pairs_matched_to_the_end_do_not_stand_in_for_fewer(rng):
     """Of the best pairs of all points the cheapest few are dearer than the nearest few."""
     source, target = rng.random((1200, 3)), rng.random((1200, 3))
     known = Matched(np.eye(4), objective(source, target, np.eye(4), 1200, prove=False)[1])
-    given = quick_objective(source, target, np.eye(4), 300, known=known, stop=OVER)
+    given = quick_objective(Problem(source, target, 300, "rigid3d"), np.eye(4), known, stop=OVER)
     own = objective(source, target, np.eye(4), 300, stop=OVER)
     assert given[0] <= own[0] < known.cheapest(source, target, np.eye(4), 300)[0]
 
@@ -156,7 +156,8 @@ def test_known_pairs_of_small_clouds_are_not_called_greedy(rng):
     for _ in range(30):
         source, target = rng.random((2, 40, 3))
         known = Matched(np.eye(4), objective(source, target, np.eye(4), 40)[1])
-        assert not quick_objective(source, target, np.eye(4), 40, known=known, stop=OVER)[2]
+        problem = Problem(source, target, 40, "rigid3d")
+        assert not quick_objective(problem, np.eye(4), known, stop=OVER)[2]
 
 
 def test_pairs_of_a_sample_are_not_called_greedy(rng, monkeypatch):

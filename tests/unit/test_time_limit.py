@@ -19,6 +19,7 @@ from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.jit import NEVER
 from dcreg.names import MODEL_DIM
+from dcreg.problem import Problem
 from dcreg.search import Box, Budget, Evaluation, Interrupted, LongestEdge, branch_and_bound
 from dcreg.status import Status
 from tests.clocks import Stopwatch
@@ -56,8 +57,8 @@ def test_no_descent_starts_past_the_limit(time_s, descends):
 def test_polish_past_the_limit_only_evaluates_the_pose(time_s, moves):
     generator = np.random.default_rng(0)
     source = generator.random((20, 2))
-    target = source + np.array([0.02, -0.01])
-    T, value, _, spent = polish(source, target, np.eye(3), 20, (0.5, 2.0), budget=Budget(time_s))
+    problem = Problem(source, source + np.array([0.02, -0.01]), 20, "similarity2d", (0.5, 2.0))
+    T, value, _, spent = polish(problem, np.eye(3), Budget(time_s))
     assert np.allclose(T, np.eye(3)) != moves
     assert (spent > 1) == moves
     assert value == pytest.approx(0.0 if moves else 20 * 0.0005, abs=1e-12)
