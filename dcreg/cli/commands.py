@@ -17,16 +17,18 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_type_hints
 
 import typer
 from typer.core import TyperGroup
-from typer.models import OptionInfo
 
 import dcreg
 from dcreg.cli.interrupts import Interrupt, leave
 from dcreg.cli.options import (
+    ARGUMENTS,
     Clouds,
     MatchSearch,
     Outputs,
     Quiet,
     Search,
+    flag,
+    parameters_of,
     parse_count,
     parse_counts,
 )
@@ -73,26 +75,13 @@ def command(function: Callable[..., int]) -> Callable[..., int]:
 
     Each field of a parameter that is a dataclass becomes a parameter of the command.
     """
-    hints = get_type_hints(function, include_extras=True)
+    hints = get_type_hints(function)
     groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
-    parameters: list[inspect.Parameter] = []
-    for parameter in inspect.signature(function).parameters.values():
-        source = groups.get(parameter.name)
-        if source is None:
-            parameters.append(parameter.replace(annotation=hints[parameter.name]))
-            continue
-        kinds = get_type_hints(source, include_extras=True)
-        parameters += [
-            each.replace(annotation=kinds[each.name], kind=inspect.Parameter.KEYWORD_ONLY)
-            for each in inspect.signature(source).parameters.values()
-        ]
+    parameters = list(parameters_of(function))
     parameters.sort(key=lambda each: each.default is not inspect.Parameter.empty)
     # the library's messages begin with the name of an argument, which is an option here
-    options = {
-        each.name.removesuffix("_path"): f"--{each.name.removesuffix('_path').replace('_', '-')}"
-        for each in parameters
-        if isinstance(each.annotation.__metadata__[0], OptionInfo)
-    }
+    names = {each.name for each in parameters}.difference(ARGUMENTS)
+    options = {name.removesuffix("_path"): flag(name) for name in names}
 
     @functools.wraps(function)
     def run(**given: Any) -> NoReturn:
@@ -110,7 +99,8 @@ def command(function: Callable[..., int]) -> Callable[..., int]:
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {each.name: each.annotation for each in parameters}
-    app.command()(run)
+    about, *_ = (inspect.getdoc(function) or "").split("\n\nParameters\n")
+    app.command(help=about)(run)
     return function
 
 
@@ -123,7 +113,7 @@ def _run(
     for name in ("gap_tol", "tol"):
         if keywords.get(name) == 0 and not quiet:
             print_warning(
-                f"--{name.replace('_', '-')} 0: a gap hardly ever closes completely, so the search ends "
+                f"{flag(name)} 0: a gap hardly ever closes completely, so the search ends "
                 "only at a limit or by Ctrl-C; give a length such as --tol 0.01, or --time-limit 60"
             )
     with Progress(gap_tol=keywords["gap_tol"], quiet=quiet) as progress:
@@ -163,23 +153,10 @@ def _finish(
 def register(
     *,
     clouds: Clouds,
-    n_inliers: Annotated[
-        str | None,
-        typer.Option(
-            metavar="K",
-            help="Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. "
-            "A decimal point makes it a fraction: '1' is one pair, '1.0' is all pairs. Required; "
-            "`dcreg sweep` helps to choose it.",
-        ),
-    ] = None,
+    n_inliers: str | None = None,
     search: Search,
     outputs: Outputs,
-    certificate_path: Annotated[
-        Path | None,
-        typer.Option(
-            "--certificate", metavar="OUT.npz", help="Write a certificate for `dcreg verify`."
-        ),
-    ] = None,
+    certificate_path: Path | None = None,
     quiet: Quiet = False,
 ) -> int:
     """Register SOURCE to TARGET and certify the result.
@@ -188,12 +165,17 @@ def register(
 
     Exit code: 0 solved; 2 bad input; 3 stopped at a limit or by Ctrl-C
     (the best pose is still written); 4 an output file could not be written.
+
+    Parameters
+    ----------
+    n_inliers : K
+        Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
+        a fraction: '1' is one pair, '1.0' is all pairs. Required; `dcreg sweep` helps to choose it.
+    certificate_path : OUT.npz
+        Write a certificate for `dcreg verify`.
     """
-    check_outputs(
-        {**outputs.paths, "--certificate": certificate_path},
-        *clouds.names.values(),
-        search.candidates_path,
-    )
+    paths = {**outputs.paths, "--certificate": certificate_path}
+    check_outputs(paths, *clouds.names.values(), search.candidates_path)
     check_figure(outputs.plot_path, [".html"])
     if n_inliers is None:
         raise dcreg.InputError(
@@ -203,35 +185,23 @@ def register(
     points = clouds.read(search.model)
     keywords, options = search.settings(len(points[0]))
     options["certificate"] = certificate_path is not None
-    result = _run(
-        dcreg.register,
-        *points,
-        n_inliers=parse_count(n_inliers),
-        **keywords,
-        options=options,
-        quiet=quiet,
-    )
+    keywords["n_inliers"] = parse_count(n_inliers)
+    result = _run(dcreg.register, *points, quiet=quiet, options=options, **keywords)
     return _finish(result, points, clouds.names, outputs, certificate_path)
 
 
 @command
 def register_matches(
-    *,
-    clouds: Clouds,
-    matches: Annotated[
-        str,
-        typer.Argument(
-            metavar="MATCHES",
-            help="Matches, the most likely ones first: two columns, source row and target row, from 0.",
-        ),
-    ],
-    search: MatchSearch,
-    outputs: Outputs,
-    quiet: Quiet = False,
+    *, clouds: Clouds, matches: str, search: MatchSearch, outputs: Outputs, quiet: Quiet = False
 ) -> int:
     """Register two 3D clouds from a list of matches, many of which may be wrong.
 
     The pose is rigid. Exit codes are those of `dcreg register`.
+
+    Parameters
+    ----------
+    matches : MATCHES
+        Matches, the most likely ones first: two columns, source row and target row, from 0.
     """
     check_outputs(outputs.paths, *clouds.names.values(), matches)
     check_figure(outputs.plot_path, [".html"])
@@ -245,25 +215,10 @@ def register_matches(
 def sweep(
     *,
     clouds: Clouds,
-    n_inliers: Annotated[
-        str,
-        typer.Option(
-            metavar="LIST",
-            help="Numbers of pairs to match, separated by commas: counts, fractions of the smaller "
-            "cloud, or ranges FROM:TO:STEP with both ends, such as 0.3:1.0:0.1 or 20:60:5.",
-        ),
-    ],
+    n_inliers: str,
     search: Search,
-    out_path: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", metavar="OUT", help="Write the results: .json with poses and pairs, or .csv."
-        ),
-    ] = None,
-    plot_path: Annotated[
-        Path | None,
-        typer.Option("--plot", metavar="OUT", help="Write the curves: .html, .png or .svg."),
-    ] = None,
+    out_path: Path | None = None,
+    plot_path: Path | None = None,
     quiet: Quiet = False,
 ) -> int:
     """Register SOURCE to TARGET for several numbers of pairs and suggest one.
@@ -277,6 +232,16 @@ def sweep(
     Exit code: 0 all solved; 2 bad input; 3 some stopped at a limit or by
     Ctrl-C (their best poses and bounds are still written); 4 an output file
     could not be written.
+
+    Parameters
+    ----------
+    n_inliers : LIST
+        Numbers of pairs to match, separated by commas: counts, fractions of the smaller cloud, or ranges
+        FROM:TO:STEP with both ends, such as 0.3:1.0:0.1 or 20:60:5.
+    out_path : OUT
+        Write the results: .json with poses and pairs, or .csv.
+    plot_path : OUT
+        Write the curves: .html, .png or .svg.
     """
     check_suffix("--out", out_path, [".json", ".csv"])
     check_figure(plot_path, list(FIGURE_PACKAGES))
@@ -299,18 +264,16 @@ def sweep(
 
 
 @command
-def verify(
-    *,
-    certificate: Annotated[
-        Path, typer.Argument(metavar="CERT", help="File written by --certificate.")
-    ],
-    clouds: Clouds,
-    quiet: Quiet = False,
-) -> int:
+def verify(*, certificate: Path, clouds: Clouds, quiet: Quiet = False) -> int:
     """Check a certificate against its clouds, using only NumPy and SciPy.
 
     Exit code: 0 the claim is proven, or true but trivial; 2 bad input;
     5 the certificate is rejected (the message states the reason).
+
+    Parameters
+    ----------
+    certificate : CERT
+        File written by --certificate.
     """
     from dcreg.cli.progress import Progress
 

@@ -1,15 +1,18 @@
 """Arguments and options of the commands, and the conversion of their text.
 
-Each dataclass is a group of parameters that several commands share. `dcreg.cli.commands` turns every
-field into an argument or option.
+Each dataclass is a group of parameters that several commands share. Its docstring gives the placeholder
+and the help of each one, as the docstring of a command does for its own parameters.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
-from dataclasses import dataclass
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
@@ -94,47 +97,80 @@ def _range(text: str) -> list[int | float]:
     return [round(first + at * step, 12) for at in range(n_steps + 1)]
 
 
-# --- groups of options --------------------------------------------------------------------------------
+# --- from docstrings to options -----------------------------------------------------------------------
 
-_NUMBER: dict[str, Any] = {"metavar": "X", "parser": number}
-_COUNT: dict[str, Any] = {"metavar": "N", "parser": whole_number}
-GapTol = Annotated[
-    float | None,
-    typer.Option(
-        help="Absolute gap to close, in squared units of the target. Default: K * (0.03 * RMS radius of "
-        "the target)^2, with 0.003 instead of 0.03 for bounds in norm space.",
-        **_NUMBER,
-    ),
-]
-TimeLimit = Annotated[
-    float, typer.Option(metavar="S", parser=number, help="Seconds of search; inf: no limit.")
-]
-NodeLimit = Annotated[
-    int | None,
-    typer.Option(
-        help="Maximum number of boxes in each search; the batch in progress is completed.", **_COUNT
-    ),
-]
+ARGUMENTS = ("certificate", "source", "target", "matches")  # all other parameters are options
+PARSERS = {float: number, int: whole_number}
+# What the help texts name.
+NAMES = {
+    "auto": AUTO,
+    "bounds": ", ".join(bound_names()),
+    "models": " or ".join(MODEL_DIM),
+    "modes_2d": ", ".join(mode_names("similarity2d")),
+    "modes_3d": ", ".join(mode_names("rigid3d")),
+    "start_boxes": " or ".join(START_BOXES),
+}
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no hints.")]
+
+
+def flag(name: str) -> str:
+    """Return the option of a parameter, such as ``--json`` of `json_path`."""
+    return f"--{name.removesuffix('_path').replace('_', '-')}"
+
+
+def parameters_of(owner: Any) -> Iterator[inspect.Parameter]:
+    """Yield the parameters of a command or a group, annotated for Typer; a group gives its fields."""
+    entries = re.findall(r"^(\w+) : (.*)((?:\n    .*)+)", inspect.getdoc(owner) or "", re.M)
+    described = {name: (metavar, " ".join(text.split())) for name, metavar, text in entries}
+    kinds: dict[str, Any] = get_type_hints(owner, include_extras=True)
+    for each in inspect.signature(owner).parameters.values():
+        kind = kinds[each.name]
+        if is_dataclass(kind):
+            yield from parameters_of(kind)
+            continue
+        if not hasattr(kind, "__metadata__"):  # python -OO removes docstrings
+            kind = Annotated[kind, _info(each.name, kind, *described.get(each.name, (None, "")))]
+        yield each.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY)
+
+
+def _info(name: str, kind: Any, metavar: str | None, text: str) -> Any:
+    """Return the argument or option of a parameter."""
+    if name in ARGUMENTS:
+        return typer.Argument(metavar=metavar, help=text)
+    while get_args(kind):  # float of tuple[float, float] | None
+        kind = get_args(kind)[0]
+    is_switch = kind is bool  # Typer finds its names
+    return typer.Option(
+        *([] if is_switch else [flag(name)]),
+        metavar=None if is_switch else metavar,
+        parser=PARSERS.get(kind),
+        help=text.format(**NAMES),
+    )
+
+
+# --- groups of options --------------------------------------------------------------------------------
 
 
 @dataclass
 class Clouds:
-    """The two files of points."""
+    """The two files of points.
 
-    source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="Cloud that moves: FILE or FILE.npz:KEY.")
-    ]
-    target: Annotated[
-        str,
-        typer.Argument(metavar="TARGET", help="Cloud that stays; results are in its units."),
-    ]
-    source_key: Annotated[
-        str | None, typer.Option(metavar="KEY", help="Array of an .npz or .mat source.")
-    ] = None
-    target_key: Annotated[
-        str | None, typer.Option(metavar="KEY", help="Array of an .npz or .mat target.")
-    ] = None
+    Attributes
+    ----------
+    source : SOURCE
+        Cloud that moves: FILE or FILE.npz:KEY.
+    target : TARGET
+        Cloud that stays; results are in its units.
+    source_key : KEY
+        Array of an .npz or .mat source.
+    target_key : KEY
+        Array of an .npz or .mat target.
+    """
+
+    source: str
+    target: str
+    source_key: str | None = None
+    target_key: str | None = None
 
     @property
     def names(self) -> dict[str, str]:
@@ -160,85 +196,58 @@ class Clouds:
 
 @dataclass
 class Search:
-    """The problem and its search: the settings of `dcreg.register` and `dcreg.sweep`."""
+    """The problem and its search: the settings of `dcreg.register` and `dcreg.sweep`.
 
-    model: Annotated[
-        str, typer.Option(metavar="NAME", help=f"Kind of pose: {' or '.join(MODEL_DIM)}.")
-    ]
-    scale_range: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            metavar="LO HI",
-            parser=number,
-            help="Admissible scales (2D only; default 0.5 1.5). Equal numbers fix the scale: 1 1 "
-            "searches rotation and translation only.",
-        ),
-    ] = None
-    candidates_path: Annotated[
-        str | None,
-        typer.Option(
-            "--candidates",
-            metavar="FILE",
-            help="Feasible pairs: two columns, source row and target row, from 0. Default: all pairs.",
-        ),
-    ] = None
-    mode: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"Search mode. In 2D: {', '.join(mode_names('similarity2d'))}. In 3D: "
-            f"{', '.join(mode_names('rigid3d'))}. Default: {AUTO}, which in 3D selects full, or "
-            "paper if a bound or a certificate is requested or too many pairs are searched.",
-        ),
-    ] = None
-    bound: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"Lower bounding function: {', '.join(bound_names())}; 'a+b' takes the maximum of two.",
-        ),
-    ] = None
-    start_box: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help=f"Box where the search starts: {' or '.join(START_BOXES)}. Both contain every optimum; "
-            "radius is larger.",
-        ),
-    ] = START_BOXES[0]
-    gap_tol: GapTol = None
-    tol: Annotated[
-        float | None,
-        typer.Option(
-            help="Gap as an RMS residual per pair, in units of the target: --tol 0.01 is --gap-tol "
-            "K * 0.01^2.",
-            **_NUMBER,
-        ),
-    ] = None
-    time_limit: TimeLimit = DEFAULT_TIME_LIMIT_S
-    node_limit: NodeLimit = None
-    memory_limit_mb: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MB",
-            parser=number,
-            help="Maximum memory of the open boxes of a search. Default: no limit.",
-        ),
-    ] = None
-    threads: Annotated[
-        int, typer.Option(help="Number of threads; the result does not depend on it.", **_COUNT)
-    ] = 1
-    polish: Annotated[
-        bool, typer.Option(help="Refine pose and pairs jointly after the certified search.")
-    ] = True
-    downsample: Annotated[
-        int | None,
-        typer.Option(
-            help="Search with at most N points of each cloud (farthest-point sampling after outlier "
-            "removal), then refine the pose on all points.",
-            **_COUNT,
-        ),
-    ] = None
+    Attributes
+    ----------
+    model : NAME
+        Kind of pose: {models}.
+    scale_range : LO HI
+        Admissible scales (2D only; default 0.5 1.5). Equal numbers fix the scale: 1 1 searches rotation
+        and translation only.
+    candidates_path : FILE
+        Feasible pairs: two columns, source row and target row, from 0. Default: all pairs.
+    mode : NAME
+        Search mode. In 2D: {modes_2d}. In 3D: {modes_3d}. Default: {auto}, which in 3D selects full, or
+        paper if a bound or a certificate is requested or too many pairs are searched.
+    bound : NAME
+        Lower bounding function: {bounds}; 'a+b' takes the maximum of two.
+    start_box : NAME
+        Box where the search starts: {start_boxes}. Both contain every optimum; radius is larger.
+    gap_tol : X
+        Absolute gap to close, in squared units of the target. Default: K * (0.03 * RMS radius of the
+        target)^2, with 0.003 instead of 0.03 for bounds in norm space.
+    tol : X
+        Gap as an RMS residual per pair, in units of the target: --tol 0.01 is --gap-tol K * 0.01^2.
+    time_limit : S
+        Seconds of search; inf: no limit.
+    node_limit : N
+        Maximum number of boxes in each search; the batch in progress is completed.
+    memory_limit_mb : MB
+        Maximum memory of the open boxes of a search. Default: no limit.
+    threads : N
+        Number of threads; the result does not depend on it.
+    polish : switch
+        Refine pose and pairs jointly after the certified search.
+    downsample : N
+        Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
+        refine the pose on all points.
+    """
+
+    model: str
+    scale_range: tuple[float, float] | None = None
+    candidates_path: str | None = None
+    mode: str | None = None
+    bound: str | None = None
+    start_box: str = START_BOXES[0]
+    gap_tol: float | None = None
+    tol: float | None = None
+    time_limit: float = DEFAULT_TIME_LIMIT_S
+    node_limit: int | None = None
+    memory_limit_mb: float | None = None
+    threads: int = 1
+    polish: bool = True
+    downsample: int | None = None
 
     def settings(self, n_source: int) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return the keywords of the library's functions and those of `dcreg.SolveOptions`."""
@@ -252,58 +261,53 @@ class Search:
 
 @dataclass
 class MatchSearch:
-    """The search over matches: the settings of `dcreg.register_matches`."""
+    """The search over matches: the settings of `dcreg.register_matches`.
 
-    inlier_distance: Annotated[
-        float,
-        typer.Option(
-            metavar="D",
-            parser=number,
-            help="Residual above which a match counts as wrong, in units of the target.",
-        ),
-    ]
-    score: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Criterion for the pose: 'correspondences' is the cost of the matches; 'surfaces' "
-            "also compares the surfaces of dense scans and gives no bounds.",
-        ),
-    ] = SCORES[0]
-    certify: Annotated[
-        bool | None,
-        typer.Option(
-            help="Prove bounds by branch and bound. Default: only with --score correspondences."
-        ),
-    ] = None
-    gap_tol: Annotated[
-        float | None,
-        typer.Option(
-            help="Absolute gap to close, in squared units of the target. Default: D^2 / 10 for each "
-            "match that the initial pose selects.",
-            **_NUMBER,
-        ),
-    ] = None
-    time_limit: TimeLimit = DEFAULT_TIME_LIMIT_S
-    node_limit: NodeLimit = None
+    Attributes
+    ----------
+    inlier_distance : D
+        Residual above which a match counts as wrong, in units of the target.
+    score : NAME
+        Criterion for the pose: 'correspondences' is the cost of the matches; 'surfaces' also compares
+        the surfaces of dense scans and gives no bounds.
+    certify : switch
+        Prove bounds by branch and bound. Default: only with --score correspondences.
+    gap_tol : X
+        Absolute gap to close, in squared units of the target. Default: D^2 / 10 for each match that the
+        initial pose selects.
+    time_limit : S
+        Seconds of search; inf: no limit.
+    node_limit : N
+        Maximum number of boxes in each search; the batch in progress is completed.
+    """
+
+    inlier_distance: float
+    score: str = SCORES[0]
+    certify: bool | None = None
+    gap_tol: float | None = None
+    time_limit: float = DEFAULT_TIME_LIMIT_S
+    node_limit: int | None = None
 
 
 @dataclass
 class Outputs:
-    """The files of one registration."""
+    """The files of one registration.
 
-    json_path: Annotated[
-        Path | None,
-        typer.Option("--json", metavar="OUT", help="Write the result; '-' is standard output."),
-    ] = None
-    trace_path: Annotated[
-        Path | None, typer.Option("--trace", metavar="OUT.jsonl", help="Write the bound history.")
-    ] = None
-    plot_path: Annotated[
-        Path | None, typer.Option("--plot", metavar="OUT.html", help="Write a page with figures.")
-    ] = None
+    Attributes
+    ----------
+    json_path : OUT
+        Write the result; '-' is standard output.
+    trace_path : OUT.jsonl
+        Write the bound history.
+    plot_path : OUT.html
+        Write a page with figures.
+    """
+
+    json_path: Path | None = None
+    trace_path: Path | None = None
+    plot_path: Path | None = None
 
     @property
     def paths(self) -> dict[str, Path | None]:
         """The file of each option."""
-        return {"--json": self.json_path, "--trace": self.trace_path, "--plot": self.plot_path}
+        return {flag(name): path for name, path in vars(self).items()}

@@ -9,8 +9,11 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import KW_ONLY, dataclass, field
+from functools import partial
 from types import FrameType
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 from rich.console import Console
 from rich.live import Live
@@ -30,6 +33,7 @@ _HEADER = (
 )
 
 
+@dataclass(eq=False)
 class Progress:
     """A `dcreg.Listener` that shows the state of a search and stops it on Ctrl-C.
 
@@ -38,7 +42,7 @@ class Progress:
 
     Parameters
     ----------
-    console : rich.console.Console, optional
+    console : rich.console.Console
         Where to write; default: standard error.
     gap_tol : float, optional
         Shown in the header, as the value that the gap has to reach.
@@ -50,21 +54,15 @@ class Progress:
         The work until the first event.
     """
 
-    def __init__(
-        self,
-        console: Console | None = None,
-        *,
-        gap_tol: float | None = None,
-        interval_s: float = 1.0,
-        quiet: bool = False,
-        step: str = "preparing the search",
-    ) -> None:
+    console: Console = field(default_factory=partial(Console, stderr=True))
+    _: KW_ONLY
+    gap_tol: float | None = None
+    interval_s: float = 1.0
+    quiet: bool = False
+    step: str = "preparing the search"
+
+    def __post_init__(self) -> None:
         self.stop_requested = False
-        self._step = step
-        self._console = console or Console(stderr=True)
-        self._gap_tol = gap_tol
-        self._interval_s = interval_s
-        self._quiet = quiet
         self._live: Live | None = None
         self._began = time.monotonic()
         self._heard = False
@@ -74,40 +72,32 @@ class Progress:
         self._last_upper = math.inf
         self._improved = False
         self._pending: dcreg.Event | None = None
-        self._old_handlers: dict[signal.Signals, Any] = {}
-        self._messages = _Messages(self._console)
-        self._old_level = logging.NOTSET
+        self._undo = ExitStack()
 
     def __enter__(self) -> Self:
-        for number in SIGNALS:
-            try:
-                self._old_handlers[number] = signal.signal(number, self._on_signal)
-            except ValueError:  # handlers can be set in the main thread only
-                break
-        if self._quiet:
+        with suppress(ValueError):  # handlers can be set in the main thread only
+            for number in SIGNALS:
+                self._undo.callback(signal.signal, number, signal.signal(number, self._on_signal))
+        if self.quiet:
             return self
-        self._old_level = _LIBRARY.level
+        self._undo.callback(_LIBRARY.setLevel, _LIBRARY.level)
         _LIBRARY.setLevel(logging.INFO)
-        _LIBRARY.addHandler(self._messages)
-        if self._console.is_terminal:
-            self._live = Live(Text(self._step), console=self._console, refresh_per_second=8)
-            self._live.start()
+        messages = _Messages(self.console)
+        self._undo.callback(_LIBRARY.removeHandler, messages)
+        _LIBRARY.addHandler(messages)
+        if self.console.is_terminal:
+            live = Live(Text(self.step), console=self.console, refresh_per_second=8)
+            self._live = self._undo.enter_context(live)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-        elif self._pending is not None:
+        if self._live is None and self._pending is not None:
             self._print(self._pending)
-        if not self._quiet:
-            _LIBRARY.removeHandler(self._messages)
-            _LIBRARY.setLevel(self._old_level)
-        for number, handler in self._old_handlers.items():
-            signal.signal(number, handler)
+        self._undo.close()
 
     def __call__(self, event: dcreg.Event) -> bool:
         self._heard = True
-        if not self._quiet:
+        if not self.quiet:
             self._show(event)
         return self.stop_requested
 
@@ -126,7 +116,7 @@ class Progress:
         thread.start()
         while thread.is_alive():
             thread.join(_GLANCE_S)
-            if not (self._heard or self._quiet):
+            if not (self._heard or self.quiet):
                 self._show_waiting()
         if errors:
             raise errors[0]
@@ -135,7 +125,7 @@ class Progress:
     def prove(self, done: int, needed: int) -> None:
         """Show how far the check of a certificate is: boxes bounded, and boxes known to be needed."""
         needed = max(done, needed)
-        self._step = f"proving the bounds: {done} of {needed} {'box' if needed == 1 else 'boxes'}"
+        self.step = f"proving the bounds: {done} of {needed} {'box' if needed == 1 else 'boxes'}"
 
     def _on_signal(self, number: int, _: FrameType | None) -> None:
         if self.stop_requested or not self._heard:
@@ -147,11 +137,11 @@ class Progress:
     def _show_waiting(self) -> None:
         """Show the work outside of a search: checks, sampling, compilation, proof."""
         now = time.monotonic()
-        line = f"{self._step}, {now - self._began:.0f} s"
+        line = f"{self.step}, {now - self._began:.0f} s"
         if self._live is not None:
             self._live.update(Text(line))
         elif now - max(self._began, self._last_print) >= _WAITING_S:
-            self._console.print(line, highlight=False, soft_wrap=True)
+            self.console.print(line, highlight=False, soft_wrap=True)
             self._last_print = now
 
     def _show(self, event: dcreg.Event) -> None:
@@ -161,7 +151,7 @@ class Progress:
         if self._live is not None:
             self._live.update(Text(self._line(event), no_wrap=True, overflow="crop"))
             self._improved = False
-        elif event.kind == "end" or time.monotonic() - self._last_print >= self._interval_s:
+        elif event.kind == "end" or time.monotonic() - self._last_print >= self.interval_s:
             self._print(event)
         else:
             self._pending = event
@@ -173,18 +163,18 @@ class Progress:
         self._last_upper = min(self._last_upper, event.upper_bound)
 
     def _show_header(self) -> None:
-        tolerance = "" if self._gap_tol is None else f"; the search ends at gap {self._gap_tol:.4g}"
-        self._console.print(
+        tolerance = "" if self.gap_tol is None else f"; the search ends at gap {self.gap_tol:.4g}"
+        self.console.print(
             f"bounds and gap in squared units of the target{tolerance}\n"
             "*: better pose since the last line; Ctrl-C stops the search and keeps the best pose",
             highlight=False,
             soft_wrap=True,
         )
-        self._console.print(Text(_HEADER, style="bold"), soft_wrap=True)
+        self.console.print(Text(_HEADER, style="bold"), soft_wrap=True)
         self._header_shown = True
 
     def _print(self, event: dcreg.Event) -> None:
-        self._console.print(Text(self._line(event)), soft_wrap=True)
+        self.console.print(Text(self._line(event)), soft_wrap=True)
         self._last_print = time.monotonic()
         self._pending = None
         self._improved = False
