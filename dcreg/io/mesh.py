@@ -5,15 +5,14 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import dataclass
-from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from dcreg.io.text import EXPORT, Row, fail, lines_of, listing, numbers_of, rows_of
 
 
-def _read_header(path: Path, content: bytes, last: str, magic: str = "") -> tuple[list[Row], int]:
+def _read_header(content: bytes, kind: str, last: str, magic: str = "") -> tuple[list[Row], int]:
     """Return the lines up to the one that starts with `last`, and the offset of the body."""
     rows: list[Row] = []
     start = 0
@@ -25,29 +24,25 @@ def _read_header(path: Path, content: bytes, last: str, magic: str = "") -> tupl
         rows.append((len(rows) + 1, fields or ["#"]))
         if fields and fields[0] == last:
             return rows, start
-    kind = path.suffix.lower()
-    fail(path, f"has no complete {kind} header (no line '{last}')", "it may be cut off; " + EXPORT)
+    fail(f"has no complete {kind} header (no line '{last}')", "it may be cut off; " + EXPORT)
 
 
-def _axis_columns(path: Path, names: list[str]) -> list[int]:
+def _axis_columns(names: list[str]) -> list[int]:
     """Return the positions of x, y and, if present, z."""
     if "x" not in names or "y" not in names:
-        fail(path, f"points have no x and y (properties: {listing(names)})", EXPORT)
+        fail(f"points have no x and y (properties: {listing(names)})", EXPORT)
     return [names.index(axis) for axis in "xyz" if axis in names]
 
 
-def _text_body(
-    path: Path, content: bytes, start: int, skip: int, count: int, after: int = 0
-) -> list[Row]:
+def _text_body(content: bytes, start: int, skip: int, count: int, after: int = 0) -> list[Row]:
     """Return `count` text rows of the body, which follow `skip` rows and precede `after` rows."""
-    lines = lines_of(path, content[start:])
+    lines = lines_of(content[start:])
     rows = list(rows_of(lines, content[:start].count(b"\n") + 1))
-    _check_count(path, count, max(0, len(rows) - skip), max(0, len(rows) - skip - after))
+    _check_count(count, max(0, len(rows) - skip), max(0, len(rows) - skip - after))
     return rows[skip : skip + count]
 
 
 def _binary_body(
-    path: Path,
     content: bytes,
     start: int,
     record: np.dtype,
@@ -58,22 +53,20 @@ def _binary_body(
     """Return the given columns of `count` binary records at `start`, which precede `after` bytes."""
     size = max(0, len(content) - start)
     own = None if after is None else max(0, size - after) // record.itemsize
-    _check_count(path, count, size // record.itemsize, own)
+    _check_count(count, size // record.itemsize, own)
     table = np.frombuffer(content, record, count, start)
     return np.column_stack([table[f"{column}"].reshape(count) for column in columns])
 
 
-def _check_count(path: Path, announced: int, available: int, own: int | None = None) -> None:
+def _check_count(announced: int, available: int, own: int | None = None) -> None:
     """Refuse a file with fewer points than its header announces, or with more `own` ones."""
     if available < announced:
         fail(
-            path,
             f"is truncated: the header announces {announced} points, the file holds {available}",
             "copy or export the file again",
         )
     if own is not None and own > announced:
         fail(
-            path,
             f"the header announces {announced} points, the file holds {own}",
             "correct the header or " + EXPORT,
         )
@@ -111,34 +104,34 @@ class _Element:
         return np.dtype([(f"{i}", order + p.type) for i, p in enumerate(self.properties)])
 
 
-def read_ply(path: Path, _: str | None) -> np.ndarray:
+def read_ply(stream: BinaryIO, _: str | None) -> np.ndarray:
     """Read the element ``vertex`` of a PLY file."""
-    content = path.read_bytes()
-    header, start = _read_header(path, content, "end_header", magic="ply")
-    order, elements = _parsed(path, header)
+    content = stream.read()
+    header, start = _read_header(content, ".ply", "end_header", magic="ply")
+    order, elements = _parsed(header)
     vertex = next((element for element in elements if element.name == "vertex"), None)
     if vertex is None:
-        fail(path, "declares no element 'vertex'", "export the file with its points")
+        fail("declares no element 'vertex'", "export the file with its points")
     if vertex.has_list:
-        fail(path, "its vertices have list properties", "export the points alone")
-    columns = _axis_columns(path, [prop.name for prop in vertex.properties])
+        fail("its vertices have list properties", "export the points alone")
+    columns = _axis_columns([prop.name for prop in vertex.properties])
     at = elements.index(vertex)
     before, behind = elements[:at], elements[at + 1 :]
     if not order:
         skip, rest = (sum(e.count for e in part) for part in (before, behind))
-        body = _text_body(path, content, start, skip, vertex.count, rest)
-        return numbers_of(path, body, columns, len(vertex.properties))
+        body = _text_body(content, start, skip, vertex.count, rest)
+        return numbers_of(body, columns, len(vertex.properties))
     for element in before:
-        start = _skip_element(path, content, start, element, order)
+        start = _skip_element(content, start, element, order)
     after = (
         None
         if any(element.has_list for element in behind)
         else sum(element.record(order).itemsize * element.count for element in behind)
     )
-    return _binary_body(path, content, start, vertex.record(order), vertex.count, columns, after)
+    return _binary_body(content, start, vertex.record(order), vertex.count, columns, after)
 
 
-def _parsed(path: Path, header: list[Row]) -> tuple[str, list[_Element]]:
+def _parsed(header: list[Row]) -> tuple[str, list[_Element]]:
     """Return the byte order and the elements that the header declares."""
     order: str | None = None
     elements: list[_Element] = []
@@ -157,13 +150,13 @@ def _parsed(path: Path, header: list[Row]) -> tuple[str, list[_Element]]:
             case ["comment" | "obj_info" | "#", *_] | ["ply"] | ["end_header"]:
                 pass
             case _:
-                fail(path, f"header line {line} is not valid PLY: '{' '.join(fields)}'", EXPORT)
+                fail(f"header line {line} is not valid PLY: '{' '.join(fields)}'", EXPORT)
     if order is None:
-        fail(path, "the header states no format", EXPORT)
+        fail("the header states no format", EXPORT)
     return order, elements
 
 
-def _skip_element(path: Path, content: bytes, start: int, element: _Element, order: str) -> int:
+def _skip_element(content: bytes, start: int, element: _Element, order: str) -> int:
     """Return the offset after a binary element that precedes the vertices."""
     if not element.has_list:
         return start + element.record(order).itemsize * element.count
@@ -177,40 +170,40 @@ def _skip_element(path: Path, content: bytes, start: int, element: _Element, ord
                     start += head.itemsize
                 start += length * np.dtype(prop.type).itemsize
     except ValueError:  # frombuffer ran past the end
-        fail(path, f"is truncated within element '{element.name}'", EXPORT)
+        fail(f"is truncated within element '{element.name}'", EXPORT)
     return start
 
 
 # --- PCD ------------------------------------------------------------------------------------------------
 
 
-def read_pcd(path: Path, _: str | None) -> np.ndarray:
+def read_pcd(stream: BinaryIO, _: str | None) -> np.ndarray:
     """Read the points of a PCD file (Point Cloud Library): ascii, binary or compressed."""
-    content = path.read_bytes()
-    rows, start = _read_header(path, content, "DATA")
+    content = stream.read()
+    rows, start = _read_header(content, ".pcd", "DATA")
     header = {values[0].upper(): values[1:] for _, values in rows}
-    types, n_points = _types(path, header), _count(path, header)
-    columns = _axis_columns(path, header["FIELDS"])
+    types, n_points = _types(header), _count(header)
+    columns = _axis_columns(header["FIELDS"])
     counts = [dtype.shape[0] for dtype in types]
     if any(counts[column] != 1 for column in columns):
-        fail(path, "its x, y or z hold several values per point", EXPORT)
+        fail("its x, y or z hold several values per point", EXPORT)
     match header["DATA"]:
         case ["ascii"]:
-            body = _text_body(path, content, start, 0, n_points)
+            body = _text_body(content, start, 0, n_points)
             # a field with a count above one fills several text columns
             first = np.cumsum([0, *counts]).tolist()
-            return numbers_of(path, body, [first[column] for column in columns], first[-1])
+            return numbers_of(body, [first[column] for column in columns], first[-1])
         case ["binary"]:
             record = np.dtype([(f"{i}", dtype) for i, dtype in enumerate(types)])
-            return _binary_body(path, content, start, record, n_points, columns)
+            return _binary_body(content, start, record, n_points, columns)
         case ["binary_compressed"]:
-            return _unpacked(path, content, start, types, n_points, columns)
+            return _unpacked(content, start, types, n_points, columns)
         case other:
             remedy = "use ascii, binary or binary_compressed"
-            fail(path, f"unknown DATA kind '{' '.join(other)}'", remedy)
+            fail(f"unknown DATA kind '{' '.join(other)}'", remedy)
 
 
-def _types(path: Path, header: dict[str, list[str]]) -> list[np.dtype]:
+def _types(header: dict[str, list[str]]) -> list[np.dtype]:
     """Return the type of each field: an array of as many numbers as the field holds."""
     codes = {"F": "f", "I": "i", "U": "u"}
     try:
@@ -221,20 +214,19 @@ def _types(path: Path, header: dict[str, list[str]]) -> list[np.dtype]:
             for _, kind, size, count in columns
         ]
     except (KeyError, ValueError, TypeError):
-        fail(path, "FIELDS, SIZE, TYPE and COUNT of the header do not fit together", EXPORT)
+        fail("FIELDS, SIZE, TYPE and COUNT of the header do not fit together", EXPORT)
 
 
-def _count(path: Path, header: dict[str, list[str]]) -> int:
+def _count(header: dict[str, list[str]]) -> int:
     try:
         stated = _natural(header["POINTS"][0]) if "POINTS" in header else None
         if stated is not None and "WIDTH" not in header:
             return stated
         width, height = _natural(header["WIDTH"][0]), _natural(header.get("HEIGHT", ["1"])[0])
     except (KeyError, IndexError, ValueError):
-        fail(path, "the header states no valid number of points", EXPORT)
+        fail("the header states no valid number of points", EXPORT)
     if stated not in (None, width * height):
         fail(
-            path,
             f"the header states POINTS {stated}, but WIDTH x HEIGHT = {width} x {height}",
             "correct the header or " + EXPORT,
         )
@@ -248,12 +240,7 @@ def _natural(text: str) -> int:
 
 
 def _unpacked(
-    path: Path,
-    content: bytes,
-    start: int,
-    types: list[np.dtype],
-    n_points: int,
-    columns: list[int],
+    content: bytes, start: int, types: list[np.dtype], n_points: int, columns: list[int]
 ) -> np.ndarray:
     """Return the coordinates from compressed data, which hold one field after the other."""
     ends = np.cumsum([0] + [dtype.itemsize * n_points for dtype in types]).tolist()
@@ -264,7 +251,7 @@ def _unpacked(
         if (len(packed), len(data), size) != (packed_size, size, ends[-1]):
             raise IndexError
     except (struct.error, IndexError):
-        fail(path, "the compressed data are damaged or cut off", EXPORT)
+        fail("the compressed data are damaged or cut off", EXPORT)
     axes = [np.frombuffer(data, types[c].base, n_points, ends[c]) for c in columns]
     return np.column_stack(axes)
 
@@ -297,22 +284,22 @@ def lzf_decompress(packed: bytes, size: int) -> bytes:
 # --- OFF ------------------------------------------------------------------------------------------------
 
 
-def read_off(path: Path, _: str | None) -> np.ndarray:
+def read_off(stream: BinaryIO, _: str | None) -> np.ndarray:
     """Read the vertices of a 3D OFF file."""
-    rows = list(rows_of(lines_of(path, path.read_bytes())))
+    rows = list(rows_of(lines_of(stream.read())))
     if not rows:
-        fail(path, "is empty", EXPORT)
+        fail("is empty", EXPORT)
     line, (magic, *counts) = rows.pop(0)
     # letters before OFF announce colours, normals or texture, which follow the coordinates
     if not re.fullmatch(r"(ST)?C?N?OFF", magic):
-        fail(path, f"line {line}: '{magic[:40]}' is not the start of a 3D OFF file", EXPORT)
+        fail(f"line {line}: '{magic[:40]}' is not the start of a 3D OFF file", EXPORT)
     if not counts and rows:
         line, counts = rows.pop(0)
     if not counts or not counts[0].isdecimal():
-        fail(path, f"line {line} states no number of vertices", EXPORT)
+        fail(f"line {line} states no number of vertices", EXPORT)
     n_points = int(counts[0])
     has_faces = len(counts) > 1 and counts[1].isdecimal()
-    _check_count(path, n_points, len(rows), len(rows) - int(counts[1]) if has_faces else None)
+    _check_count(n_points, len(rows), len(rows) - int(counts[1]) if has_faces else None)
     vertices = rows[:n_points]
     width = max(len(vertices[0][1]), 3) if vertices else 3
-    return numbers_of(path, vertices, [0, 1, 2], width)
+    return numbers_of(vertices, [0, 1, 2], width)

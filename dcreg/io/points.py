@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from dcreg.io.arrays import read_mat, read_npy, read_npz
 from dcreg.io.mesh import read_off, read_pcd, read_ply
-from dcreg.io.text import DIMENSIONS, fail, read_text, read_xyz
+from dcreg.io.text import DIMENSIONS, fail, naming, read_text
 
-# Every reader takes the path and the name of an array; only archives have named arrays.
-READERS: dict[str, Callable[[Path, str | None], np.ndarray]] = {
+# Every reader takes the file and the name of an array; only archives have named arrays.
+READERS: dict[str, Callable[[BinaryIO, str | None], np.ndarray]] = {
     ".txt": read_text,
     ".csv": read_text,
-    ".xyz": read_xyz,
+    ".xyz": partial(read_text, any_width=True),
     ".npy": read_npy,
     ".npz": read_npz,
     ".mat": read_mat,
@@ -50,19 +52,20 @@ def read_points(path: str | Path, *, key: str | None = None) -> np.ndarray:
     """
     path, key = _split_key(path, key)
     suffix = path.suffix.lower()
-    if path.is_dir():
-        fail(path, "is a folder", "give the path of a point file")
-    if suffix not in READERS:
-        fail(path, f"unknown extension '{path.suffix}'", f"use one of: {' '.join(READERS)}")
-    if key is not None and suffix not in KEYED_SUFFIXES:
-        fail(path, f"key '{key}' given, but {suffix} files hold no named arrays", "drop the key")
-    try:
-        points = READERS[suffix](path, key)
-    except FileNotFoundError:
-        fail(path, "no such file", f"check the path (working folder: {Path.cwd()})")
-    except OSError as error:
-        fail(path, f"cannot be read: {error.strerror or error}", "check permissions and the disk")
-    return _checked(path, points)
+    with naming(path):
+        if path.is_dir():
+            fail("is a folder", "give the path of a point file")
+        if suffix not in READERS:
+            fail(f"unknown extension '{path.suffix}'", f"use one of: {' '.join(READERS)}")
+        if key is not None and suffix not in KEYED_SUFFIXES:
+            fail(f"key '{key}' given, but {suffix} files hold no named arrays", "drop the key")
+        try:
+            with path.open("rb") as stream:
+                return _checked(READERS[suffix](stream, key))
+        except FileNotFoundError:
+            fail("no such file", f"check the path (working folder: {Path.cwd()})")
+        except OSError as error:
+            fail(f"cannot be read: {error.strerror or error}", "check permissions and the disk")
 
 
 def _split_key(path: str | Path, key: str | None) -> tuple[Path, str | None]:
@@ -74,20 +77,19 @@ def _split_key(path: str | Path, key: str | None) -> tuple[Path, str | None]:
     return Path(text), key
 
 
-def _checked(path: Path, points: np.ndarray) -> np.ndarray:
+def _checked(points: np.ndarray) -> np.ndarray:
     """Return the points as floats; check what every format requires."""
     if points.ndim != 2 or points.shape[1] not in DIMENSIONS:
         remedy = "points go in rows, with 2 or 3 columns"
         if points.ndim == 2 and points.shape[0] in DIMENSIONS:
             remedy += " (this array looks transposed)"
-        fail(path, f"wrong dimension: the array has shape {points.shape}", remedy)
+        fail(f"wrong dimension: the array has shape {points.shape}", remedy)
     if len(points) == 0:
-        fail(path, "holds no points", "give a file with at least one point")
+        fail("holds no points", "give a file with at least one point")
     points = np.ascontiguousarray(points, dtype=np.float64)
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         fail(
-            path,
             f"NaN or infinity in {bad.size} of {len(points)} points, "
             f"first in point {bad[0]} (from 0): {points[bad[0]].tolist()}",
             "remove these points",
@@ -115,15 +117,9 @@ def read_candidates(path: str | Path, n_source: int) -> list[list[int]]:
     InputError
         If the file cannot be read, holds other values than pairs, or names a row that does not exist.
     """
-    path = Path(path)
-    pairs = _read_table(path)
     feasible: list[list[int]] = [[] for _ in range(n_source)]
-    for i, j in pairs.tolist():
-        if not 0 <= i < n_source:
-            fail(path, f"{i:g} is not a source row", f"use rows from 0 to {n_source - 1}")
-        if not 0 <= j < MAX_ROWS:
-            fail(path, f"{j:g} is not a target row", "use row numbers, from 0")
-        feasible[int(i)].append(int(j))
+    for i, j in _read_pairs(path, n_source, None).tolist():
+        feasible[i].append(j)
     return feasible
 
 
@@ -147,19 +143,19 @@ def read_matches(path: str | Path, n_source: int, n_target: int) -> np.ndarray:
     InputError
         If the file cannot be read, holds other values than pairs, or names a row that does not exist.
     """
-    path = Path(path)
-    pairs = _read_table(path)
-    for column, (cloud, count) in enumerate((("source", n_source), ("target", n_target))):
-        beyond = (pairs[:, column] < 0) | (pairs[:, column] >= count)
-        if beyond.any():
-            row = pairs[np.argmax(beyond), column]
-            fail(path, f"{row:g} is not a {cloud} row", f"use rows from 0 to {count - 1}")
-    return pairs.astype(np.int64)
+    return _read_pairs(path, n_source, n_target)
 
 
-def _read_table(path: Path) -> np.ndarray:
-    """Read an (N, 2) table of whole numbers."""
+def _read_pairs(path: str | Path, n_source: int, n_target: int | None) -> np.ndarray:
+    """Read an (N, 2) table of row numbers; without `n_target`, a target row may be any."""
     pairs = read_points(path)
-    if pairs.shape[1] != 2 or (pairs != np.round(pairs)).any():
-        fail(path, "not a table of pairs", "give two columns of row numbers, from 0")
-    return pairs
+    with naming(Path(path)):
+        if pairs.shape[1] != 2 or (pairs != np.round(pairs)).any():
+            fail("not a table of pairs", "give two columns of row numbers, from 0")
+        clouds = ("source", n_source), ("target", n_target)
+        for rows, (cloud, count) in zip(pairs.T, clouds, strict=True):
+            beyond = rows[(rows < 0) | (rows >= (count or MAX_ROWS))]
+            if beyond.size:
+                known = f"rows from 0 to {count - 1}" if count else "row numbers, from 0"
+                fail(f"{beyond[0]:g} is not a {cloud} row", f"use {known}")
+    return pairs.astype(np.int64)

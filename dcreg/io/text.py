@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import BinaryIO, NoReturn
 
 import numpy as np
 
@@ -20,9 +21,18 @@ Row = tuple[int, list[str]]
 _DECIMAL_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 
 
-def fail(path: Path, problem: str, remedy: str) -> NoReturn:
-    """Refuse a file, with the remedy."""
-    raise InputError(f"{path}: {problem}; {remedy}")
+def fail(problem: str, remedy: str) -> NoReturn:
+    """Refuse a file; the message has to begin with its name, see `naming`."""
+    raise InputError(f"{problem}; {remedy}")
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let the messages of `fail` begin with the name of the file."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def listing(names: Sequence[str], maximum: int = 12) -> str:
@@ -31,55 +41,47 @@ def listing(names: Sequence[str], maximum: int = 12) -> str:
     return ", ".join(names[:maximum]) + rest if names else "none"
 
 
-def read_text(path: Path, _: str | None) -> np.ndarray:
-    """Read rows of 2 or 3 numbers, or the columns that a header row calls x, y and z."""
-    return _table(path, any_width=False)
+def read_text(stream: BinaryIO, _: str | None, *, any_width: bool = False) -> np.ndarray:
+    """Read rows of 2 or 3 numbers, or the columns that a header row calls x, y and z.
 
-
-def read_xyz(path: Path, _: str | None) -> np.ndarray:
-    """Read the same, without the columns after the third (normals, colours, intensities)."""
-    return _table(path, any_width=True)
-
-
-def _table(path: Path, *, any_width: bool) -> np.ndarray:
-    """Read rows of numbers, which a line with the number of points and a header row may precede."""
-    rows = list(rows_of(lines_of(path, path.read_bytes())))
+    A line with the number of points may precede them. With `any_width` rows may be longer: the columns
+    after the third (normals, colours, intensities) are ignored.
+    """
+    rows = list(rows_of(lines_of(stream.read())))
     if not rows:
-        fail(path, "is empty", "give one point per line")
+        fail("is empty", "give one point per line")
     announced = None
     if len(rows[0][1]) == 1 and rows[0][1][0].isdigit():
         announced = int(rows.pop(0)[1][0])
     names = rows.pop(0)[1] if rows and not any(map(_is_number, rows[0][1])) else None
     if announced is not None and announced != len(rows):
         fail(
-            path,
             f"the first line announces {announced} points, {len(rows)} follow",
             "the file may be cut off; export it again or correct that line",
         )
     if not rows:
-        fail(path, "holds no points", "give one point per line")
+        fail("holds no points", "give one point per line")
     width = len(rows[0][1] if names is None else names)
-    return numbers_of(path, rows, _columns(path, names, width, any_width), width)
+    return numbers_of(rows, _columns(names, width, any_width), width)
 
 
-def _columns(path: Path, names: list[str] | None, width: int, any_width: bool) -> list[int]:
+def _columns(names: list[str] | None, width: int, any_width: bool) -> list[int]:
     """Return the columns of coordinates: those called x, y and z in the header, else all 2 or 3."""
     lowered = [name.strip("\"' ").lower() for name in names or []]
     if "x" in lowered and "y" in lowered:
         return [lowered.index(axis) for axis in "xyz" if axis in lowered]
     if width not in DIMENSIONS and not (any_width and width > 3):
         fail(
-            path,
             f"wrong dimension: {width} column{'s' * (width != 1)}",
             "keep 2 or 3 columns, or add a header row with x, y (and z); decimals need a point",
         )
     return list(range(min(width, 3)))
 
 
-def lines_of(path: Path, content: bytes) -> list[str]:
+def lines_of(content: bytes) -> list[str]:
     """Return the lines of a text file of any system, without line ends."""
     if b"\0" in content[:4096]:
-        fail(path, "is not plain text (zero bytes found)", "save it as UTF-8 text")
+        fail("is not plain text (zero bytes found)", "save it as UTF-8 text")
     text = content.decode("utf-8-sig", errors="replace")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
@@ -127,13 +129,12 @@ def _looks_decimal(field: str) -> bool:
     return "," in field or bool(re.fullmatch(r"-?\d+\s+-?\d+", field))
 
 
-def numbers_of(path: Path, rows: Sequence[Row], columns: Sequence[int], width: int) -> np.ndarray:
+def numbers_of(rows: Sequence[Row], columns: Sequence[int], width: int) -> np.ndarray:
     """Return the given columns of text rows as floats; errors name the line."""
     points = np.empty((len(rows), len(columns)))
     for i, (line, fields) in enumerate(rows):
         if len(fields) != width:
             fail(
-                path,
                 f"line {line} has {len(fields)} value{'s' * (len(fields) != 1)}, expected {width}",
                 "give every point the same number of values",
             )
@@ -146,7 +147,7 @@ def numbers_of(path: Path, rows: Sequence[Row], columns: Sequence[int], width: i
                 if _looks_decimal(bad)
                 else "correct or remove that line"
             )
-            fail(path, f"line {line}: '{bad[:40]}' is not a number", remedy)
+            fail(f"line {line}: '{bad[:40]}' is not a number", remedy)
         if not np.isfinite(points[i]).all():
-            fail(path, f"line {line} holds NaN or infinity", "remove that point")
+            fail(f"line {line} holds NaN or infinity", "remove that point")
     return points
