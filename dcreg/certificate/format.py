@@ -31,10 +31,19 @@ OPEN = 2  # a limit ended the search first
 
 
 _MAGIC = b"PK"  # an .npz is a zip file
+# By entry or by annotation; all others are floats.
+_DTYPES: dict[str, type] = {"candidates": np.int64, "leaf_reasons": np.int8}
+_DTYPES |= {"int": np.int64, "str": np.str_}
 
 
 class CertificateError(ValueError):
     """A certificate that cannot be accepted; the message is the reason."""
+
+
+def require(holds: bool | np.bool_, problem: str) -> None:
+    """Refuse a certificate unless a condition holds."""
+    if not holds:
+        raise CertificateError(problem)
 
 
 class NoCertificateError(CertificateError):
@@ -103,9 +112,8 @@ class Certificate:
     def __post_init__(self) -> None:
         """Convert every field to its plain type, so that equal certificates give equal files."""
         for entry in fields(self):
-            value: np.ndarray = np.array(
-                getattr(self, entry.name), dtype=_dtype(entry.name), order="C"
-            )
+            dtype = _DTYPES.get(entry.name) or _DTYPES.get(str(entry.type), np.float64)
+            value: np.ndarray = np.array(getattr(self, entry.name), dtype=dtype, order="C")
             object.__setattr__(self, entry.name, value if value.ndim else value.item())
 
 
@@ -164,17 +172,16 @@ def read(path: str | Path) -> Certificate:
     if str(arrays.get("format")) != FORMAT:
         raise NoCertificateError(path, f"not a {FORMAT}")
     names = {entry.name for entry in fields(Certificate)} | {"format", "format_version"}
-    if str(arrays.get("format_version")) != str(FORMAT_VERSION):
-        raise CertificateError(
-            f"{path}: format version {arrays.get('format_version')}, but this dcreg reads version "
-            f"{FORMAT_VERSION} only; make the certificate again with `dcreg register --certificate`"
-        )
-    if names != set(arrays):
-        raise CertificateError(f"{path}: wrong entries: {sorted(names ^ set(arrays))}")
-    if stated != _checksum(arrays):
-        raise CertificateError(
-            f"{path}: the checksum does not match the content: changed or corrupt"
-        )
+    version = str(arrays.get("format_version"))
+    require(
+        version == str(FORMAT_VERSION),
+        f"{path}: format version {version}, but this dcreg reads version {FORMAT_VERSION} only; "
+        "make the certificate again with `dcreg register --certificate`",
+    )
+    wrong = sorted(names ^ set(arrays))
+    require(not wrong, f"{path}: wrong entries: {wrong}")
+    is_whole = stated == _checksum(arrays)
+    require(is_whole, f"{path}: the checksum does not match the content: changed or corrupt")
     del arrays["format"], arrays["format_version"]
     try:
         certificate = Certificate(**arrays)
@@ -182,15 +189,6 @@ def read(path: str | Path) -> Certificate:
         raise CertificateError(f"{path}: an entry has the wrong type ({error})") from None
     check_shapes(certificate)
     return certificate
-
-
-def _dtype(name: str) -> type:
-    if name in ("n_inliers", "candidates"):
-        return np.int64
-    if name == "leaf_reasons":
-        return np.int8
-    texts = ("source_digest", "target_digest", "model", "mode", "bound", "status", "dcreg_version")
-    return np.str_ if name in texts else np.float64
 
 
 def _checksum(arrays: dict[str, np.ndarray]) -> str:
@@ -211,46 +209,34 @@ def check_shapes(c: Certificate) -> None:
     CertificateError
         Naming the entry.
     """
-    if c.model not in MODELS:
-        raise CertificateError(
-            f"model {c.model!r} is unknown; a certificate refers to one of {MODELS}"
-        )
+    require(
+        c.model in MODELS, f"model {c.model!r} is unknown; a certificate refers to one of {MODELS}"
+    )
     dim, d = (2, 4) if c.model == "similarity2d" else (3, 3)
     count = len(np.atleast_1d(c.leaf_bounds))
-    shapes = {
-        "scale_range": (2,),
-        "source_centre": (dim,),
-        "target_centre": (dim,),
-        "start_lower": (d,),
-        "start_upper": (d,),
-        "theta": (d,),
-        "leaf_lower": (count, d),
-        "leaf_upper": (count, d),
-        "leaf_bounds": (count,),
-        "leaf_reasons": (count,),
-        "unit": (),
-        "lower_bound": (),
-        "upper_bound": (),
-        "gap_tol": (),
-        "n_inliers": (),
-        "candidates": (len(np.atleast_1d(c.candidates)), 2),
-    }
-    for name, shape in shapes.items():
-        value = getattr(c, name)
-        if np.shape(value) != shape:
-            raise CertificateError(f"{name}: shape {np.shape(value)}, expected {shape}")
-        checked = c.leaf_bounds[c.leaf_reasons != INADMISSIBLE] if name == "leaf_bounds" else value
-        if not np.isfinite(checked).all():
-            raise CertificateError(f"{name}: not a finite number")
-    if count == 0:
-        raise CertificateError("no leaves")
-    if not np.isin(c.leaf_reasons, (PRUNED, INADMISSIBLE, OPEN)).all():
-        raise CertificateError("leaf_reasons: unknown reason")
-    if np.isnan(c.leaf_bounds).any():
-        raise CertificateError("leaf_bounds: not a number")
-    if c.unit <= 0 or c.gap_tol < 0 or c.n_inliers < 1:
-        raise CertificateError("unit, gap_tol or n_inliers: out of range")
-    if (c.candidates < 0).any():
-        raise CertificateError("candidates: a negative index")
-    if not 0 < c.scale_range[0] <= c.scale_range[1]:
-        raise CertificateError(f"scale_range: {c.scale_range}, but 0 < low <= high is needed")
+    shapes: tuple[tuple[tuple[int, ...], tuple[str, ...]], ...] = (
+        ((2,), ("scale_range",)),
+        ((dim,), ("source_centre", "target_centre")),
+        ((d,), ("start_lower", "start_upper", "theta")),
+        ((count, d), ("leaf_lower", "leaf_upper")),
+        ((count,), ("leaf_reasons", "leaf_bounds")),
+        ((), ("unit", "lower_bound", "upper_bound", "gap_tol", "n_inliers")),
+        ((len(np.atleast_1d(c.candidates)), 2), ("candidates",)),
+    )
+    for shape, names in shapes:
+        for name in names:
+            value = getattr(c, name)
+            found = np.shape(value)
+            require(found == shape, f"{name}: shape {found}, expected {shape}")
+            if name == "leaf_bounds":
+                value = value[c.leaf_reasons != INADMISSIBLE]
+            require(np.isfinite(value).all(), f"{name}: not a finite number")
+    require(count > 0, "no leaves")
+    known = np.isin(c.leaf_reasons, (PRUNED, INADMISSIBLE, OPEN))
+    require(known.all(), "leaf_reasons: unknown reason")
+    require(not np.isnan(c.leaf_bounds).any(), "leaf_bounds: not a number")
+    in_range = c.unit > 0 and c.gap_tol >= 0 and c.n_inliers >= 1
+    require(in_range, "unit, gap_tol or n_inliers: out of range")
+    require((c.candidates >= 0).all(), "candidates: a negative index")
+    low, high = c.scale_range
+    require(0 < low <= high, f"scale_range: {c.scale_range}, but 0 < low <= high is needed")

@@ -305,11 +305,9 @@ class Translation3D(Objective):
         return (np.linalg.norm(self.source + theta, axis=1)[:, None] - self.norms) ** 2
 
     def value(self, theta: np.ndarray) -> float:
-        return (
-            float(self.lower_bounds(theta[None])[0])
-            if self.is_sorted_order
-            else super().value(theta)
-        )
+        if self.is_sorted_order:
+            return float(self.lower_bounds(theta[None])[0])
+        return super().value(theta)
 
     def lower_bounds(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
         if self.feasible is not None:

@@ -25,6 +25,7 @@ from dcreg.certificate.format import (
     check_shapes,
     digest,
     read,
+    require,
 )
 from dcreg.certificate.objectives import OBJECTIVES, Objective
 from dcreg.certificate.proof import Progress, Proof, check_partition
@@ -201,27 +202,22 @@ def _check(
 
 def check_clouds(c: Certificate, source: np.ndarray, target: np.ndarray) -> None:
     """Check that the certificate was made for exactly these clouds, with their centres and size."""
-    for name, points, stated in (
-        ("source", source, c.source_digest),
-        ("target", target, c.target_digest),
-    ):
-        if digest(points) != stated:
-            raise CertificateError(f"{name}: differs from the cloud of the certificate")
-        if points.ndim != 2 or points.shape[1] != len(c.source_centre):
-            raise CertificateError(f"{name}: shape {points.shape} does not fit model {c.model!r}")
-    if c.n_inliers > min(len(source), len(target)):
-        raise CertificateError(f"n_inliers: {c.n_inliers} exceeds the smaller cloud")
+    clouds = {"source": source, "target": target}
+    for name, points in clouds.items():
+        is_same = digest(points) == getattr(c, f"{name}_digest")
+        require(is_same, f"{name}: differs from the cloud of the certificate")
+        fits = points.ndim == 2 and points.shape[1] == len(c.source_centre)
+        require(fits, f"{name}: shape {points.shape} does not fit model {c.model!r}")
+    smaller = min(len(source), len(target))
+    require(c.n_inliers <= smaller, f"n_inliers: {c.n_inliers} exceeds the smaller cloud")
     # in another unit, the tolerances for rounding would not fit
     unit = _extent(target) or _extent(source) or 1.0
-    if not abs(c.unit - unit) <= 1e-6 * unit:
-        raise CertificateError(f"unit: {c.unit:.9g} stated, but the clouds measure {unit:.9g}")
-    for name, points, centre in (
-        ("source", source, c.source_centre),
-        ("target", target, c.target_centre),
-    ):
-        mean = points.mean(axis=0)
-        if not (np.abs(centre - mean) <= 1e-6 * unit + 1e-12 * np.abs(points).max()).all():
-            raise CertificateError(f"{name}_centre: {centre} stated, but it is {mean}")
+    fits = abs(c.unit - unit) <= 1e-6 * unit
+    require(fits, f"unit: {c.unit:.9g} stated, but the clouds measure {unit:.9g}")
+    for name, points in clouds.items():
+        mean, centre = points.mean(axis=0), getattr(c, f"{name}_centre")
+        is_near = np.abs(centre - mean) <= 1e-6 * unit + 1e-12 * np.abs(points).max()
+        require(is_near.all(), f"{name}_centre: {centre} stated, but it is {mean}")
 
 
 def _extent(points: np.ndarray) -> float:
@@ -250,8 +246,7 @@ def feasible_pairs(c: Certificate, n: int, m: int) -> np.ndarray | None:
     """Return an (n, m) mask of the candidates, None if every pair is feasible."""
     if not len(c.candidates):
         return None
-    if (c.candidates >= (n, m)).any():
-        raise CertificateError("candidates: an index exceeds the clouds")
+    require((c.candidates < (n, m)).all(), "candidates: an index exceeds the clouds")
     mask = np.zeros((n, m), dtype=bool)
     mask[tuple(c.candidates.T)] = True
     if (maximum_bipartite_matching(csr_array(mask)) >= 0).sum() < c.n_inliers:
@@ -264,16 +259,16 @@ def feasible_pairs(c: Certificate, n: int, m: int) -> np.ndarray | None:
 
 def check_claim(c: Certificate, slack: float) -> None:
     """Check that the bounds of the leaves, if true, imply the stated lower bound and status."""
-    if not 0 <= c.lower_bound <= c.upper_bound + slack:
-        raise CertificateError(
-            f"lower_bound {c.lower_bound:.9g} does not lie in [0, upper_bound {c.upper_bound:.9g}]"
-        )
+    require(
+        0 <= c.lower_bound <= c.upper_bound + slack,
+        f"lower_bound {c.lower_bound:.9g} does not lie in [0, upper_bound {c.upper_bound:.9g}]",
+    )
     minimum = c.leaf_bounds.min()
-    if c.lower_bound > minimum + slack:
-        raise CertificateError(
-            f"lower_bound {c.lower_bound:.9g} does not follow: leaf {int(c.leaf_bounds.argmin())} "
-            f"has the bound {minimum:.9g}"
-        )
+    require(
+        c.lower_bound <= minimum + slack,
+        f"lower_bound {c.lower_bound:.9g} does not follow: leaf {int(c.leaf_bounds.argmin())} "
+        f"has the bound {minimum:.9g}",
+    )
     threshold = c.upper_bound * (1.0 - 1e-9) - c.gap_tol - slack
     if c.status == "optimal" and c.lower_bound < threshold:
         raise CertificateError("status optimal does not follow: the gap exceeds gap_tol")
@@ -303,13 +298,12 @@ def check_start_box(objective: Objective, lower: np.ndarray, upper: np.ndarray) 
 
 def check_optimum(objective: Objective, c: Certificate, slack: float) -> None:
     """Check that `theta` is admissible, attains the upper bound, and is not below its leaves' bounds."""
-    if not objective.admissible(c.theta[None])[0]:
-        raise CertificateError("theta: not an admissible parameter")
+    require(objective.admissible(c.theta[None])[0], "theta: not an admissible parameter")
     value = objective.value(c.theta)
-    if not abs(value - c.upper_bound) <= 1e-9 * c.upper_bound + slack:
-        raise CertificateError(
-            f"upper_bound: {c.upper_bound:.9g} stated, but the objective at theta is {value:.9g}"
-        )
+    require(
+        abs(value - c.upper_bound) <= 1e-9 * c.upper_bound + slack,
+        f"upper_bound: {c.upper_bound:.9g} stated, but the objective at theta is {value:.9g}",
+    )
     holds_it = ((c.leaf_lower <= c.theta) & (c.theta <= c.leaf_upper)).all(axis=1)
     around = np.flatnonzero(holds_it)
     # compared by its exact value, which is computed once
