@@ -204,13 +204,9 @@ def _one_of(lines: dict[int, str], counts: list[int]) -> str:
 
 def _row(result: Result, after: Result | None, proven_by: int | None) -> dict[str, Any]:
     k = result.n_bounded
-    row: dict[str, Any] = {
-        "n_inliers": result.n_inliers,
+    names = ("n_inliers", "status", "lower_bound", "upper_bound", "gap", "gap_tol")
+    row: dict[str, Any] = {name: getattr(result, name) for name in names} | {
         "status": result.status.value,
-        "lower_bound": result.lower_bound,
-        "upper_bound": result.upper_bound,
-        "gap": result.gap,
-        "gap_tol": result.gap_tol,
         "rms": float(np.sqrt(result.upper_bound / k)),
         "rms_lower": float(np.sqrt(max(0.0, result.lower_bound) / k)),
         "rmse_matched": result.rmse_matched,

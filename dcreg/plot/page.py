@@ -15,38 +15,7 @@ from dcreg.files import write_text
 TARGET, SOURCE, GREY = "#0072B2", "#D55E00", "#7F7F7F"
 LOWER, UPPER = "#009E73", "#CC79A7"
 _FAINT, _CLEAR = "rgba(127, 127, 127, 0.3)", "rgba(0, 0, 0, 0)"
-_STYLE = """
-:root { color-scheme: light dark; --ink: #1f2328; --soft: #59636e; --line: #d1d9e0; --back: #ffffff;
-  --warn: #7a4b00; --warn-back: #fff4d6; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e6edf3; --soft: #9aa4af; --line: #3d444d; --back: #0d1117;
-    --warn: #f2cc60; --warn-back: #2b2311; } }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 1360px; padding: 20px clamp(12px, 3vw, 32px); color: var(--ink);
-  background: var(--back); font: 15px/1.5 system-ui, sans-serif; overflow-wrap: anywhere; }
-h1 { margin: 0; font-size: 1.4rem; line-height: 1.3; }
-p { margin: 6px 0; }
-.notes { color: var(--soft); }
-.warnings { margin: 12px 0; padding: 8px 12px 8px 28px; color: var(--warn); background: var(--warn-back);
-  border-radius: 6px; }
-dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 290px), 1fr));
-  gap: 8px 24px; margin: 16px 0; }
-dt { color: var(--soft); font-size: 13px; }
-dd { margin: 0; white-space: pre-wrap; }
-.long { grid-column: 1 / -1; }
-.long dd { font: 12px/1.5 ui-monospace, monospace; white-space: pre; overflow-x: auto; }
-.scroll { overflow-x: auto; margin: 16px 0; }
-table { border-collapse: collapse; white-space: nowrap; font-variant-numeric: tabular-nums; }
-th, td { padding: 4px 10px; text-align: right; border-bottom: 1px solid var(--line); }
-th { color: var(--soft); font-size: 13px; font-weight: normal; }
-.figures { display: grid; grid-template-columns: minmax(0, 1fr); gap: 24px; margin: 12px 0; }
-@media (min-width: 1000px) { .figures { grid-template-columns: repeat(2, minmax(0, 1fr)); } }
-figure { margin: 0; min-width: 0; }
-figcaption { font-weight: 600; }
-.plot { height: 420px; }
-.plot .infolayer text, .plot .xaxislayer-above text, .plot .yaxislayer-above text {
-  fill: var(--ink) !important; }
-"""
+_STYLE = Path(__file__).with_name("page.css")
 
 
 def figure(drawn: Sequence[go.BaseTraceType] = ()) -> go.Figure:
@@ -103,7 +72,7 @@ def write_page(
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{escape(title)}</title>",
-        f"<style>{_STYLE}</style>",
+        f"<style>\n{_STYLE.read_text(encoding='utf-8')}</style>",
         f"<script>{get_plotlyjs()}</script>\n</head>\n<body>",
     ]
     write_text(path, "\n".join([*head, *body, "</body>\n</html>\n"]))

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -146,7 +147,8 @@ def _history(result: Result, stages: list[_Stage], axis: str, label: str) -> go.
     """Draw the bounds of all stages, each in a separate band because the objectives differ."""
     fig = figure()
     for name, color in (("lower bound", LOWER), ("upper bound", UPPER)):
-        x, y, words = _curve(stages, axis, name.replace(" ", "_"))
+        points = _curve(stages, axis, name.replace(" ", "_"))
+        x, y, words = ([point[at] for point in points] for at in range(3))
         fig.add_scatter(
             x=x,
             y=y,
@@ -193,21 +195,15 @@ def _height(result: Result, stages: list[_Stage]) -> float:
     return 2.0 * max([result.upper_bound, *filter(math.isfinite, ends)])
 
 
-def _curve(
-    stages: list[_Stage], axis: str, bound: str
-) -> tuple[list[float | None], list[float | None], list[str]]:
+def _curve(stages: list[_Stage], axis: str, bound: str) -> list[tuple[Any, Any, str]]:
     """Return the events with a finite bound and their stages, with a break between stages."""
-    x: list[float | None] = []
-    y: list[float | None] = []
-    words: list[str] = []
+    points: list[tuple[Any, Any, str]] = []
     for stage in stages:
-        for at, event in zip(stage.at(axis), stage.events, strict=True):
-            if math.isfinite(value := getattr(event, bound)):
-                x.append(at)
-                y.append(value)
-                words.append(stage.name)
-        if x and x[-1] is not None:
-            x.append(None)
-            y.append(None)
-            words.append("")
-    return x, y, words
+        values = [getattr(event, bound) for event in stage.events]
+        finite = [
+            (at, value, stage.name)
+            for at, value in zip(stage.at(axis), values, strict=True)
+            if math.isfinite(value)
+        ]
+        points += [*finite, (None, None, "")] if finite else []
+    return points

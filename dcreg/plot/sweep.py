@@ -57,13 +57,15 @@ def plot_sweep(
 
 @dataclass(frozen=True)
 class _Curve:
-    """A line with a band around it."""
+    """A line with a band around it, and in 3D the RMSE of the final poses."""
 
     name: str
+    color: str
     x: np.ndarray
     y: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    of_poses: np.ndarray | None = None
 
 
 def _sweep_curves(sweep: SweepResult) -> tuple[_Curve, _Curve]:
@@ -73,22 +75,18 @@ def _sweep_curves(sweep: SweepResult) -> tuple[_Curve, _Curve]:
     """
     rows = sweep.rows()
     k, rms, low = (_column(rows, name) for name in ("n_inliers", "rms", "rms_lower"))
-    residual = _Curve("RMS residual, √(E(k) / k)", k, rms, low, rms)
+    # in 2D the bounds refer to the final poses
+    of_poses = None if sweep.results[0].model == "similarity2d" else _column(rows, "rmse_matched")
+    residual = _Curve("RMS residual, √(E(k) / k)", TARGET, k, rms, low, rms, of_poses)
     names = ("marginal_cost", "marginal_cost_lower", "marginal_cost_upper")
     following = [np.sqrt(_column(rows[:-1], name)) for name in names]
     centres = 0.5 * (k[:-1] + k[1:])
-    return residual, _Curve("residual of the next pair, √(E(k+1) − E(k))", centres, *following)
+    name = "residual of the next pair, √(E(k+1) − E(k))"
+    return residual, _Curve(name, SOURCE, centres, *following)
 
 
 def _column(rows: list[dict[str, Any]], name: str) -> np.ndarray:
     return np.array([row[name] for row in rows], dtype=float)
-
-
-def _final_rmse(sweep: SweepResult) -> np.ndarray | None:
-    """Return the RMSE of the final poses in 3D, where the bounds refer to another objective."""
-    if sweep.results[0].model == "similarity2d":
-        return None
-    return np.array([result.rmse_matched for result in sweep.results])
 
 
 def _sweep_title(sweep: SweepResult) -> str:
@@ -108,15 +106,14 @@ _POSE_CURVE = "RMSE of the final pose"
 
 def sweep_figures(sweep: SweepResult) -> dict[str, go.Figure]:
     """Return the figures of the page of `plot_sweep`, by caption."""
-    curves = _sweep_curves(sweep)
     drawn = {}
-    for curve, color in zip(curves, (TARGET, SOURCE), strict=True):
+    for curve in _sweep_curves(sweep):
         band = go.Scatter(
             x=np.concatenate([curve.x, curve.x[::-1]]),
             y=np.concatenate([curve.high, curve.low[::-1]]),
             name=_BAND,
             fill="toself",
-            fillcolor=color,
+            fillcolor=curve.color,
             opacity=0.25,
             line={"width": 0},
             mode="lines",
@@ -124,7 +121,7 @@ def sweep_figures(sweep: SweepResult) -> dict[str, go.Figure]:
         )
         line = go.Scatter(
             x=curve.x, y=curve.y, name="from the upper bound", mode="lines+markers",
-            line={"color": color}, showlegend=True,
+            line={"color": curve.color}, showlegend=True,
         )  # fmt: skip
         fig = drawn[curve.name] = figure([band, line])
         for suggested in _suggestions(sweep):
@@ -136,11 +133,9 @@ def sweep_figures(sweep: SweepResult) -> dict[str, go.Figure]:
             )
         fig.update_xaxes(title_text=_AXES[0])
         fig.update_yaxes(title_text=_AXES[1], rangemode="tozero")
-    rmse = _final_rmse(sweep)
-    if rmse is not None:
-        drawn[curves[0].name].add_scatter(
-            x=curves[0].x, y=rmse, name=_POSE_CURVE, line={"color": GREY, "dash": "dash"}
-        )
+        if curve.of_poses is not None:
+            dashed = {"color": GREY, "dash": "dash"}
+            fig.add_scatter(x=curve.x, y=curve.of_poses, name=_POSE_CURVE, line=dashed)
     return drawn
 
 
@@ -159,23 +154,19 @@ def _sweep_image(sweep: SweepResult, path: Path, kind: str) -> None:
     settings = {**sns.axes_style("whitegrid"), "svg.hashsalt": "dcreg", "svg.fonttype": "none"}
     with rc_context(settings):
         fig = Figure(figsize=(10, 4), layout="constrained")
-        axes = fig.subplots(1, 2)
-        for ax, curve, color in zip(axes, _sweep_curves(sweep), (TARGET, SOURCE), strict=True):
+        for ax, curve in zip(fig.subplots(1, 2), _sweep_curves(sweep), strict=True):
             ax.fill_between(
-                curve.x, curve.low, curve.high, color=color, alpha=0.25, linewidth=0,
+                curve.x, curve.low, curve.high, color=curve.color, alpha=0.25, linewidth=0,
                 label=_BAND,
             )  # fmt: skip
-            ax.plot(curve.x, curve.y, "o-", color=color, markersize=4, label=curve.name)
+            ax.plot(curve.x, curve.y, "o-", color=curve.color, markersize=4, label=curve.name)
             for suggested in _suggestions(sweep):
                 label = _SUGGESTION.format(suggested)
                 ax.axvline(suggested, color=LOWER, linestyle=":", label=label)
             ax.set(title=curve.name, xlabel=_AXES[0], ylabel=_AXES[1])
             ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-        rmse = _final_rmse(sweep)
-        if rmse is not None:
-            ks = [result.n_inliers for result in sweep.results]
-            axes[0].plot(ks, rmse, "--", color=GREY, label=_POSE_CURVE)
-        for ax in axes:
+            if curve.of_poses is not None:
+                ax.plot(curve.x, curve.of_poses, "--", color=GREY, label=_POSE_CURVE)
             ax.set_ylim(bottom=0.0)
             ax.legend(fontsize="small")
         fig.suptitle(_sweep_title(sweep), fontsize="medium")
