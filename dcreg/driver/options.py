@@ -12,6 +12,7 @@ from dcreg.problem.problem import InputError, suggestion
 from dcreg.search import Budget, Listener
 
 MAX_THREADS = 1024
+SMALLEST = np.nextafter(0.0, 1.0)  # positive number
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class SolveOptions:
     Raises
     ------
     InputError
-        For an unknown start box, or a wrong number of threads.
+        For an unknown start box, a wrong number of threads, a switch that is no truth value, or a
+        listener that cannot be called.
     """
 
     mode: str | None = None
@@ -68,12 +70,17 @@ class SolveOptions:
             raise InputError(
                 f"start_box: {self.start_box!r} is unknown{suggestion(self.start_box, START_BOXES)}"
             )
-        if not isinstance(self.threads, int | np.integer) or isinstance(self.threads, bool):
-            raise InputError(f"threads: {self.threads!r} is not a whole number; give one such as 4")
-        check_positive("threads", self.threads, minimum=1)
+        check_positive("threads", self.threads, such_as=4, optional=False)
         if self.threads > MAX_THREADS:
             raise InputError(
                 f"threads: {self.threads} threads are too many; give at most {MAX_THREADS}"
+            )
+        for name in ("polish", "certificate"):
+            if not isinstance(value := getattr(self, name), bool | np.bool_):
+                raise InputError(f"{name}: {value!r} is not a truth value; give True or False")
+        if not (self.listener is None or callable(self.listener)):
+            raise InputError(
+                f"listener: {self.listener!r} cannot be called; give a function of one dcreg.Event"
             )
 
     @classmethod
@@ -121,14 +128,10 @@ class Limits:
         ------
         InputError
         """
-        check_positive("gap_tol", gap_tol_of(self.tol, self.gap_tol, n_inliers))
+        check_positive("gap_tol", gap_tol_of(self.tol, self.gap_tol, n_inliers), minimum=0.0)
         if self.time_s != np.inf:
             check_positive("time_limit", self.time_s)
-            if self.time_s == 0:
-                raise InputError(
-                    f"time_limit: {self.time_s} is not a usable value; give a positive number"
-                )
-        check_positive("node_limit", self.nodes, minimum=1)
+        check_positive("node_limit", self.nodes, such_as=10_000)
         check_positive("memory_limit_mb", self.memory_mb)
 
     def budget(self, listener: Listener | None) -> Budget:
@@ -136,16 +139,37 @@ class Limits:
         return Budget(self.time_s, self.nodes, self.memory_mb, listener)
 
 
-def check_positive(name: str, value: float | None, minimum: float = 0) -> None:
-    """Refuse a setting that is no finite number of at least `minimum`; None is not set.
+def check_positive(
+    name: str,
+    value: float | None,
+    *,
+    minimum: float = SMALLEST,
+    such_as: int | None = None,
+    optional: bool = True,
+) -> None:
+    """Refuse a setting that is no finite number of at least `minimum`.
+
+    Parameters
+    ----------
+    name : str
+    value : float or None
+    minimum : float
+    such_as : int, optional
+        An example, if the number has to be whole.
+    optional : bool
+        Accept None.
 
     Raises
     ------
     InputError
     """
-    if value is None:
+    if optional and value is None:
         return
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise InputError(f"{name}: {value!r} is not a number; give a positive number")
+    kinds = int | float | np.number if such_as is None else int | np.integer
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        needed = "a number; give a positive number"
+        if such_as is not None:
+            needed = f"a whole number; give one such as {such_as}"
+        raise InputError(f"{name}: {value!r} is not {needed}")
     if not minimum <= value < np.inf:
         raise InputError(f"{name}: {value} is not a usable value; give a positive number")
