@@ -186,7 +186,7 @@ class SweepResult:
     def __repr__(self) -> str:
         counts = [result.n_inliers for result in self.results]
         return (
-            f"<SweepResult {self.status.value}: {len(counts)} values of n_inliers from {counts[0]} to  "
+            f"<SweepResult {self.status.value}: {len(counts)} values of n_inliers from {counts[0]} to "
             f"{counts[-1]}>"
         )
 

@@ -65,7 +65,7 @@ def test_representations_are_one_short_line():
     assert repr(result()) == (
         "<Result optimal: similarity2d, mode paper, 100 pairs, bounds [0.75, 1], RMSE 0.1>"
     )
-    assert repr(sweep()) == "<SweepResult optimal: 3 cardinalities from 50 to 70>"
+    assert repr(sweep()) == "<SweepResult optimal: 3 values of n_inliers from 50 to 70>"
 
 
 @pytest.mark.parametrize(
