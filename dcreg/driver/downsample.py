@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -58,13 +59,8 @@ def to_search(
     if len(source) == len(first.source) and len(target) == len(first.target):
         return problems
     share = min(len(source), len(target)) / min(len(first.source), len(first.target))
-    return [
-        Problem(
-            source, target, max(1, round(share * problem.n_inliers)), problem.model,
-            problem.scale_range,
-        )
-        for problem in problems
-    ]  # fmt: skip
+    sample = Problem(source, target, 1, first.model, first.scale_range)
+    return [sample.with_n_inliers(max(1, round(share * each.n_inliers))) for each in problems]
 
 
 def _check(count: int, problem: Problem, certificate: bool) -> None:
@@ -73,14 +69,9 @@ def _check(count: int, problem: Problem, certificate: bool) -> None:
         raise InputError(
             f"downsample: {count!r} is not a number of points; give a whole number such as 200"
         )
-    for name, given in (
-        ("candidates", problem.candidates is not None),
-        ("certificate", certificate),
-    ):
-        if given:
-            raise InputError(
-                f"downsample: {name} would not be used with a sample; omit one of the two"
-            )
+    given = {"candidates": problem.candidates is not None, "certificate": certificate}
+    for name in filter(given.get, given):
+        raise InputError(f"downsample: {name} would not be used with a sample; omit one of the two")
 
 
 def default_sample(problem: Problem, bound: str | None, certificate: bool) -> int | None:
@@ -99,6 +90,7 @@ def default_sample(problem: Problem, bound: str | None, certificate: bool) -> in
 
 # A pose with its objective and its pairs.
 Pose = tuple[float, np.ndarray, np.ndarray]
+_value = itemgetter(0)
 
 
 def refined(
@@ -164,7 +156,3 @@ def refine_poses(problem: Problem, poses: Sequence[Pose], budget: Budget) -> tup
         if better < value:
             refined[at] = better, T, pairs
     return refined, spent
-
-
-def _value(pose: Pose) -> float:
-    return pose[0]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -50,7 +52,7 @@ class Mode:
         Several models may share a name.
     summary : str
         One line for help texts and manuals.
-    make_space : callable
+    space : callable
         The space of the certified search, from a normalised problem.
     make_bound : callable, optional
         The mode's own bound, from ``(space, threads=...)``. None: the user chooses it by name.
@@ -70,7 +72,7 @@ class Mode:
     name: str
     model: str
     summary: str
-    make_space: Callable[[NormalisedProblem], Any] | None = None
+    space: Callable[[NormalisedProblem], Any]
     make_bound: Callable[..., Bound] | None = None
     own_bound: str = DEFAULT_BOUND
     rotation: RotationSearch | None = None
@@ -127,11 +129,6 @@ class Mode:
             and problem.candidates is None
             and MATRIX_FREE_BOUNDS.issuperset(bound_parts(bound or self.own_bound))
         )
-
-    def space(self, problem: NormalisedProblem) -> Any:
-        """Return the space of the certified search."""
-        assert self.make_space is not None
-        return self.make_space(problem)
 
     def bound(self, problem: NormalisedProblem, space: Any) -> Bound:
         """Return the bound of the certified search."""
@@ -199,41 +196,26 @@ def search_rotation(problem: NormalisedProblem, shifted: np.ndarray, budget: Bud
     )  # fmt: skip
 
 
-def _similarity(problem: NormalisedProblem) -> Similarity2D:
-    return Similarity2D(
-        problem.source, problem.target, problem.n_inliers, problem.scale_range,
-        problem.candidates, problem.budget.stop, problem.stationary_box,
-    )  # fmt: skip
-
-
-def _translation(problem: NormalisedProblem) -> Translation3D:
-    return Translation3D(*_rigid_arguments(problem))
-
-
-def _rigid(problem: NormalisedProblem) -> Rigid3D:
-    return Rigid3D.between(*_rigid_arguments(problem))
-
-
-def _rigid_arguments(problem: NormalisedProblem) -> tuple[Any, ...]:
-    return (
-        problem.source, problem.target, problem.n_inliers,
-        problem.candidates, problem.budget.stop, problem.stationary_box,
-    )  # fmt: skip
+def _space(make: Callable[..., Any], more: Sequence[str], problem: NormalisedProblem) -> Any:
+    """Return the space that `make` returns for a problem; `more` are fields that it needs, too."""
+    names = "source", "target", "n_inliers", *more, "candidates", "budget.stop", "stationary_box"
+    return make(*attrgetter(*names)(problem))
 
 
 MODES = (
     Mode(
         "paper", "similarity2d", "searches the similarity as the paper does; certifies the pose",
-        _similarity, certifies="similarity2d",
+        partial(_space, Similarity2D, ["scale_range"]), certifies="similarity2d",
     ),
     Mode(
         "full", "rigid3d", "searches translation and rotation together; certifies the rigid pose",
-        _rigid, RigidBound, own_bound="rigid", stage="rigid",
+        partial(_space, Rigid3D.between, []), RigidBound, own_bound="rigid", stage="rigid",
     ),
     Mode(
         "paper", "rigid3d",
         "the paper's two stages: a translation in norm space, then a rotation for it",
-        _translation, rotation=search_rotation, in_norm_space=True, certifies="translation3d",
+        partial(_space, Translation3D, []), rotation=search_rotation, in_norm_space=True,
+        certifies="translation3d",
     ),
 )  # fmt: skip
 

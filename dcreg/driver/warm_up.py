@@ -83,11 +83,7 @@ def special(problem: Problem) -> tuple[bool, bool, bool]:
 
 @functools.cache
 def warm_up_mode(
-    mode: Mode,
-    bound: str | None,
-    restricted: bool = False,
-    many: bool = False,
-    large: bool = False,
+    mode: Mode, bound: str | None, restricted: bool = False, many: bool = False, large: bool = False
 ) -> None:
     """Compile (or load from cache) the kernels that a mode and a bound need, once a process.
 
