@@ -60,14 +60,14 @@ def rmse_true(case: Case) -> float:
 
 @metric("target unit", "none")
 def rmse_floor(case: Case) -> float:
-    """RMSE of the admissible pose fitted to the true pairs: the minimum of all admissible poses."""
+    """RMSE of the admissible pose fitted to the true pairs: the minimum over all admissible poses."""
     return case.rmse_floor
 
 
 @metric("yes/no", "higher", 0.0, recorded=True)
 def success(case: Case) -> bool:
-    """Whether rmse_excess is below 0.05 of the longest side of the target's true inliers, or rmse
-    below the success_rmse on the card of the dataset, where its benchmark defines one."""
+    """Whether rmse_excess is below 0.05 of the longest side of the target's true inliers; if the card
+    of the dataset states success_rmse, whether rmse is below it."""
     if case.success_rmse is not None:
         return case.rmse < case.success_rmse
     return case.rmse_excess < SUCCESS_SHARE * case.longest_side

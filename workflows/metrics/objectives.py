@@ -36,8 +36,8 @@ def objective_regret(case: Case) -> float:
 
 @metric("target unit²", "lower", recorded=True)
 def bound_violation(case: Case) -> float:
-    """Amount by which lower_bound exceeds objective_true: a wrong certificate unless 0; empty if the
-    bound is of another objective."""
+    """Amount by which lower_bound exceeds objective_true: if above 0, the certificate is wrong; empty
+    if the bound refers to another objective."""
     is_comparable = case.scope in (*POSE_SCOPES, *NORM_SCOPES)
     if not is_comparable or np.isnan(case.lower_bound + case.objective_true):
         return float("nan")
