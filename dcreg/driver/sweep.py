@@ -46,7 +46,7 @@ from dcreg.sweep_result import SweepResult
 # To prove larger cardinalities as well, a search may get this fraction of its own tolerance. With less,
 # the search costs more than those it saves.
 TIGHTEST_SHARE = 0.5
-# Share of the time for the descents of all cardinalities together.
+# Share of the time for the local searches of all numbers of pairs together.
 STARTING_SHARE = 0.5
 # Approximate time for matching all points at a pose. It is reserved for every cardinality, up to this
 # share of the time.

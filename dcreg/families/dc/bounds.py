@@ -155,7 +155,7 @@ class VertexCache:
 
     @property
     def vertices(self) -> Vertices:
-        """What the kernels take; invalid after the next `find`, which may move the arrays."""
+        """The arrays as kernels take them; invalid after the next `find`, which may reallocate them."""
         return Vertices(self.thetas, self.lows, self.values, self.levels, self.profiles, self.duals)
 
     def _reserve(self, count: int) -> None:

@@ -12,15 +12,15 @@ from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Box, Boxes, Budget, Evaluation, LongestEdge, Outcome, branch_and_bound
 
 ROUND_WORK = 200_000  # matches evaluated in a round
-MARGIN = 1e-5  # of a bound above the cutoff, in gap tolerances, so that rounding keeps no box
+MARGIN = 1e-5  # of a bound above the cutoff, in gap tolerances, so that rounding leaves no box open
 MAX_CAPPED = 6000  # matches up to which all pairs of them are compared again
 
 
 class MatchBound:
-    """Bound over quaternion boxes, with the translation inside; poses are flattened (3, 4) arrays.
+    """Bound over quaternion boxes with nested translations; poses are flattened (3, 4) arrays.
 
     The cap of a match is an upper bound on the score of any pose that agrees with it. A match whose cap
-    does not exceed the incumbent's score is left out: no better pose needs it.
+    does not exceed the incumbent's score is removed: no better pose agrees with it.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class MatchBound:
 
     @property
     def round_size(self) -> int:
-        """Boxes bounded between two readings of the clock, at most."""
+        """Maximum number of boxes bounded between two readings of the clock."""
         return int(np.clip(ROUND_WORK // max(1, self.n_left), 16, 512))
 
     def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
@@ -65,7 +65,7 @@ class MatchBound:
         return Evaluation(bounds, poses.reshape(count, 12), values)
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Descend from a pose."""
+        """Search locally from a pose."""
         pose, value = descend(self._problem, theta.reshape(3, 4))
         return pose.ravel(), value, 0
 

@@ -18,11 +18,11 @@ MIN_MATCHES = 3  # that determine a rigid pose
 
 @dataclass(frozen=True)
 class MatchProblem:
-    """Minimise a cost over rigid poses T and one-to-one choices P among the matches.
+    """Minimise a cost over rigid poses T and one-to-one selections P of matches.
 
     The cost is ``sum over P of |T(x_i) - y_j|^2 + inlier_threshold^2 (max_cardinality - |P|)``. A match
-    whose residual exceeds the threshold costs more than no match. An optimum that chooses k matches also
-    minimises the objective of `dcreg.register` with ``n_inliers = k`` over these feasible pairs.
+    whose residual exceeds the threshold costs more than no match. An optimum that selects k matches
+    also minimises the objective of `dcreg.register` with ``n_inliers = k`` over these feasible pairs.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class MatchProblem:
     pairs : (N, 2) int array
         The matches, each once: source row and target row.
     inlier_threshold : float
-        Residual from which a match counts as wrong.
+        Residual above which a match counts as wrong.
     """
 
     source: np.ndarray
@@ -61,7 +61,7 @@ class MatchProblem:
 
     @cached_property
     def list(self) -> MatchList:
-        """The matches as the kernels take them, the source centred at its matched points' mean."""
+        """The matches as kernels take them, with the source centred at the mean of its matched points."""
         return self.part(np.arange(len(self.pairs)))
 
     @cached_property
@@ -81,7 +81,7 @@ class MatchProblem:
 
     @property
     def max_cardinality(self) -> int:
-        """Maximum number of matches in a one-to-one choice."""
+        """Maximum number of matches in a one-to-one selection."""
         return min(self.list.n_rows, self.list.n_columns)
 
     def pose(self, centred: np.ndarray) -> np.ndarray:
@@ -102,11 +102,11 @@ class MatchProblem:
         return ((moved - self.list.target) ** 2).sum(axis=1)
 
     def score(self, cost: float) -> float:
-        """Return a cost as a score: a chosen match counts 1 - (residual / inlier_threshold)^2."""
+        """Return a cost as a score: a selected match counts 1 - (residual / inlier_threshold)^2."""
         return self.max_cardinality - cost / self.inlier_threshold**2
 
     def cost(self, centred: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the minimum cost at a centred pose, and the matches chosen for it."""
+        """Return the minimum cost at a centred pose, and the matches selected for it."""
         square = self.residuals(centred)
         near = np.flatnonzero(square < self.inlier_threshold**2)
         chosen = near[_one_to_one(self.list, near, square[near])]
@@ -140,7 +140,7 @@ def check_matches(matches: np.ndarray, n: int, m: int) -> np.ndarray:
 
 
 def _one_to_one(matches: MatchList, near: np.ndarray, square: np.ndarray) -> np.ndarray:
-    """Return the choice among `near` that saves most; each match saves ``reach^2 - square``."""
+    """Return the one-to-one selection from `near` with the maximum sum of ``reach^2 - square``."""
     rows, row_of = np.unique(matches.rows[near], return_inverse=True)
     columns, column_of = np.unique(matches.columns[near], return_inverse=True)
     if len(rows) == len(near) and len(columns) == len(near):

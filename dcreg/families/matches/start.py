@@ -2,7 +2,7 @@
 
 Two matches are compatible if they preserve the distance of their points. Each match forms a set with
 the compatible matches that share most compatible matches with it (second-order compatibility, Chen et
-al. 2022). A pose is fitted to each set, and descents start from the best distinct poses.
+al. 2022). A pose is fitted to each set, and local searches start from the best distinct poses.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dcreg.families.matches.surfaces import Surfaces
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
-MAX_LOOKED = 5000  # first matches of the list, which form sets: all pairs of them are compared
+MAX_LOOKED = 5000  # first matches of the list, which form sets; all their pairs are compared
 ALLIES = 20  # in the set of a match
 SHORTEST = 2.0  # distance of two compatible matches, in inlier thresholds
 POWER_STEPS = 10
@@ -31,15 +31,15 @@ WIDE = 4.0  # initial residual, in inlier thresholds, up to which a match has an
 
 
 def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, np.ndarray]]:
-    """Return costs and centred (3, 4) poses of descents from distinct poses, best first.
+    """Return costs and centred (3, 4) poses of local searches from distinct poses, best first.
 
-    There is at least one pose, and it chooses at least one match. The budget receives improvements.
+    There is at least one pose, and it selects at least one match. The budget receives improvements.
     """
     poses = _agreed_poses(problem)
     order = np.argsort(-problem.scores(poses), kind="stable")
     best = problem.max_cardinality * problem.inlier_threshold**2  # the cost of no match
     ends: list[tuple[float, np.ndarray]] = []
-    seen: list[np.ndarray] = []  # where descents began and ended
+    seen: list[np.ndarray] = []  # where local searches began and ended
     for pose in poses[order]:
         if len(ends) == MAX_DESCENTS or (ends and budget.is_over):
             break
@@ -60,11 +60,11 @@ def promising_poses(problem: MatchProblem, budget: Budget) -> list[tuple[float, 
 def surface_consistent_poses(
     problem: MatchProblem, budget: Budget
 ) -> list[tuple[float, np.ndarray]]:
-    """Return scores and centred poses of descents from distinct poses, best first.
+    """Return scores and centred poses of local searches from distinct poses, best first.
 
-    The descents start from the poses on which matches agree, and align the surfaces without regard to the
-    matches. The score is that over the matches times that of the surfaces. If no matches agree, the best
-    of `promising_poses` is returned.
+    Local searches start from the poses on which matches agree, and align the surfaces regardless of the
+    matches. The score is the product of match score and surface score. If no matches agree, the best of
+    `promising_poses` is returned.
     """
     poses = _agreed_poses(problem)
     if not len(poses):

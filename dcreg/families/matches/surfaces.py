@@ -1,7 +1,7 @@
-"""A score besides the matches: how well the surfaces of both clouds coincide.
+"""The surface score: how well the surfaces of both clouds coincide.
 
-A wrong pose often agrees with more matches than the right one, because among some thousand matches by
-descriptors many agree by chance. Wrong poses hardly ever also align the surfaces, that is, near points
+A wrong pose often agrees with more matches than the right one, because many of some thousand feature
+matches agree by chance. Wrong poses hardly ever also align the surfaces, that is, near points
 with similar normals.
 """
 

@@ -7,10 +7,10 @@ import numpy as np
 from dcreg.families.matches.problem import MIN_MATCHES, MatchProblem
 
 RUNNER_UP_RATIO = (
-    0.8  # score of another pose, relative to the best one's, from which it is reported
+    0.8  # minimum score, relative to that of the best pose, of another pose that is reported
 )
 _REMEDY = "Inspect both clouds, or give better matches"
-_FLAT = 1e-9  # extent across a line, relative to that along it, that is rounding
+_FLAT = 1e-9  # extent across a line, relative to the extent along it, that counts as rounding
 
 
 def warnings_of(
@@ -26,10 +26,10 @@ def warnings_of(
     ----------
     problem : MatchProblem
     chosen : int array
-        The matches that the pose chooses.
+        The matches that the pose selects.
     score : {"correspondences", "surfaces"}
     evidence : list of float
-        For the pose, then for distinct ones, best first: scores, or those of
+        Scores of the pose and of distinct poses, best first; for surfaces, those of
         `surface_consistent_poses`.
     unproven : (float, float), optional
         If bounds were requested and did not meet: the score of the pose, and the proven upper bound on
@@ -47,14 +47,14 @@ def warnings_of(
 
 
 def _undetermined(problem: MatchProblem, chosen: np.ndarray) -> str | None:
-    """Warn if several poses fit the chosen matches equally well."""
+    """Warn if several poses fit the selected matches equally well."""
     if len(chosen) >= MIN_MATCHES:
         matched = problem.list.source[chosen]
         spread = np.linalg.svd(matched - matched.mean(axis=0), compute_uv=False)
         if spread[1] > _FLAT * spread[0]:
             return None
     return (
-        f"the source points of the {len(chosen)} chosen matches do not determine the pose; at least "
+        f"the source points of the {len(chosen)} selected matches do not determine the pose; at least "
         "three that are not collinear are needed. Check the matches and inlier_distance (in units of "
         "the clouds)"
     )

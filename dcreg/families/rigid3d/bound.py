@@ -28,17 +28,17 @@ angle between R* and R_c,
 For a Gibbs vector r and a shift s of the translation the displacement is 2 r x x + s up to second
 order. The sum of its squares is at most that of |2 r x x + s|^2 plus 4 |r|^2 / sqrt(1 + |r|^2) |s| |sum
 p x|. The former is convex in (r, s), so its maximum is attained at a vertex (r_a, +-h). Let C be the
-minimum of sum p (c - |2 r x x + s|^2) over the matchings and the 8 x 8 vertices. Over any k source
-points, let I be the maximum sum of their squared lengths and D the maximum length of their sum. Then
+minimum of sum p (c - |2 r x x + s|^2) over the matchings and the 8 x 8 vertices. Let I be the maximum
+sum of squared norms of k source points, and D the maximum norm of their sum. Then
 
     E* + 4 |r|^2 / (1 + |r|^2) sqrt(I) sqrt(E*) + 4 |r|^2 / sqrt(1 + |r|^2) |s| D  >=  C.
 
 The displacements belong to rows, so the dual variables b >= 0 of one matching serve all vertices: at
 each, C is at least the sum of the k smallest min_j (c_ij + b_j) - |displacement_i|^2, minus the sum of
-b. Good dual variables come from the parent box, as the warm start of the search. A share of them is
-taken over, lowered as long as no row pays less, and raised again by auction steps if it is uncertain
-whether they suffice. Squares, minima and auction steps are computed in single precision, and the bound
-is reduced by the possible rounding error.
+b. Good dual variables come from the parent box, as the warm start of the search. Each is multiplied by
+a constant below 1, lowered as far as no row minimum decreases, and raised again by auction steps if it
+is uncertain whether the bound suffices. Squares, minima and auction steps are computed in single precision, and
+the bound is reduced by the possible rounding error.
 
 Second bound: values at the vertices
 ------------------------------------
@@ -114,10 +114,11 @@ single pose the first bound equals E.
 
 Feasible pairs
 --------------
-An infeasible pair costs a constant more, in E and in every cost above. The costs of feasible matchings
-do not change, so the minimum over all matchings is no more than the minimum over the feasible ones, and
-the bounds hold for any constant. E itself must use no infeasible pair, so the constant exceeds k
-squared residuals at any pose of the start box (`dcreg.families.protocol.infeasibility_penalty`).
+The cost of an infeasible pair is increased by a constant, in E and in every cost above. The costs of
+feasible matchings do not change, so the minimum over all matchings is no more than the minimum over the
+feasible ones, and the bounds hold for any constant. E itself must use no infeasible pair, so the
+constant exceeds k squared residuals at any pose of the start box
+(`dcreg.families.protocol.infeasibility_penalty`).
 """
 
 from __future__ import annotations
@@ -144,7 +145,7 @@ from dcreg.search import Box, Boxes, Evaluation
 class RigidBound(SpaceBound[Rigid3D]):
     """The maximum of the bounds in the module's docstring, over boxes of poses.
 
-    The warm start of a box is its dual variables: the boxes made from it begin with them.
+    The warm start of a box consists of the dual variables of its parent.
     """
 
     name = "rigid"
@@ -178,7 +179,7 @@ class RigidBound(SpaceBound[Rigid3D]):
         return result
 
     def _evaluate_part(self, boxes: Boxes, cutoff: float, duals: np.ndarray) -> Found:
-        """Bound boxes, as many as the cache has room for; `duals` is updated in place."""
+        """Bound as many boxes as fit into the cache; update `duals` in place."""
         space, vertices, found = self.space, self._vertices, allocate_found(duals)
         problem = cutoff, space.clouds, self._limits
 

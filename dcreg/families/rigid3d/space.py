@@ -35,8 +35,8 @@ from dcreg.search import Box, Budget
 
 _SCORED_PAIRS = 100_000_000  # pairs evaluated to score the seeds
 _ROUNDING = 1e-12
-_CONGRUENT_SHARE = 0.5  # of the time, for the poses of congruent triples, at most
-DENSE_DESCENTS = 40_000  # pairs beyond which descents begin with nearest neighbours
+_CONGRUENT_SHARE = 0.5  # maximum share of the time for the poses of congruent triples
+DENSE_DESCENTS = 40_000  # pairs beyond which local searches begin with nearest neighbours
 
 
 def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> float:
@@ -87,7 +87,7 @@ class Rigid3D(CloudSpace):
         swapped = len(source) > len(target)
         if swapped:
             source, target = target, source
-            if candidates is not None:  # in C order: kernels are compiled for no other
+            if candidates is not None:  # in C order, because kernels are compiled for C order only
                 candidates = np.ascontiguousarray(candidates.T)
         space = cls(source, target, n_inliers, candidates, stop_flag, stationary_box)
         space._swapped = swapped
@@ -139,7 +139,8 @@ class Rigid3D(CloudSpace):
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
         """Yield poses of congruent triples, then those of a regular grid.
 
-        If all points match, only the grid: the centroids then match too, and only rotations remain.
+        If all points match, it yields only the grid: the centroids then match too, and only rotations
+        remain.
         """
         box = self.translations()
         if (box.lower < box.upper).any():

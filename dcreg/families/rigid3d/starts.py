@@ -2,8 +2,8 @@
 
 A rigid motion preserves distances. Three source points and three target points with the same distances
 determine a pose. Among enough random source triples one consists of points with a partner, and one of
-all its congruent target triples is the right one. Poses are scored by how many source points they bring
-near the target, and the best distinct ones are returned. The idea is that of congruent sets (Aiger,
+all its congruent target triples is the right one. The score of a pose is the number of source points
+near the target. The best distinct poses are returned. The idea is that of congruent sets (Aiger,
 Mitra and Cohen-Or 2008); the details are this project's.
 """
 
@@ -21,7 +21,7 @@ from dcreg.jit import NEVER
 from dcreg.problem import rms_radius
 
 MAX_TARGETS = 300  # target points that form triples
-MAX_LOOKED = 150  # source points that score
+MAX_LOOKED = 150  # source points used for the score
 # Accepted probability that no triple consists of true pairs; congruent clutter hides some.
 FAILURE = 1e-9
 MIN_TRIPLES, MAX_TRIPLES = 60, 200  # a round

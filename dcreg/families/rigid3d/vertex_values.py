@@ -1,4 +1,4 @@
-"""Values at the vertices of the boxes of poses met so far, shared by all boxes that have them."""
+"""Values at the vertices of boxes of poses, shared by all boxes that have them."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from dcreg.families.rigid3d.kernels.vertices import (
 )
 from dcreg.search import Boxes
 
-# Vertices that a box requests, round after round, until a value decides; 0: boxes are judged only.
+# Numbers of vertices that a box requests per round until a value decides; 0: no further requests.
 _REQUESTED = 1, 4, VERTICES, VERTICES, 0
-_REMEMBERED = 2**21  # vertices, of 73 bytes each; then all are forgotten
+_REMEMBERED = 2**21  # maximum number of stored vertices, 73 bytes each; then all are dropped
 
 
 class VertexValues:
@@ -37,7 +37,7 @@ class VertexValues:
     Attributes
     ----------
     most_boxes : int
-        The number of boxes that one call of `raise_bounds` can take.
+        Maximum number of boxes in one call of `raise_bounds`.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class VertexValues:
             np.empty(_REMEMBERED),
             np.empty(_REMEMBERED, np.bool_),
         )
-        # Compiled now: the first vertices may be priced late in a search, when no time is left for it.
+        # Compile now, because the first vertices may be evaluated late in a search, with no time left.
         requests = VertexRequests(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
         self._price(requests, np.empty((0, clouds.target.shape[1]), np.uint16))
 
@@ -62,9 +62,11 @@ class VertexValues:
         return 0
 
     def raise_bounds(self, boxes: Boxes, cutoff: float, found: Found) -> None:
-        """Raise the bounds of the boxes whose vertices cost enough."""
+        """Raise the bounds of the boxes that vertex values prune."""
         most = VERTICES * len(boxes)
-        if self._used + most > len(self.known.values):  # the memory is full: forget all values
+        if self._used + most > len(
+            self.known.values
+        ):  # the memory is full, so all values are dropped
             self.known.table[:] = -1
             self._used = 0
         requests = VertexRequests(

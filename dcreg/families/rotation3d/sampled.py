@@ -48,7 +48,7 @@ def search_sampled_rotation(
     n_inliers : int
     gap_tol : float
     budget : Budget
-        Checked after each descent; one descent is always made.
+        Checked after each local search; at least one is always made.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def _descend(
     theta: np.ndarray,
     budget: Budget,
 ) -> np.ndarray:
-    """Alternate the k nearest neighbours and the best rotation while their distance falls."""
+    """Alternate the k nearest neighbours and the best rotation while their distance decreases."""
 
     def evaluate(theta: np.ndarray) -> tuple[float, np.ndarray]:
         pairs, value = nearest_pairs(points @ rotation_matrix(theta).T, tree, k)
@@ -139,7 +139,8 @@ def _two_sided(
 ) -> float:
     """Return the mean squared distance of the nearest pairs, the larger one of both directions.
 
-    A source that collapses onto one part of the target is near it, but not the target to the source.
+    If the source lies on one part of the target only, it is near the target, but the target is not near
+    it.
     """
     rotation = rotation_matrix(theta)
     back = target[spread_rows(target, _DESCENT_SAMPLE)]

@@ -2,8 +2,8 @@
 
 A vertex is kept with a dual profile (`dcreg.families.similarity2d.kernels.profiles`), which bounds the
 inner minimum of `dcreg.families.dc.bounds` for every box that has the vertex and for every linearisation
-point. A bisection then needs its new vertices only, and the linearisation point can be moved to where the
-bound is maximal without any assignment. Most vertices need no assignment either: the mean of their
+point. A bisection then needs only its new vertices, and the linearisation point can be moved to the
+maximum of the bound without any assignment. Most vertices need no assignment either: the mean of their
 neighbours' dual variables gives a profile that is nearly as good. A vertex is solved only if it limits a
 box that has not been pruned.
 """

@@ -17,7 +17,7 @@ from dcreg.jit import NEVER
 from dcreg.names import SIMILARITY_POSE
 from dcreg.search import Box, Budget
 
-# Shares of the pairs beyond k with which descents begin; they end with k pairs.
+# Shares of the pairs beyond k with which local searches begin; they end with k pairs.
 _SURPLUS = (0.75, 0.5, 0.25)
 
 
@@ -44,8 +44,8 @@ class Similarity2D(FeatureSpace):
     source, target, n_inliers, candidates, stop_flag, stationary_box
         As in `Space`.
     scale_range : (low, high)
-        Parameters outside this annulus are not poses. Without a lower limit the scale would collapse,
-        with all source points in one neighbourhood of the target.
+        Parameters outside this annulus are not poses. Without a lower limit the scale would collapse:
+        the source would shrink into a small part of the target.
     """
 
     scope = SIMILARITY_POSE
@@ -110,7 +110,7 @@ class Similarity2D(FeatureSpace):
         return values, len(seeds)
 
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
-        """Yield the best seeds, then poses of pairs of points, then ends of descents with more pairs.
+        """Yield the best seeds, then poses of pairs of points, then results of searches with more pairs.
 
         A small part of a cloud fits in many places, each with a narrow basin of attraction. A larger part
         fits in few places with wide basins.

@@ -1,8 +1,8 @@
 """Initial poses of a search in 2D if many points have no partner: similarities of pairs of points.
 
 Two source points and two target points determine a similarity. Among enough random source pairs one
-consists of points with a partner, and one of all target pairs is the right one for it. Poses are scored
-by how many source points they bring near the target, and the best distinct ones are returned.
+consists of points with a partner, and one of all target pairs is the right one for it. The score of a
+pose is the number of source points near the target. The best distinct poses are returned.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ REACH = 0.08  # distance within which a point is near the target, in RMS radii
 FAILURE = 1e-3  # accepted probability that no source pair consists of points with a partner
 MIN_PAIRS, MAX_PAIRS = 12, 60
 MAX_TARGETS = 200  # target points that form pairs
-MAX_LOOKED = 60  # source points that score
+MAX_LOOKED = 60  # source points used for the score
 KEPT_PER_PAIR = 12
 MAX_POSES = 48
 MAX_CELLS = 2000  # of the nearness field along the longest side: 32 MB

@@ -29,7 +29,7 @@ class Translation3D(FeatureSpace):
     every rotation. It is only a surrogate: its optimum need not be the optimal rigid pose.
 
     The origin of the target is the centre of rotation. With `candidates` the assignment is not
-    one-dimensional, which takes longer.
+    one-dimensional and takes longer.
     """
 
     scope = NORM_TRANSLATION
@@ -53,7 +53,7 @@ class Translation3D(FeatureSpace):
 
     @property
     def _on_line(self) -> bool:
-        """Whether scalars are matched, which needs no matrix of costs: if every pair is feasible."""
+        """Whether every pair is feasible: scalars are then matched without a matrix of costs."""
         return self.candidates is None
 
     def roots(self) -> list[Box]:
@@ -85,7 +85,7 @@ class Translation3D(FeatureSpace):
             return objectives(self.clouds, thetas, values)
         size = COLUMNS * max(1, _AT_ONCE // self.n_source)
         for at in range(0, len(thetas), size):
-            if self.stop_flag[0]:  # which the kernel does not look at
+            if self.stop_flag[0]:  # which the kernel ignores
                 break
             part = slice(at, at + size)
             objectives_on_line(
@@ -107,7 +107,7 @@ class Translation3D(FeatureSpace):
         return trial
 
     def pose(self, theta: np.ndarray) -> np.ndarray:
-        """Return the translation alone; the rotation about the origin follows it."""
+        """Return the pose of the translation; the rotation about the origin follows."""
         T = np.eye(4)
         T[:3, 3] = theta
         return T
