@@ -37,8 +37,8 @@ The displacements belong to rows, so the dual variables b >= 0 of one matching s
 each, C is at least the sum of the k smallest min_j (c_ij + b_j) - |displacement_i|^2, minus the sum of
 b. Good dual variables come from the parent box, as the warm start of the search. Each is multiplied by
 a constant below 1, lowered as far as no row minimum decreases, and raised again by auction steps if it
-is uncertain whether the bound suffices. Squares, minima and auction steps are computed in single precision, and
-the bound is reduced by the possible rounding error.
+is uncertain whether the bound suffices. Squares, minima and auction steps are computed in single
+precision, and the bound is reduced by the possible rounding error.
 
 Second bound: values at the vertices
 ------------------------------------
