@@ -15,7 +15,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from dcreg.families.dc.bounds import SharedVertexBound
-from dcreg.families.protocol import rows_of
 from dcreg.families.similarity2d.kernels.bounds import Effort, SharedBoxes, shared_bounds
 from dcreg.families.similarity2d.kernels.profiles import blend_duals, bound_vertices
 from dcreg.families.similarity2d.space import Similarity2D
@@ -116,7 +115,9 @@ class SharedBound(SharedVertexBound[Similarity2D]):
         clouds, vertices = self.space.clouds, self.cache.vertices
         self.map_slices(
             rows.size,
-            lambda part: shared_bounds(clouds, vertices, effort, rows_of(some, part)),
+            lambda part: shared_bounds(
+                clouds, vertices, effort, SharedBoxes(*(array[part] for array in some))
+            ),
         )
         boxes.points[rows], boxes.bounds[rows] = some.points, some.bounds
         boxes.binding[rows] = some.binding
