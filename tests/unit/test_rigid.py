@@ -140,16 +140,6 @@ def test_limits_leave_valid_bounds(limits, status, rng):
     assert result.lower_bound < result.upper_bound
 
 
-def test_listener_stops_the_search(rng):
-    source, target = rng.standard_normal((8, 3)), rng.standard_normal((9, 3))
-    events = []
-    result = search_rigid(
-        source, target, 6, gap_tol=1e-9, listener=lambda event: events.append(event) or True
-    )
-    assert result.status is Status.STOPPED
-    assert {event.stage for event in events} == {"start", "rigid"}
-
-
 def test_duplicates_that_nearest_neighbours_cannot_tell(rng):
     """Sources in pairs over one target each: many to one costs nothing, one to one does."""
     source = np.repeat(rng.standard_normal((3, 3)), 2, axis=0)

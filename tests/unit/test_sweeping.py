@@ -126,11 +126,9 @@ def test_suggestion_does_not_depend_on_where_the_sweep_begins_and_ends(clouds, c
 
 def test_no_suggestion_exceeds_the_warning_of_too_many_pairs(found):
     def warned(counts):
+        line = f"some {TOO_MANY_PAIRS}"
         results = [
-            replace(
-                r, warnings=[f"{r.n_inliers} {TOO_MANY_PAIRS}"] if r.n_inliers in counts else []
-            )
-            for r in found.results
+            replace(r, warnings=[line] if r.n_inliers in counts else []) for r in found.results
         ]
         return replace(found, results=results).suggested_n_inliers
 
@@ -166,11 +164,8 @@ def test_lists_in_any_order_and_with_repetitions(clouds):
     ordered = dcreg.sweep(*clouds, [18, 20, 24], model="similarity2d")
     assert [result.n_inliers for result in mixed.results] == [18, 20, 24]
     for a, b in zip(mixed.results, ordered.results, strict=True):
-        assert (a.upper_bound, a.lower_bound, a.n_nodes) == (
-            b.upper_bound,
-            b.lower_bound,
-            b.n_nodes,
-        )
+        for name in ("upper_bound", "lower_bound", "n_nodes"):
+            assert getattr(a, name) == getattr(b, name)
 
 
 def test_a_single_cardinality_is_a_single_search(clouds, separate):
@@ -182,28 +177,14 @@ def test_a_single_cardinality_is_a_single_search(clouds, separate):
 @pytest.mark.parametrize(
     ("counts", "words"),
     [
-        ([], ["n_inliers", "empty", "at least one"]),
-        ([10, 25], ["n_inliers: 25", "between 1 and 24"]),
-        ([0], ["n_inliers: 0"]),
-        ([0.5, 1.5], ["n_inliers", "1.5", "(0, 1]"]),
-        ([10, "many"], ["n_inliers", "'many'"]),
-        (10, ["n_inliers: 10", "not a list", "register"]),
-        ("10", ["n_inliers: '10'", "not a list"]),
+        ([10, 0], "n_inliers: 0"),
+        ([0.5, 1.5], r"n_inliers.*1\.5.*\(0, 1\]"),
+        ([10, "many"], "n_inliers.*'many'"),
     ],
 )
 def test_bad_cardinalities_are_refused_before_any_search(clouds, counts, words):
-    with pytest.raises(InputError) as refusal:
+    with pytest.raises(InputError, match=words):
         sweep(*clouds, counts, model="similarity2d", listener=lambda _: pytest.fail("ran"))
-    for word in words:
-        assert word in str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    "bad", [{"bound": "magic"}, {"gap_tol": -1.0}, {"time_limit": 0.0}, {"threads": 0}]
-)
-def test_bad_settings_are_refused(clouds, bad):
-    with pytest.raises(InputError, match=next(iter(bad))):
-        sweep(*clouds, [10], model="similarity2d", **bad)
 
 
 def test_limits_leave_valid_bounds_everywhere(clouds, separate):
@@ -217,17 +198,9 @@ def test_limits_leave_valid_bounds_everywhere(clouds, separate):
 
 
 def test_time_limit_covers_the_whole_sweep_and_keeps_what_is_finished(processor_clock):
-    source, target = flat(40, 60, noise=0.05)
     watch, limit = Stopwatch(), 3.0
-    limited = sweep(
-        source,
-        target,
-        [20, 25, 30, 60],
-        model="similarity2d",
-        time_limit=limit,
-        bound="dc",
-        listener=watch,
-    )
+    settings = {"model": "similarity2d", "time_limit": limit, "bound": "dc", "listener": watch}
+    limited = sweep(*flat(40, 60, noise=0.05), [20, 25, 30, 60], **settings)
     assert watch.since_first() <= 1.1 * limit + 1.0
     assert limited.status is Status.TIME_LIMIT
     # the hard ones do not use up the time of the easy one
@@ -267,19 +240,14 @@ def test_gap_tolerance_holds_for_every_cardinality(clouds):
 
 
 def test_3d_sweep_runs_both_stages():
-    source, target = solid()
-    counts = [16, 20, 22, 24]
-    swept = sweep(source, target, counts, model="rigid3d", gap_tol=0.0005, mode="paper")
+    settings = {"model": "rigid3d", "gap_tol": 0.0005, "mode": "paper"}
+    swept = sweep(*solid(), [16, 20, 22, 24], **settings)
     assert swept.status is Status.OPTIMAL
     for result in swept.results:
-        alone = register(
-            source,
-            target,
-            n_inliers=result.n_inliers,
-            model="rigid3d",
-            gap_tol=0.0005,
-            mode="paper",
-        )
+        times = [event.time_s for event in result.trace]
+        assert times == sorted(times)  # all stages read the same clock
+        assert "rotation" in {event.stage for event in result.trace}
+        alone = register(*solid(), n_inliers=result.n_inliers, **settings)
         assert result.certificate_scope == alone.certificate_scope
         assert result.lower_bound <= alone.upper_bound + 1e-12
         assert alone.lower_bound <= result.upper_bound + 1e-12
@@ -293,15 +261,14 @@ def test_3d_sweep_runs_both_stages():
 def test_default_mode_of_a_3d_sweep_is_that_of_register():
     """The pose that `register` finds, where norms alone would mislead: clutter on one side of each."""
     source, target = solid()
+    settings = {"model": "rigid3d", "time_limit": 10.0}
     swept = dcreg.sweep(source, target, [20, 22], model="rigid3d", time_limit=20.0)
     for result in swept.results:
-        alone = dcreg.register(
-            source, target, n_inliers=result.n_inliers, model="rigid3d", time_limit=10.0
-        )
+        alone = dcreg.register(source, target, n_inliers=result.n_inliers, **settings)
         assert (result.mode, result.certificate_scope) == (alone.mode, alone.certificate_scope)
         assert result.upper_bound == pytest.approx(alone.upper_bound, rel=0.05)
-    turned = dcreg.sweep(target[:20], source, [16, 18], model="rigid3d", time_limit=10.0)
-    back = dcreg.sweep(source, target[:20], [16, 18], model="rigid3d", time_limit=10.0)
+    turned = dcreg.sweep(target[:20], source, [16, 18], **settings)
+    back = dcreg.sweep(source, target[:20], [16, 18], **settings)
     product = turned.results[1].T_target_source @ back.results[1].T_target_source
     np.testing.assert_allclose(product, np.eye(4), atol=0.2)
 
@@ -318,9 +285,8 @@ def test_candidates_hold_for_every_cardinality(clouds):
     found = dcreg.sweep(*clouds, [16, 18, 20, 22], model="similarity2d", candidates=mask)
     free = dcreg.sweep(*clouds, [16, 18, 20, 22], model="similarity2d")
     for mine, other in zip(found.results, free.results, strict=True):
-        alone = dcreg.register(
-            *clouds, n_inliers=mine.n_inliers, model="similarity2d", candidates=mask
-        )
+        k = mine.n_inliers
+        alone = dcreg.register(*clouds, n_inliers=k, model="similarity2d", candidates=mask)
         assert mine.status is Status.OPTIMAL
         assert mask[tuple(mine.assignment.T)].all()
         assert abs(mine.upper_bound - alone.upper_bound) <= mine.gap_tol
@@ -361,31 +327,20 @@ def test_large_clouds_get_the_same_rotation_stage_as_a_single_call(monkeypatch):
     source, target = solid(n_common=24, noise=0.01)
     swept = sweep(source, target, [24], model="rigid3d", mode="paper").results[0]
     alone = register(source, target, n_inliers=24, model="rigid3d", mode="paper")
-    turns = [
-        next(stage for stage in result.stages if stage.name == "rotation")
-        for result in (swept, alone)
-    ]
-    assert [stage.n_nodes for stage in turns] == [0, 0]  # sampled, not searched
+    for result in (swept, alone):
+        (turn,) = [stage for stage in result.stages if stage.name == "rotation"]
+        assert turn.n_nodes == 0  # sampled, not searched
     np.testing.assert_allclose(swept.T_target_source, alone.T_target_source, atol=1e-6)
 
 
-def test_polish_of_a_sweep_ends_with_its_time(monkeypatch):
-    """Past the limit a pose is valued, and not polished, as in `register`."""
+def test_polish_of_a_sweep_ends_with_its_time():
+    """Past the limit a pose is evaluated and not polished, as in `register`."""
     clouds = flat(noise=0.05)
     results = dcreg.sweep(*clouds, [20, 22], model="similarity2d", time_limit=1e-9).results
     for result in results:
         (polished,) = [stage for stage in result.stages if stage.name == "polish"]
         assert polished.n_assignments == 0
         np.testing.assert_array_equal(result.T_target_source, result.T_certified)
-
-
-def test_times_of_all_stages_are_on_one_clock():
-    found = sweep(*solid(), [18, 20], model="rigid3d", mode="paper")
-    for result in found.results:
-        times = [event.time_s for event in result.trace]
-        assert times == sorted(times)
-    stages = {event.stage for result in found.results for event in result.trace}
-    assert "rotation" in stages
 
 
 def test_poses_are_not_exchanged_past_the_limit(monkeypatch):
@@ -418,17 +373,16 @@ def test_a_pose_reaches_all_cardinalities_though_the_time_is_over(monkeypatch, t
 
     monkeypatch.setattr(Similarity2D, "start", first_well)
     clouds = flat(noise=0.05)
-    first, *others = dcreg.sweep(
-        *clouds, COUNTS, model="similarity2d", time_limit=time_limit
-    ).results
+    swept = dcreg.sweep(*clouds, COUNTS, model="similarity2d", time_limit=time_limit)
+    first, *others = swept.results
     assert first.upper_bound < 0.1 * dcreg.objective(*clouds, np.eye(3), COUNTS[0])[0]
     for result in others:
         there, _ = dcreg.objective(*clouds, first.T_certified, result.n_inliers)
         assert result.upper_bound <= there * (1.0 + 1e-9)
 
 
-def test_time_of_descents_is_counted():
-    for result in dcreg.sweep(*flat(noise=0.05), COUNTS, model="similarity2d").results:
+def test_time_of_descents_is_counted(found):
+    for result in found.results:
         assert result.stages[0].name == "descents"
         assert 0.0 < result.stages[0].time_s <= result.time_solve_s
 
@@ -439,14 +393,12 @@ def test_time_of_descents_is_counted():
 def test_every_cardinality_has_the_warnings_of_a_single_call(clouds):
     source, target = clouds
     larger = 12.0 * target  # beyond the range of scales
-    swept = dcreg.sweep(source, larger, [16, 20], model="similarity2d", node_limit=200)
+    settings = {"model": "similarity2d", "node_limit": 200}
+    swept = dcreg.sweep(source, larger, [16, 20], **settings)
     for result in swept.results:
-        alone = dcreg.register(
-            source, larger, n_inliers=result.n_inliers, model="similarity2d", node_limit=200
-        )
-        assert [line.split()[:4] for line in result.warnings] == [
-            line.split()[:4] for line in alone.warnings
-        ]
+        alone = dcreg.register(source, larger, n_inliers=result.n_inliers, **settings)
+        mine, its = ([line.split()[:4] for line in found.warnings] for found in (result, alone))
+        assert mine == its
     (scale,) = [line for line in swept.warnings if "scale_range" in line]
     assert scale.startswith("the scale 1.5 is at the limit")  # said once
     assert f"warning: {scale}" in str(swept)
@@ -476,9 +428,8 @@ def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     for result in part.results:
         assert len(result.assignment) == result.n_inliers
         assert result.stages[-1].name == "all points"
-        np.testing.assert_allclose(
-            result.T_target_source, alone.T_target_source, atol=1e-6
-        )  # the same on all points, which fit exactly
+        # the same on all points, which fit exactly
+        np.testing.assert_allclose(result.T_target_source, alone.T_target_source, atol=1e-6)
     assert part.results[0].upper_bound == pytest.approx(part.results[1].upper_bound)
     assert set(part.proven_by) <= {None, 30, 31, 32}  # as they were asked for
     whole = dcreg.sweep(source, target, [40], **options)
@@ -491,15 +442,9 @@ def test_a_rotation_search_leaves_time_for_all_points(rng):
     source = rng.random((300, 3)) * [2.0, 1.0, 0.5]
     target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
     swept = sweep(
-        source,
-        target,
-        [200, 210],
-        model="rigid3d",
-        gap_tol=0.0,
-        time_limit=4.0,
-        mode="paper",
+        source, target, [200, 210], model="rigid3d", gap_tol=0.0, time_limit=4.0, mode="paper",
         downsample=60,
-    )
+    )  # fmt: skip
     assert swept.status is Status.TIME_LIMIT
     for result in swept.results:
         last = result.stages[-1]

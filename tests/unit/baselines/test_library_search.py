@@ -73,8 +73,6 @@ def test_a_warm_up_compiles_all_kernels_of_the_solve(dim, k, options, ran):
 @pytest.mark.parametrize(
     ("name", "dim", "bound"),
     [
-        ("dcreg", 2, "mode paper, bound tight"),
-        ("dcreg", 3, "mode full, bound rigid"),
         ("rpm_htb", 2, "mode RPM-HTB (reconstructed), bound termwise"),
         ("rpm_htb", 3, "mode RPM-HTB (reconstructed), bound termwise"),
         ("rpm_bp", 2, "mode RPM-BP (reconstructed), bound rpm-bp"),
