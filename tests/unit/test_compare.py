@@ -7,15 +7,10 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
 from workflows.__main__ import app
-from workflows.compare import (
-    CompareError,
-    compare,
-    judge_experiment,
-    read_version,
-    sign_test,
-)
+from workflows.compare import CompareError, compare, judge_experiment, read_version, sign_test
 from workflows.records import SCHEMA_VERSION, recorded_columns
 
 N_RUNS = 20
@@ -190,23 +185,16 @@ def test_sign_test_needs_enough_evidence():
 
 @pytest.fixture
 def history(base, tmp_path):
-    def keep(version: str, runs: pd.DataFrame) -> None:
+    versions = {
+        "v1": base, "same": base, "old": base, "broken": pd.DataFrame({"a": [1], "b": [2]}),
+        "worse": base.assign(n_nodes=base["n_nodes"] + 1),
+        "elsewhere": base.assign(instance_digest="new"),
+    }  # fmt: skip
+    for version, runs in versions.items():
         folder = tmp_path / version / "demo"
         folder.mkdir(parents=True)
         runs.to_csv(folder / "runs.csv", index=False)
-        about(folder)
-
-    keep("v1", base)
-    keep("same", base)
-    worse = base.copy()
-    worse["n_nodes"] += 1
-    keep("worse", worse)
-    keep("elsewhere", base.assign(instance_digest="new"))
-    (tmp_path / "broken" / "demo").mkdir(parents=True)
-    (tmp_path / "broken" / "demo" / "runs.csv").write_text("a,b\n1,2\n")
-    about(tmp_path / "broken" / "demo")
-    keep("old", base)
-    about(tmp_path / "old" / "demo", 3)
+        about(folder, 3 if version == "old" else SCHEMA_VERSION)
     return tmp_path
 
 
@@ -222,8 +210,6 @@ def history(base, tmp_path):
     ],
 )
 def test_exit_codes_for_ci(history, capfd, head, code, says):
-    from typer.testing import CliRunner
-
     result = CliRunner().invoke(app, ["compare", "v1", head, "--history", str(history)])
     assert result.exit_code == code
     assert says in result.output + capfd.readouterr().err

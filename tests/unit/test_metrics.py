@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -18,10 +19,7 @@ from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import NORM_SCOPES, POSE_SCOPES
 from workflows.discovery import modules
 from workflows.instances import Problem, Truth
-from workflows.metrics import (
-    METRICS,
-    Case,
-)
+from workflows.metrics import METRICS, Case
 from workflows.metrics.errors import rotation_error_deg
 from workflows.records import runs_columns
 from workflows.stages.evaluate import judge, relate
@@ -136,12 +134,8 @@ def test_the_objective_is_left_out_where_the_method_saw_fewer_points(rng):
 
 
 def test_the_floor_is_below_every_pose(rng):
-    T_true = np.eye(4)
-    judged = case(T_true, T_true, rng)
-    noisy = Case(
-        T_true, T_true, judged.source, judged.target + 0.05 * rng.standard_normal((11, 3)),
-        judged.pairs, 8, (1.0, 1.0),
-    )  # fmt: skip
+    exact = case(np.eye(4), np.eye(4), rng)
+    noisy = replace(exact, target=exact.target + 0.05 * rng.standard_normal((11, 3)))
     assert 0 < noisy.rmse_floor <= noisy.rmse
 
 
@@ -200,19 +194,16 @@ def test_the_floor_in_space_is_that_of_rigid_poses_in_the_plane_of_similarities(
     assert floor(2, 1.8 * np.eye(2)) > 0.01  # the scale stays in the told range
 
 
+RUN = {
+    "run_id": "r", "instance_id": "i", "n_inliers": 8, "lower_bound": np.nan, "n_source": 8,
+    "n_target": 8, "certificate_scope": "", "T_target_source": "",
+}  # fmt: skip
+
+
 def test_a_run_without_pose_has_no_metrics_and_no_success(rng):
     judged = case(np.eye(3), np.eye(3), rng)
     problem = Problem("i", "similarity2d", judged.source, judged.target, (0.5, 1.5), 8, 0.1)
-    run = {
-        "run_id": "r",
-        "instance_id": "i",
-        "n_inliers": 8,
-        "T_target_source": "",
-        "lower_bound": np.nan,
-        "certificate_scope": "",
-        "n_source": 11,
-        "n_target": 11,
-    }
+    run = RUN | {"n_source": 11, "n_target": 11}
     row = judge(run, problem, Truth("i", np.eye(3), judged.pairs))
     assert np.isnan(row["rmse"])
     assert row["success"] is False
@@ -224,15 +215,8 @@ def test_a_run_without_pose_has_no_metrics_and_no_success(rng):
 
 def test_a_run_is_evaluated_by_the_marks_and_the_given_range(rng):
     source = rng.random((8, 2))
-    problem = Problem(
-        instance_id="i", source=source, target=source, model="similarity2d",
-        scale_range=(0.5, 0.9), n_inliers_prior=8, noise_bound=0.1,
-    )  # fmt: skip
-    run = {
-        "run_id": "r", "instance_id": "i", "n_inliers": 8, "lower_bound": np.nan,
-        "certificate_scope": "", "n_source": 8, "n_target": 8,
-        "T_target_source": json.dumps(np.eye(3).tolist()),
-    }  # fmt: skip
+    problem = Problem("i", "similarity2d", source, source, (0.5, 0.9), 8, 0.1)
+    run = RUN | {"T_target_source": json.dumps(np.eye(3).tolist())}
     rows = np.column_stack([np.arange(8)] * 2)
     marks = np.hstack([source, source + np.array([0.3, 0.4])])
     row = judge(run, problem, Truth("i", np.eye(3), rows, marks))
@@ -246,36 +230,20 @@ def test_a_run_is_evaluated_by_the_marks_and_the_given_range(rng):
     assert np.isnan(thinned["objective"])
 
 
-def test_regret_is_against_every_known_pose_of_the_same_prior():
-    table = pd.DataFrame(
-        {
-            "instance_id": ["a", "a", "a", "b"],
-            "n_inliers": [5, 5, 2, 5],
-            "objective": [3.0, 1.0, 0.5, np.nan],
-            "objective_true": [2.0, 2.0, 0.1, 2.0],
-            "admissible": [True, True, True, False],
-        }
-    )
-    related = relate(table)
-    assert list(related["objective_best"]) == [1.0, 1.0, 0.1, 2.0]
-    assert list(related["objective_regret"][:3]) == [2.0, 0.0, 0.4]
-    assert np.isnan(related["objective_regret"][3])
-
-
-def test_an_inadmissible_pose_is_no_best_known_one_and_has_no_regret():
-    table = pd.DataFrame(
-        {
-            "instance_id": ["a", "a"],
-            "n_inliers": [5, 5],
-            "objective": [3.0, 1.0],
-            "objective_true": [4.0, 4.0],
-            "admissible": [True, False],
-        }
-    )
-    related = relate(table)
-    assert list(related["objective_best"]) == [3.0, 3.0]
-    assert related["objective_regret"][0] == 0
-    assert np.isnan(related["objective_regret"][1])
+def test_regret_is_against_every_known_admissible_pose_of_the_same_prior():
+    columns = ["instance_id", "n_inliers", "objective", "objective_true", "admissible"]
+    rows = [
+        ("a", 5, 3.0, 2.0, True),
+        ("a", 5, 1.0, 2.0, True),
+        ("a", 2, 0.5, 0.1, True),
+        ("b", 5, np.nan, 2.0, False),
+        ("c", 5, 3.0, 4.0, True),
+        ("c", 5, 1.0, 4.0, False),
+    ]
+    related = relate(pd.DataFrame(rows, columns=columns))
+    assert list(related["objective_best"]) == [1.0, 1.0, 0.1, 2.0, 3.0, 3.0]
+    expected = [2.0, 0.0, 0.4, np.nan, 0.0, np.nan]
+    np.testing.assert_array_equal(related["objective_regret"], expected)
 
 
 def test_every_metric_is_documented_and_has_a_worst_value():
@@ -299,9 +267,8 @@ def test_a_metric_is_one_file_that_is_found(rng, tmp_path, monkeypatch):
         modules(workflows.metrics)
         found = METRICS["maximum_error"]
         assert found.meaning == "Maximum distance of the true pairs at the found pose"
-        assert found.compute(case(similarity(0, 1, (0.3, 0.4)), np.eye(3), rng)) == pytest.approx(
-            0.5
-        )
+        moved = case(similarity(0, 1, (0.3, 0.4)), np.eye(3), rng)
+        assert found.compute(moved) == pytest.approx(0.5)
         assert "maximum_error" in runs_columns()
     finally:
         METRICS.pop("maximum_error", None)

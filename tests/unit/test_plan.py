@@ -15,47 +15,32 @@ from workflows.summary import outlook_of
 
 
 def experiment(**changes) -> Experiment:
-    fields = {
-        "name": "small",
-        "chunk_size": 3,
-        "datasets": [
-            {
-                "dataset": "embedded",
-                "shapes": ["fish", "pony"],
-                "tests": {"noise": [0.0, 0.01]},
-                "trials": 2,
-            }
-        ],
-        "methods": [
-            {"name": "dcreg", "baseline": "dcreg"},
-            {"name": "half", "baseline": "dcreg", "n_inliers_ratio": 0.5},
-            {"name": "bnb", "baseline": "rpm_htb", "models": ["similarity2d"]},
-        ],
-    }
-    return Experiment(**{**fields, **changes})
+    grid = {"dataset": "embedded", "shapes": ["fish", "pony"], "tests": {"noise": [0.0, 0.01]}}
+    methods = [
+        {"name": "dcreg", "baseline": "dcreg"},
+        {"name": "half", "baseline": "dcreg", "n_inliers_ratio": 0.5},
+        {"name": "bnb", "baseline": "rpm_htb", "models": ["similarity2d"]},
+    ]
+    fields = {"name": "small", "chunk_size": 3, "datasets": [{**grid, "trials": 2}]}
+    return Experiment(**{**fields, "methods": methods, **changes})
 
 
 def test_the_grid_is_complete_and_has_no_run_twice():
-    plan = expand(experiment())
-    runs = list(plan.runs())
+    runs = list(expand(experiment()).runs())
     assert len(runs) == 8 + 8 + 4  # the last method is asked to treat 2D only
     assert len({run.run_id for run in runs}) == len(runs)
-    assert len({run.instance.instance_id for run in runs}) == 8
+    seen = {
+        name: {run.instance.instance_id for run in runs if run.method.name == name}
+        for name in ("dcreg", "half")
+    }
+    assert seen["dcreg"] == seen["half"] == {run.instance.instance_id for run in runs}
+    assert len(seen["dcreg"]) == 8
 
 
 def test_a_stage_of_one_chunk_identifies_no_run(monkeypatch):
     """Every stage expands the plan, and some have half a million runs."""
     monkeypatch.delattr("workflows.stages.plan.run_identity")
     assert len(expand(experiment()).chunks) == 4
-
-
-def test_methods_share_their_instances():
-    plan = expand(experiment())
-    seen = {
-        name: {run.instance.instance_id for run in plan.runs() if run.method.name == name}
-        for name in ("dcreg", "half")
-    }
-    assert seen["dcreg"] == seen["half"]
 
 
 def test_chunks_hold_one_model_and_no_more_than_asked():
@@ -70,19 +55,13 @@ def test_ids_are_the_same_in_another_process():
         "from workflows.config import load; from workflows.stages.plan import expand;"
         "print([run.run_id for run in expand(load('demo')).runs()])"
     )
-    outputs = {
-        subprocess.run(
-            [sys.executable, "-c", code],
-            cwd=CHECKOUT,
-            env={"PYTHONHASHSEED": seed, "PATH": ""},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for seed in ("1", "2")
-    }
-    assert len(outputs) == 1
-    assert len(next(iter(outputs))) > 100
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=CHECKOUT, env={"PATH": ""}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    here = [run.run_id for run in expand(load("demo")).runs()]
+    assert done.stdout == f"{here}\n"
+    assert len(here) > 10
 
 
 def ids(settings: Experiment, method: str = "dcreg") -> list[str]:
@@ -102,10 +81,8 @@ def test_what_cannot_change_a_result_keeps_the_run_id(change):
 
 
 def test_another_method_or_label_does_not_touch_the_first():
-    methods = [
-        {"name": "dcreg", "baseline": "dcreg", "label": "new words"},
-        {"name": "icp", "baseline": "icp"},
-    ]
+    relabelled = {"name": "dcreg", "baseline": "dcreg", "label": "new words"}
+    methods = [relabelled, {"name": "icp", "baseline": "icp"}]
     assert ids(experiment()) == ids(experiment(methods=methods))
 
 
@@ -132,16 +109,8 @@ def test_an_instance_planned_twice_is_refused():
 
 @pytest.mark.parametrize("target", ["run", "plan"])
 def test_make_passes_the_selection_on(target):
-    words = [
-        "make",
-        "--no-print-directory",
-        "-n",
-        target,
-        "CONFIG=demo",
-        "METHODS=icp,cpd",
-        "TESTS=noise",
-        "DATASETS=embedded",
-    ]
+    selection = ["METHODS=icp,cpd", "TESTS=noise", "DATASETS=embedded"]
+    words = ["make", "--no-print-directory", "-n", target, "CONFIG=demo", *selection]
     done = subprocess.run(words, cwd=CHECKOUT, capture_output=True, text=True, check=True)
     command = done.stdout.splitlines()[-1]
     assert "--methods icp,cpd --datasets embedded --tests noise" in " ".join(command.split())
@@ -184,14 +153,12 @@ def test_expected_times_are_medians_of_the_quick_part_with_limited_runs_at_the_l
     times = {"canny": iter([0.5, 9, 0.5, 0.5, 9, 0.5, 0.5, 0.5]), "marked": iter([4.0] * 4)}
     rows = [
         {
-            "run_id": run.run_id,
-            "instance_digest": "",
-            "fingerprint": "",
+            "run_id": run.run_id, "instance_digest": "", "fingerprint": "",
             "status": limited if run.instance.test == "marked" else "converged",
             "time_solve_s": next(times[run.instance.test]),
         }
         for run in part.runs()
-    ]
+    ]  # fmt: skip
     journal = tmp_path / "paper2d_images-quick" / "runs" / method / "x.journal.jsonl"
     journal.parent.mkdir(parents=True)
     journal.write_text("".join(f"{json.dumps(row)}\n" for row in rows))

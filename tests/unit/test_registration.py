@@ -297,7 +297,7 @@ def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit
     source = rng.random((300, 3)) * [2.0, 1.0, 0.5]
     target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
     result = register(
-        source, target, n_inliers=0.7, model="rigid3d", gap_tol=0.0, time_limit=3.0, downsample=60
+        source, target, n_inliers=0.7, model="rigid3d", gap_tol=0.0, time_limit=2.0, downsample=60
     )
     assert result.status is dcreg.Status.TIME_LIMIT
     last = result.stages[-1]
@@ -332,7 +332,7 @@ def test_large_2d_clouds_are_searched_by_a_sample(rng):
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
     target = source[:1_800] @ turn.T + 0.002 * rng.standard_normal((1_800, 2))
     settings = {"n_inliers": 1_500, "model": "similarity2d"}
-    found = dcreg.register(source, target, **settings, time_limit=10.0)
+    found = dcreg.register(source, target, **settings, time_limit=3.0)
     assert found.downsampled == (300, 300, 250)
     assert found.rotation_deg == pytest.approx(90.0, abs=0.5)
     assert len(found.assignment) == 1_500

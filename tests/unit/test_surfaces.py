@@ -19,9 +19,7 @@ def room(n, seed):
     floor = np.column_stack([3.0 * u[:, 0], 2.0 * u[:, 1], zero])
     wall = np.column_stack([3.0 * u[:, 0], zero, 1.5 * u[:, 1]])
     side = np.column_stack([zero, 2.0 * u[:, 0], 1.5 * u[:, 1]])
-    crate = np.array([1.2, 0.8, 0.0]) + np.column_stack(
-        [0.7 * u[:, 0], np.full(n, 0.4), 0.6 * u[:, 1]]
-    )
+    crate = np.column_stack([0.7 * u[:, 0] + 1.2, np.full(n, 1.2), 0.6 * u[:, 1]])
     ball = rng.standard_normal((n, 3))
     ball = np.array([2.4, 1.5, 0.35]) + 0.35 * ball / np.linalg.norm(ball, axis=1, keepdims=True)
     return np.choose(which[:, None], [floor, wall, side, crate, ball])
@@ -47,13 +45,16 @@ def scene():
     liars = rng.permutation(len(source))[:40]
     lies = len(target) + np.arange(40)
     target = np.concatenate([target, source[liars] @ wrong[:3, :3].T + wrong[:3, 3]])
-    chance = np.column_stack(
-        [rng.integers(len(source), size=300), rng.integers(len(target), size=300)]
-    )
-    pairs = np.concatenate(
-        [np.column_stack([right, nearest[right]]), np.column_stack([liars, lies]), chance]
-    )
+    chance = rng.integers(len(source), size=300), rng.integers(len(target), size=300)
+    matches = (right, nearest[right]), (liars, lies), chance
+    pairs = np.concatenate([np.column_stack(rows) for rows in matches])
     return source, target, pairs, T, wrong
+
+
+@pytest.fixture(scope="module")
+def found(scene):
+    source, target, pairs, *_ = scene
+    return dcreg.register_matches(source, target, pairs, inlier_distance=REACH, score="surfaces")
 
 
 def nearest_after(source, target, T):
@@ -67,11 +68,10 @@ def error(result, T):
     return np.rad2deg(turned), np.linalg.norm(result.translation - T[:3, 3])
 
 
-def test_surfaces_tell_the_right_pose_where_more_matches_agree_on_a_wrong_one(scene):
+def test_surfaces_tell_the_right_pose_where_more_matches_agree_on_a_wrong_one(scene, found):
     source, target, pairs, T, wrong = scene
     by_matches = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, certify=False)
     assert error(by_matches, wrong) < (2.0, 0.1)
-    found = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, score="surfaces")
     degrees, shift = error(found, T)
     assert degrees < 1.5
     assert shift < 0.05
@@ -80,9 +80,8 @@ def test_surfaces_tell_the_right_pose_where_more_matches_agree_on_a_wrong_one(sc
     assert found.score.reached < by_matches.score.reached
 
 
-def test_the_result_states_the_matches_of_its_pose(scene):
-    source, target, pairs, *_ = scene
-    found = dcreg.register_matches(source, target, pairs, inlier_distance=REACH, score="surfaces")
+def test_the_result_states_the_matches_of_its_pose(scene, found):
+    source, target, *_ = scene
     rows, columns = found.assignment.T
     assert len(set(rows)) == len(set(columns)) == found.n_inliers
     residuals = source[rows] @ found.rotation.T + found.translation - target[columns]
@@ -135,10 +134,8 @@ def test_normals_of_a_plane():
 def test_few_points_and_no_agreement_give_an_answer_all_the_same():
     rng = np.random.default_rng(0)
     source, target = rng.random((4, 3)), 10.0 * rng.random((4, 3))
-    rows = np.arange(4)
-    found = dcreg.register_matches(
-        source, target, np.column_stack([rows, rows]), inlier_distance=1e-3, score="surfaces"
-    )
+    rows = np.column_stack([np.arange(4)] * 2)
+    found = dcreg.register_matches(source, target, rows, inlier_distance=1e-3, score="surfaces")
     assert np.isfinite(found.T_target_source).all()
     assert found.warnings
 
@@ -151,12 +148,9 @@ def test_few_points_and_no_agreement_give_an_answer_all_the_same():
     ],
 )
 def test_what_cannot_be_is_refused(options, message):
-    points = np.random.default_rng(0).random((8, 3))
-    rows = np.arange(8)
+    points, rows = np.random.default_rng(0).random((8, 3)), np.column_stack([np.arange(8)] * 2)
     with pytest.raises(dcreg.InputError, match=message):
-        dcreg.register_matches(
-            points, points, np.column_stack([rows, rows]), inlier_distance=0.1, **options
-        )
+        dcreg.register_matches(points, points, rows, inlier_distance=0.1, **options)
 
 
 def test_a_stray_point_does_not_blur_the_grid():

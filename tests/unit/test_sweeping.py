@@ -442,7 +442,7 @@ def test_a_rotation_search_leaves_time_for_all_points(rng):
     source = rng.random((300, 3)) * [2.0, 1.0, 0.5]
     target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
     swept = sweep(
-        source, target, [200, 210], model="rigid3d", gap_tol=0.0, time_limit=4.0, mode="paper",
+        source, target, [200, 210], model="rigid3d", gap_tol=0.0, time_limit=2.0, mode="paper",
         downsample=60,
     )  # fmt: skip
     assert swept.status is Status.TIME_LIMIT

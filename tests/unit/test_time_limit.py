@@ -6,13 +6,11 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 
 import numpy as np
 import psutil
 import pytest
 
-import dcreg
 from dcreg.assignment.descent import polish
 from dcreg.assignment.kernels.sorting import COLUMNS
 from dcreg.families.rotation3d.space import Rotation3D
@@ -97,23 +95,10 @@ def test_a_set_stop_flag_ends_a_kernel():
 def test_every_mode_keeps_the_limit_and_reports_progress(model, mode, bound, size, processor_clock):
     """At most a tenth of the limit and a second later, of the processor's time."""
     clouds, watch, limit = pair_of_clouds(size, MODEL_DIM[model]), Stopwatch(), 0.5
-    options = dcreg.SolveOptions(mode=mode, bound=bound)
+    settings = {"n_inliers": 0.5, "model": model, "mode": mode, "bound": bound}
     # what has to be compiled or loaded comes before the clock
-    dcreg.register(
-        *(cloud[:40] for cloud in clouds),
-        n_inliers=0.5,
-        model=model,
-        node_limit=100,
-        options=options,
-    )
-    result = dcreg.register(
-        *clouds,
-        n_inliers=0.5,
-        model=model,
-        gap_tol=1e-12,
-        time_limit=limit,
-        options=replace(options, listener=watch),
-    )
+    register(*(cloud[:40] for cloud in clouds), **settings, node_limit=100)
+    result = register(*clouds, **settings, gap_tol=1e-12, time_limit=limit, listener=watch)
     assert result.time_solve_s <= 1.1 * limit + 1.0
     assert max(np.diff([*watch.heard[1:], time.process_time()])) <= 2.0
     assert result.status is Status.TIME_LIMIT
