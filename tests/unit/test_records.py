@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -78,12 +80,8 @@ def test_every_status_of_a_run_has_its_place_in_the_accounting():
 
 
 def test_accounting_adds_up_and_keeps_methods_that_never_ran():
-    runs = pd.DataFrame(
-        {
-            "method": ["a", "a", "a", "b"],
-            "outcome": ["finished", "limited", "failed", "unavailable"],
-        }
-    )
+    outcomes_of_runs = ["finished", "limited", "failed", "unavailable"]
+    runs = pd.DataFrame({"method": ["a", "a", "a", "b"], "outcome": outcomes_of_runs})
     table = accounting(runs).set_index("method")
     assert table.loc["a"].to_dict() == {
         "planned": 3, "finished": 1, "limited": 1, "failed": 1, "unsupported": 0, "unavailable": 0,
@@ -103,17 +101,11 @@ def test_all_columns_are_documented():
 
 @pytest.fixture
 def problems(rng) -> list[Problem]:
+    sizes = (4, 7)
+    clouds = [(rng.random((n, 2)), rng.random((n + 1, 2))) for n in sizes]
     return [
-        Problem(
-            instance_id=f"id{n}",
-            model="similarity2d",
-            source=rng.random((n, 2)),
-            target=rng.random((n + 1, 2)),
-            scale_range=(0.5, 1.5),
-            n_inliers_prior=n,
-            noise_bound=0.1,
-        )
-        for n in (4, 7)
+        Problem(f"id{n}", "similarity2d", *pair, (0.5, 1.5), n, 0.1)
+        for n, pair in zip(sizes, clouds, strict=True)
     ]
 
 
@@ -147,12 +139,8 @@ def test_the_prior_is_a_rounded_share_within_what_can_be_matched(problems, ratio
 
 def test_the_content_digest_sees_every_change(problems):
     given = problems[0].for_solver(1.0, 0)
-    moved = Problem(**{**vars(problems[0]), "source": problems[0].source + 1e-12})
-    others = [
-        problems[0].for_solver(0.5, 0),
-        problems[0].for_solver(1.0, 1),
-        moved.for_solver(1.0, 0),
-    ]
+    moved = replace(problems[0], source=problems[0].source + 1e-12).for_solver(1.0, 0)
+    others = [problems[0].for_solver(0.5, 0), problems[0].for_solver(1.0, 1), moved]
     assert content_digest(given) not in {content_digest(other) for other in others}
     assert content_digest(given) == content_digest(problems[0].for_solver(1.0, 0))
 

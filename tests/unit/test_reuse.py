@@ -35,6 +35,21 @@ def turned(angle):
     return T
 
 
+@pytest.fixture
+def sample(clouds):
+    """A part of the clouds, and a result on it."""
+    part = Problem(clouds[0][:30], clouds[1][:30], 20, "rigid3d")
+    return part, dcreg.register(
+        part.source, part.target, n_inliers=20, model="rigid3d", node_limit=1
+    )
+
+
+@pytest.fixture
+def nothing_after_the_limit(monkeypatch):
+    monkeypatch.setattr("dcreg.search.budget._CLOSING_SHARE", 0.0)
+    monkeypatch.setattr("dcreg.search.budget._CLOSING_S", 0.0)
+
+
 @pytest.mark.parametrize(("angle", "stop"), [(1.5, OVER), (0.01, UNDER_WAY)])
 def test_elsewhere_and_in_time_points_are_looked_up(clouds, known, angle, stop):
     found = quick_objective(Problem(*clouds, 40, "rigid3d"), turned(angle), known, stop=stop)
@@ -58,13 +73,10 @@ def test_small_clouds_are_matched_to_the_end_past_the_limit(rng):
     np.testing.assert_array_equal(late[1], in_time[1])
 
 
-def test_a_sweep_past_its_limit_states_the_pairs_of_its_poses(rng, monkeypatch):
-    monkeypatch.setattr("dcreg.search.budget._CLOSING_SHARE", 0.0)
-    monkeypatch.setattr("dcreg.search.budget._CLOSING_S", 0.0)  # nothing follows the limit
+def test_a_sweep_past_its_limit_states_the_pairs_of_its_poses(rng, nothing_after_the_limit):
     source = rng.random((300, 3)) * [2.0, 1.0, 0.5]
-    target = np.concatenate(
-        [source[:150] + 0.01 * rng.standard_normal((150, 3)), rng.random((150, 3)) + 1.0]
-    )
+    target = source + 0.01 * rng.standard_normal((300, 3))
+    target[150:] = rng.random((150, 3)) + 1.0
     found = dcreg.sweep(source, target, [100, 150, 300], model="rigid3d", time_limit=0.2)
     for result in found.results:
         best, _ = objective(source, target, result.T_target_source, result.n_inliers)
@@ -72,21 +84,17 @@ def test_a_sweep_past_its_limit_states_the_pairs_of_its_poses(rng, monkeypatch):
 
 
 @pytest.mark.parametrize(("known_angle", "taken"), [(0.0, True), (3.0, False)])
-def test_the_better_pose_of_other_pairs_is_taken(clouds, known_angle, taken):
+def test_the_better_pose_of_other_pairs_is_taken(clouds, sample, known_angle, taken):
     """That of a larger cardinality, refined on all points, may better what a sample gave."""
     _, pairs = objective(*clouds, turned(known_angle), 50)
     known = Matched(turned(known_angle), pairs)
-    sample = Problem(clouds[0][:30], clouds[1][:30], 20, "rigid3d")
-    found = dcreg.register(
-        sample.source, sample.target, n_inliers=20, model="rigid3d", node_limit=1
-    )
+    part, found = sample
     found.T_target_source[:] = turned(0.2)
     whole = Problem(*clouds, 40, "rigid3d")
-    result = refined(found, whole, sample, Budget(0.0), known)
+    result = refined(found, whole, part, Budget(0.0), known)
     np.testing.assert_array_equal(result.T_target_source, turned(0.0 if taken else 0.2))
-    residuals = (
-        clouds[0][result.assignment[:, 0]] @ result.rotation.T - clouds[1][result.assignment[:, 1]]
-    )
+    rows, columns = result.assignment.T
+    residuals = clouds[0][rows] @ result.rotation.T - clouds[1][columns]
     assert result.objective == pytest.approx((residuals**2).sum())
     assert (result.objective < result.objective_certified) == taken
 
@@ -103,15 +111,12 @@ def test_one_greedy_matching_of_large_clouds_serves_all_cardinalities_of_its_pos
 
 
 @pytest.mark.parametrize(("angle", "taken"), [(0.0, True), (3.0, False)])
-def test_the_runner_up_of_a_sample_is_compared_on_all_points(clouds, angle, taken):
+def test_the_runner_up_of_a_sample_is_compared_on_all_points(clouds, sample, angle, taken):
     """It may be the better pose there; the runner-up is then the other one."""
-    sample = Problem(clouds[0][:30], clouds[1][:30], 20, "rigid3d")
-    found = dcreg.register(
-        sample.source, sample.target, n_inliers=20, model="rigid3d", node_limit=1
-    )
+    part, found = sample
     found.T_target_source[:] = turned(1.5)
     found = replace(found, runner_up=RunnerUp(turned(angle), 1.02, 86.0, 0.5))
-    result = refined(found, Problem(*clouds, 40, "rigid3d"), sample, Budget())
+    result = refined(found, Problem(*clouds, 40, "rigid3d"), part, Budget())
     near = np.allclose(result.rotation, np.eye(3), atol=0.05)
     assert near == taken
     other = result.runner_up.T_target_source
@@ -160,10 +165,8 @@ def test_known_pairs_of_small_clouds_are_not_called_greedy(rng):
         assert not quick_objective(problem, np.eye(4), known, stop=OVER)[2]
 
 
-def test_pairs_of_a_sample_are_not_called_greedy(rng, monkeypatch):
+def test_pairs_of_a_sample_are_not_called_greedy(rng, nothing_after_the_limit):
     """They are not returned; so few pairs of all points are not chosen greedily."""
-    monkeypatch.setattr("dcreg.search.budget._CLOSING_SHARE", 0.0)
-    monkeypatch.setattr("dcreg.search.budget._CLOSING_S", 0.0)  # nothing follows the limit
     source = rng.random((400, 2)) * [2.0, 1.0]
     target = source[rng.permutation(400)] + 0.01 * rng.standard_normal((400, 2))
     found = dcreg.sweep(
