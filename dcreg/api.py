@@ -186,10 +186,10 @@ def register_matches(
 ) -> Result:
     """Register two clouds in 3D over a list of matches, many of which may be wrong.
 
-    Selects matches one to one, and a rigid pose, such that the cost is minimal: the sum of squared
-    residuals of the selected matches, plus `inlier_distance` squared for each match by which their number
-    falls short of the maximum one-to-one number. If k matches are selected, the result also solves the
-    problem of `register` over these feasible pairs with ``n_inliers = k``.
+    Let N be the maximum number of matches that can be selected one-to-one. The cost of a pose with k
+    selected matches is the sum of their squared residuals plus ``(N - k) inlier_distance^2``. This
+    cost is minimised. A minimum with k matches also solves the problem of `register` over these feasible
+    pairs with ``n_inliers = k``.
 
     Poses on which many compatible matches agree are refined first. Branch and bound over the rotation,
     with a nested search for the translation, then certifies the best one as far as the limits allow. Time
