@@ -128,20 +128,11 @@ class Setup:
             gap_tol = default_gap_tol(source, target, k, mode.tolerated)
             rotation_gap_tol = default_gap_tol(source, target, k)
         return NormalisedProblem(
-            frame.source(source),
-            frame.target(target),
-            k,
-            problem.scale_range,
-            problem.candidates,
-            frame,
-            options.bound or mode.own_bound,
-            options.start_box == START_BOXES[0],
-            gap_tol / frame.area,
-            rotation_gap_tol / frame.area,
-            options.threads,
-            budget,
+            frame.source(source), frame.target(target), k, problem.scale_range, problem.candidates,
+            frame, options.bound or mode.own_bound, options.start_box == START_BOXES[0],
+            gap_tol / frame.area, rotation_gap_tol / frame.area, options.threads, budget,
             options.certificate,
-        )
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -199,35 +190,19 @@ class Finish:
             )  # fmt: skip
         elif greedy:
             stages.append(Stage("pairs", 0.0, greedy_assignment=True))
+        reached = final if mode.in_norm_space else min(final, upper_bound)
         return Result(
-            status=self._status(solution, upper_bound),
-            model=problem.model,
-            mode=mode.name,
-            bound=normalised.bound,
-            T_target_source=T,
-            T_certified=solution.T,
-            assignment=pairs,
-            n_inliers=problem.n_inliers,
-            lower_bound=solution.lower_bound,
-            upper_bound=upper_bound,
-            gap_tol=normalised.gap_tol * frame.area,
-            certificate_scope=solution.scope,
-            objective=final,
-            objective_certified=before[0],
+            status=self._status(solution, upper_bound), model=problem.model, mode=mode.name,
+            bound=normalised.bound, T_target_source=T, T_certified=solution.T, assignment=pairs,
+            n_inliers=problem.n_inliers, lower_bound=solution.lower_bound, upper_bound=upper_bound,
+            gap_tol=normalised.gap_tol * frame.area, certificate_scope=solution.scope,
+            objective=final, objective_certified=before[0],
             n_nodes=sum(stage.n_nodes for stage in solution.stages),
             n_assignments=sum(stage.n_assignments for stage in solution.stages),
-            time_setup_s=self.setup.time_s,
-            time_solve_s=self.placing.elapsed(),
-            trace=Trace(solution.events),
-            stages=stages,
-            certificate=certificate,
-            runner_up=find_runner_up(
-                problem,
-                T,
-                final if mode.in_norm_space else min(final, upper_bound),
-                solution.minima,
-            ),
-        )
+            time_setup_s=self.setup.time_s, time_solve_s=self.placing.elapsed(),
+            trace=Trace(solution.events), stages=stages, certificate=certificate,
+            runner_up=find_runner_up(problem, T, reached, solution.minima),
+        )  # fmt: skip
 
     def _matched(self, T: np.ndarray) -> tuple[Pose, bool]:
         """Return the pose with its pairs, and whether these were chosen greedily.

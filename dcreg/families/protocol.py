@@ -148,10 +148,6 @@ class Space(abc.ABC):
     def pose(self, theta: np.ndarray) -> np.ndarray:
         """Return the pose of the source as a (d+1, d+1) matrix."""
 
-    def poses_of_ends(self) -> list[tuple[np.ndarray, float]]:
-        """Return the poses at which the local searches of the last `start` ended, and their values."""
-        return [(self.pose(theta), value) for theta, value in self.ends]
-
     @abc.abstractmethod
     def seeds(self) -> np.ndarray:
         """Return (S, dim) parameters spread over the family, from which local searches start."""
