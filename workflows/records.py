@@ -111,7 +111,7 @@ def runs_columns() -> dict[str, Column]:
         "schema_version": Column(int, "version of these columns"),
         "experiment": Column(str, "name of the experiment"),
         "display_name": Column(str, "name of the method in figures"),
-        "provenance": Column(str, "official, library, port or reconstruction"),
+        "provenance": Column(str, "official, library, port, reconstruction or own"),
         "n_inliers_ratio": Column(
             float,
             "given number of pairs over the true number, or over the number that the dataset prescribes",
