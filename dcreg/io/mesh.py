@@ -11,6 +11,8 @@ import numpy as np
 
 from dcreg.io.text import EXPORT, Row, fail, lines_of, listing, numbers_of, rows_of
 
+CORRECT = "correct the header or " + EXPORT
+
 
 def _read_header(content: bytes, kind: str, last: str, magic: str = "") -> tuple[list[Row], int]:
     """Return the lines up to the one that starts with `last`, and the offset of the body."""
@@ -60,16 +62,11 @@ def _binary_body(
 
 def _check_count(announced: int, available: int, own: int | None = None) -> None:
     """Refuse a file with fewer points than its header announces, or with more `own` ones."""
+    counts = f"the header announces {announced} points, the file holds"
     if available < announced:
-        fail(
-            f"is truncated: the header announces {announced} points, the file holds {available}",
-            "copy or export the file again",
-        )
+        fail(f"is truncated: {counts} {available}", "copy or export the file again")
     if own is not None and own > announced:
-        fail(
-            f"the header announces {announced} points, the file holds {own}",
-            "correct the header or " + EXPORT,
-        )
+        fail(f"{counts} {own}", CORRECT)
 
 
 # --- PLY ------------------------------------------------------------------------------------------------
@@ -226,10 +223,8 @@ def _count(header: dict[str, list[str]]) -> int:
     except (KeyError, IndexError, ValueError):
         fail("the header states no valid number of points", EXPORT)
     if stated not in (None, width * height):
-        fail(
-            f"the header states POINTS {stated}, but WIDTH x HEIGHT = {width} x {height}",
-            "correct the header or " + EXPORT,
-        )
+        shape = f"WIDTH x HEIGHT = {width} x {height}"
+        fail(f"the header states POINTS {stated}, but {shape}", CORRECT)
     return width * height
 
 

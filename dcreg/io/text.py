@@ -53,7 +53,8 @@ def read_text(stream: BinaryIO, _: str | None, *, any_width: bool = False) -> np
     announced = None
     if len(rows[0][1]) == 1 and rows[0][1][0].isdigit():
         announced = int(rows.pop(0)[1][0])
-    names = rows.pop(0)[1] if rows and not any(map(_is_number, rows[0][1])) else None
+    has_header = rows and all(_number(field) is None for field in rows[0][1])
+    names = rows.pop(0)[1] if has_header else None
     if announced is not None and announced != len(rows):
         fail(
             f"the first line announces {announced} points, {len(rows)} follow",
@@ -110,18 +111,12 @@ def _fields(content: str) -> list[str]:
     return fields[:-1] if fields[-1] == "" else fields
 
 
-def _number(field: str) -> float:
-    if "_" in field:  # float() accepts underscores between digits
-        raise ValueError(field)
-    return float(field)
-
-
-def _is_number(field: str) -> bool:
+def _number(field: str) -> float | None:
+    """Return a number; None if the field is not one, as with the underscores that float() accepts."""
     try:
-        _number(field)
+        return None if "_" in field else float(field)
     except ValueError:
-        return False
-    return True
+        return None
 
 
 def _looks_decimal(field: str) -> bool:
@@ -138,16 +133,14 @@ def numbers_of(rows: Sequence[Row], columns: Sequence[int], width: int) -> np.nd
                 f"line {line} has {len(fields)} value{'s' * (len(fields) != 1)}, expected {width}",
                 "give every point the same number of values",
             )
-        try:
-            points[i] = [_number(fields[column]) for column in columns]
-        except ValueError:
-            bad = next(fields[c] for c in columns if not _is_number(fields[c]))
-            remedy = (
-                "if it has a decimal comma, write a point instead"
-                if _looks_decimal(bad)
-                else "correct or remove that line"
-            )
+        numbers = [_number(fields[column]) for column in columns]
+        if None in numbers:
+            bad = fields[columns[numbers.index(None)]]
+            remedy = "correct or remove that line"
+            if _looks_decimal(bad):
+                remedy = "if it has a decimal comma, write a point instead"
             fail(f"line {line}: '{bad[:40]}' is not a number", remedy)
+        points[i] = numbers
         if not np.isfinite(points[i]).all():
             fail(f"line {line} holds NaN or infinity", "remove that point")
     return points
