@@ -325,10 +325,8 @@ class Result:
     def entries(self) -> Iterator[tuple[str, str]]:
         """Yield names and values of the `summary`; every warning is an entry of that name."""
         yield "status", self._verdict()
-        yield (
-            "T_target_source",
-            "\n".join(" ".join(f"{x:>14.8g}" for x in row) for row in self.T_target_source),
-        )
+        rows = (" ".join(f"{x:>14.8g}" for x in row) for row in self.T_target_source)
+        yield "T_target_source", "\n".join(rows)
         yield "scale", f"{self.scale:.6g}"
         yield "rotation", f"{self.rotation_deg:.4f} deg"
         yield "RMSE of pairs", f"{self.rmse_matched:.6g} over {text.count(self.n_inliers, 'pair')}"
@@ -345,14 +343,10 @@ class Result:
         bounding = [stage for stage in self.stages if stage.status is not None]
         for stage in bounding if len(bounding) > 1 else []:
             yield f"{stage.name} stage", stage.summary()
-        yield (
-            "objective",
-            f"{self.objective:.6g} (before the polish {self.objective_certified:.6g})",
-        )
-        yield (
-            "work",
-            f"{text.count(self.n_nodes, 'node')}, {text.count(self.n_assignments, 'assignment')}",
-        )
+        before = f"(before the polish {self.objective_certified:.6g})"
+        yield "objective", f"{self.objective:.6g} {before}"
+        nodes = text.count(self.n_nodes, "node")
+        yield "work", f"{nodes}, {text.count(self.n_assignments, 'assignment')}"
         yield "time", f"{self.time_solve_s:.2f} s solving, {self.time_setup_s:.2f} s before"
         yield "method", f"{self.model}, mode {self.mode}, bound {self.bound}"
         if self.downsampled is not None:

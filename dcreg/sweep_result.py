@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from dataclasses import dataclass
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -86,12 +87,7 @@ class SweepResult:
         norms.
         """
         following: list[Result | None] = [*self.results[1:], None]
-        return [
-            _row(result, after, proven_by)
-            for result, after, proven_by in zip(
-                self.results, following, self.proven_by, strict=True
-            )
-        ]
+        return list(starmap(_row, zip(self.results, following, self.proven_by, strict=True)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: the table, the suggestion, and every result."""

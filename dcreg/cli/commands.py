@@ -19,6 +19,7 @@ import typer
 from typer.core import TyperGroup
 
 import dcreg
+from dcreg.cli import output
 from dcreg.cli.interrupts import Interrupt, leave
 from dcreg.cli.options import (
     ARGUMENTS,
@@ -31,19 +32,6 @@ from dcreg.cli.options import (
     parameters_of,
     parse_count,
     parse_counts,
-)
-from dcreg.cli.output import (
-    EXIT_INPUT,
-    EXIT_OK,
-    EXIT_REFUSED,
-    STDOUT,
-    Writer,
-    check_figure,
-    check_outputs,
-    check_suffix,
-    print_error,
-    print_warning,
-    write_outputs,
 )
 from dcreg.names import FIGURE_PACKAGES
 
@@ -93,8 +81,8 @@ def command(function: Callable[..., int]) -> Callable[..., int]:
             code = function(**given)
         except dcreg.InputError as error:
             name, colon, rest = str(error).partition(":")
-            print_error(f"{options.get(name, name)}{colon}{rest}")
-            code = EXIT_INPUT
+            output.print_error(f"{options.get(name, name)}{colon}{rest}")
+            code = output.EXIT_INPUT
         raise typer.Exit(code)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
@@ -112,7 +100,7 @@ def _run(
 
     for name in ("gap_tol", "tol"):
         if keywords.get(name) == 0 and not quiet:
-            print_warning(
+            output.print_warning(
                 f"{flag(name)} 0: a gap hardly ever closes completely, so the search ends "
                 "only at a limit or by Ctrl-C; give a length such as --tol 0.01, or --time-limit 60"
             )
@@ -131,15 +119,15 @@ def _finish(
     """Print a registration and write its files; `names` are those of the input files."""
     json_path = outputs.json_path
     # standard output belongs to the JSON if that is written there
-    to_stdout = json_path == STDOUT
+    to_stdout = json_path == output.STDOUT
     typer.echo(result, err=to_stdout)
     if to_stdout:
         typer.echo(result.to_json(**names))
         json_path = None
     shown = names["source"], names["target"]
-    return write_outputs(
+    return output.write_outputs(
         result.status,
-        (json_path, lambda path: result.write_json(path, **names)),
+        (json_path, partial(result.write_json, **names)),
         (outputs.trace_path, result.trace.write_jsonl),
         (certificate_path, result.write_certificate),
         (
@@ -175,8 +163,8 @@ def register(
         Write a certificate for `dcreg verify`.
     """
     paths = {**outputs.paths, "--certificate": certificate_path}
-    check_outputs(paths, *clouds.names.values(), search.candidates_path)
-    check_figure(outputs.plot_path, [".html"])
+    output.check_outputs(paths, *clouds.names.values(), search.candidates_path)
+    output.check_figure(outputs.plot_path, [".html"])
     if n_inliers is None:
         raise dcreg.InputError(
             "--n-inliers: missing; give the number of pairs to match, such as 40 or 0.8, or let "
@@ -203,8 +191,8 @@ def register_matches(
     matches : MATCHES
         Matches, the most likely ones first: two columns, source row and target row, from 0.
     """
-    check_outputs(outputs.paths, *clouds.names.values(), matches)
-    check_figure(outputs.plot_path, [".html"])
+    output.check_outputs(outputs.paths, *clouds.names.values(), matches)
+    output.check_figure(outputs.plot_path, [".html"])
     points = clouds.read("rigid3d")
     pairs = dcreg.read_matches(matches, *map(len, points))
     result = _run(dcreg.register_matches, *points, pairs, **vars(search), options={}, quiet=quiet)
@@ -243,20 +231,20 @@ def sweep(
     plot_path : OUT
         Write the curves: .html, .png or .svg.
     """
-    check_suffix("--out", out_path, [".json", ".csv"])
-    check_figure(plot_path, list(FIGURE_PACKAGES))
+    output.check_suffix("--out", out_path, [".json", ".csv"])
+    output.check_figure(plot_path, list(FIGURE_PACKAGES))
     inputs = *clouds.names.values(), search.candidates_path
-    check_outputs({"--out": out_path, "--plot": plot_path}, *inputs)
+    output.check_outputs({"--out": out_path, "--plot": plot_path}, *inputs)
     counts = parse_counts(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(len(points[0]))
     found = _run(dcreg.sweep, *points, counts, quiet=quiet, options=options, **keywords)
     typer.echo(found)
-    write: Writer = lambda path: found.write_json(path, **clouds.names)  # noqa: E731
+    write: output.Writer = partial(found.write_json, **clouds.names)
     if out_path is not None and out_path.suffix.lower() == ".csv":
         write = found.write_csv
     names = clouds.source, clouds.target
-    return write_outputs(
+    return output.write_outputs(
         found.status,
         (out_path, write),
         (plot_path, lambda path: dcreg.plot_sweep(found, path, names=names)),
@@ -289,7 +277,7 @@ def verify(*, certificate: Path, clouds: Clouds, quiet: Quiet = False) -> int:
             f"rejected: {report.reason}; check the clouds, or make a new certificate with "
             "`dcreg register --certificate`"
         )
-        return EXIT_REFUSED
+        return output.EXIT_REFUSED
     if report.is_trivial:
         typer.echo(
             f"true, but proves nothing: {report.statement}; 0 is a lower bound of every sum of squares. "
@@ -297,7 +285,7 @@ def verify(*, certificate: Path, clouds: Clouds, quiet: Quiet = False) -> int:
         )
     else:
         typer.echo(f"proven: {report.statement}")
-    return EXIT_OK
+    return output.EXIT_OK
 
 
 @app.command()
