@@ -86,18 +86,16 @@ class _Grid(NamedTuple):
     def of(
         cls, start_lower: np.ndarray, start_upper: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> _Grid:
-        low, high = np.empty(lower.shape, np.int64), np.empty(lower.shape, np.int64)
-        first, last = np.empty(len(start_lower), np.int64), np.empty(len(start_lower), np.int64)
-        distinct = []
-        for axis in range(len(start_lower)):
-            ends = np.array([start_lower[axis], start_upper[axis]])
-            values = np.unique(np.concatenate([lower[:, axis], upper[:, axis], ends]))
-            tolerance = SAME * (min(ends[1] - ends[0], 1.0) or max(1.0, abs(ends[0])))
+        table = np.vstack([lower, upper, start_lower, start_upper])
+        ranks, distinct = np.empty(table.shape, np.int64), []
+        for axis, column in enumerate(table.T):
+            values, places = np.unique(column, return_inverse=True)
+            begin, end = column[-2:]
+            tolerance = SAME * (min(end - begin, 1.0) or max(1.0, abs(begin)))
             rank = np.concatenate([[0], np.cumsum(np.diff(values) > tolerance)])
-            low[:, axis] = rank[np.searchsorted(values, lower[:, axis])]
-            high[:, axis] = rank[np.searchsorted(values, upper[:, axis])]
-            first[axis], last[axis] = rank[np.searchsorted(values, ends)]
+            ranks[:, axis] = rank[places]
             distinct.append(values[np.concatenate([[True], np.diff(rank) > 0])])
+        (low, high), (first, last) = np.split(ranks[:-2], 2), ranks[-2:]
         return cls(low, high, first, last, distinct)
 
 
