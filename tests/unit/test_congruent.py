@@ -126,13 +126,13 @@ def test_starts_are_the_same_every_time():
 
 def test_a_far_outlier_costs_no_memory(rng, monkeypatch):
     """The field of nearness spans the target, whose extent one point may stretch without bound."""
-    sizes = []
-    fill = starts.fill_nearness
-    monkeypatch.setattr(
-        starts,
-        "fill_nearness",
-        lambda *given: sizes.append(given[-1].values.nbytes) or fill(*given),
-    )
+    sizes, fill = [], starts.fill_nearness
+
+    def filled(*given):
+        sizes.append(given[-1].values.nbytes)
+        return fill(*given)
+
+    monkeypatch.setattr(starts, "fill_nearness", filled)
     points = rng.standard_normal((1000, 3))
     points[0] = 1e6
     congruent_poses(points[:50], points, 40, SCALES[0])

@@ -29,14 +29,9 @@ def spiral(rng, size):
     """An asymmetric tube, its longest side 1: no rotation or mirror image comes near it."""
     along = rng.random(size)
     turn = 2 * np.pi * along
-    curve = np.stack(
-        [
-            np.cos(turn) * (1 + 0.4 * along),
-            0.6 * np.sin(turn) + 0.3 * along**2,
-            0.5 * along + 0.2 * np.sin(3 * turn),
-        ],
-        axis=1,
-    )
+    x = np.cos(turn) * (1 + 0.4 * along)
+    y = 0.6 * np.sin(turn) + 0.3 * along**2
+    curve = np.column_stack([x, y, 0.5 * along + 0.2 * np.sin(3 * turn)])
     points = curve + 0.05 * rng.standard_normal((size, 3))
     return points / np.ptp(points, axis=0).max()
 
@@ -79,9 +74,8 @@ def test_large_clouds_with_outliers_end_in_time(rng, processor_clock):
     source = spiral(rng, size)
     target = moved_copy(rng, source)
     target[n_inliers:] = rng.uniform(target.min(axis=0), target.max(axis=0), (size - n_inliers, 3))
-    result = register(
-        source, target, n_inliers=n_inliers, model="rigid3d", time_limit=limit, mode="paper"
-    )
+    settings = {"model": "rigid3d", "time_limit": limit, "mode": "paper"}
+    result = register(source, target, n_inliers=n_inliers, **settings)
     assert result.status in (Status.CONVERGED, Status.TIME_LIMIT)
     assert sum(stage.time_s for stage in result.stages[:2]) < 2 * limit
     assert len(result.assignment) == n_inliers
@@ -101,8 +95,8 @@ def test_sampled_rotation_claims_only_what_its_bounds_prove(rng):
     assert strict.lower_bound < strict.upper_bound
     rotation = Rotation3D.matrix(strict.theta)
     assert np.degrees(Rotation.from_matrix(rotation @ ROTATION.T).magnitude()) < 0.5
-    exact = linear_sum_assignment(_squared(source @ rotation.T, target))
-    value = _squared(source @ rotation.T, target)[exact].sum()
+    squared = _squared(source @ rotation.T, target)
+    value = squared[linear_sum_assignment(squared)].sum()
     assert strict.lower_bound <= value <= strict.upper_bound + 1e-9
 
 
@@ -119,9 +113,8 @@ def test_sparse_matching_against_the_dense_one(seed):
         patch.setattr(sparse, "_FIRST_NEIGHBOURS", int(rng.integers(1, 5)))
         patch.setattr(sparse, "DENSE_PAIRS", int(rng.integers(1, 200)))
         for prove, over in ((True, 0), (False, 0), (False, 1)):
-            found = sparse.sparse_matching(
-                points, target, k, prove=prove, stop=np.array([over], np.uint8)
-            )
+            stop = np.array([over], np.uint8)
+            found = sparse.sparse_matching(points, target, k, prove=prove, stop=stop)
             rows, columns = found.pairs.T
             assert len(set(rows)) == len(set(columns)) == k
             assert np.isclose(_squared(points, target)[rows, columns].sum(), found.value)

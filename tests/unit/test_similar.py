@@ -92,13 +92,13 @@ def test_odd_clouds_still_give_a_start(kind, rng):
 
 
 def test_a_far_outlier_costs_no_memory(rng, monkeypatch):
-    sizes = []
-    fill = starts.fill_nearness
-    monkeypatch.setattr(
-        starts,
-        "fill_nearness",
-        lambda *given: sizes.append(given[-1].values.nbytes) or fill(*given),
-    )
+    sizes, fill = [], starts.fill_nearness
+
+    def filled(*given):
+        sizes.append(given[-1].values.nbytes)
+        return fill(*given)
+
+    monkeypatch.setattr(starts, "fill_nearness", filled)
     points = rng.standard_normal((1000, 2))
     target = np.concatenate([points, [[1e6, 0.0]]])
     similar_poses(points, target, 1000, RANGE)

@@ -23,12 +23,7 @@ from workflows.instances import Problem, content_digest, read_problems, write_pr
 from workflows.metrics import METRICS, Case
 from workflows.stages import generate
 from workflows.stages.plan import InstanceSpec, expand, run_identity
-from workflows.studies.threedmatch import (
-    against_overlap,
-    not_attempted,
-    recalls,
-    with_pairs,
-)
+from workflows.studies.threedmatch import against_overlap, not_attempted, recalls, with_pairs
 
 LISTS = ("threedmatch", "threedlomatch", "threedmatch_oriented")
 MATCHES = np.column_stack([np.arange(30), np.arange(30)])
@@ -92,12 +87,8 @@ def test_quick_part_leaves_out_slow_variants_but_no_method(name):
     methods, quick = load(name).methods, load(f"{name}-quick").methods
     kept = [method.name for method in quick]
     left_out = [method.name for method in methods if method.name not in kept]
-    assert left_out == [
-        "dcreg-nearest-surfaces",
-        "teaser-nearest",
-        "mac-nearest",
-        "turboreg-nearest",
-    ]
+    slow = ("dcreg-nearest-surfaces", "teaser-nearest", "mac-nearest", "turboreg-nearest")
+    assert tuple(left_out) == slow
     assert {m.baseline for m in methods} == {m.baseline for m in quick}
 
 
@@ -114,9 +105,8 @@ def test_holes_of_the_grid_are_named():
 
 def problem(n=30):
     points = np.random.default_rng(0).uniform(-1, 1, (n, 3))
-    return Problem(
-        "i", "rigid3d", points, points + 0.5, (1, 1), 20, 0.1, {"shared-mutual": MATCHES}
-    )
+    matches = {"shared-mutual": MATCHES}
+    return Problem("i", "rigid3d", points, points + 0.5, (1, 1), 20, 0.1, matches)
 
 
 def test_matches_travel_with_the_instance_and_count_for_its_hash(tmp_path):
@@ -127,7 +117,7 @@ def test_matches_travel_with_the_instance_and_count_for_its_hash(tmp_path):
     assert set(first.matches) == {"shared-mutual"}
     assert second.matches == {}
     given = first.for_solver(1.0, 0)
-    other = Problem(**{**vars(first), "matches": {"shared-mutual": MATCHES[:-1]}})
+    other = replace(first, matches={"shared-mutual": MATCHES[:-1]})
     assert content_digest(given) != content_digest(other.for_solver(1.0, 0))
 
 
@@ -138,9 +128,12 @@ def test_the_protocols_threshold_and_the_shared_matches_reach_the_problem(monkey
         noise_bound=0.07, match_radii=(0.1, 0.25), viewpoint=(1.0, 2.0, 3.0),
     )  # fmt: skip
     asked = []
-    monkeypatch.setattr(
-        generate, "shared_matches", lambda *how: asked.append(how) or {"m": MATCHES}
-    )
+
+    def shared_matches(*how):
+        asked.append(how)
+        return {"m": MATCHES}
+
+    monkeypatch.setattr(generate, "shared_matches", shared_matches)
     spec = InstanceSpec("threedmatch", "s", "3DMatch", 0.3, 0, None, "rigid3d")
     made = generate.problem_of(spec, raw)
     assert (made.noise_bound, made.matches) == (0.07, {"m": MATCHES})
@@ -182,9 +175,8 @@ def test_dcreg_registers_over_shared_matches():
     assert found.upper_bound is None
     fewer = registry.load("dcreg", front_end="shared-mutual", max_pairs=20)
     assert "20 of 30 pairs kept" in fewer.solve(instance, Limits(time_s=20.0)).message
-    assert "no shared matches" in registry.load("dcreg", front_end="shared-nearest").supports(
-        instance
-    )
+    nearest = registry.load("dcreg", front_end="shared-nearest")
+    assert "no shared matches" in nearest.supports(instance)
 
 
 def test_shared_matches_are_nearest_neighbours_in_order(monkeypatch):
@@ -224,10 +216,7 @@ def test_features_with_oriented_normals_do_not_depend_on_the_pose():
 def test_objective_of_whole_clouds_is_left_out():
     few, many = np.zeros((10, 3)), np.zeros((2100, 3))
     for cloud, is_known in ((few, True), (many, False)):
-        case = Case(
-            T=np.eye(4), T_true=np.eye(4), source=cloud, target=cloud, pairs=MATCHES[:5],
-            n_inliers=5, scale_range=(1, 1),
-        )  # fmt: skip
+        case = Case(np.eye(4), np.eye(4), cloud, cloud, MATCHES[:5], 5, (1, 1))
         assert np.isfinite(METRICS["objective"].compute(case)) == is_known
         assert METRICS["rmse"].compute(case) == 0.0
 

@@ -24,28 +24,22 @@ def planted(n: int = 25, outliers: int = 5, unit: float = 1.0, noise: float = 0.
     """Return an instance with `outliers` outlier points in each cloud, and its true pose."""
     generator = np.random.default_rng(4)
     shape = generator.uniform(-0.5, 0.5, (n, 3)) * [1.0, 0.7, 0.4]
-    truth = homogeneous(
-        1.0, Rotation.from_rotvec([2.0, -1.0, 0.6]).as_matrix(), np.array([0.4, -0.2, 0.3])
-    )
+    turn = Rotation.from_rotvec([2.0, -1.0, 0.6]).as_matrix()
+    truth = homogeneous(1.0, turn, np.array([0.4, -0.2, 0.3]))
     target = apply_pose(truth, shape) + noise * generator.standard_normal(shape.shape) / np.sqrt(3)
     source = np.vstack([shape, generator.uniform(-0.5, 0.5, (outliers, 3))])
     strays = generator.uniform(-0.5, 0.5, (outliers, 3)) + truth[:3, 3]
     target = generator.permutation(np.vstack([target, strays]))
     truth[:3, 3] *= unit
-    return (
-        Instance("p", unit * source, unit * target, "rigid3d", n, (1, 1), unit * noise, 3),
-        truth,
-    )
+    clouds = unit * source, unit * target
+    return Instance("p", *clouds, "rigid3d", n, (1, 1), unit * noise, 3), truth
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_planted_pose_is_found_under_any_rotation(name: str) -> None:
     instance, truth = planted()
     solution = registry.load(name).solve(instance, Limits(time_s=20.0))
-    moved, expected = (
-        apply_pose(solution.T_target_source, instance.source),
-        apply_pose(truth, instance.source),
-    )
+    moved, expected = (apply_pose(T, instance.source) for T in (solution.T_target_source, truth))
     assert np.sqrt(((moved - expected) ** 2).sum(axis=1).mean()) < 0.02
     assert solution.status in (Status.OPTIMAL, Status.TIME_LIMIT)
     assert solution.lower_bound <= solution.upper_bound
@@ -72,18 +66,14 @@ def test_bounds_are_in_squared_units_of_the_target(name: str) -> None:
     assert large.status is small.status
     assert large.lower_bound == pytest.approx(1e6 * small.lower_bound, rel=1e-6, abs=1e-3)
     assert large.upper_bound == pytest.approx(1e6 * small.upper_bound, rel=1e-6, abs=1e-3)
-    np.testing.assert_allclose(
-        large.T_target_source[:3, 3] / 1e3, small.T_target_source[:3, 3], atol=1e-6
-    )
+    kilo_shift, shift = (solution.T_target_source[:3, 3] for solution in (large, small))
+    np.testing.assert_allclose(kilo_shift / 1e3, shift, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_a_hard_problem_ends_at_its_limit_with_a_pose(name: str, processor_clock: None) -> None:
-    generator = np.random.default_rng(0)
-    instance = Instance(
-        "hard", generator.uniform(size=(60, 3)), generator.uniform(size=(60, 3)), "rigid3d",
-        50, (1, 1), 0.02, 0,
-    )  # fmt: skip
+    clouds = np.random.default_rng(0).uniform(size=(2, 60, 3))
+    instance = Instance("hard", *clouds, "rigid3d", 50, (1, 1), 0.02, 0)
     method = registry.load(name)
     method.warm_up(instance)
     began = time.process_time()
@@ -96,13 +86,11 @@ def test_a_hard_problem_ends_at_its_limit_with_a_pose(name: str, processor_clock
 
 def test_goicp_keeps_to_its_cube_of_translations_and_says_so() -> None:
     instance, _ = planted()
-    shifted = replace(instance, target=instance.target + 10.0)
-    solution = registry.load("goicp", normalise=False).solve(shifted, Limits(time_s=5.0, nodes=50))
+    shifted, limits = replace(instance, target=instance.target + 10.0), Limits(time_s=5.0, nodes=50)
+    solution = registry.load("goicp", normalise=False).solve(shifted, limits)
     assert np.abs(solution.T_target_source[:3, 3]).max() <= 0.5
     assert "within 0.5" in solution.certificate_scope
-    everywhere = registry.load("goicp", translation_half_width=None).solve(
-        shifted, Limits(time_s=5.0, nodes=50)
-    )
+    everywhere = registry.load("goicp", translation_half_width=None).solve(shifted, limits)
     assert "all translations" in everywhere.certificate_scope
     assert everywhere.upper_bound < solution.upper_bound
 

@@ -318,16 +318,8 @@ def test_other_interpreters_and_entries(places: dict, tmp_path: Path) -> None:
     python = tmp_path / "python"
     write(python, f'#!/bin/sh\nexport FROM=wrapper\nexec {sys.executable} "$@"\n')
     python.chmod(0o755)
-    entry = Path(places["checkout"]) / "mine.py"
-    write(
-        entry,
-        """
-        import os
-        from fit import pose
-        assert os.environ["FROM"] == "wrapper"
-        def run(source, target, weights, device):
-            return pose(source, target)
-    """,
-    )
+    entry = "import os\nfrom fit import pose as fitted\nassert os.environ['FROM'] == 'wrapper'\n"
+    entry += "def run(source, target, weights, device):\n    return fitted(source, target)\n"
+    write(Path(places["checkout"]) / "mine.py", entry)
     options = {**places, "python": str(python), "entry": "mine:run"}
     assert registry.load("hunter", **options).solve(instance(), LIMITS).status is Status.CONVERGED

@@ -15,6 +15,7 @@ from baselines.contract import Instance
 from dcreg.problem import apply_pose
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
+from tests.correspondences import rows_as_pairs
 
 NAMES = ["pygcransac", "pysuperansac"]
 
@@ -69,7 +70,7 @@ def problem() -> tuple[Instance, np.ndarray]:
 def test_pose_is_that_of_the_clouds_as_they_are(name: str, told: Told) -> None:
     instance, truth = problem()
     method = registry.load(name, noise_factor=1.5)
-    found = method.estimate(instance, np.column_stack([np.arange(30)] * 2), Budget()).pose
+    found = method.estimate(instance, rows_as_pairs(30), Budget()).pose
     np.testing.assert_allclose(found, truth, atol=1e-9)
     assert told.threshold == pytest.approx(0.03)
 
@@ -77,9 +78,7 @@ def test_pose_is_that_of_the_clouds_as_they_are(name: str, told: Told) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_no_pose_of_the_package_is_no_pose(name: str, told: Told) -> None:
     told.finds = False
-    found = registry.load(name).estimate(
-        problem()[0], np.column_stack([np.arange(30)] * 2), Budget()
-    )
+    found = registry.load(name).estimate(problem()[0], rows_as_pairs(30), Budget())
     assert found.pose is None
 
 
