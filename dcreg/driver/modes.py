@@ -202,6 +202,7 @@ def _space(make: Callable[..., Any], more: Sequence[str], problem: NormalisedPro
     return make(*attrgetter(*names)(problem))
 
 
+#: All modes. Several models may have a mode of the same name.
 MODES = (
     Mode(
         "paper", "similarity2d", "searches the similarity as the paper does; certifies the pose",
@@ -239,9 +240,9 @@ def find_mode(model: str, name: str) -> Mode:
 def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = False) -> str:
     """Return the mode that gives the best pose for the time.
 
-    In 3D this is ``full``: over shapes, disturbances, sizes and limits no mode has a higher success rate
-    (``make modes`` measures it). ``paper`` is chosen for certificates, for a bound by name, and for large
-    clouds.
+    In 3D this is ``full``, which had the highest success rate over all shapes, disturbances, sizes and
+    limits measured (``make modes``). It is ``paper`` if a certificate or a bound is requested, or if more
+    than ``LARGE_PAIRS[3]`` point pairs are searched.
     """
     pairs = len(problem.source) * len(problem.target)
     only_paper = certificate or bound is not None

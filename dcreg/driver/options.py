@@ -52,7 +52,7 @@ class SolveOptions:
     Raises
     ------
     InputError
-        For an unknown start box, a wrong number of threads, a switch that is no truth value, or a
+        For an unknown start box, a wrong number of threads, a switch that is not a bool, or a
         listener that cannot be called.
     """
 
@@ -77,7 +77,7 @@ class SolveOptions:
             )
         for name in ("polish", "certificate"):
             if not isinstance(value := getattr(self, name), bool | np.bool_):
-                raise InputError(f"{name}: {value!r} is not a truth value; give True or False")
+                raise InputError(f"{name}: {value!r} is not a bool; give True or False")
         if not (self.listener is None or callable(self.listener)):
             raise InputError(
                 f"listener: {self.listener!r} cannot be called; give a function of one dcreg.Event"

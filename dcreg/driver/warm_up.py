@@ -38,13 +38,13 @@ _MESSAGE = (
 def warm_up(processes: int = 1) -> None:
     """Compile every kernel into the on-disk cache, so that no later process waits for it.
 
-    Kernels of earlier versions of the library are removed from it.
+    Kernels of earlier versions of the library are removed from the cache.
 
     Parameters
     ----------
     processes : int
-        Processes that share the work. More than one takes less time, and more of the processor,
-        since some kernels are then compiled more than once.
+        Processes that share the work. More processes take less time but more CPU time, because some
+        kernels are then compiled more than once.
     """
     forget_old_kernels()
     works = list(_works())

@@ -227,7 +227,7 @@ def gap_tol_of(tol: float | None, gap_tol: float | None, n_inliers: int) -> floa
     Returns
     -------
     float or None
-        ``n_inliers * tol^2`` or `gap_tol`; None where neither is given.
+        ``n_inliers * tol^2`` or `gap_tol`; None if neither is given.
 
     Raises
     ------
