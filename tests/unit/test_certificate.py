@@ -70,8 +70,9 @@ def test_certificate_in_memory_is_checked_like_its_file(tmp_path, case):
     assert in_memory.statement == on_disk.statement
     false = dataclasses.replace(certificate, upper_bound=0.99 * certificate.upper_bound)
     assert "upper_bound: " in verify(false, source, target).reason
-    broken = dataclasses.replace(certificate, theta=certificate.theta[:-1])
-    assert "theta: shape" in verify(broken, source, target).reason
+    for name in ("theta", "leaf_reasons"):
+        broken = dataclasses.replace(certificate, **{name: getattr(certificate, name)[:-1]})
+        assert f"{name}: shape" in verify(broken, source, target).reason
 
 
 def test_result_is_verified_in_memory():
