@@ -92,7 +92,7 @@ modes: setup
 walk: setup
 	@$(BIN)/python -m workflows.studies.walk results/walk $(ARGS)
 
-## first-call: compare the processor time of a first call with that of an older checkout, OLD=folder
+## first-call: compare the CPU time of a first call with that of an older checkout, OLD=folder
 .PHONY: first-call
 first-call: dev
 	@$(BIN)/python -m tests.bench.first_call $(OLD)

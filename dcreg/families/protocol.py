@@ -86,7 +86,7 @@ class Space(abc.ABC):
 
     @staticmethod
     def target_features(target: np.ndarray) -> np.ndarray:
-        """Return what the moved source is compared with: the (d, m) target by default."""
+        """Return the features of the target; by default its (d, m) points."""
         return np.ascontiguousarray(target.T)
 
     @property
@@ -154,7 +154,7 @@ class Space(abc.ABC):
 
     @abc.abstractmethod
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
-        """Return a score per seed, the lower the more promising, and the assignments solved for it."""
+        """Return a score per seed (lower is better), and the number of assignments solved for it."""
 
     @property
     def n_pairs(self) -> int:
@@ -271,9 +271,9 @@ class SpaceBound(abc.ABC, Generic[S]):
     """A bounding function over the boxes that bisection makes of some roots.
 
     A bound is found by its `name` if its module is called ``bound*`` and lies in the folder of a family;
-    see `dcreg.families.registry`. Subclasses bound boxes in `_evaluate`. Here boxes without an admissible
-    parameter get +inf, inadmissible candidates lose their value, and slices of boxes run in parallel
-    threads. Slices are independent, so the result is the same for any number of threads.
+    see `dcreg.families.registry`. Subclasses bound boxes in `_evaluate`. This class assigns +inf to
+    boxes without an admissible parameter and to inadmissible candidates, and evaluates slices of boxes
+    in parallel threads. Slices are independent, so the result is the same for any number of threads.
 
     Parameters
     ----------

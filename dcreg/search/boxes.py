@@ -131,7 +131,7 @@ class Evaluation:
 
     @classmethod
     def empty(cls, boxes: Boxes) -> Evaluation:
-        """Return one to be filled, with the centres of the boxes as candidates."""
+        """Return an evaluation to be filled, with the centres of the boxes as candidates."""
         return cls(np.empty(len(boxes)), boxes.centres, np.empty(len(boxes)))
 
 

@@ -94,17 +94,17 @@ _SILENCE_S = 0.25  # time without an event after which the last one is repeated
 _CLOSING_SHARE, _CLOSING_S = 0.05, 0.2
 
 
-class Interrupted(Exception):  # noqa: N818 (no error: nobody outside sees it)
+class Interrupted(Exception):  # noqa: N818 (not an error: it never leaves the library)
     """A kernel was stopped before its end. Raised and caught within the library."""
 
 
 class Budget:
     """Limits on time, boxes and memory of a solve, handed down from stage to stage.
 
-    As a context it runs a thread that watches the clock, because kernels do not: at the limit it sets
-    `stop`. It also repeats the last event after a quarter of a second of silence, so that a caller sees
-    progress and can stop at any time. The listener is then called from this thread as well, but never
-    concurrently.
+    As a context manager, it runs a thread that watches the clock, because kernels do not: at the limit
+    the thread sets `stop`. It also repeats the last event after a quarter of a second without events,
+    so that a caller sees progress and can stop at any time. The listener is then called from this
+    thread as well, but never concurrently.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> fl
 class Rigid3D(CloudSpace):
     """Rigid poses of centred clouds; theta is a quaternion and a translation, y = R x + t.
 
-    Centred clouds have the smallest start box; n <= m is best, see `between`.
+    Centred clouds have the smallest start box, and n <= m is faster; see `between`.
     """
 
     # A unit step of a facet coordinate rotates by 1 to 2 radians, which moves points at the RMS radius

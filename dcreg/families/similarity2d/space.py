@@ -36,7 +36,7 @@ def largest_subset_mean(points: np.ndarray, count: int, n_directions: int = 64) 
 class Similarity2D(FeatureSpace):
     """T(x) = [[t1, -t2], [t2, t1]] x + (t3, t4), DC-Reg section "2D similarity".
 
-    Both clouds are best centred, for good conditioning. In the stationary box, t is a mean of matched y -
+    Centre both clouds for good conditioning. In the stationary box, t is a mean of matched y -
     s R mean of matched x, because the residuals of a stationary point have zero mean.
 
     Parameters
