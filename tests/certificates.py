@@ -45,17 +45,11 @@ def certify(
     theta, value, _ = space.refine(space.identity)
     searched, gap_tol = make_bound(bound, space), n_inliers * tau**2
     found = minimise(
-        space,
-        searched,
-        Budget(nodes=nodes),
-        gap_tol=gap_tol,
-        start=(theta, value),
-        keep_leaves=True,
-    )
-    return record(
-        found, searched.roots[0], problem, frame,
-        family=model, mode="paper", bound=bound, gap_tol=gap_tol,
+        space, searched, Budget(nodes=nodes),
+        gap_tol=gap_tol, start=(theta, value), keep_leaves=True,
     )  # fmt: skip
+    root, names = searched.roots[0], {"model": model, "mode": "paper", "bound": bound}
+    return record(found, root, problem, frame, gap_tol, **names)
 
 
 @cache

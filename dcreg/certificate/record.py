@@ -13,15 +13,7 @@ from dcreg.search import Box, Outcome
 
 
 def record(
-    found: Outcome,
-    start: Box,
-    problem: Problem,
-    frame: Frame,
-    *,
-    family: str,
-    mode: str,
-    bound: str,
-    gap_tol: float,
+    found: Outcome, start: Box, problem: Problem, frame: Frame, gap_tol: float, **names: str
 ) -> Certificate:
     """Return what the search `found` over `start` proves, in normalised units.
 
@@ -35,11 +27,10 @@ def record(
         As given, in its own units.
     frame : Frame
         Of the problem.
-    family : str
-        One of `dcreg.certificate.format.MODELS`.
-    mode, bound : str
     gap_tol : float
         In normalised units.
+    **names : str
+        ``model`` (one of `dcreg.certificate.format.MODELS`), ``mode`` and ``bound``.
     """
     assert found.leaves is not None
     boxes = found.leaves.arrays()
@@ -48,9 +39,6 @@ def record(
     return Certificate(
         source_digest=digest(problem.source),
         target_digest=digest(problem.target),
-        model=family,
-        mode=mode,
-        bound=bound,
         status=found.status.value,
         n_inliers=problem.n_inliers,
         scale_range=np.array(problem.scale_range),
@@ -69,4 +57,5 @@ def record(
         upper_bound=found.upper_bound,
         gap_tol=gap_tol,
         candidates=np.empty((0, 2)) if pairs is None else np.argwhere(pairs),
+        **names,
     )

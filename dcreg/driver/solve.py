@@ -239,10 +239,10 @@ class Finish:
         if not self.normalised.keep_leaves or solution.certified is None:
             return None
         root, found = solution.certified
+        problem, mode, normalised = self.setup.searched[self.at], self.setup.mode, self.normalised
         return record(
-            found, root, self.setup.searched[self.at], self.normalised.frame,
-            family=self.setup.mode.certifies, mode=self.setup.mode.name,
-            bound=self.normalised.bound, gap_tol=self.normalised.gap_tol,
+            found, root, problem, normalised.frame, normalised.gap_tol,
+            model=mode.certifies, mode=mode.name, bound=normalised.bound,
         )  # fmt: skip
 
 
