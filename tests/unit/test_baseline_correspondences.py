@@ -92,8 +92,8 @@ def test_norm_signature_finds_true_pairs_for_any_pose(model: str) -> None:
     assert set(pairs[right, 0]) == set(range(60))
     assert len(np.unique(pairs, axis=0)) == len(pairs)
     clutter = np.vstack([moved, generator.random((20, dim)) + 4.0])
-    beside = Instance("beside", source, clutter, model, 60, scale_range, NOISE, 0)
-    pairs = norm_signature(beside, neighbours=3)
+    cluttered = Instance("cluttered", source, clutter, model, 60, scale_range, NOISE, 0)
+    pairs = norm_signature(cluttered, neighbours=3)
     true = {(int(i), j) for j, i in enumerate(order)}
     assert len({tuple(map(int, pair)) for pair in pairs} & true) > 50
 

@@ -159,7 +159,7 @@ def test_breakdown_everywhere_is_a_failure() -> None:
     assert solution.counters["n_starts"] == 26
 
 
-def test_nodes_are_starts_and_end_a_run_alike_every_time() -> None:
+def test_the_node_limit_counts_initial_poses_and_is_deterministic() -> None:
     limits = Limits(time_s=60.0, nodes=3)
     first, again = (
         best_of_starts(instance_of("rigid3d"), "multi", limits, lambda pose, budget: pose)
@@ -249,7 +249,7 @@ def test_weights_of_a_fit_count_pairs_more_than_once() -> None:
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-def test_fits_side_by_side_are_those_one_by_one(weighted: bool) -> None:
+def test_fits_of_many_clouds_at_once_are_those_one_by_one(weighted: bool) -> None:
     generator = np.random.default_rng(4)
     source, target = generator.standard_normal((2, 5, 7, 2))
     target[0] = source[0] * [-1, 1]  # mirrored

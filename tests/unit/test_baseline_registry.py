@@ -249,7 +249,7 @@ class TestFingerprint:
 
     def test_follows_the_defaults_but_not_the_looks(self, root: Path) -> None:
         before = registry.fingerprint("mine", root)
-        edit_card(root, color="#abcdef", summary="told otherwise", marker="x", ranges={})
+        edit_card(root, color="#abcdef", summary="another", marker="x", ranges={})
         assert registry.fingerprint("mine", root) == before
         edit_card(root, parameters={"move": False})
         assert registry.fingerprint("mine", root) != before

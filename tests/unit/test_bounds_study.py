@@ -11,10 +11,7 @@ from dcreg.search import Box
 from reports import bounds_study as page
 from workflows.studies import bounds as study
 
-SMALL = {
-    "plane": ("fish", "noise", 0.03, 10, {}),
-    "space": ("pony", "noise", 0.02, 10, {}),
-}
+SMALL = {"plane": ("fish", "noise", 0.03, 10, {}), "space": ("pony", "noise", 0.02, 10, {})}
 
 
 @pytest.fixture(scope="module")
@@ -132,10 +129,9 @@ def test_page_is_one_file_for_both_themes(tmp_path, cases, boxes):
     losses = study.losses_table(pd.concat(boxes.values()))
     losses.to_csv(tmp_path / "losses.csv", index=False)
     study.orders_table(losses).to_csv(tmp_path / "orders.csv", index=False)
-    searches = [study.searches_table(name, case, 0.2) for name, case in cases.items()]
+    searches = [study.searches_table(name, case, 0.1) for name, case in cases.items()]
     pd.concat(searches).to_csv(tmp_path / "searches.csv", index=False)
-    built = page.build(tmp_path)
-    text = built.read_text(encoding="utf-8")
+    text = page.build(tmp_path).read_text(encoding="utf-8")
     assert text.count("<svg") == 4  # two figures on two surfaces
     for line in study.lines(cases["plane"]):
         assert line.name in text
@@ -144,4 +140,3 @@ def test_page_is_one_file_for_both_themes(tmp_path, cases, boxes):
         without_names = without_names.replace(namespace, "")
     assert "http://" not in without_names
     assert {path.name for path in tmp_path.glob("*.pdf")} == {"boxes.pdf", "searches.pdf"}
-    assert page.build(tmp_path).read_text(encoding="utf-8") == text, "same tables, same page"

@@ -1,4 +1,4 @@
-"""The ledger of claims: every kind of check brought to each of its verdicts by made-up tables."""
+"""The ledger of claims: hypothetical tables bring every kind of check to each of its verdicts."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ def judged(found: Evidence, *checks: dict, experiment: str = "paper2d", **fields
 
 def figures(check: dict, *tables: pd.DataFrame, **given) -> list[tuple[float, int]]:
     """Figure and number of instances of every part of a check."""
-    at_hand = evidence(*tables, **given)
+    available = evidence(*tables, **given)
     found = CHECKS[check["kind"]](
-        Source(at_hand, at_hand.experiments["paper2d"], ledger().roles), check
+        Source(available, available.experiments["paper2d"], ledger().roles), check
     )
     return [(part.interval.value, part.interval.n) for part in found.parts]
 
@@ -226,14 +226,14 @@ def test_optima_below_the_tolerance_do_not_count_for_bounds():
     assert "instances that ours and rival certify" in found.reason
 
 
-def test_spread_is_set_against_that_of_rivals():
+def test_spread_is_compared_with_that_of_rivals():
     two = runs_of("ours", rmse_excess=lambda level, draw: 0.1 + 0.5 * level)
     four = runs_of("rival", rmse_excess=lambda level, draw: 0.1 + 1.5 * level)
     check = {**SPREAD, "rivals": ["rpm_htb"], "claimed": {"below": 1}}
     assert figures(check, two, four) == [(pytest.approx(0.5), TRIALS)]
 
 
-def test_levels_that_share_no_trials_are_compared_as_they_are():
+def test_levels_without_common_trials_are_compared_unpaired():
     alone = runs_of("ours", rmse_excess=lambda level, draw: 0.1 + level)
     check = {**SLOPE, "rivals": []}
     assert figures(check, alone) == [(pytest.approx(1.0), TRIALS)]
@@ -252,7 +252,7 @@ def test_race_ends_at_the_gap_that_both_reached():
 @pytest.mark.parametrize("ended", ["limited", "finished"])
 @pytest.mark.parametrize(("seconds", "verdict"), [(1.0, REPRODUCED), (6.0, OPEN)])
 def test_a_search_without_any_bound_is_no_tie_in_a_race(ended, seconds, verdict):
-    """It took 10 s, and might have needed any longer; the start, where no search has one, is no gap."""
+    """It took 10 s and might have needed longer; without any bound there is no gap to compare."""
     idle = trace("rival", 10.0).assign(lower_bound=0.0)
     traces = pd.concat([trace("ours", seconds), idle])
     found = judged(evidence(runs_of("ours"), runs_of("rival", outcome=ended), traces=traces), RACE)
@@ -383,7 +383,7 @@ def test_a_run_at_a_limit_took_at_least_its_time(side, verdict):
     [{**RATIO, "claimed": {"within": [0.8, 1.25]}}, {**SLOPE, "claimed": {"within": [-0.1, 0.1]}}],
 )
 def test_a_range_between_the_ends_of_runs_at_a_limit_leaves_it_open(check):
-    """Far too small or far too large is no verdict: the runs might have come to the claimed range."""
+    """Neither far too small nor far too large decides: the runs might have reached the claimed range."""
     mine = runs_of("ours", rmse_excess=lambda level, draw: draw * (0.01 + 2.0 * level))
     other = runs_of("rival", rmse_excess=0.01)
     assert judged(evidence(mine, other), check).verdict == NOT
@@ -494,7 +494,7 @@ def test_times_of_unfinished_runs_count_as_twice_the_limit():
     assert list(times[:3]) == [PENALTY * 10, PENALTY * 10, 3.0]
 
 
-def test_statistics_are_what_they_are_called():
+def test_statistics_have_the_values_of_their_names():
     values = np.array([0.0, 1.0, 2.0, 3.0, 94.0])
     for name, value in (("mean", 20.0), ("median", 2.0), ("maximum", 94.0)):
         assert getattr(intervals, name)(values).value == value

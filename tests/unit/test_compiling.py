@@ -96,7 +96,7 @@ def test_numba_cache_dir_holds_the_compiled_kernels(copy, tmp_path_factory):
 def test_a_read_only_library_still_works(home, copy, tmp_path_factory):
     """The user's own cache serves, or none."""
     cache = tmp_path_factory.mktemp("home")
-    # also where the tests are run by a user who may write anywhere
+    # also if the user of the tests may write everywhere
     code = (
         "import os\nmay = os.access\n"
         f"os.access = lambda path, mode: {home} and str(path).startswith({str(cache)!r})\n" + SUM

@@ -1,4 +1,4 @@
-"""A wrong config is refused before anything runs, with file, key, and a way out."""
+"""A wrong config is refused before anything runs, with file, key and remedy."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ def test_the_configs_of_the_checkout_are_valid(name):
 
 @pytest.mark.parametrize("name", WITH_QUICK)
 def test_quick_parts_have_every_method_and_test_and_end_within_15_minutes(name):
-    """On two cores, if every run took its limit, or, of most methods, what they are known to take.
+    """Every run takes its limit, or what its method took at most; two cores.
 
-    Searches that end by boxes were seen to take 0.4 of their limit in the mean of horse and dino.
+    Searches that stop at the node limit took 0.4 of their time limit on average (horse and dino).
     """
     whole, quick = load(name), load(f"{name}-quick")
     assert quick.name == config.origin(quick.name) == f"{name}-quick"
     assert {m.baseline for m in quick.methods} == {m.baseline for m in whole.methods}
-    if quick.datasets[0].dataset == "threedmatch":  # lists of their own: test_threedmatch.py
+    if quick.datasets[0].dataset == "threedmatch":  # it has separate lists: test_threedmatch.py
         return
     names = [{method.name for method in each.methods} for each in (whole, quick)]
     # where a setting is varied, fewer of its values
@@ -74,19 +74,19 @@ def test_quick_parts_have_every_method_and_test_and_end_within_15_minutes(name):
     tests = [{t for entry in each.datasets for t in entry.tests} for each in (whole, quick)]
     assert tests[0] == tests[1]
     plan = expand(quick)
-    # What methods were seen to take in the mean of a quick part at most, and more.
+    # Upper limits of the mean times that methods took in quick parts.
     at_most = dict.fromkeys(
         ("gnc_tls", "sc2_pcr", "sc2_pcr_pp", "turboreg", "ransac", "fpfh_ransac", "fpfh_fgr",
          "kiss_matcher", "kiss_icp", "icp_open3d", "small_gicp"), 0.1,
     )  # fmt: skip
     at_most |= {name: 0.1 for name in registry.names() if registry.read_card(name).requires}
-    at_most |= dict.fromkeys(("hunter", "dcp", "dgr"), 0.1)  # from a checkout of the user's
+    at_most |= dict.fromkeys(("hunter", "dcp", "dgr"), 0.1)  # from a checkout of the user
     at_most |= {"icp": 0.2, "clipper": 0.2, "mac": 0.5, "cpd": 1.0, "teaser": 0.8, "gore": 0.8}
 
     def seconds_of(method):
         limits = quick.limits_of(method)
-        by_boxes = limits.nodes is not None or limits.nodes_at_100 is not None
-        return min(limits.time_s * (0.5 if by_boxes else 1.0), at_most.get(method.baseline, np.inf))
+        by_nodes = limits.nodes is not None or limits.nodes_at_100 is not None
+        return min(limits.time_s * (0.5 if by_nodes else 1.0), at_most.get(method.baseline, np.inf))
 
     seconds = sum(seconds_of(run.method) for run in plan.runs())
     start_s = 3.0  # of a job, on one core
@@ -116,7 +116,7 @@ def test_quick_part_limits_single_methods_before_they_are_varied(load_quick_part
     assert {whole.limits_of(method).nodes for method in whole.methods} == {None}
 
 
-def test_boxes_are_given_at_100_points_and_reduced_for_larger_clouds():
+def test_nodes_are_given_at_100_points_and_reduced_for_larger_clouds():
     def given(n_source, n_target, **limits):
         clouds = np.zeros((n_source, 2)), np.zeros((n_target, 2))
         instance = Instance("i", *clouds, "similarity2d", 3, (1, 1), 0.1, 0)
@@ -184,7 +184,7 @@ def test_shared_lists_of_methods_are_read_next_to_the_config(write):
         config.load(path)
 
 
-def test_lists_of_this_project_are_there_for_a_config_anywhere(write):
+def test_lists_of_this_project_are_available_to_a_config_anywhere(write):
     assert len(config.load(write({**GOOD, "methods": ["points_2d"]})).methods) > 3
 
 
@@ -198,7 +198,7 @@ def test_a_share_of_pairs_for_a_method_that_counts_none_is_refused(write):
 def test_an_option_that_does_nothing_is_neither_taken_nor_varied(write):
     listed = [
         {"name": "tuned", "baseline": "gnc_tls", "options": {"threshold": "paper"}},
-        {"name": "told", "baseline": "gnc_tls"},
+        {"name": "given", "baseline": "gnc_tls"},
         {"name": "raw", "baseline": "dcreg"},
     ]
     vary = {"noise_factor": [0.5, 2], "max_pairs": [50]}
@@ -220,7 +220,7 @@ def test_settings_are_varied_one_at_a_time_for_the_methods_that_take_them(write)
     listed = [
         {"name": "icp", "baseline": "icp"},
         {"name": "mac", "baseline": "mac"},
-        {"name": "told", "baseline": "icp", "n_inliers_ratio": 1.0},
+        {"name": "given", "baseline": "icp", "n_inliers_ratio": 1.0},
         {"name": "tuned", "baseline": "mac", "options": tuned},
     ]
     vary = {"front_end": ["oracle"], "n_inliers_ratio": [0.5, 1], "noise_factor": [2]}
@@ -230,7 +230,7 @@ def test_settings_are_varied_one_at_a_time_for_the_methods_that_take_them(write)
         ("icp-n_inliers_ratio1", 1.0, {}),
         ("mac-oracle", 1.0, {"front_end": "oracle"}),
         ("mac-noise_factor2", 1.0, {"noise_factor": 2.0}),
-        ("told", 1.0, {}),
+        ("given", 1.0, {}),
         ("tuned", 1.0, tuned),
     ]
     assert [m.label for m in varied[2:4]] == ["MAC (oracle)", "MAC (noise_factor × 2)"]
@@ -251,7 +251,7 @@ def test_settings_are_varied_one_at_a_time_for_the_methods_that_take_them(write)
         ({"noise_factor": []}, "vary.noise_factor: []; list should have at least 1 item"),
     ],
 )
-def test_variations_that_cannot_be_are_refused(write, vary, expected):
+def test_impossible_variations_are_refused(write, vary, expected):
     listed = [{"name": "icp", "baseline": "icp"}, {"name": "mac", "baseline": "mac"}]
     with pytest.raises(ConfigError) as error:
         config.load(write({**GOOD, "methods": listed, "vary": vary}))

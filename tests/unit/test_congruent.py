@@ -1,4 +1,4 @@
-"""Starts from congruent triples: right where many points have no partner, and whatever is odd."""
+"""Initial poses from congruent triples, also if many points have no partner or clouds are degenerate."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from dcreg.search import Budget
 
 
 def partial_overlap(seed, n_common=30, n_clutter=30, noise=0.005):
-    """Clouds of which half has no partner: beside the shape, on either side."""
+    """Clouds of which half has no partner: next to the shape, on either side."""
     rng = np.random.default_rng(seed)
     shape = rng.standard_normal((n_common, 3)) * [1.0, 0.6, 0.3]
     T = np.eye(4)
@@ -70,7 +70,7 @@ def _turned(by):
 
 
 @pytest.mark.parametrize("kind", ["few", "one place", "line", "plane"])
-def test_odd_clouds_still_give_a_start(kind, rng):
+def test_degenerate_clouds_still_give_an_initial_pose(kind, rng):
     source = rng.standard_normal((8, 3))
     if kind == "few":
         source = source[:2]

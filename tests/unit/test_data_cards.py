@@ -120,9 +120,9 @@ def test_a_wrong_card_is_reported_in_one_line_with_an_example(tmp_path, text, me
     path.write_text(text)
     with pytest.raises(
         DataError, match=rf"mine.card\.yaml: {message}[\s\S]*embedded/card\.yaml$"
-    ) as told:
+    ) as error:
         read_card(path)
-    assert "http" not in str(told.value)
+    assert "http" not in str(error.value)
 
 
 def test_the_list_of_data_sets_survives_a_wrong_card(tmp_path, monkeypatch):

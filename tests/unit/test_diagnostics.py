@@ -1,4 +1,4 @@
-"""Every warning: where it is given, where not, and that it names a remedy."""
+"""Every warning: when it is given, when not, and that it names a remedy."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def case(result, source, target, in_norm_space=False, **changes):
     return diagnostics.Case(problem, replace(result, **changes), in_norm_space)
 
 
-def test_nothing_to_say_where_all_is_well():
+def test_a_good_solve_has_no_warnings():
     assert solve(*clouds(), 30, gap_tol=1e-4).warnings == []
 
 
@@ -88,7 +88,7 @@ def test_pairs_that_cost_more_than_the_pose_does():
     assert warning(**made, downsampled=Sample(9, 9, 1)) is None
 
 
-def test_pairs_taken_in_a_hurry_are_not_called_too_many():
+def test_greedy_pairs_are_not_called_too_many():
     source, target = clouds()
     result = solve(source, target, 30)
     late = [*result.stages, dcreg.Stage("all points", 0.1, greedy_assignment=True)]
@@ -137,7 +137,7 @@ def test_too_many_points():
 
 
 def cluttered(n_true=25, n_clutter=55, seed=1):
-    """Two clouds in the plane that share `n_true` points, turned by 69 degrees, among dense clutter."""
+    """Two 2D clouds that share `n_true` points, turned by 69 degrees, among dense clutter."""
     generator = np.random.default_rng(seed)
     shared = generator.random((n_true, 2)) * [2.0, 1.0]
     turn = np.array([[np.cos(1.2), -np.sin(1.2)], [np.sin(1.2), np.cos(1.2)]])
@@ -147,7 +147,7 @@ def cluttered(n_true=25, n_clutter=55, seed=1):
 
 
 @pytest.mark.parametrize(("k", "right"), [(25, True), (65, False)])
-def test_pairs_in_clutter_tell_by_another_pose_whether_they_are_too_many(k, right):
+def test_too_many_pairs_in_clutter_have_a_runner_up_pose_nearly_as_good(k, right):
     result = solve(*cluttered(), k, time_limit=10.0)
     assert (abs(result.rotation_deg - np.degrees(1.2)) < 2.0) == right
     assert (result.runner_up.objective_ratio > 3.0) == right

@@ -39,11 +39,8 @@ def changed(runs, row, **values):
 
 
 def test_times_may_differ_and_missing_numbers_are_equal(runs):
-    other = runs.copy()
-    for column in TIMES:
-        other[column] = {"machine_id": "elsewhere", "is_timed": True, "is_random": True}.get(
-            column, 7.0
-        )
+    values = {"machine_id": "elsewhere", "is_timed": True, "is_random": True}
+    other = runs.assign(**{column: values.get(column, 7.0) for column in TIMES})
     found = differences(runs, other)
     assert runs.isna().any(axis=None)
     assert found.cells.empty
@@ -61,15 +58,14 @@ def test_the_last_digit_of_one_run_is_found(runs):
 
 def test_a_run_at_its_limit_explains_itself_and_what_is_compared_with_it(runs):
     late = changed(runs, 3, is_timed=True, objective=0.5)
-    instance = runs["instance_id"].iloc[3]
-    beside = next(i for i in range(len(runs)) if runs["instance_id"].iloc[i] == instance and i != 3)
-    late = changed(late, beside, objective_best=0.5)
-    assert reasons(runs, late) == {"limit": {runs.index[3]}, "others": {runs.index[beside]}}
+    same_instance = np.flatnonzero(runs["instance_id"] == runs["instance_id"].iloc[3])
+    other = next(row for row in same_instance if row != 3)
+    late = changed(late, other, objective_best=0.5)
+    assert reasons(runs, late) == {"limit": {runs.index[3]}, "others": {runs.index[other]}}
     assert not differences(runs, late).unexplained
     # Without a run that differs by itself nothing explains a different best value.
-    assert reasons(runs, changed(runs, beside, objective_best=0.5)) == {
-        "unexplained": {runs.index[beside]}
-    }
+    unexplained = reasons(runs, changed(runs, other, objective_best=0.5))
+    assert unexplained == {"unexplained": {runs.index[other]}}
 
 
 def test_changed_code_is_the_first_reason_and_no_excuse(runs):

@@ -1,4 +1,4 @@
-"""`docs/extending.md` does what it says: its files are written into a copy and found by discovery."""
+"""The files of `docs/extending.md` are written into a copy of the project and found by discovery."""
 
 import os
 import re

@@ -134,7 +134,7 @@ def test_sparse_matching_proves_itself_near_the_truth(rng, n_inliers):
 
 
 def test_pairs_beyond_the_overlap_are_matched_by_distance(rng):
-    """More pairs than neighbours give: what is left over is matched by distance, not anyhow."""
+    """With more pairs than neighbour lists provide, the rest is matched by distance."""
     flat = np.array([1.0, 1.0, 0.01])
     points, target = rng.random((900, 3)) * flat, rng.random((900, 3)) * flat + [0.45, 0.0, 0.0]
     found = sparse.sparse_matching(points, target, 600, prove=False)

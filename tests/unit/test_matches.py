@@ -205,7 +205,7 @@ def test_without_certificate_nothing_is_claimed():
     assert found.n_nodes == 0
 
 
-def test_listener_hears_of_starts_and_search_and_can_stop():
+def test_listener_receives_the_events_of_both_stages_and_can_stop():
     source, target, matches, _ = planted(20, 60, 1, noise=0.01)
     given = {"inlier_distance": REACH, "gap_tol": 4e-3}
     heard = []
@@ -223,7 +223,7 @@ def test_listener_hears_of_starts_and_search_and_can_stop():
     assert stopped.status is dcreg.Status.STOPPED
 
 
-def test_starts_that_are_cut_short_have_not_come_to_their_end():
+def test_starts_that_the_listener_cuts_are_not_reported_as_finished():
     source, target, matches, _ = planted(40, 400, 1, noise=0.01)
     stop = dcreg.SolveOptions(listener=lambda event: True)
     found = dcreg.register_matches(
@@ -233,7 +233,7 @@ def test_starts_that_are_cut_short_have_not_come_to_their_end():
     assert found.stages[0].n_assignments == 1
 
 
-def test_poses_that_agree_nearly_as_well_are_told():
+def test_poses_that_agree_nearly_as_well_give_a_warning():
     source, target, matches, _ = planted(25, 0, noise=0.005)
     elsewhere = np.vstack([target, target[:22] + 5.0])
     twice = np.vstack([matches, [(i, 25 + i) for i in range(22)]])
@@ -243,7 +243,7 @@ def test_poses_that_agree_nearly_as_well_are_told():
     assert "another pose" in str(found)
 
 
-def test_matches_that_determine_no_pose_are_told():
+def test_matches_that_determine_no_pose_give_a_warning():
     source, target, matches, _ = planted(0, 10, 4)
     found = dcreg.register_matches(source, target, matches, inlier_distance=1e-6, node_limit=20)
     assert 1 <= found.n_inliers < 3
@@ -251,18 +251,18 @@ def test_matches_that_determine_no_pose_are_told():
     assert "do not determine" in str(found)
 
 
-def test_a_search_that_proves_nothing_is_told():
+def test_a_search_that_proves_nothing_gives_a_warning():
     source, target, matches, _ = planted(12, 150, noise=0.02)
     found = dcreg.register_matches(source, target, matches, inlier_distance=REACH, node_limit=16)
     assert found.status is dcreg.Status.NODE_LIMIT
     reached, limit = found.score
-    told = f"up to {limit:.4g} is not ruled out, this one has {reached:.4g}"
-    assert any(told in line and "more time" in line for line in found.warnings)
+    expected = f"up to {limit:.4g} is not ruled out, this one has {reached:.4g}"
+    assert any(expected in line and "more time" in line for line in found.warnings)
 
 
 @pytest.mark.parametrize(("n", "reach", "seed"), [(60, 0.05, 0), (60, 0.2, 0), (200, 0.1, 0)])
-def test_an_agreement_by_chance_is_told(n, reach, seed):
-    """Random matches, of which the first two have no second pose nearly as good as the best."""
+def test_an_agreement_by_chance_gives_a_warning(n, reach, seed):
+    """In the first two cases no second pose is nearly as good as the best."""
     rng = np.random.default_rng(seed)
     source, target = rng.uniform(-1, 1, (2, n, 3))
     matches = np.column_stack([np.arange(n), rng.permutation(n)])

@@ -139,7 +139,7 @@ def test_the_floor_is_below_every_pose(rng):
     assert 0 < noisy.rmse_floor <= noisy.rmse
 
 
-def warped(rng, T_found: np.ndarray, success_rmse: float | None = None) -> Case:
+def deformed(rng, T_found: np.ndarray, success_rmse: float | None = None) -> Case:
     """A pose where the true pairs are so deformed that no similarity reaches an RMSE of 0.1."""
     points, rows = rng.random((40, 2)), np.arange(40)
     bent = points + 0.2 * rng.standard_normal((40, 2))
@@ -149,12 +149,12 @@ def warped(rng, T_found: np.ndarray, success_rmse: float | None = None) -> Case:
 
 
 def test_success_does_not_punish_the_deformation_itself(rng):
-    at_best = warped(rng, np.eye(3))
+    at_best = deformed(rng, np.eye(3))
     assert at_best.rmse == pytest.approx(at_best.rmse_floor)
     assert at_best.rmse > 0.1
     assert at_best.rmse_excess == pytest.approx(0, abs=1e-7)
     assert METRICS["success"].compute(at_best)
-    near, far = (warped(rng, similarity(0, 1, (shift, 0))) for shift in (0.02, 0.2))
+    near, far = (deformed(rng, similarity(0, 1, (shift, 0))) for shift in (0.02, 0.2))
     assert near.rmse_excess == pytest.approx(0.02)
     assert far.rmse_excess == pytest.approx(0.2)
     assert METRICS["success"].compute(near)
@@ -162,7 +162,7 @@ def test_success_does_not_punish_the_deformation_itself(rng):
 
 
 def test_a_published_threshold_is_kept_without_the_floor(rng):
-    assert not METRICS["success"].compute(warped(rng, np.eye(3), 0.2))
+    assert not METRICS["success"].compute(deformed(rng, np.eye(3), 0.2))
 
 
 def test_poses_outside_the_given_range_are_not_admissible(rng):
@@ -179,7 +179,7 @@ def test_poses_outside_the_given_range_are_not_admissible(rng):
     assert allowed(turn, (1.0, 1.0))
 
 
-def test_the_floor_in_space_is_that_of_rigid_poses_in_the_plane_of_similarities(rng):
+def test_the_floor_is_that_of_rigid_poses_in_3d_and_of_similarities_in_2d(rng):
     def floor(dim, linear):
         points, pairs = rng.random((6, dim)), np.column_stack([np.arange(6), np.arange(6)])
         T, scales = np.eye(dim + 1), (1.0, 1.0) if dim == 3 else (0.5, 1.5)
@@ -191,7 +191,7 @@ def test_the_floor_in_space_is_that_of_rigid_poses_in_the_plane_of_similarities(
     assert floor(3, 1.2 * turn) > 0.01
     assert floor(2, 1.2 * np.array([[0.6, -0.8], [0.8, 0.6]])) < 1e-12
     assert floor(2, np.diag([1.0, -1.0])) > 0.01  # no reflection
-    assert floor(2, 1.8 * np.eye(2)) > 0.01  # the scale stays in the told range
+    assert floor(2, 1.8 * np.eye(2)) > 0.01  # the scale stays in the given range
 
 
 RUN = {

@@ -1,4 +1,4 @@
-"""The first incumbent in the plane where only a part of the points is to be matched."""
+"""The initial pose in 2D if only some of the points are to be matched."""
 
 import numpy as np
 import pytest

@@ -132,9 +132,9 @@ def test_truths_come_back_and_are_in_no_file_of_instances(problems, tmp_path, rn
     assert not {"T_true", "pairs"} & set(Instance.__dataclass_fields__)
 
 
-@pytest.mark.parametrize(("ratio", "told"), [(1.0, 7), (0.5, 4), (0.01, 1), (2.0, 7)])
-def test_the_prior_is_a_rounded_share_within_what_can_be_matched(problems, ratio, told):
-    assert problems[1].for_solver(ratio, 0).n_inliers == told
+@pytest.mark.parametrize(("ratio", "expected"), [(1.0, 7), (0.5, 4), (0.01, 1), (2.0, 7)])
+def test_the_prior_is_a_rounded_share_within_what_can_be_matched(problems, ratio, expected):
+    assert problems[1].for_solver(ratio, 0).n_inliers == expected
 
 
 def test_the_content_digest_sees_every_change(problems):
@@ -145,7 +145,7 @@ def test_the_content_digest_sees_every_change(problems):
     assert content_digest(given) == content_digest(problems[0].for_solver(1.0, 0))
 
 
-def test_forget_drops_runs_by_status_and_lines_cut_off_and_nothing_else(tmp_path):
+def test_forget_drops_only_runs_by_status_and_truncated_lines(tmp_path):
     folder = tmp_path / "icp"
     folder.mkdir()
     lines = ['{"run_id": "a", "status": "failed"}', '{"run_id": "b", "status": "optimal"}']

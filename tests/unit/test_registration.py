@@ -127,7 +127,7 @@ def test_node_limit_returns_the_best_pose_with_valid_bounds(model, planar, spati
 
 
 def dense_minimum(model, steps):
-    """Least objective over descents from a regular grid of the start box."""
+    """Return the minimum objective of descents from a regular grid of the start box."""
     (box,) = model.roots()
     axes = [
         np.linspace(a, b, steps if b > a else 1) for a, b in zip(box.lower, box.upper, strict=True)
@@ -174,7 +174,7 @@ def test_all_target_points_equal():
     source = np.random.default_rng(3).random((6, 2))
     target = np.zeros((6, 2)) + 4.0
     result = dcreg.register(source, target, n_inliers=6, model="similarity2d")
-    assert result.scale == pytest.approx(0.5)  # the least admissible scale is best
+    assert result.scale == pytest.approx(0.5)  # the minimum admissible scale is best
 
 
 def test_trace_is_monotone_within_a_stage_and_ends(spatial):
@@ -199,7 +199,7 @@ def test_trace_is_monotone_within_a_stage_and_ends(spatial):
         (30, 30, 30, {"certificate": True}, "paper"),
     ],
 )
-def test_auto_takes_the_mode_for_the_problem(n, m, k, settings, mode, rng):
+def test_auto_selects_the_mode_for_the_problem(n, m, k, settings, mode, rng):
     source, target = rng.standard_normal((n, 3)), rng.standard_normal((m, 3))
     assert choose_mode(Problem(source, target, k, "rigid3d"), **settings) == mode
     few = Problem(source, target, k, "rigid3d", candidates=np.eye(n, m, dtype=bool))
@@ -341,7 +341,7 @@ def test_large_2d_clouds_are_searched_by_a_sample(rng):
 
 
 def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
-    """All their points would leave only norms, which mislead there."""
+    """With all points the mode would be `paper`, whose norms mislead there."""
     monkeypatch.setitem(LARGE_PAIRS, 3, 900)
     monkeypatch.setitem(LARGE_SAMPLE, 3, 25)
     generator = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Pairs of one pose used for fewer pairs at another: true values, and only where the poses are near."""
+"""Pairs of one pose reused for fewer pairs at a pose close by, with exact values."""
 
 from dataclasses import replace
 
@@ -85,7 +85,7 @@ def test_a_sweep_past_its_limit_states_the_pairs_of_its_poses(rng, nothing_after
 
 @pytest.mark.parametrize(("known_angle", "taken"), [(0.0, True), (3.0, False)])
 def test_the_better_pose_of_other_pairs_is_taken(clouds, sample, known_angle, taken):
-    """That of a larger cardinality, refined on all points, may better what a sample gave."""
+    """A larger cardinality's pose, refined on all points, may be better than that of a sample."""
     _, pairs = objective(*clouds, turned(known_angle), 50)
     known = Matched(turned(known_angle), pairs)
     part, found = sample
@@ -137,7 +137,7 @@ def test_a_sample_whose_pose_is_not_refined_to_the_end_ended_at_the_limit(clouds
 
 
 def test_pairs_matched_to_the_end_do_not_stand_in_for_fewer(rng):
-    """Of the best pairs of all points the cheapest few are dearer than the nearest few."""
+    """The cheapest few of the best pairs of all points cost more than the nearest few."""
     source, target = rng.random((1200, 3)), rng.random((1200, 3))
     known = Matched(np.eye(4), objective(source, target, np.eye(4), 1200, prove=False)[1])
     given = quick_objective(Problem(source, target, 300, "rigid3d"), np.eye(4), known, stop=OVER)

@@ -154,10 +154,10 @@ def test_full_mode_is_free_of_the_bias_of_the_norm_objective():
     """Where noise is large and all points match, the norm optimum is off by much; its pose too."""
     instance = make_instance(registry.dataset("embedded"), "saurian", "noise", 0.05, 0, 60)
     source, target, truth = instance.source, instance.target, instance.T_true
-    middle = np.append(source.mean(axis=0), 1.0)  # where no rotation error counts
+    centre = np.append(source.mean(axis=0), 1.0)  # where no rotation error counts
 
     def shift(T):
-        return np.linalg.norm(((T - truth) @ middle)[:3])
+        return np.linalg.norm(((T - truth) @ centre)[:3])
 
     found = {
         mode: register(source, target, n_inliers=60, model="rigid3d", mode=mode)

@@ -1,4 +1,4 @@
-"""The rotation search: its optimum, its limits, and the rotations it must never return."""
+"""The rotation search: its optimum, its limits, and improper rotations, which it never returns."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def planted(rng, n=60, noise=0.03):
 
 
 def check_result(result, source, target):
-    """What must hold whatever the status."""
+    """Check what holds for every status."""
     R = result.rotation
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(R) == pytest.approx(1.0)
@@ -78,7 +78,7 @@ def test_planted_rotation_is_recovered(k, n_outliers, rng):
 
 
 def test_nothing_is_centred(rng):
-    """The search turns about the origin: a shifted copy has no zero-residual rotation."""
+    """The search rotates about the origin: a shifted copy has no rotation with zero residual."""
     source = rng.standard_normal((5, 3))
     target = source + np.array([0.5, 0.0, 0.0])
     result = search_rotation(source, target, 5, gap_tol=1e-3)
@@ -106,7 +106,7 @@ def test_refine_stays_in_a_root_and_never_rises(rng):
 
 
 def test_a_tighter_gap_costs_a_bounded_factor(rng):
-    """Second order pays: a hundred times smaller tolerance must not multiply the boxes likewise."""
+    """The bounds are of second order: a 100 times smaller tolerance needs few more boxes."""
     source, target, _, _ = planted(rng, n=40, noise=0.08)
     loose = search_rotation(source, target, 40, gap_tol=40 * 1e-3, nodes=100_000)
     tight = search_rotation(source, target, 40, gap_tol=40 * 1e-5, nodes=100_000)

@@ -1,4 +1,4 @@
-"""Samples of clouds: spread, and not made of stray points."""
+"""Samples of clouds: spread out, without outliers."""
 
 import numpy as np
 import pytest
@@ -13,18 +13,18 @@ def surface(rng, size):
     return points / np.linalg.norm(points, axis=1, keepdims=True) * [1.0, 0.7, 0.5]
 
 
-def test_samples_are_not_made_of_stray_points(rng):
+def test_samples_leave_out_outliers(rng):
     points = surface(rng, 5000)
-    stray = rng.uniform(-2.0, 2.0, (450, 3))
-    cloud = np.concatenate([points, stray])
+    outliers = rng.uniform(-2.0, 2.0, (450, 3))
+    cloud = np.concatenate([points, outliers])
     taken = representative_points(cloud, 300)
     assert len(taken) == 300
     assert (taken >= 5000).mean() < 0.15
-    assert (farthest_points(cloud, 300) >= 5000).mean() > 0.8  # what it would be otherwise
+    assert (farthest_points(cloud, 300) >= 5000).mean() > 0.8  # without the removal of outliers
 
 
 def test_scans_of_uneven_density_keep_their_extent(rng):
-    """A lidar's points grow sparser with the distance, none of them stray."""
+    """A lidar's points are sparser at larger distances; none is an outlier."""
     angle = rng.uniform(0.0, 2.0 * np.pi, 20_000)
     range_ = np.exp(rng.uniform(0.0, 3.0, 20_000))
     cloud = np.column_stack(
@@ -36,7 +36,7 @@ def test_scans_of_uneven_density_keep_their_extent(rng):
 
 
 @pytest.mark.parametrize("kind", ["few", "equal", "half equal"])
-def test_odd_clouds_lose_nothing(kind, rng):
+def test_degenerate_clouds_keep_all_points(kind, rng):
     points = rng.standard_normal((40, 2))
     if kind == "few":
         points = points[:3]

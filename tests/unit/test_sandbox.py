@@ -1,4 +1,4 @@
-"""Every way a worker can be lost costs one run its status, and nothing else."""
+"""A lost worker gives one run its status and affects no other run."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def sandbox_with(fault: str, log: Path, time_s: float = LIMITS.time_s) -> Sandbo
 
 
 def three_runs(fault: str, log: Path, time_s: float = LIMITS.time_s) -> list[dict]:
-    """A good instance, the unlucky one, a good one."""
+    """Solve a good instance, the faulty one and a good one."""
     with sandbox_with(fault, log, time_s) as sandbox:
         return [sandbox.solve(instance(n)) for n in (10, 13, 11)]
 
 
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory):
-    """A sandbox of a method that goes wrong by the number of points; it starts a worker when needed."""
+    """A sandbox of a method whose fault depends on the number of points."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DCREG_BASELINES_PATH", str(FAULTS))
         with sandbox_with("any", tmp_path_factory.mktemp("sandbox") / "log") as sandbox:
@@ -59,45 +59,42 @@ def faulty(tmp_path_factory):
         pytest.param(26, "failed", "worker died of SIGKILL", id="is killed"),
         pytest.param(27, "failed", "worker died of SIGSEGV", id="crashes"),
         pytest.param(28, "failed", "returned optimal without a pose", id="gives no pose"),
-        pytest.param(
-            29, "failed", "the lower bound 5 above the upper bound 1", id="crosses bounds"
-        ),
+        pytest.param(29, "failed", "lower bound 5 above the upper bound 1", id="crosses bounds"),
         pytest.param(30, "failed", "returned time_limit without a pose", id="gives up"),
         pytest.param(31, "failed", "not finite", id="gives NaN"),
     ],
 )
 def test_a_fault_becomes_its_status_and_the_rest_completes(faulty, n_points, status, message):
-    unlucky, after = faulty.solve(instance(n_points)), faulty.solve(instance(11))
-    assert unlucky["status"] == status
-    assert message in unlucky["message"]
+    faulty_run, after = faulty.solve(instance(n_points)), faulty.solve(instance(11))
+    assert faulty_run["status"] == status
+    assert message in faulty_run["message"]
     assert after["status"] == "converged"
-    assert (unlucky.get("T_target_source") is None) == (status == "failed")
+    assert (faulty_run.get("T_target_source") is None) == (status == "failed")
 
 
 def test_a_worker_that_takes_too_much_memory_is_lost(tmp_path):
-    """With a limit that memory meets before the time, also on a busy machine."""
-    before, unlucky, after = three_runs("grows", tmp_path / "log", time_s=20.0)
-    assert [run["status"] for run in (before, unlucky, after)] == [
-        "converged",
-        "failed",
-        "converged",
-    ]
-    assert "the limit is 600 MB" in unlucky["message"]
-    assert unlucky.get("T_target_source") is None
+    """The memory limit is hit before the time limit, also on a busy machine."""
+    before, faulty_run, after = three_runs("grows", tmp_path / "log", time_s=20.0)
+    assert before["status"] == after["status"] == "converged"
+    assert faulty_run["status"] == "failed"
+    assert "the limit is 600 MB" in faulty_run["message"]
+    assert faulty_run.get("T_target_source") is None
 
 
 def test_a_run_that_compiled_is_repeated_and_not_timed(tmp_path):
-    before, unlucky, after = three_runs("compiles", tmp_path / "log")
-    assert [run["status"] for run in (before, unlucky, after)] == ["converged"] * 3
-    assert unlucky["time_solve_s"] < unlucky["time_warmup_s"]
-    assert unlucky["time_warmup_s"] > before["time_warmup_s"] + 3.0  # where the time went
-    assert after["time_warmup_s"] == unlucky["time_warmup_s"]  # one worker all along
+    before, faulty_run, after = three_runs("compiles", tmp_path / "log")
+    assert [run["status"] for run in (before, faulty_run, after)] == ["converged"] * 3
+    assert faulty_run["time_solve_s"] < faulty_run["time_warmup_s"]
+    assert (
+        faulty_run["time_warmup_s"] > before["time_warmup_s"] + 3.0
+    )  # which contains the compilation
+    assert after["time_warmup_s"] == faulty_run["time_warmup_s"]  # one worker all along
     assert (tmp_path / "log").read_text().count("repeated, as it compiled code") == 1
 
 
 def test_a_method_that_always_compiles_is_timed_in_the_end(tmp_path):
-    _, unlucky, _ = three_runs("always_compiles", tmp_path / "log", time_s=20.0)
-    assert unlucky["status"] == "converged"
+    _, faulty_run, _ = three_runs("always_compiles", tmp_path / "log", time_s=20.0)
+    assert faulty_run["status"] == "converged"
     assert (tmp_path / "log").read_text().count("repeated") == MAX_REPEATS
 
 
@@ -146,9 +143,7 @@ def test_a_worker_starts_with_capped_threads(tmp_path, monkeypatch):
     try:
         environ = {}
         until = time.monotonic() + 20.0
-        while (
-            "OMP_NUM_THREADS" not in environ and time.monotonic() < until
-        ):  # before its start: none
+        while "OMP_NUM_THREADS" not in environ and time.monotonic() < until:  # not yet started
             environ = psutil.Process(worker.process.pid).environ()
     finally:
         worker.kill()

@@ -1,4 +1,4 @@
-"""Algorithm 1 on a function without geometry, so that its own promises are tested alone."""
+"""Branch and bound on a function without geometry."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Starts in the plane from pairs of points: right where half of the points have no partner."""
+"""Initial poses in 2D from pairs of points, also if half of the points have no partner."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ RANGE = (0.5, 1.5)
 
 
 def partial_overlap(seed, n_common=40, n_clutter=40, scale=0.8):
-    """Clouds of which half has no partner: beside the shape, on either side; and the true parameter."""
+    """Clouds of which half has no partner: next to the shape, on either side; and the true parameter."""
     rng = np.random.default_rng(seed)
     shape = rng.standard_normal((n_common, 2)) * [1.0, 0.6]
     turn = scale * np.exp(2.1j)
@@ -76,7 +76,7 @@ def test_pairs_that_are_not_feasible_give_no_pose():
 
 
 @pytest.mark.parametrize("kind", ["one", "one place", "line"])
-def test_odd_clouds_still_give_a_start(kind, rng):
+def test_degenerate_clouds_still_give_an_initial_pose(kind, rng):
     source = rng.standard_normal((8, 2))
     if kind == "one":
         source = source[:1]

@@ -131,7 +131,7 @@ def test_normals_of_a_plane():
     assert np.abs(normals_of(points, points)[:, 2]) == pytest.approx(np.ones(50))
 
 
-def test_few_points_and_no_agreement_give_an_answer_all_the_same():
+def test_few_points_without_agreement_still_give_a_pose():
     rng = np.random.default_rng(0)
     source, target = rng.random((4, 3)), 10.0 * rng.random((4, 3))
     rows = np.column_stack([np.arange(4)] * 2)
@@ -147,20 +147,20 @@ def test_few_points_and_no_agreement_give_an_answer_all_the_same():
         ({"score": "surfaces", "certify": True}, "certify: bounds refer to the cost of matches"),
     ],
 )
-def test_what_cannot_be_is_refused(options, message):
+def test_impossible_options_are_refused(options, message):
     points, rows = np.random.default_rng(0).random((8, 3)), np.column_stack([np.arange(8)] * 2)
     with pytest.raises(dcreg.InputError, match=message):
         dcreg.register_matches(points, points, rows, inlier_distance=0.1, **options)
 
 
-def test_a_stray_point_does_not_blur_the_grid():
+def test_an_outlier_does_not_blur_the_grid():
     source, target = room(2000, 1), room(2000, 2)
     alone = Surfaces(source, target, REACH).scores(np.eye(3, 4)[None])
-    strayed = Surfaces(source, np.vstack([target, [[500.0, 0.0, 0.0]]]), REACH)
-    assert strayed.scores(np.eye(3, 4)[None]) == pytest.approx(alone, rel=0.03)
+    with_outlier = Surfaces(source, np.vstack([target, [[500.0, 0.0, 0.0]]]), REACH)
+    assert with_outlier.scores(np.eye(3, 4)[None]) == pytest.approx(alone, rel=0.03)
 
 
-def test_normals_are_those_of_all_points_where_some_are_drawn(monkeypatch):
+def test_a_sample_of_the_source_has_the_normals_of_all_points(monkeypatch):
     cloud = room(3000, 1)
     whole = Surfaces(cloud, cloud, REACH).scores(np.eye(3, 4)[None])[0] / 3000
     monkeypatch.setattr("dcreg.families.matches.surfaces.MAX_SOURCE", 300)

@@ -67,11 +67,11 @@ def test_every_optimum_is_that_of_a_single_call(found, separate):
 
 
 def test_one_search_serves_several_cardinalities(found, separate):
-    """The regression signal of the sweep's purpose: here it saves about a third."""
+    """A sweep saves about a third of the nodes here."""
     nodes = [result.n_nodes for result in found.results]
     alone = [result.n_nodes for result in separate]
     assert sum(nodes) < 0.7 * sum(alone)
-    # nothing to prove for 16 pairs: their objective is below the tolerance; 18 and 20 are served
+    # the objective for 16 pairs is below the tolerance; 18 and 20 are certified by other searches
     assert found.proven_by == [None, 17, 17, 19, 19, 22, 24]
     for k, n, by in zip(COUNTS, nodes, found.proven_by, strict=True):
         assert (n > 0) == (by == k)
@@ -203,7 +203,7 @@ def test_time_limit_covers_the_whole_sweep_and_keeps_what_is_finished(processor_
     limited = sweep(*flat(40, 60, noise=0.05), [20, 25, 30, 60], **settings)
     assert watch.since_first() <= 1.1 * limit + 1.0
     assert limited.status is Status.TIME_LIMIT
-    # the hard ones do not use up the time of the easy one
+    # the difficult cardinalities leave time for the easy one
     assert limited.results[-1].status is Status.OPTIMAL
     for result in limited.results:
         assert 0.0 <= result.lower_bound <= result.upper_bound < np.inf
@@ -291,7 +291,7 @@ def test_candidates_hold_for_every_cardinality(clouds):
         assert mask[tuple(mine.assignment.T)].all()
         assert abs(mine.upper_bound - alone.upper_bound) <= mine.gap_tol
         assert mine.upper_bound >= other.lower_bound
-    # twenty true pairs of which two are ruled out: the sweep must notice
+    # two of the twenty true pairs are infeasible
     assert found.results[2].upper_bound > free.results[2].upper_bound
 
 
@@ -344,7 +344,7 @@ def test_polish_of_a_sweep_ends_with_its_time():
 
 
 def test_poses_are_not_exchanged_past_the_limit(monkeypatch):
-    """A neighbour's pose is tried only while there is time: one descent each is all that is left."""
+    """Poses of neighbours are tried only before the limit; then each has one descent."""
     calls = []
     refine = Similarity2D.refine
     monkeypatch.setattr(
@@ -357,7 +357,7 @@ def test_poses_are_not_exchanged_past_the_limit(monkeypatch):
 
 @pytest.mark.parametrize("time_limit", [1e-9, 0.5])
 def test_a_pose_reaches_all_cardinalities_though_the_time_is_over(monkeypatch, time_limit):
-    """One good start is enough for all: none is left with a pose that its neighbour's betters."""
+    """One good initial pose is enough: no cardinality keeps a pose worse than its neighbour's."""
     start = Similarity2D.start
 
     def first_well(space, budget, enough):
@@ -387,7 +387,7 @@ def test_time_of_descents_is_counted(found):
         assert 0.0 < result.stages[0].time_s <= result.time_solve_s
 
 
-# --- as `register` does it --------------------------------------------------------------------------
+# --- in agreement with `register` ----------------------------------------------------------------
 
 
 def test_every_cardinality_has_the_warnings_of_a_single_call(clouds):
@@ -400,7 +400,7 @@ def test_every_cardinality_has_the_warnings_of_a_single_call(clouds):
         mine, its = ([line.split()[:4] for line in found.warnings] for found in (result, alone))
         assert mine == its
     (scale,) = [line for line in swept.warnings if "scale_range" in line]
-    assert scale.startswith("the scale 1.5 is at the limit")  # said once
+    assert scale.startswith("the scale 1.5 is at the limit")  # stated once
     assert f"warning: {scale}" in str(swept)
 
 

@@ -199,7 +199,7 @@ def test_shared_matches_are_nearest_neighbours_in_order(monkeypatch):
 
 
 def test_features_with_oriented_normals_do_not_depend_on_the_pose():
-    """Of a room's corner turned about the sensor; signs left to chance change with the pose."""
+    """The scene rotates about the sensor; without a viewpoint, normals flip with the pose."""
     pytest.importorskip("open3d")
     rng = np.random.default_rng(0)
     walls = [rng.uniform(0, 1, (200, 3)) * np.delete(np.eye(3), k, 0).sum(axis=0) for k in range(3)]

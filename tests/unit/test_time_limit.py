@@ -1,4 +1,4 @@
-"""Limits hold in every mode and at any size, a caller hears of progress and can stop."""
+"""Limits hold in every mode and at any size; a listener receives progress and can stop a solve."""
 
 import json
 import resource
@@ -63,7 +63,7 @@ def test_polish_past_the_limit_only_evaluates_the_pose(time_s, moves):
 
 
 def pair_of_clouds(size, dim):
-    """A cloud and a moved other sample of the same box: nothing closes soon."""
+    """A cloud and a moved second sample of the same volume: no box is pruned soon."""
     generator = np.random.default_rng(size)
     extent = np.array([1.0, 0.7, 0.4])[:dim]
     return generator.random((size, dim)) * extent, generator.random((size, dim)) * extent + 3.0
@@ -93,10 +93,10 @@ def test_a_set_stop_flag_ends_a_kernel():
     ],
 )
 def test_every_mode_keeps_the_limit_and_reports_progress(model, mode, bound, size, processor_clock):
-    """At most a tenth of the limit and a second later, of the processor's time."""
+    """It ends at most a tenth of the limit and a second late, in processor time."""
     clouds, watch, limit = pair_of_clouds(size, MODEL_DIM[model]), Stopwatch(), 0.5
     settings = {"n_inliers": 0.5, "model": model, "mode": mode, "bound": bound}
-    # what has to be compiled or loaded comes before the clock
+    # compile and load before the clock starts
     register(*(cloud[:40] for cloud in clouds), **settings, node_limit=100)
     result = register(*clouds, **settings, gap_tol=1e-12, time_limit=limit, listener=watch)
     assert result.time_solve_s <= 1.1 * limit + 1.0
@@ -108,7 +108,7 @@ def test_every_mode_keeps_the_limit_and_reports_progress(model, mode, bound, siz
 
 
 def test_a_caller_can_stop_within_a_kernel(processor_clock):
-    """Heartbeats come while a kernel runs."""
+    """Heartbeats are emitted while a kernel runs."""
     watch = Stopwatch(stops=lambda event: event.kind == "heartbeat")
     result = register(
         *pair_of_clouds(1000, 3), n_inliers=0.5, model="rigid3d", mode="full", listener=watch
@@ -162,7 +162,7 @@ def test_kernels_of_a_stage_are_stopped_at_its_end(set_clock):
 
 
 def test_the_closing_work_of_a_stage_ends_before_the_next_stage(set_clock):
-    """Later than the stage's own end, by its share of what follows the limit."""
+    """The closing work has its share of the time after the limit."""
     with Budget(20.0) as budget:
         stage = budget.isolated_sub_budget(0.01)
         set_clock.now += 0.201
@@ -242,7 +242,7 @@ def test_an_error_of_a_listener_reaches_the_caller():
 
 
 def children_cpu_s():
-    """Seconds of the processor that all children took that have ended."""
+    """Processor time of all child processes that have ended, in seconds."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 

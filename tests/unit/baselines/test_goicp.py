@@ -28,8 +28,8 @@ def planted(n: int = 25, outliers: int = 5, unit: float = 1.0, noise: float = 0.
     truth = homogeneous(1.0, turn, np.array([0.4, -0.2, 0.3]))
     target = apply_pose(truth, shape) + noise * generator.standard_normal(shape.shape) / np.sqrt(3)
     source = np.vstack([shape, generator.uniform(-0.5, 0.5, (outliers, 3))])
-    strays = generator.uniform(-0.5, 0.5, (outliers, 3)) + truth[:3, 3]
-    target = generator.permutation(np.vstack([target, strays]))
+    others = generator.uniform(-0.5, 0.5, (outliers, 3)) + truth[:3, 3]
+    target = generator.permutation(np.vstack([target, others]))
     truth[:3, 3] *= unit
     clouds = unit * source, unit * target
     return Instance("p", *clouds, "rigid3d", n, (1, 1), unit * noise, 3), truth

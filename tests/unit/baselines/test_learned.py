@@ -87,7 +87,7 @@ DCP_MODEL = """
         def eval(self):
             return self
         def __call__(self, source, target):
-            device = torch.device("cuda")  # as the authors' code says, whatever there is
+            device = torch.device("cuda")  # as in the authors' code, also without a GPU
             x, y = (cloud.values[0].T.astype(float) for cloud in (source, target))
             assert abs(x).max() <= 1 and source.values.dtype == torch.float32
             rotation, translation = fit(x, y)

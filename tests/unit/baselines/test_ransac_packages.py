@@ -27,7 +27,7 @@ def row_pose(correspondences: np.ndarray) -> np.ndarray:
     return fit_pose(correspondences[:, :3], correspondences[:, 3:], (1.0, 1.0)).T
 
 
-class Told:
+class Calls:
     """What the stand-ins were called with."""
 
     threshold: float
@@ -35,17 +35,17 @@ class Told:
 
 
 @pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch) -> Told:
-    told = Told()
+def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    calls = Calls()
 
     def find(correspondences: np.ndarray, **options: object) -> tuple[np.ndarray | None, None]:
-        told.threshold = options["threshold"]
-        return row_pose(correspondences) if told.finds else None, None
+        calls.threshold = options["threshold"]
+        return row_pose(correspondences) if calls.finds else None, None
 
     def estimate(correspondences: np.ndarray, sizes: np.ndarray, config: object) -> tuple:
         np.testing.assert_array_equal(sizes, correspondences.max(axis=0))
-        told.threshold = config.inlier_threshold
-        return row_pose(correspondences) if told.finds else None, [], 0.0, 1
+        calls.threshold = config.inlier_threshold
+        return row_pose(correspondences) if calls.finds else None, [], 0.0, 1
 
     gc = types.SimpleNamespace(findRigidTransform=find)
     super_ = types.SimpleNamespace(
@@ -56,7 +56,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> Told:
     )
     monkeypatch.setitem(sys.modules, "pygcransac", gc)
     monkeypatch.setitem(sys.modules, "pysuperansac", super_)
-    return told
+    return calls
 
 
 def problem() -> tuple[Instance, np.ndarray]:
@@ -67,17 +67,17 @@ def problem() -> tuple[Instance, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_pose_is_that_of_the_clouds_as_they_are(name: str, told: Told) -> None:
+def test_pose_is_in_the_coordinates_of_the_clouds(name: str, calls: Calls) -> None:
     instance, truth = problem()
     method = registry.load(name, noise_factor=1.5)
     found = method.estimate(instance, rows_as_pairs(30), Budget()).pose
     np.testing.assert_allclose(found, truth, atol=1e-9)
-    assert told.threshold == pytest.approx(0.03)
+    assert calls.threshold == pytest.approx(0.03)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_no_pose_of_the_package_is_no_pose(name: str, told: Told) -> None:
-    told.finds = False
+def test_a_package_that_finds_no_pose_gives_none(name: str, calls: Calls) -> None:
+    calls.finds = False
     found = registry.load(name).estimate(problem()[0], rows_as_pairs(30), Budget())
     assert found.pose is None
 
