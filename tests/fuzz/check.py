@@ -57,16 +57,9 @@ def optimum(problem: FuzzProblem, gap_tol: float) -> tuple[float, float, bool]:
     """Enclosure of the optimum, and whether it is as narrow as it should be."""
     source, target, k = problem.source, problem.target, problem.n_inliers
     allowed = problem.allowed
-    if problem.family == "similarity2d":
-        low, high = problem.settings["scale_range"]
-        value = reference.optimum_similarity2d(
-            source - source.mean(axis=0), target - target.mean(axis=0), allowed, k, low, high
-        )
-        return value, value, True
-    if problem.family == "rigid3d":
-        value = reference.optimum_rigid3d(
-            source - source.mean(axis=0), target - target.mean(axis=0), allowed, k
-        )
+    if problem.family != "norm3d":
+        source, target = (points - points.mean(axis=0) for points in (source, target))
+        value = reference.optimum(source, target, allowed, k, *problem.scale_range)
         return value, value, True
     x, norms, allowed = _norm_space(problem)
     lower, upper = reference.enclose_norm3d(x, norms, allowed, k, 0.5 * gap_tol, MAX_CUBES)
@@ -107,7 +100,7 @@ def _slack(problem: FuzzProblem) -> float:
 def _pose_faults(problem: FuzzProblem, result: Result, slack: float) -> list[str]:
     faults = []
     d = problem.source.shape[1]
-    low, high = problem.settings.get("scale_range", (1.0, 1.0))
+    low, high = problem.scale_range
     for name, T in (
         ("T_certified", result.T_certified),
         ("T_target_source", result.T_target_source),

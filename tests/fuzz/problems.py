@@ -36,6 +36,10 @@ class FuzzProblem:
     allowed: np.ndarray  # (n, m) bool: which pairs may be matched
     settings: dict[str, Any]
 
+    @property
+    def scale_range(self) -> tuple[float, float]:
+        return self.settings.get("scale_range", (1.0, 1.0))
+
     def solve(self) -> Result:
         return dcreg.register(
             self.source,

@@ -16,8 +16,6 @@ import math
 import numba
 import numpy as np
 
-MAX_POINTS = 8
-
 
 def jit(function):
     return numba.njit(function, cache=True, error_model="numpy")
@@ -27,37 +25,30 @@ def jit(function):
 
 
 @jit
-def optimum_similarity2d(source, target, allowed, k, low, high):
-    """Least sum of squared residuals over k-matchings of allowed pairs and similarities."""
+def optimum(source, target, allowed, k, low, high):
+    """Least sum of squared residuals over k-matchings of allowed pairs and poses of the dimension.
+
+    These are similarities with a scale in a range in 2D, and proper rigid poses in 3D.
+    """
     n, m = allowed.shape
-    x = source[:, 0] + 1j * source[:, 1]
-    y = target[:, 0] + 1j * target[:, 1]
     column = np.full(n, -2)  # of a row: -2 not yet tried, -1 left out
     used = np.zeros(m, np.bool_)
-    best = np.inf
-    sums = np.zeros(
-        (n + 1, 5), np.complex128
-    )  # over the rows before: x, y, |x|^2, |y|^2, conj(x) y
     count = np.zeros(n + 1, np.int64)
+    best = np.inf
     row = 0
     while row >= 0:
         if count[row] == k:
-            best = min(best, _similarity_cost(sums[row], k, low, high))
+            if source.shape[1] == 2:
+                cost = _similarity_cost(source, target, column[:row], k, low, high)
+            else:
+                cost = _rigid_cost(source, target, column[:row], k)
+            best = min(best, cost)
             row -= 1
             continue
         if row == n or not _advance(row, column, used, allowed, k - count[row]):
             row -= 1
             continue
-        j = column[row]
-        count[row + 1] = count[row] + (j >= 0)
-        for a in range(5):
-            sums[row + 1, a] = sums[row, a]
-        if j >= 0:
-            sums[row + 1, 0] += x[row]
-            sums[row + 1, 1] += y[j]
-            sums[row + 1, 2] += abs(x[row]) ** 2
-            sums[row + 1, 3] += abs(y[j]) ** 2
-            sums[row + 1, 4] += np.conj(x[row]) * y[j]
+        count[row + 1] = count[row] + (column[row] >= 0)
         row += 1
         if row < n:
             column[row] = -2
@@ -88,36 +79,23 @@ def _advance(row, column, used, allowed, missing):
 
 
 @jit
-def _similarity_cost(sums, k, low, high):
-    a = sums[2].real - abs(sums[0]) ** 2 / k
-    b = sums[3].real - abs(sums[1]) ** 2 / k
-    c = abs(sums[4] - np.conj(sums[0]) * sums[1] / k)
+def _similarity_cost(source, target, column, k, low, high):
+    sum_x, sum_y, sum_xy = 0j, 0j, 0j
+    square_x, square_y = 0.0, 0.0
+    for i in range(column.size):
+        if column[i] >= 0:
+            x = complex(source[i, 0], source[i, 1])
+            y = complex(target[column[i], 0], target[column[i], 1])
+            sum_x += x
+            sum_y += y
+            sum_xy += np.conj(x) * y
+            square_x += abs(x) ** 2
+            square_y += abs(y) ** 2
+    a = square_x - abs(sum_x) ** 2 / k
+    b = square_y - abs(sum_y) ** 2 / k
+    c = abs(sum_xy - np.conj(sum_x) * sum_y / k)
     scale = high if c >= high * a else max(low, c / a)
     return max(0.0, scale * scale * a - 2.0 * scale * c + b)
-
-
-@jit
-def optimum_rigid3d(source, target, allowed, k):
-    """Least sum of squared residuals over k-matchings of allowed pairs and proper rigid poses."""
-    n, m = allowed.shape
-    column = np.full(n, -2)
-    used = np.zeros(m, np.bool_)
-    count = np.zeros(n + 1, np.int64)
-    best = np.inf
-    row = 0
-    while row >= 0:
-        if count[row] == k:
-            best = min(best, _rigid_cost(source, target, column[:row], k))
-            row -= 1
-            continue
-        if row == n or not _advance(row, column, used, allowed, k - count[row]):
-            row -= 1
-            continue
-        count[row + 1] = count[row] + (column[row] >= 0)
-        row += 1
-        if row < n:
-            column[row] = -2
-    return best
 
 
 @jit

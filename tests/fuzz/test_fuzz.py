@@ -78,13 +78,11 @@ def test_reference_equals_fits_to_all_matchings(seed):
     allowed = rng.random((n, m)) < 0.8
     allowed[np.arange(min(n, m)), np.arange(min(n, m))] = True
     k = int(rng.integers(1, min(n, m) + 1))
-    x, y = rng.standard_normal((n, 2)), rng.standard_normal((m, 2))
-    expected = brute_force(x, y, allowed, k, (0.5, 1.5))
-    found = reference.optimum_similarity2d(x, y, allowed, k, 0.5, 1.5)
-    assert found == pytest.approx(expected, abs=1e-9)
-    x, y = rng.standard_normal((n, 3)), rng.standard_normal((m, 3))
-    expected = brute_force(x, y, allowed, k, (1.0, 1.0))
-    assert reference.optimum_rigid3d(x, y, allowed, k) == pytest.approx(expected, abs=1e-9)
+    for dim, scales in ((2, (0.5, 1.5)), (3, (1.0, 1.0))):
+        x, y = rng.standard_normal((n, dim)), rng.standard_normal((m, dim))
+        expected = brute_force(x, y, allowed, k, scales)
+        found = reference.optimum(x, y, allowed, k, *scales)
+        assert found == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -22,7 +22,7 @@ from dcreg.names import BOUND_NAMES
 from dcreg.problem import InputError, Problem
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Box, Boxes
-from tests.fuzz.reference import optimum_rigid3d
+from tests.fuzz.reference import optimum as true_optimum
 from tests.oracles import kernels as reference
 from tests.oracles.matchings import matchings
 from tests.problems import register
@@ -194,7 +194,7 @@ def test_rigid_vertex_bound_is_tight_where_only_forbidden_pairs_are_better():
 @pytest.mark.parametrize("seed", range(15))
 def test_mode_full_finds_the_rigid_optimum_over_feasible_pairs(seed, start_box):
     x, y, k, mask = feasible_problem(seed, 3)
-    optimum = optimum_rigid3d(x, y, mask, k)
+    optimum = true_optimum(x, y, mask, k, 1.0, 1.0)
     found = register(
         x,
         y,

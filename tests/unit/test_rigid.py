@@ -12,7 +12,7 @@ from dcreg.families.rigid3d.kernels.vertices import price_vertices
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem.geometry import fit_pose
 from dcreg.status import Status
-from tests.fuzz.reference import optimum_rigid3d
+from tests.fuzz import reference
 from tests.problems import KINDS, cloud, register
 from tests.searches import normalised, search_rigid
 from workflows.disturb import make_instance
@@ -57,7 +57,7 @@ def test_search_finds_the_exhaustive_optimum(kind, sizes, rng):
         target[: min(n, m)] = source[: min(n, m)] * [1.0, 1.0, -1.0]
     gap_tol = 1e-2 * k
     result = search_rigid(source, target, k, gap_tol=gap_tol)
-    best = optimum_rigid3d(source, target, np.ones((n, m), bool), k)
+    best = reference.optimum(source, target, np.ones((n, m), bool), k, 1.0, 1.0)
     check_result(result, source, target, k)
     assert result.status is Status.OPTIMAL
     assert result.lower_bound <= best + 1e-9
