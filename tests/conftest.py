@@ -20,7 +20,9 @@ HERE = Path(__file__).parent
 # Files that start first, because they run longest: both cores then finish together.
 LONGEST = ("workflow/test_dag.py", "workflow/test_report_browser.py")
 # Files whose tests share nothing that is expensive to make: any worker may take a part of them.
-SPREAD = ("bad_input/test_bad_input.py", "unit/test_compiling.py", "fuzz/test_fuzz.py")
+SPREAD = ("unit/test_compiling.py", "fuzz/test_fuzz.py")
+# A file shares the worker of another one whose fixture it uses.
+WITH = {"unit/test_report.py": "workflow/test_report_browser.py"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -33,7 +35,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         parameters = item.callspec.params if hasattr(item, "callspec") else {}
         part = parameters.get("name", "") if file.startswith("contract/") else ""
         if file not in SPREAD:
-            item.add_marker(pytest.mark.xdist_group(f"{file}{part}"))
+            item.add_marker(pytest.mark.xdist_group(f"{WITH.get(file, file)}{part}"))
     first = (*LONGEST, *SPREAD)
     order = {file: place for place, file in enumerate(first)}
     items.sort(key=lambda item: order.get(item.path.relative_to(HERE).as_posix(), len(first)))
@@ -42,6 +44,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20260326)
+
+
+@pytest.fixture(scope="session")
+def made_report(tmp_path_factory) -> Path:
+    """The folder of a report, with its made-up tables."""
+    from reports.build import build
+    from tests.unit.report_fixture import write_tables
+
+    folder = tmp_path_factory.mktemp("report")
+    build(write_tables(folder / "tables"), folder / "index.html")
+    return folder
 
 
 @pytest.fixture

@@ -27,6 +27,10 @@ from tests.bad_input.case import CLOUDS, Case
 
 SECONDS = 120  # of a case that hangs, however busy the machine is
 EXTRA_MEMORY = 3 * 2**30  # bytes of address space beyond what is loaded
+LOADED_LATE = (
+    "pydantic", "scipy.io", "typer.rich_utils", "workflows.config",
+    "dcreg.cli.progress", "dcreg.driver.solve", "dcreg.driver.sweep",
+)  # fmt: skip
 COUNTS = ("tracebacks", "hangs", "memory deaths", "accepted", "unclear messages")
 
 
@@ -35,7 +39,7 @@ def main(areas: list[str]) -> int:
     names = Counter((case.area, case.name) for case in cases)
     twice = [name for name, count in names.items() if count > 1]
     assert not twice, f"the same name twice: {twice}"
-    for name in ("scipy.io", "rich.console", "dcreg.driver.solve", "dcreg.driver.sweep"):
+    for name in LOADED_LATE:
         importlib.import_module(name)  # here, not in every process
     found: Counter[str] = Counter()
     for case in cases:
