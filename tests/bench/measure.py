@@ -11,6 +11,11 @@ from typing import Any
 
 from tests.bench.cases import Case, Subject
 
+NUMBERS = (
+    "bound", "mode", "n_inliers", "n_nodes", "n_assignments",
+    "lower_bound", "upper_bound", "gap", "gap_tol", "rmse_matched",
+)  # fmt: skip
+
 
 def measure(case: Case, subject: Subject) -> dict[str, Any]:
     """Solve `case.rounds` times; the fastest counts."""
@@ -29,24 +34,15 @@ def measure(case: Case, subject: Subject) -> dict[str, Any]:
                 "case": case.name,
                 "subject": str(subject),
                 "n_points": subject.n_points,
-                "bound": result.bound,
-                "mode": result.mode,
-                "n_inliers": result.n_inliers,
                 "status": result.status.value,
                 "scope": result.certificate_scope,
                 "time_s": time_s,
-                "n_nodes": result.n_nodes,
-                "n_assignments": result.n_assignments,
                 "search_status": search.status.value if search.status else "",
                 "search_time_s": search.time_s,
                 "search_nodes": search.n_nodes,
                 "search_assignments": search.n_assignments,
-                "lower_bound": result.lower_bound,
-                "upper_bound": result.upper_bound,
-                "gap": result.gap,
-                "gap_tol": result.gap_tol,
-                "rmse_matched": result.rmse_matched,
                 "peak_mb": peak_memory_mb(),
+                **{name: getattr(result, name) for name in NUMBERS},
             }
     return best
 

@@ -31,7 +31,7 @@ def profile(name: str) -> None:
     result = case.solve(subject, time_limit=20.0)
     profiler.disable()
     entries = [
-        (own, f"{file.rpartition('dcreg/')[2]}: {function}", "dcreg/kernels" in file)
+        (own, f"{file.rpartition('dcreg/')[2]}: {function}", "/kernels" in file)
         for (file, _, function), (_, _, own, _, _) in pstats.Stats(profiler).stats.items()
     ]
     total = sum(own for own, _, _ in entries)

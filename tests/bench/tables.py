@@ -68,13 +68,8 @@ def markdown(rows: list[Row]) -> str:
 def targets(solves: pd.DataFrame) -> list[Row]:
     """Every line of the target table; what was not measured says so."""
     by_case = dict(list(solves.groupby("case", sort=False)))
-    rows: list[Row] = []
-    for add in (
-        _complete, _mixed, _median, _hard, _norm3d, _mixed3d, _large, _growth, _threads, _goicp,
-        _survey, _memory,
-    ):  # fmt: skip
-        rows += add(by_case)
-    return rows
+    tables = (_ratios, _times, _growth, _goicp, _survey, _memory)
+    return [row for table in tables for row in table(by_case)]
 
 
 Cases = dict[str, pd.DataFrame]
@@ -105,13 +100,13 @@ def _ratio(
 
 def _time(
     cases: Cases, name: str, measure: str, most: float, statistic: Callable = np.max, stage: str = "",
-    keep: Callable[[pd.DataFrame], pd.Series] | None = None,
+    subjects: str = "",
 ) -> Row:  # fmt: skip
-    """A time to the certificate; a solve that ended at a limit has none."""
+    """A time to the certificate of matching subjects; a solve that ended at a limit has none."""
     target = f"≤ {most:g} s"
     if name not in cases:
         return _missing(measure, target)
-    part = cases[name] if keep is None else cases[name][keep(cases[name])]
+    part = cases[name][cases[name]["subject"].str.contains(subjects)]
     times = part[f"{stage}time_s"].where(part[f"{stage}status"].eq("optimal"), np.inf)
     value = float(statistic(times))
     closed = int(np.isfinite(times).sum())
@@ -132,69 +127,54 @@ def _missing(measure: str, target: str) -> Row:
     return Row(measure, target, np.nan, NOT_MEASURED, None, "not in this selection, or no data")
 
 
-def _complete(cases: Cases) -> list[Row]:
-    rows = []
-    for prefix, what in (
-        ("complete-safe", "fish and character, plain start box as in the paper"),
-        ("complete-reduced", "fish and character, reduced start box (default)"),
-        ("embedded-reduced", "embedded fish and glyph, reduced start box"),
-    ):
-        for column, unit in (("n_assignments", "assignments"), ("time_s", "time")):
-            measure = f"2D, all points match: {unit}, paper / tight; {what}"
-            rows.append(_ratio(cases, f"{prefix}/paper", f"{prefix}/tight", column, measure, 50))
-    return rows
-
-
-def _mixed(cases: Cases) -> list[Row]:
+def _ratios(cases: Cases) -> list[Row]:
+    """Paper / tight, and one thread / two threads."""
+    rows = [
+        _ratio(cases, f"{prefix}/dc", f"{prefix}/tight", column,
+               f"2D, all points match: {unit}, paper / tight; {what}", 50)
+        for prefix, what in (
+            ("complete-safe", "fish and character, plain start box as in the paper"),
+            ("complete-reduced", "fish and character, reduced start box (default)"),
+            ("embedded-reduced", "embedded fish and glyph, reduced start box"),
+        )
+        for column, unit in (("n_assignments", "assignments"), ("time_s", "time"))
+    ]  # fmt: skip
     measure = "2D, 30 % mixed outliers: time, paper / tight"
-    return [_ratio(cases, "mixed/dc", "mixed/tight", "time_s", measure, 40)]
+    rows.append(_ratio(cases, "mixed/dc", "mixed/tight", "time_s", measure, 40))
+    rows += [
+        _ratio(cases, f"{prefix}norm3d/dc", f"{prefix}norm3d/tight", "search_time_s",
+               f"3D norm translation, 100 points all matched ({what}; tolerance at tau 0.01): time, "
+               "paper with general assignment / tight", 300, "search_")
+        for prefix, what in (("", "horse, dino"), ("embedded-", "embedded pony"))
+    ]  # fmt: skip
+    return rows + [
+        _ratio(cases, f"{name}/tight", f"{name}/tight-2-threads", "time_s",
+               f"one thread / two threads, {name} outliers: time", 1.7)
+        for name in ("separate", "mixed")
+    ]  # fmt: skip
 
 
-def _median(cases: Cases) -> list[Row]:
+def _times(cases: Cases) -> list[Row]:
+    """Times to the certificate."""
     measure = f"2D, median time over {len(MEDIAN)} fish and character def and noise, one core"
-    return [_time(cases, "median/tight", measure, 0.1, np.median)]
-
-
-def _hard(cases: Cases) -> list[Row]:
-    return [
+    rows = [_time(cases, "median/tight", measure, 0.1, np.median)]
+    rows += [
         _time(cases, f"{name}/tight{suffix}", f"2D, {what}: certificate, slowest, {threads}", 10)
         for name, what in (("separate", "separate outliers 0.6"), ("half", "n_p = 1/2"))
         for suffix, threads in (("", "one thread"), ("-2-threads", "two threads"))
     ]
-
-
-def _norm3d(cases: Cases) -> list[Row]:
-    return [
-        _ratio(cases, f"{p}norm3d/dc", f"{p}norm3d/tight", "search_time_s",
-               f"3D norm translation, 100 points all matched ({what}; tolerance at tau 0.01): time, "
-               "paper with general assignment / tight", 300, "search_")
-        for p, what in (("", "horse, dino"), ("embedded-", "embedded pony"))
-    ]  # fmt: skip
-
-
-def _mixed3d(cases: Cases) -> list[Row]:
-    return [
-        _time(
-            cases, "mixed3d/tight",
-            f"3D, 100 inliers, noise, {words}: certificate of the translation, slowest", 10,
-            stage="search_", keep=lambda part, e=ending: part["subject"].str.contains(e),
+    mixed = "3D, 100 inliers, noise, {}: certificate of the translation, slowest"
+    all_matched = "3D, 10,000 points all matched: certificate of the translation"
+    return rows + [
+        _time(cases, name, measure, most, stage="search_", subjects=subjects)
+        for name, measure, most, subjects in (
+            ("mixed3d/tight", mixed.format("50 mixed outliers per set"), 10, r"/0\.5/.*0\.03$"),
+            ("mixed3d/tight", mixed.format("100 mixed outliers per set"), 10, r"/1/.*0\.03$"),
+            ("mixed3d/tight",
+             mixed.format("50 mixed outliers per set, 100 times smaller tolerance"), 10, "tau"),
+            ("large3d/tight", all_matched, 3, "^(?!.*tau)"),
+            ("large3d/tight", f"{all_matched}, 36 times smaller tolerance", 3, "tau"),
         )
-        for ending, words in (
-            (r"/0\.5/.*0\.03$", "50 mixed outliers per set"),
-            (r"/1/.*0\.03$", "100 mixed outliers per set"),
-            (r"tau", "50 mixed outliers per set, 100 times smaller tolerance"),
-        )
-    ]  # fmt: skip
-
-
-def _large(cases: Cases) -> list[Row]:
-    measure = "3D, 10,000 points all matched: certificate of the translation"
-    return [
-        _time(
-            cases, "large3d/tight", measure + words, 3, stage="search_",
-            keep=lambda part, small=small: part["subject"].str.contains("tau") == small,
-        )
-        for small, words in ((False, ""), (True, ", 36 times smaller tolerance"))
     ]  # fmt: skip
 
 
@@ -215,14 +195,6 @@ def _growth(cases: Cases) -> list[Row]:
         )
         rows.append(Row(measure, "reported", slope, shown, None, f"exponent {slope:.2f}"))
     return rows
-
-
-def _threads(cases: Cases) -> list[Row]:
-    return [
-        _ratio(cases, f"{name}/tight", f"{name}/tight-2-threads", "time_s",
-               f"one thread / two threads, {what}: time", 1.7)
-        for name, what in (("separate", "separate outliers"), ("mixed", "mixed outliers"))
-    ]  # fmt: skip
 
 
 def _goicp(cases: Cases) -> list[Row]:

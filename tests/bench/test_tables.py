@@ -77,6 +77,16 @@ def test_every_target_has_its_row_also_unmeasured():
     assert text.count("\n") == len(rows) + 2
 
 
+def test_every_row_names_cases_of_the_benchmark():
+    solved = [
+        solve(case.name, str(subject), n_points=subject.n_points)
+        for case in CASES.values()
+        for subject in case.subjects
+    ]
+    rows = targets(pd.DataFrame(solved))
+    assert not [row.measure for row in rows if row.shown == NOT_MEASURED]
+
+
 def test_a_measured_solve_has_what_the_tables_need():
     case = CASES["embedded-norm3d/tight"]
     row = measure(case, case.subjects[0])
