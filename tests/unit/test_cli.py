@@ -31,13 +31,8 @@ class Fake:
         self.result, self.called = result, None
 
     def __call__(self, source, target, n_inliers, *, options, **keywords):
-        self.called = {
-            "source": source,
-            "target": target,
-            "n_inliers": n_inliers,
-            **keywords,
-            **vars(options),
-        }
+        clouds = {"source": source, "target": target}
+        self.called = clouds | {"n_inliers": n_inliers, **keywords, **vars(options)}
         options.listener(event("end", upper=1.0, status=self.result.status.value))
         return self.result
 
@@ -162,32 +157,23 @@ def test_help_lists_what_is_accepted():
 # --- bad input ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("which", [0, 1])
-def test_bad_file_exits_2_and_names_it(call, tmp_path, fake, which):
+def test_bad_file_exits_2_and_names_it(call, tmp_path, fake):
     bad = tmp_path / "bad.csv"
     bad.write_text("1,2\n3,nan\n")
-    call[1 + which] = bad
+    call[1] = bad
     outcome = run(*call)
     assert outcome.exit_code == 2
     assert outcome.stderr == f"error: {bad}: line 2 holds NaN or infinity; remove that point\n"
     assert fake.called is None
 
 
-@pytest.mark.parametrize("option", ["--json", "--trace", "--plot"])
-def test_unwritable_outputs_stop_before_the_search(call, cloud_files, tmp_path, fake, option):
+def test_an_output_that_is_an_input_stops_before_the_search(call, cloud_files, fake):
     source, _ = cloud_files
     before = source.read_bytes()
-    for path, words in [
-        (tmp_path / "absent" / "out.html", ["no folder", "create it first"]),
-        (tmp_path, ["not a regular file"]),
-        (source, ["is also an input"]),
-        (source / "out", ["no folder"]),
-    ]:
-        outcome = run(*call, option, path)
-        assert outcome.exit_code == 2
-        assert f"{option} {path}" in outcome.stderr
-        for word in words:
-            assert word in outcome.stderr
+    outcome = run(*call, "--json", source)
+    assert outcome.exit_code == 2
+    assert f"--json {source}" in outcome.stderr
+    assert "is also an input" in outcome.stderr
     assert fake.called is None
     assert source.read_bytes() == before
 
