@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -18,13 +19,15 @@ from data.registry import dataset
 from data.threedmatch.loader import read_csv
 from dcreg.status import Status
 from reports.threedmatch import draw
-from workflows.config import DatasetSettings, Experiment, MethodSettings, load, parse_selection
+from workflows import config
+from workflows.config import DatasetSettings, Experiment, MethodSettings, parse_selection
 from workflows.instances import Problem, content_digest, read_problems, write_problems
 from workflows.metrics import METRICS, Case
 from workflows.stages import generate
 from workflows.stages.plan import InstanceSpec, expand, run_identity
 from workflows.studies.threedmatch import against_overlap, not_attempted, recalls, with_pairs
 
+load = cache(config.load)  # a second each
 LISTS = ("threedmatch", "threedlomatch", "threedmatch_oriented")
 MATCHES = np.column_stack([np.arange(30), np.arange(30)])
 
@@ -61,8 +64,8 @@ def test_configs_have_every_pair_of_every_list():
     planned = Counter(
         instance.test
         for name in LISTS
-        for config in (name, f"{name}-quick")
-        for chunk in expand(load(config), parse_selection(["methods=ransac"])).chunks
+        for part in (name, f"{name}-quick")
+        for chunk in expand(load(part), parse_selection(["methods=ransac"])).chunks
         for instance in chunk.instances
     )
     planned["3DLoMatch"] //= 2  # alone, and with the other list
