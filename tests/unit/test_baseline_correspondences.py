@@ -152,7 +152,7 @@ def test_without_a_pose_at_the_limit_all_pairs_give_one(monkeypatch: pytest.Monk
     monkeypatch.setattr(method, "estimate", lambda *_: Estimate(None, finished=False))
     solution = method.solve(planted("rigid3d", 20, 0.0)[0], LIMITS)
     assert solution.status is Status.TIME_LIMIT
-    assert "least-squares one of all pairs" in solution.message
+    assert "least-squares fit to all pairs" in solution.message
     assert np.isfinite(solution.T_target_source).all()
 
 
