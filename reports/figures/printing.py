@@ -63,7 +63,7 @@ def rendered(figure: MplFigure, kind: str, surface: str | None = None) -> bytes:
     date = "CreationDate" if kind == "pdf" else "Date"
     with style(surface):
         figure.savefig(stream, format=kind, metadata={date: None})
-    figure.set_layout_engine("none")  # the layout is done; the next file shares it
+    figure.set_layout_engine(None)  # the layout is done; the next file shares it
     return stream.getvalue()
 
 
