@@ -17,13 +17,14 @@ import shutil
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import quote
-
-import pooch
-import requests
 
 from data.contract import DataError, File
 from dcreg.files import whole_file
+
+if TYPE_CHECKING:
+    import requests
 
 log = logging.getLogger(__name__)
 CHECKOUT = Path(__file__).parents[1]
@@ -116,6 +117,9 @@ def _from_origin(file: File, tried: list[str]) -> Path | None:
 
 
 def _download(file: File, url: str, tried: list[str]) -> Path | None:
+    import pooch  # only here: most runs find their files in the cache or in a folder
+    import requests
+
     log.info("fetching %s", url)
     download = pooch.HTTPDownloader(progressbar=False, timeout=TIMEOUT_S)
     try:
@@ -163,4 +167,5 @@ def _digest_of(path: Path, git: bool) -> str:
     if git:  # git hashes a header with the length, then the content
         content = path.read_bytes()
         return "git-sha1:" + hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
-    return "sha256:" + pooch.file_hash(str(path), alg="sha256")
+    with path.open("rb") as stream:
+        return "sha256:" + hashlib.file_digest(stream, "sha256").hexdigest()

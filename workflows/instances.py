@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from baselines._shared.front_ends import SHARED, oracle_pairs
 from baselines.contract import Instance
 from data.sampling import farthest_points
 from dcreg.files import whole_file
@@ -77,6 +76,8 @@ class Truth:
 
 def with_oracle(instance: Instance, truth: Truth, outliers: float) -> Instance:
     """Add true and random pairs, unmarked, for methods with the oracle front end."""
+    from baselines._shared.front_ends import oracle_pairs  # loads Numba, which a plan does not need
+
     n, m = len(instance.source), len(instance.target)
     draw = seed("oracle", instance.instance_id)
     pairs = oracle_pairs(truth.pairs, n, m, outliers, draw)
@@ -93,6 +94,8 @@ def content_digest(instance: Instance) -> str:
 
 
 def write_problems(path: Path, problems: Iterable[Problem]) -> None:
+    from baselines._shared.front_ends import SHARED
+
     problems = list(problems)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as part, part.open("wb") as stream:
@@ -118,6 +121,8 @@ def _matches(problem: Problem, name: str) -> np.ndarray:
 
 
 def read_problems(path: Path) -> list[Problem]:
+    from baselines._shared.front_ends import SHARED
+
     with np.load(path, allow_pickle=False) as archive:
         file = dict(archive)
     matches = {name: _unpacked(name, file) for name in SHARED}

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dcreg.files import whole_file
 from workflows import UserError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # 2: without n_bound_evals, which always equalled n_nodes.
 # 3: success above the floor; errors and objective_true against the fit to the true pairs.
@@ -154,12 +155,16 @@ def check_version(version: Any, where: str, remedy: str) -> None:
 
 def frame(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, Column]) -> pd.DataFrame:
     """Return a table of exactly these columns; absent numbers become NaN, absent texts empty."""
+    import pandas as pd  # takes long to load, and a plan needs no tables
+
     table = pd.DataFrame(list(rows), columns=list(columns))
     return conform(table, columns, "new table")
 
 
 def conform(table: pd.DataFrame, columns: Mapping[str, Column], where: str) -> pd.DataFrame:
     """Return the table with the documented columns, in order and of the documented kinds."""
+    import pandas as pd
+
     if "schema_version" in columns:
         for version in table.get("schema_version", pd.Series([None])).unique():
             check_version(version, where, RUN_AGAIN)
@@ -198,6 +203,8 @@ def write(table: pd.DataFrame, path: Path, *, csv: bool = False) -> None:
 
 def read(path: Path, columns: Mapping[str, Column]) -> pd.DataFrame:
     """Read a table and check its version and columns."""
+    import pandas as pd
+
     if not path.is_file():
         raise SchemaError(f"{path}: no such table; run the experiment first")
     return conform(pd.read_parquet(path), columns, str(path))

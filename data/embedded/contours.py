@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 # Strokes are control points of smooth curves; a closed stroke returns to its first point. The glyph is
 # invented and has no meaning.
@@ -91,6 +90,8 @@ def sample_strokes(strokes: list[Stroke], n_points: int) -> np.ndarray:
 
 def _dense(closed: bool, control: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the curve at many parameters, and the length up to each."""
+    from scipy.interpolate import CubicSpline  # takes long to load; a plan needs no points
+
     if closed:
         control = np.vstack([control, control[:1]])
     chord = np.cumsum(np.r_[0, np.linalg.norm(np.diff(control, axis=0), axis=1) ** 0.5])

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from baselines._shared.front_ends import shared_matches
 from baselines.contract import NOISE_FACTOR, Instance
 from baselines.dependencies import files_behind
 from data import registry
@@ -35,6 +34,8 @@ def generate(chunk: Chunk, instances_path: Path, truth_path: Path) -> None:
 
 def problem_of(spec: InstanceSpec, raw: RawInstance) -> Problem:
     """Return what solvers may receive: points, and the two priors that all methods share."""
+    from baselines._shared.front_ends import shared_matches  # loads Numba
+
     return Problem(
         instance_id=spec.instance_id,
         model=spec.model,

@@ -14,9 +14,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from data import registry
 from dcreg.problem import suggestion
@@ -29,6 +27,9 @@ from workflows.config import (
     Selection,
 )
 from workflows.hashing import digest
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MAX_NAME = 100  # letters of a folder's name
 SHORT = {"similarity2d": "2d", "rigid3d": "3d"}
