@@ -172,12 +172,14 @@ def _runs_here(method: MethodSettings) -> bool:
 
 
 def _kept(plan: Plan, folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the finished runs of the plan's methods by run_id."""
-    return {
-        row["run_id"]: row
-        for method in plan.methods
-        for row in journalled(folder / "runs" / method.name).values()
-    }
+    """Return the finished runs of the plan's methods by run_id, if possible those of the present code."""
+    kept: dict[str, dict[str, Any]] = {}
+    for method in plan.methods:
+        fingerprint = registry.fingerprint(method.baseline)
+        for row in journalled(folder / "runs" / method.name).values():
+            if kept.get(row["run_id"], {}).get("fingerprint") != fingerprint:
+                kept[row["run_id"]] = row
+    return kept
 
 
 def _times(
