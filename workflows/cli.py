@@ -8,12 +8,11 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Annotated, Any, NoReturn
 
+import psutil
 import typer
 
 from data.contract import DataError
 from workflows import UserError
-
-BEGAN = time.perf_counter()
 
 Experiment = Annotated[
     str, typer.Argument(help="Name of a config in workflows/configs, or a path.")
@@ -39,7 +38,7 @@ def user_errors(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def say(text: str) -> None:
     """Print a line of progress with the seconds that this process has taken."""
-    print(f"{text}; {time.perf_counter() - BEGAN:.1f} s", flush=True)
+    print(f"{text}; {time.time() - psutil.Process().create_time():.1f} s", flush=True)
 
 
 def stop(message: str) -> NoReturn:

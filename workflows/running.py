@@ -42,6 +42,7 @@ def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
     command = [
         *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
         *("--keep-going", "--rerun-incomplete", "--quiet", "all"),
+        "--force-use-threads",  # otherwise each job is run by another Snakemake
         # `the_only_run` has the lock: Snakemake's own lock would remain after a kill.
         *("--nolock", "--directory", str(directory), *arguments),
     ]

@@ -15,5 +15,5 @@ rule aggregate:
         sources=sources(
             "workflows/stages/aggregate.py", "workflows/attribution.py", "workflows/records.py"
         ),
-    shell:
-        "{STAGE} aggregate {CHOICE} {OUT}"
+    run:
+        run_stage("workflows", "aggregate", *CHOICE, OUT)

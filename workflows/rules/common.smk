@@ -12,6 +12,7 @@ from snakemake.logging import logger
 
 from baselines import registry
 from workflows.config import ConfigError, load, origin, parse_selection
+from workflows.forking import run_stage
 from workflows.hashing import digest, digest_files
 from workflows.stages.plan import expand, method_identity
 
@@ -34,9 +35,8 @@ OUT = f"results/{EXPERIMENT.name}"  # instances and runs
 VIEW = str(Path(OUT) / PLAN.view)  # plan, metrics, tables and report: of the whole, or of a part
 JOBS = [(method.name, chunk.name) for method, chunk in PLAN.jobs()]
 
-# Every stage is `{STAGE} <name> {CHOICE} ...` in a separate process.
-CHOICE = " ".join([f"'{CONFIG}'", *(f"--select '{part}'" for part in SELECT)])
-STAGE = f"'{sys.executable}' -m workflows"
+# Every stage is `python -m workflows <name> *CHOICE ...` in a separate process.
+CHOICE = [CONFIG, *(word for part in SELECT for word in ("--select", part))]
 os.environ["PYTHONPATH"] = os.pathsep.join(
     [workflow.basedir, *filter(None, [os.environ.get("PYTHONPATH")])]
 )

@@ -3,6 +3,6 @@ rule record:
     input:
         rules.aggregate.output,
     params:
-        version=f"--version '{config['version']}'" if config.get("version") else "",
-    shell:
-        "{STAGE} record {VIEW} {params.version}"
+        version=["--version", str(config["version"])] if config.get("version") else [],
+    run:
+        run_stage("workflows", "record", VIEW, *params.version)

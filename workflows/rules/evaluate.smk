@@ -8,5 +8,5 @@ rule evaluate:
         f"{VIEW}/metrics/metrics.parquet",
     params:
         sources=sources("workflows/stages/evaluate.py", "workflows/metrics"),
-    shell:
-        "{STAGE} evaluate {OUT} --plan {VIEW}/plan/plan.parquet --out {output}"
+    run:
+        run_stage("workflows", "evaluate", OUT, "--plan", input[0], "--out", output[0])

@@ -10,5 +10,5 @@ rule fetch:
         cards=fetch_cards,
     resources:
         fetching=1,
-    shell:
-        "{STAGE} fetch {CHOICE} --chunk {wildcards.chunk} --out {output}"
+    run:
+        run_stage("workflows", "fetch", *CHOICE, "--chunk", wildcards.chunk, "--out", output[0])

@@ -14,6 +14,6 @@ rule generate:
         truth=f"{OUT}/truth/{{chunk}}.npz",
     params:
         sources=generate_sources,
-    shell:
-        "{STAGE} generate {CHOICE} --chunk {wildcards.chunk}"
-        " --instances {output.instances} --truth {output.truth}"
+    run:
+        written = ["--instances", output.instances, "--truth", output.truth]
+        run_stage("workflows", "generate", *CHOICE, "--chunk", wildcards.chunk, *written)

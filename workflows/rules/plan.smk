@@ -4,5 +4,5 @@ rule plan:
     params:
         plan=digest([EXPERIMENT.model_dump(), PLAN.selection.model_dump()]),
         sources=sources("workflows/stages/plan.py", "workflows/records.py"),
-    shell:
-        "{STAGE} plan {CHOICE} --out {output}"
+    run:
+        run_stage("workflows", "plan", *CHOICE, "--out", output[0])

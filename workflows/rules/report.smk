@@ -6,5 +6,5 @@ rule report:
         f"{VIEW}/report/index.html",
     params:
         sources=sources("reports"),
-    shell:
-        "'{sys.executable}' -m reports experiment {VIEW}/tables {output}"
+    run:
+        run_stage("reports", "experiment", f"{VIEW}/tables", output[0])

@@ -17,9 +17,9 @@ rule solve:
     params:
         identity=solve_identity,
         fingerprint=solve_fingerprint,
-        truth=lambda wildcards: " ".join(f"--truth {path}" for path in oracle_truth(wildcards)),
     resources:
         timing=1,
-    shell:
-        "{STAGE} solve {CHOICE} --method {wildcards.method} --instances {input.instances}"
-        " {params.truth} --out {output.runs}"
+    run:
+        truth = [word for path in oracle_truth(wildcards) for word in ("--truth", path)]
+        files = ["--instances", input.instances, *truth, "--out", output.runs]
+        run_stage("workflows", "solve", *CHOICE, "--method", wildcards.method, *files)

@@ -1,0 +1,36 @@
+"""Run the stages of a workflow in processes that share their imports.
+
+The first stage starts a server process that has imported what most stages need; it forks for every stage.
+A stage has its own process, as before, but does not load pandas, SciPy and the configuration again.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+
+_context = multiprocessing.get_context("forkserver")
+_context.set_forkserver_preload(["workflows.preload"])
+
+
+class StageError(RuntimeError):
+    """A stage has failed; it has printed why."""
+
+
+def run_stage(program: str, *arguments: str) -> None:
+    """Run ``python -m PROGRAM ARGUMENTS`` in a forked process and wait for its end.
+
+    Raises
+    ------
+    StageError
+    """
+    stage = _context.Process(target=_main, args=(program, arguments))
+    stage.start()
+    stage.join()
+    if stage.exitcode:
+        raise StageError(f"`{program} {' '.join(arguments)}` ended with exit code {stage.exitcode}")
+
+
+def _main(program: str, arguments: tuple[str, ...]) -> None:
+    from importlib import import_module
+
+    import_module(f"{program}.__main__").app(arguments)
