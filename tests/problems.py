@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 import dcreg
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
-from dcreg.search import Box
+from dcreg.search import Box, Boxes
+from tests.oracles.kernels import objective
 
 OPTION_NAMES = {field.name for field in dataclasses.fields(dcreg.SolveOptions)}
 
@@ -30,6 +31,7 @@ def sweep(*given: Any, **settings: Any) -> dcreg.SweepResult:
     return dcreg.sweep(*given, **keywords(**settings))
 
 
+SEEDS = st.integers(0, 2**32 - 1)
 KINDS = ["general", "duplicates", "collinear", "noisy copy", "grid"]
 
 
@@ -45,40 +47,78 @@ def cloud(generator, size, dim, kind):
 
 
 @st.composite
-def models(draw, families=("similarity2d", "norm3d"), max_points=6):
-    """A model over a random normalised problem with 1 <= n_inliers <= min(n, m)."""
-    family = draw(st.sampled_from(families))
-    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+def cloud_pairs(draw, dim, kinds=(), max_points=6):
+    """Source, target and 1 <= n_inliers <= min(n, m); `kinds` are added to `KINDS`."""
+    generator = np.random.default_rng(draw(SEEDS))
     n, m = draw(st.integers(1, max_points)), draw(st.integers(1, max_points))
-    kind = draw(st.sampled_from(KINDS))
-    dim = 2 if family == "similarity2d" else 3
-    source = cloud(generator, n, dim, kind)
-    target = cloud(generator, m, dim, kind)
+    kind = draw(st.sampled_from([*KINDS, *kinds]))
+    source, target = cloud(generator, n, dim, kind), cloud(generator, m, dim, kind)
+    both = min(n, m)
     if kind == "noisy copy":
-        both = min(n, m)
         target[:both] = source[:both] + 0.05 * generator.standard_normal((both, dim))
-    n_inliers = draw(st.integers(1, min(n, m)))
+    elif kind == "mirrored":
+        target[:both] = source[:both] * [1.0, 1.0, -1.0]
+    elif kind == "with origin":
+        source[0] = target[-1] = 0.0
+    return source, target, draw(st.integers(1, both))
+
+
+def model_of(family, source, target, n_inliers, **settings):
     if family == "similarity2d":
-        model = Similarity2D(
-            source, target, n_inliers, (0.5, 1.5), stationary_box=draw(st.booleans())
-        )
-    else:
-        model = Translation3D(source, target, n_inliers, stationary_box=draw(st.booleans()))
-    model.target = target  # for tests that build the same problem anew
+        return Similarity2D(source, target, n_inliers, (0.5, 1.5), **settings)
+    return Translation3D(source, target, n_inliers, **settings)
+
+
+@st.composite
+def models(draw, families=("similarity2d", "norm3d"), max_points=6):
+    """A model over a random normalised problem."""
+    family = draw(st.sampled_from(families))
+    points = draw(cloud_pairs(2 if family == "similarity2d" else 3, max_points=max_points))
+    model = model_of(family, *points, stationary_box=draw(st.booleans()))
+    model.target = points[1]  # for tests that build the same problem again
     return model
 
 
 @st.composite
-def boxes(draw, dim):
-    """A box of random place and size; some axes may have zero width."""
-    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+def models_with_boxes(draw, **kwargs):
+    """A model and a box of random place and size; some axes may have zero width."""
+    model, generator = draw(models(**kwargs)), np.random.default_rng(draw(SEEDS))
+    dim = model.axis_weights.size
     centre = generator.uniform(-1.5, 1.5, dim)
     half = draw(st.sampled_from([1.0, 0.3, 0.1, 0.01])) * generator.uniform(0.2, 1.0, dim)
     half[generator.random(dim) < 0.15] = 0.0
-    return Box(centre - half, centre + half)
+    return model, Box(centre - half, centre + half)
 
 
 @st.composite
-def models_with_boxes(draw, **kwargs):
-    model = draw(models(**kwargs))
-    return model, draw(boxes(model.axis_weights.size))
+def facet_boxes(draw, roots, halves=(1.0, 0.5, 0.1, 0.01)):
+    """A box inside one of the roots, of any place and size; some axes may have zero width.
+
+    Rotations, the first four axes, and translations have sizes of their own.
+    """
+    generator = np.random.default_rng(draw(SEEDS))
+    root = draw(st.sampled_from(roots))
+    centre, half = generator.uniform(-1.0, 1.0, root.dim), generator.uniform(0.2, 1.0, root.dim)
+    half[:4] *= draw(st.sampled_from(halves))
+    half[4:] *= draw(st.sampled_from(halves))
+    half[generator.random(root.dim) < 0.1] = 0.0
+    return Box(
+        np.clip(centre - half, root.lower, root.upper),
+        np.clip(centre + half, root.lower, root.upper),
+    )
+
+
+def thetas_in(box, count=40):
+    """Random parameters of a box, and its vertices."""
+    return np.concatenate([box.sample(np.random.default_rng(0), count), box.vertices()])
+
+
+def minimum_over(model, thetas):
+    """Minimum of the reference objective over the admissible parameters; inf if there are none."""
+    admissible = thetas[model.admissible(thetas)]
+    return min((objective(model, theta) for theta in admissible), default=np.inf)
+
+
+def lower_bound(bound, box, cutoff=np.inf):
+    """The bound of a single box."""
+    return bound.evaluate(Boxes.of([box]), cutoff).lower_bounds[0]

@@ -11,6 +11,7 @@ from dcreg.families.rotation3d.bound import RotationBound
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.problem import Frame
 from dcreg.search import Budget, minimise
+from dcreg.status import Status
 
 
 def search_rotation(source, target, k, *, gap_tol, candidates=None, threads=1, **limits):
@@ -42,10 +43,18 @@ def search_rigid(source, target, k, **settings):
     problem = normalised(source - x, target - y, k, **settings)
     solution = find_mode("rigid3d", "full").run(problem)
     solution.T[:3, 3] += y - solution.T[:3, :3] @ x
-    return _with_work(solution)
-
-
-def _with_work(solution):
     names = ("n_nodes", "n_assignments", "time_s")
     work = {name: sum(getattr(stage, name) for stage in solution.stages) for name in names}
     return SimpleNamespace(**vars(solution), **work)
+
+
+def is_certified(found, optimum, gap_tol):
+    """Check the bounds against the true optimum; return whether the optimum is certified."""
+    slack = 1e-8 * (1 + optimum)
+    assert found.lower_bound <= optimum + slack
+    assert found.upper_bound >= optimum - slack
+    if found.status is not Status.OPTIMAL:
+        return False
+    assert found.upper_bound <= optimum + gap_tol + slack
+    assert found.upper_bound - found.lower_bound <= gap_tol + slack
+    return True

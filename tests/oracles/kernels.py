@@ -53,8 +53,7 @@ def objective(space: FeatureSpace, theta: np.ndarray) -> float:
 def curvature(space: FeatureSpace, delta: np.ndarray) -> np.ndarray:
     """|J_i delta|^2; in norm space J_i is the identity."""
     if isinstance(space, Similarity2D):
-        a, b, tx, ty = delta
-        return ((space.source @ np.array([[a, b], [-b, a]]) + [tx, ty]) ** 2).sum(axis=1)
+        return (features(space, delta) ** 2).sum(axis=1)  # features are linear in theta
     return np.full(len(space.source), float(delta @ delta))
 
 

@@ -4,37 +4,28 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
+from baselines.hbsp.rotation import SemidefiniteRotationBound
 from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.families.rotation3d.bound import RotationBound
 from dcreg.families.rotation3d.kernels import rotation as kernels
 from dcreg.families.rotation3d.kernels.caps import cap_costs
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Box, Boxes, LongestEdge
-from tests.problems import KINDS, cloud
+from tests.oracles.kernels import k_assignment
+from tests.problems import cloud_pairs, facet_boxes, lower_bound, thetas_in
 
 
 def rotation_of(theta):
     return Rotation.from_quat(theta, scalar_first=True)
 
 
-def exact_assignment(cost, k):
-    """A second solver: SciPy on the padded square."""
-    n, m = cost.shape
-    padded = np.zeros((n + m - k, n + m - k))
-    padded[:n, :m] = cost
-    padded[n:, m:] = 1e3 * (1.0 + np.abs(cost).max())
-    rows, columns = linear_sum_assignment(padded)
-    return padded[rows, columns].sum()
-
-
 def objective(source, target, k, theta):
     moved = rotation_of(theta).apply(source)
-    return exact_assignment(((moved[:, None] - target[None]) ** 2).sum(axis=-1), k)
+    return k_assignment(((moved[:, None] - target[None]) ** 2).sum(axis=-1), k)
 
 
 def exact_b1(source, target, k, box):
@@ -46,11 +37,11 @@ def exact_b1(source, target, k, box):
     products = np.maximum(a[:, None] * y, 1e-300)
     between = np.arccos(np.clip(moved @ target.T / products, -1.0, 1.0))
     cost = (a**2)[:, None] + y**2 - 2.0 * a[:, None] * y * np.cos(np.maximum(0, between - reach))
-    return exact_assignment(cost, k)
+    return k_assignment(cost, k)
 
 
 def exact_b2(source, target, k, box):
-    """B2 from its definition: every pair of corners, each assignment solved."""
+    """B2 from its definition: every pair of vertices, each assignment solved."""
     squares = (source**2).sum(axis=1)[:, None] + (target**2).sum(axis=1)
     values = []
     for q, r in combinations_with_replacement(box.vertices(), 2):
@@ -58,82 +49,69 @@ def exact_b2(source, target, k, box):
         # R is linear in q q^T: a weighted sum of the rotations of the eigenvectors
         weights, vectors = np.linalg.eigh(B)
         M = sum(w * rotation_of(v).as_matrix() for w, v in zip(weights, vectors.T, strict=True))
-        values.append(exact_assignment(squares - 2.0 * (source @ M.T) @ target.T, k))
+        values.append(k_assignment(squares - 2.0 * (source @ M.T) @ target.T, k))
     return min(values)
 
 
-@st.composite
-def problems(draw, max_points=6):
-    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    n, m = draw(st.integers(1, max_points)), draw(st.integers(1, max_points))
-    kind = draw(st.sampled_from([*KINDS, "with origin"]))
-    source, target = cloud(generator, n, 3, kind), cloud(generator, m, 3, kind)
-    if kind == "noisy copy":
-        both = min(n, m)
-        target[:both] = source[:both] + 0.05 * generator.standard_normal((both, 3))
-    if kind == "with origin":
-        source[0] = target[-1] = 0.0
-    return source, target, draw(st.integers(1, min(n, m)))
+problems = cloud_pairs(3, kinds=("with origin",))
+boxes = facet_boxes(Rotation3D.roots())
+small_boxes = facet_boxes(Rotation3D.roots(), halves=(0.3, 0.1, 0.01))
 
 
-@st.composite
-def facet_boxes(draw, halves=(1.0, 0.5, 0.1, 0.01)):
-    """A box inside one of the four root facets, of any place and size, perhaps flat."""
-    generator = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    root = draw(st.sampled_from(Rotation3D.roots()))
-    centre = generator.uniform(-1.0, 1.0, 4)
-    half = draw(st.sampled_from(halves)) * generator.uniform(0.2, 1.0, 4)
-    half[generator.random(4) < 0.1] = 0.0
-    return Box(
-        np.clip(centre - half, root.lower, root.upper),
-        np.clip(centre + half, root.lower, root.upper),
-    )
+def vertices_of(box):
+    vertices = np.empty((16, 4))
+    return vertices[: kernels.box_corners(box.lower, box.upper, vertices)]
 
 
-def corners_of(box):
-    corners = np.empty((16, 4))
-    return corners[: kernels.box_corners(box.lower, box.upper, corners)]
-
-
-def evaluate(problem, box, cutoff=np.inf):
-    return RotationBound(Rotation3D(*problem)).evaluate(Boxes.of([box]), cutoff)
-
-
-def rotations_in(box, count=40):
-    return np.concatenate([box.sample(np.random.default_rng(0), count), box.vertices()])
-
-
-@given(problems(), facet_boxes(), st.sampled_from([0.0, 0.5, 0.95, 1.5, np.inf]))
-def test_bound_is_below_the_objective_anywhere_in_the_box(problem, box, tightness):
-    lowest = min(objective(*problem, theta) for theta in rotations_in(box))
+@pytest.mark.parametrize("bound", [RotationBound, SemidefiniteRotationBound])
+@given(problems, boxes, st.sampled_from([0.0, 0.5, 0.95, 1.5, np.inf]))
+def test_bound_is_below_the_objective_anywhere_in_the_box(bound, problem, box, tightness):
+    lowest = min(objective(*problem, theta) for theta in thetas_in(box))
     cutoff = tightness * lowest if tightness < np.inf else np.inf
-    bound = evaluate(problem, box, cutoff).lower_bounds[0]
-    assert 0.0 <= bound <= lowest + 1e-9
+    found = bound(Rotation3D(*problem)).evaluate(Boxes.of([box]), cutoff)
+    assert found.lower_bounds[0] <= lowest + 1e-9
+    assert found.values[0] >= objective(*problem, found.thetas[0]) - 1e-9
+    if bound is RotationBound:
+        assert found.lower_bounds[0] >= 0.0
 
 
-@given(problems(), facet_boxes(halves=(0.3, 0.1, 0.01)))
+@pytest.mark.parametrize("bound", [RotationBound, SemidefiniteRotationBound])
+@given(problems, boxes)
+def test_bound_and_candidate_equal_the_objective_at_one_rotation(bound, problem, box):
+    source, target, k = problem
+    theta = box.centre
+    found = bound(Rotation3D(*problem)).evaluate(Boxes.of([Box(theta, theta)]), np.inf)
+    expected = objective(*problem, theta)
+    size = 1.0 if bound is RotationBound else 10 * k * (1 + (source**2).sum() + (target**2).sum())
+    assert found.lower_bounds[0] == pytest.approx(expected, abs=1e-7 * size)
+    assert found.values[0] == pytest.approx(expected, abs=1e-7)
+
+
+@settings(max_examples=30)
+@given(problems, small_boxes)
 def test_each_bound_alone_is_below_the_objective(problem, box):
-    lowest = min(objective(*problem, theta) for theta in rotations_in(box))
+    lowest = min(objective(*problem, theta) for theta in thetas_in(box))
     assert exact_b1(*problem, box) <= lowest + 1e-9
     if (box.vertices() @ box.vertices().T).min() > 0.0:
         assert exact_b2(*problem, box) <= lowest + 1e-9
 
 
-@given(problems(), facet_boxes())
+@given(problems, boxes)
 def test_angular_bound_agrees_with_its_definition(problem, box):
     space = Rotation3D(*problem)
     caps, moved = np.empty((space.n_source, space.n_target)), space.matrix(box.centre)
-    angle = kernels.box_angle(box.centre, corners_of(box))
+    angle = kernels.box_angle(box.centre, vertices_of(box))
     clouds = space.clouds
     cap_costs(moved @ clouds.source, angle, clouds.target, clouds.infeasibility_penalty, caps)
     assert cheapest_pairs(caps, problem[2])[0] == pytest.approx(exact_b1(*problem, box), abs=1e-7)
 
 
-@given(problems(), facet_boxes(halves=(0.3, 0.1, 0.01)))
+@settings(max_examples=30)
+@given(problems, small_boxes)
 def test_lifted_bound_decides_like_its_exact_vertices(problem, box):
     """Lazily solved vertices reach any cutoff that B2 reaches and none that it does not."""
-    corners = corners_of(box)
-    if (corners @ corners.T).min() <= 0.0:
+    vertices = vertices_of(box)
+    if (vertices @ vertices.T).min() <= 0.0:
         return
     exact = exact_b2(*problem, box)
     space = Rotation3D(*problem)
@@ -141,48 +119,27 @@ def test_lifted_bound_decides_like_its_exact_vertices(problem, box):
     kernels.pair_costs(space.matrix(box.centre), space.clouds, centre)
     duals = cheapest_pairs(centre, problem[2])[2]
     for cutoff in (exact - 1e-7, exact + 1e-7):
-        value, _ = kernels.vertex_bound(corners, space.clouds, duals, -np.inf, cutoff)
+        value, _ = kernels.vertex_bound(vertices, space.clouds, duals, -np.inf, cutoff)
         assert (value >= cutoff) == (exact >= cutoff)
         assert value <= exact + 1e-9
 
 
-@given(facet_boxes())
+@given(boxes)
 def test_box_angle_covers_every_rotation_of_the_box(box):
-    corners = corners_of(box)
-    angle = kernels.box_angle(box.centre, corners)
+    vertices = vertices_of(box)
+    angle = kernels.box_angle(box.centre, vertices)
     centre = rotation_of(box.centre)
-    angles = [(rotation_of(q) * centre.inv()).magnitude() for q in rotations_in(box, 200)]
+    angles = [(rotation_of(q) * centre.inv()).magnitude() for q in thetas_in(box, 200)]
     assert max(angles) <= angle + 1e-7
-    assert max(angles) == pytest.approx(angle, abs=1e-6)  # attained: a corner is among them
+    assert max(angles) == pytest.approx(angle, abs=1e-6)  # attained: a vertex is among them
 
 
-@given(problems(), facet_boxes())
-def test_bound_and_candidate_equal_the_objective_at_one_rotation(problem, box):
-    theta = box.centre
-    found = evaluate(problem, Box(theta, theta))
-    expected = objective(*problem, theta)
-    assert found.lower_bounds[0] == pytest.approx(expected, abs=1e-7)
-    assert found.values[0] == pytest.approx(expected, abs=1e-7)
-
-
-@given(problems(), facet_boxes())
-def test_candidates_are_upper_bounds_at_the_centre(problem, box):
-    found = evaluate(problem, box)
-    assert found.values[0] >= objective(*problem, found.thetas[0]) - 1e-9
-
-
-@given(problems(), facet_boxes(), st.sampled_from([-1.0, 2.5, -0.1]))
+@given(problems, boxes, st.sampled_from([1.0, -1.0, 2.5, -0.1]))
 def test_length_and_sign_of_a_quaternion_do_not_matter(problem, box, factor):
-    model = Rotation3D(*problem)
-    theta = box.centre
-    np.testing.assert_allclose(model.matrix(factor * theta), model.matrix(theta), atol=1e-12)
+    model, theta = Rotation3D(*problem), box.centre
+    expected = rotation_of(theta).as_matrix()
+    np.testing.assert_allclose(model.matrix(factor * theta), expected, atol=1e-12)
     assert model.objective(factor * theta)[0] == pytest.approx(model.objective(theta)[0], abs=1e-9)
-
-
-@given(facet_boxes())
-def test_matrix_agrees_with_scipy(box):
-    matrix = Rotation3D.matrix(box.centre)
-    np.testing.assert_allclose(matrix, rotation_of(box.centre).as_matrix(), atol=1e-12)
 
 
 def test_roots_and_their_children_hold_every_rotation(rng):
@@ -208,7 +165,7 @@ def test_bound_is_second_order_at_the_optimum(rng):
     width = np.array([0.0, 1.0, 1.0, 1.0])
     for half in (0.02, 0.01, 0.005, 0.0025):
         box = Box(theta - half * width, theta + half * width)
-        delta = kernels.box_angle(theta, corners_of(box))
+        delta = kernels.box_angle(theta, vertices_of(box))
         cutoff = value - 1.05 * delta**2 * (source**2).sum()
-        assert evaluate(problem, box, cutoff).lower_bounds[0] >= cutoff
+        assert lower_bound(RotationBound(Rotation3D(*problem)), box, cutoff) >= cutoff
     assert exact_b1(*problem, box) < cutoff

@@ -1,4 +1,4 @@
-"""What the bounds over shared vertices pass on from one box to the next: prices and the cache."""
+"""What the bounds over shared vertices pass from box to box: dual variables and the cache."""
 
 import numpy as np
 import pytest
@@ -11,13 +11,11 @@ from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.bound import boxes_of
 from dcreg.families.similarity2d.kernels.profiles import blend_duals
 from dcreg.search import Box, Budget, LongestEdge, branch_and_bound
-from tests.problems import models
-
-seeds = st.integers(0, 2**32 - 1)
+from tests.problems import SEEDS, models
 
 
-@given(seeds)
-def test_prices_are_the_mean_of_the_neighbours_by_distance(seed):
+@given(SEEDS)
+def test_dual_variables_are_the_mean_of_the_neighbours_by_distance(seed):
     generator = np.random.default_rng(seed)
     used, m = 12, 5
     thetas, duals = generator.standard_normal((used, 4)), generator.random((used, m))
@@ -35,18 +33,18 @@ def test_prices_are_the_mean_of_the_neighbours_by_distance(seed):
             distance = (weights * (thetas[others] - thetas[slot]) ** 2).sum(axis=1)
             distance += np.where(np.isinf(values[others]), 1e6, 0.0)
             expected[slot] = np.average(duals[others], axis=0, weights=distance**-3.0)
-    # as in the search, a neighbour whose prices count is none of those that are being replaced
-    apart = not any(values[s] < np.inf or s < settled for s in which)
+    # in the search no dual variables that count are being replaced
+    independent = not any(values[s] < np.inf or s < settled for s in which)
     vertices = Vertices(thetas, values, values, values, np.empty((used, 0)), duals)
     found = blend_duals(vertices, weights, slots, which, *boxes_of(slots, which), settled)
     assert found.tolist() == known
     first = which[0]
     assert duals[first] == pytest.approx(expected[first])
-    if apart:
+    if independent:
         assert duals == pytest.approx(expected)
 
 
-def test_a_full_cache_forgets_what_was_met_least_recently():
+def test_a_full_cache_forgets_the_least_recently_used():
     cache = VertexCache([Box(np.zeros(4), np.ones(4))], 2, 2)
     cache.max_vertices = 60
     halves = [Box(np.zeros(4), np.array([0.5**i, 1.0, 1.0, 1.0])) for i in range(8)]
