@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dcreg
@@ -16,18 +16,16 @@ from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rotation3d.bound import RotationBound
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.families.similarity2d.space import Similarity2D
-from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import BOUND_NAMES
-from dcreg.problem import InputError, Problem
+from dcreg.problem import InputError, Problem, apply_pose
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Box, Boxes
 from tests.fuzz.reference import optimum as true_optimum
 from tests.oracles import kernels as reference
-from tests.oracles.matchings import matchings
-from tests.problems import register
-from tests.properties.test_rigid_bounds import Parts, box_about
-from tests.searches import search_rigid
+from tests.oracles.matchings import cheapest_fit
+from tests.problems import SEEDS, lower_bound, model_of, register
+from tests.properties.test_rigid_bounds import Parts, box_about, centred
+from tests.searches import is_certified, search_rigid
 
 
 def feasible_problem(seed, dim, most=6):
@@ -40,134 +38,100 @@ def feasible_problem(seed, dim, most=6):
     return generator.standard_normal((n, dim)), generator.standard_normal((m, dim)), k, mask
 
 
-def feasible_matchings(mask, k):
-    return (pairs for pairs in matchings(*mask.shape, k) if mask[pairs].all())
-
-
-def least(costs, mask, k):
-    """Cheapest feasible k pairs of a cost matrix."""
+def minimum_cost(moved, target, mask, k):
+    """Sum of squared residuals of the cheapest k feasible pairs."""
+    costs = ((moved[:, None] - target[None]) ** 2).sum(axis=-1)
     return reference.k_assignment(np.where(mask, costs, 1e6), k)
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from(list(BOUND_NAMES)))
+@given(SEEDS, st.sampled_from(BOUND_NAMES))
 def test_bounds_hold_for_the_feasible_pairs(seed, name):
     for dim in (2, 3):
         x, y, k, mask = feasible_problem(seed, dim)
-        model = (
-            Similarity2D(x, y, k, (0.5, 1.5), candidates=mask)
-            if dim == 2
-            else Translation3D(x, y, k, candidates=mask)
-        )
+        family = "similarity2d" if dim == 2 else "norm3d"
+        model = model_of(family, x, y, k, candidates=mask)
+        features = y if dim == 2 else np.linalg.norm(y, axis=1, keepdims=True)
         generator = np.random.default_rng(seed + 1)
-        (start,) = model.roots()
-        lower = generator.uniform(start.lower, start.upper)
-        upper = generator.uniform(lower, start.upper)
-        if name in ("tight", "shared"):  # they know the start box's lattice only
-            lower, upper = start.lower, start.upper
-        bound = (
-            make_bound(name, model).evaluate(Boxes.of([Box(lower, upper)]), np.inf).lower_bounds[0]
-        )
-        free = dim == 2
-        for theta in generator.uniform(lower, upper, (20, start.dim)):
-            if free and not model.admissible(theta[None])[0]:
-                continue
-            moved = reference.features(model, theta)
-            features = y if dim == 2 else np.linalg.norm(y, axis=1, keepdims=True)
-            true = least(((moved[:, None] - features[None]) ** 2).sum(-1), mask, k)
+        (box,) = model.roots()
+        if name not in ("tight", "shared"):  # these know the lattice of the start box only
+            lower = generator.uniform(box.lower, box.upper)
+            box = Box(lower, generator.uniform(lower, box.upper))
+        bound = lower_bound(make_bound(name, model), box)
+        thetas = box.sample(generator, 20)
+        for theta in thetas[model.admissible(thetas)]:
+            true = minimum_cost(reference.features(model, theta), features, mask, k)
             assert bound <= true + 1e-9
             value, col_of = model.objective(theta)
             assert value == pytest.approx(true, abs=1e-9)
             assert mask[np.flatnonzero(col_of >= 0), col_of[col_of >= 0]].all()
 
 
-@given(st.integers(0, 2**32 - 1))
+@given(SEEDS)
 def test_rotation_bound_holds_for_the_feasible_pairs(seed):
     x, y, k, mask = feasible_problem(seed, 3)
     model = Rotation3D(x, y, k, mask)
     generator = np.random.default_rng(seed + 1)
     centre = generator.standard_normal(4)
-    lower, upper = centre - 0.2, centre + 0.2
-    bound = RotationBound(model).evaluate(Boxes(lower[None], upper[None]), np.inf).lower_bounds[0]
-    for theta in generator.uniform(lower, upper, (10, 4)):
-        moved = x @ model.matrix(theta).T
-        true = least(((moved[:, None] - y[None]) ** 2).sum(-1), mask, k)
+    box = Box(centre - 0.2, centre + 0.2)
+    bound = lower_bound(RotationBound(model), box)
+    for theta in box.sample(generator, 10):
+        true = minimum_cost(x @ model.matrix(theta).T, y, mask, k)
         assert bound <= true + 1e-9
         assert model.objective(theta)[0] == pytest.approx(true, abs=1e-9)
 
 
-@given(st.integers(0, 2**32 - 1))
+@given(SEEDS)
 def test_the_optimum_over_feasible_pairs_is_found(seed):
     x, y, k, mask = feasible_problem(seed, 2, most=5)
-    optimum = np.inf
-    for rows, columns in feasible_matchings(mask, k):
-        T = fit_pose(x[rows], y[columns], (0.5, 1.5))
-        moved = x[rows] @ T[:2, :2].T + T[:2, 2]
-        optimum = min(optimum, float(((moved - y[columns]) ** 2).sum()))
+    optimum = cheapest_fit(
+        x, y, k, lambda a, b: apply_pose(fit_pose(a, b, (0.5, 1.5)), a), allowed=mask
+    )
     found = dcreg.register(x, y, n_inliers=k, model="similarity2d", candidates=mask, gap_tol=0.05)
-    assert found.status is dcreg.Status.OPTIMAL
-    assert found.lower_bound <= optimum + 1e-9
-    assert optimum - 1e-9 <= found.upper_bound <= optimum + 0.05 + 1e-9
+    assert is_certified(found, optimum, 0.05)
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
 
 
-def rigid_box(model, generator, size):
-    """Poses within the start box, `size` of it wide."""
-    root = model.roots()[generator.integers(4)]
-    lower = generator.uniform(root.lower, root.upper)
-    return Box(lower, lower + size * (root.upper - lower))
-
-
-def least_at(theta, x, y, mask, k):
-    """The objective at a rigid pose by the reference assignment."""
-    T = Rigid3D(x, y, k).pose(theta)
-    moved = x @ T[:3, :3].T + T[:3, 3]
-    return least(((moved[:, None] - y[None]) ** 2).sum(-1), mask, k)
-
-
-def rigid_model(seed, **settings):
-    """Centred clouds and their model."""
+def rigid_case(seed, **settings):
+    """A model of centred clouds, a pose of its start box, and the objective at a pose."""
     x, y, k, mask = feasible_problem(seed, 3)
-    x, y = x - x.mean(axis=0), y - y.mean(axis=0)
-    return Rigid3D(x, y, k, candidates=mask, **settings), (x, y, mask, k)
+    x, y = centred(x), centred(y)
+    model = Rigid3D(x, y, k, candidates=mask, **settings)
+    generator = np.random.default_rng(seed + 1)
+    root = model.roots()[generator.integers(4)]
+
+    def value_at(theta):
+        return minimum_cost(apply_pose(model.pose(theta), x), y, mask, k)
+
+    return model, generator.uniform(root.lower, root.upper), value_at, mask
 
 
 @given(
-    st.integers(0, 2**32 - 1),
+    SEEDS,
     st.sampled_from([1.0, 0.3, 0.1, 0.01]),
     st.sampled_from([0.5, 0.95, 1.0, 1.5, 10.0]),
     st.booleans(),
 )
-def test_rigid_bound_holds_for_the_feasible_pairs(seed, size, tightness, reduced):
-    model, problem = rigid_model(seed, stationary_box=reduced)
-    generator = np.random.default_rng(seed + 1)
-    theta, best, _ = model.refine(rigid_box(model, generator, 0.0).centre)
-    box = box_about(model.normalised(theta), generator, size)
+def test_rigid_bound_and_its_parts_hold_for_the_feasible_pairs(seed, size, tightness, reduced):
+    model, start, value_at, mask = rigid_case(seed, stationary_box=reduced)
+    theta, best, _ = model.refine(start)
+    box = box_about(model.normalised(theta), np.random.default_rng(seed), size)
     found = RigidBound(model).evaluate(Boxes.of([box]), tightness * best + 1e-12)
     assert 0.0 <= found.lower_bounds[0] <= best + 1e-9
-    assert found.values[0] >= least_at(box.centre, *problem) - 1e-9
-
-
-@given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 0.1, 0.01]))
-def test_each_rigid_bound_alone_holds_for_the_feasible_pairs(seed, size):
-    model, problem = rigid_model(seed)
-    generator = np.random.default_rng(seed + 1)
-    theta, best, _ = model.refine(rigid_box(model, generator, 0.0).centre)
-    parts = Parts(model, box_about(model.normalised(theta), generator, size))
+    assert found.values[0] >= value_at(box.centre) - 1e-9
+    parts = Parts(model, box)
     costs = parts.costs()
     assert reference.k_assignment(costs, model.n_inliers) - parts.lost <= best + 1e-9
-    mask = problem[2]
     assert (costs[~mask] > model.n_inliers * costs[mask].max()).all()
-    if len(parts.corners):
+    if len(parts.vertices):
         assert parts.vertex_bound() <= best + 1e-9
 
 
-@given(st.integers(0, 2**32 - 1))
+@given(SEEDS)
 def test_rigid_bound_at_a_pose_is_the_objective_of_the_feasible_pairs(seed):
-    model, problem = rigid_model(seed)
-    theta = rigid_box(model, np.random.default_rng(seed + 1), 0.0).centre
-    true = least_at(theta, *problem)
-    bound = RigidBound(model).evaluate(Boxes(theta[None], theta[None]), 1.01 * true + 1e-6)
-    assert bound.lower_bounds[0] == pytest.approx(true, abs=1e-7)
+    model, theta, value_at, mask = rigid_case(seed)
+    true = value_at(theta)
+    bound = lower_bound(RigidBound(model), Box(theta, theta), 1.01 * true + 1e-6)
+    assert bound == pytest.approx(true, abs=1e-7)
     refined, refined_value, _ = model.refine(theta)
     assert refined_value <= true + 1e-9
     for at, expected in ((theta, true), (refined, refined_value)):
@@ -175,13 +139,13 @@ def test_rigid_bound_at_a_pose_is_the_objective_of_the_feasible_pairs(seed):
         assert value == pytest.approx(expected, abs=1e-9)
         rows = np.flatnonzero(col_of >= 0)
         assert len(rows) == model.n_inliers
-        assert problem[2][rows, col_of[rows]].all()
+        assert mask[rows, col_of[rows]].all()
 
 
 def test_rigid_vertex_bound_is_tight_where_only_forbidden_pairs_are_better():
     generator = np.random.default_rng(5)
     x, y = generator.standard_normal((2, 10, 3))
-    x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+    x, y = centred(x), centred(y)
     model = Rigid3D(x, y, 10, candidates=np.eye(10, dtype=bool))
     theta, best, _ = model.refine(np.array([1.0, 0, 0, 0, 0, 0, 0]))
     half = 0.01 * np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
@@ -195,26 +159,17 @@ def test_rigid_vertex_bound_is_tight_where_only_forbidden_pairs_are_better():
 def test_mode_full_finds_the_rigid_optimum_over_feasible_pairs(seed, start_box):
     x, y, k, mask = feasible_problem(seed, 3)
     optimum = true_optimum(x, y, mask, k, 1.0, 1.0)
-    found = register(
-        x,
-        y,
-        n_inliers=k,
-        model="rigid3d",
-        candidates=mask,
-        gap_tol=0.05,
-        mode="full",
-        start_box=start_box,
-    )
-    assert found.status is dcreg.Status.OPTIMAL
+    settings = {"mode": "full", "start_box": start_box, "gap_tol": 0.05}
+    found = register(x, y, n_inliers=k, model="rigid3d", candidates=mask, **settings)
+    assert is_certified(found, optimum, 0.05)
     assert found.certificate_scope == "rigid pose"
-    assert found.lower_bound <= optimum + 1e-9
-    assert optimum - 1e-9 <= found.upper_bound <= optimum + 0.05 + 1e-9
     assert optimum - 1e-9 <= found.objective <= found.objective_certified + 1e-9
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_prices_of_zero_change_no_step_of_the_rigid_search(seed):
+@settings(max_examples=15)
+@given(SEEDS)
+def test_candidates_of_all_pairs_change_no_step_of_the_rigid_search(seed):
     x, y, k, mask = feasible_problem(seed, 3)
     runs = [
         search_rigid(x, y, k, gap_tol=0.05, nodes=2000, candidates=candidates)
@@ -230,52 +185,38 @@ def test_a_feasible_optimum_stays_the_optimum_and_a_forbidden_one_does_not(mode)
     generator = np.random.default_rng(4)
     x = generator.standard_normal((10, 3)) * [1.0, 0.7, 0.4]
     y = x[:, [1, 2, 0]] + [0.3, -0.2, 0.1] + 0.05 * generator.standard_normal((10, 3))
-    settings = {
-        "n_inliers": 10,
-        "model": "rigid3d",
-        "options": dcreg.SolveOptions(mode=mode),
-        "gap_tol": 0.05,
-    }
-    free = dcreg.register(x, y, **settings)
+    settings = {"n_inliers": 10, "model": "rigid3d", "mode": mode, "gap_tol": 0.05}
+    free = register(x, y, **settings)
     i, j = free.assignment.T
     wide = generator.random((10, 10)) < 0.2
     wide[i, j] = True
-    kept = dcreg.register(x, y, candidates=wide, **settings)
+    kept = register(x, y, candidates=wide, **settings)
     assert kept.objective == pytest.approx(free.objective, abs=1e-9)
     assert kept.assignment.tolist() == free.assignment.tolist()
     narrow = np.ones((10, 10), dtype=bool)
     narrow[i[:6], j[:6]] = False
-    other = dcreg.register(x, y, candidates=narrow, **settings)
+    other = register(x, y, candidates=narrow, **settings)
     assert narrow[other.assignment[:, 0], other.assignment[:, 1]].all()
     assert other.objective > free.objective + 1e-3
 
 
-@pytest.mark.parametrize("clutter", [0, 40])
-def test_mode_auto_takes_candidates(clutter):
+@pytest.mark.parametrize(
+    ("mode", "clutter", "noise"), [("auto", 0, 0.005), ("auto", 40, 0.005), ("paper", 0, 0.0)]
+)
+def test_candidates_lead_to_the_planted_pose(mode, clutter, noise):
+    """In mode `paper` they resolve the ambiguity of the norms."""
     generator = np.random.default_rng(0)
     x = generator.random((20, 3)) * [1.0, 0.7, 0.4]
-    y = x[:, [1, 2, 0]] + [0.3, -0.2, 0.1] + 0.005 * generator.standard_normal((20, 3))
+    y = x[:, [1, 2, 0]] + [0.3, -0.2, 0.1] + noise * generator.standard_normal((20, 3))
     x, y = (np.concatenate([points, generator.random((clutter, 3))]) for points in (x, y))
-    mask = generator.random((len(x), len(y))) < 0.1
+    mask = generator.random((len(x), len(y))) < (0.1 if noise else 0.15)
     np.fill_diagonal(mask[:20, :20], True)
-    found = dcreg.register(x, y, n_inliers=20, model="rigid3d", gap_tol=0.01, candidates=mask)
-    assert found.mode == "full"
+    settings = {"gap_tol": 0.01, "candidates": mask, "mode": mode}
+    found = register(x, y, n_inliers=20, model="rigid3d", **settings)
+    assert found.mode == {"auto": "full"}.get(mode, mode)
     assert found.status is dcreg.Status.OPTIMAL
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
-    assert found.rotation == pytest.approx(np.eye(3)[[1, 2, 0]], abs=0.02)
-
-
-def test_candidates_resolve_the_surrogate_in_3d():
-    generator = np.random.default_rng(0)
-    x = generator.random((20, 3)) * [1.0, 0.7, 0.4]
-    y = x[:, [1, 2, 0]] + [0.3, -0.2, 0.1]  # a proper rotation and a shift
-    mask = generator.random((20, 20)) < 0.15
-    np.fill_diagonal(mask, True)
-    found = register(
-        x, y, n_inliers=20, model="rigid3d", gap_tol=0.01, candidates=mask, mode="paper"
-    )
-    assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
-    assert found.rotation == pytest.approx(np.eye(3)[[1, 2, 0]], abs=1e-6)
+    assert found.rotation == pytest.approx(np.eye(3)[[1, 2, 0]], abs=1e-6 + 4 * noise)
 
 
 def test_lists_and_mask_say_the_same():
@@ -318,19 +259,17 @@ def test_too_few_feasible_pairs_are_refused_in_every_mode(mode):
         register(points, points, n_inliers=3, model="rigid3d", candidates=mask, mode=mode)
 
 
+def settings_of(dim):
+    if dim == 2:
+        return {"model": "similarity2d", "scale_range": (0.5, 1.5), "mode": "paper"}
+    return {"model": "rigid3d", "mode": "paper"}
+
+
 def certified(seed, dim, tmp_path):
     x, y, k, mask = feasible_problem(seed, dim, most=9)
+    limits = {"gap_tol": 1e-3 * k, "node_limit": 20_000}
     result = register(
-        x,
-        y,
-        n_inliers=k,
-        model="similarity2d" if dim == 2 else "rigid3d",
-        scale_range=(0.5, 1.5) if dim == 2 else None,
-        candidates=mask,
-        gap_tol=1e-3 * k,
-        node_limit=20_000,
-        mode="paper",
-        certificate=True,
+        x, y, n_inliers=k, candidates=mask, certificate=True, **limits, **settings_of(dim)
     )
     path = tmp_path / "certificate.npz"
     certificate.write(path, result.certificate)
@@ -349,28 +288,20 @@ def test_a_certificate_over_candidates_is_accepted(seed, dim, tmp_path):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_certificate_does_not_hold_for_more_candidates(dim, tmp_path):
-    """With every pair feasible many an optimum falls below the bounds proven for a few."""
+    """With every pair feasible, many optima are below the bounds proven for the candidates."""
     refused = 0
-    for seed in range(30):
+    for seed in range(15):
         x, y, mask, result, path = certified(seed, dim, tmp_path)
-        wider = np.ones_like(mask)
-        free = register(
-            x,
-            y,
-            n_inliers=result.n_inliers,
-            model=result.model,
-            scale_range=(0.5, 1.5) if dim == 2 else None,
-            gap_tol=result.gap_tol,
-            mode="paper",
-            polish=False,
-        )
-        forged = dataclasses.replace(result.certificate, candidates=np.argwhere(wider))
+        k, gap_tol = result.n_inliers, result.gap_tol
+        free = register(x, y, n_inliers=k, gap_tol=gap_tol, polish=False, **settings_of(dim))
+        every_pair = np.argwhere(np.ones_like(mask))
+        forged = dataclasses.replace(result.certificate, candidates=every_pair)
         certificate.write(path, forged)
         report = verify(path, x, y)
         if free.upper_bound < result.lower_bound - 1e-9:
             assert not report.accepted
             refused += 1
-    assert refused >= 4
+    assert refused >= 2
 
 
 @pytest.mark.parametrize(
