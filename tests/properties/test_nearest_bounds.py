@@ -1,4 +1,4 @@
-"""Go-ICP, FRS and GoTS: every bound holds wherever it speaks, and is attained where it must be."""
+"""Go-ICP, FRS and GoTS: bounds hold in their cubes and converge to the objective."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from baselines.gots import search as gots
 from dcreg.problem import apply_pose
 from dcreg.search import Budget
 from dcreg.status import Status
+from tests.problems import SEEDS
 
-SEEDS = st.integers(0, 2**32 - 1)
 WIDTHS = st.sampled_from([np.pi, 0.8, 0.2, 0.03, 0.0])
 
 
@@ -54,15 +54,13 @@ def settings_for(n_kept: int, half: float = 0.4) -> Settings:
     )  # fmt: skip
 
 
+def pose_of(rotation_vector: np.ndarray, t: np.ndarray) -> np.ndarray:
+    return homogeneous(1.0, Rotation.from_rotvec(rotation_vector).as_matrix(), t)
+
+
 def trimmed(source: np.ndarray, target: np.ndarray, pose: np.ndarray, n_kept: int) -> float:
     distances = np.linalg.norm(apply_pose(pose, source)[:, None] - target, axis=2).min(axis=1)
     return float((np.sort(distances)[:n_kept] ** 2).sum())
-
-
-def consensus_of(source: np.ndarray, target: np.ndarray, radius: float) -> Consensus:
-    return Consensus(
-        Instance("p", source, target, "rigid3d", len(source) - 2, (1, 1), radius, 0), radius
-    )
 
 
 class TestDistance:
@@ -100,13 +98,12 @@ class TestGoICP:
         )
         bound, relaxed, true = found
         for offset, shift in generator.uniform(-1, 1, (20, 2, 3)):
-            rotation = Rotation.from_rotvec(centre + half * offset).as_matrix()
-            pose = homogeneous(1.0, rotation, t + width * shift)
+            pose = pose_of(centre + half * offset, t + width * shift)
             assert bound <= trimmed(source, target, pose, n_kept) + 1e-12
             pose[:3, 3] = t
             assert relaxed <= trimmed(source, target, pose, n_kept) + 1e-12
-        pose = homogeneous(1.0, Rotation.from_rotvec(centre).as_matrix(), t)
-        assert true == pytest.approx(trimmed(source, target, pose, n_kept), abs=1e-12)
+        at_centre = trimmed(source, target, pose_of(centre, t), n_kept)
+        assert true == pytest.approx(at_centre, abs=1e-12)
         assert bound <= relaxed <= true + 1e-15
         if half == width == 0.0:
             assert bound == pytest.approx(true, abs=1e-12)
@@ -123,15 +120,11 @@ class TestGoICP:
         problem = GoICP(source, target, settings_for(n_kept), never())
         centre = generator.uniform(-2, 2, 3)
         bound, _ = problem.bound_cube(centre, half)
-        for offset, t in zip(
-            generator.uniform(-1, 1, (20, 3)), generator.uniform(-0.4, 0.4, (20, 3)), strict=True
-        ):
-            rotation = Rotation.from_rotvec(centre + half * offset).as_matrix()
-            start = homogeneous(1.0, rotation, t)
-            assert bound <= trimmed(source, target, start, n_kept) + 1e-12
-        assert problem.incumbent.value == pytest.approx(
-            trimmed(source, target, problem.incumbent.pose, n_kept), abs=1e-12
-        )
+        for offset, shift in generator.uniform(-1, 1, (20, 2, 3)):
+            pose = pose_of(centre + half * offset, 0.4 * shift)
+            assert bound <= trimmed(source, target, pose, n_kept) + 1e-12
+        reached = trimmed(source, target, problem.incumbent.pose, n_kept)
+        assert problem.incumbent.value == pytest.approx(reached, abs=1e-12)
 
     @given(SEEDS, st.integers(2, 9))
     def test_translations_that_can_be_optimal_are_searched(self, seed, n_kept):
@@ -147,8 +140,7 @@ class TestGoICP:
 
     def test_identical_clouds_cost_nothing(self):
         _, source, _ = clouds(3)
-        problem = GoICP(source, source.copy(), settings_for(9), never())
-        outcome = problem.run()
+        outcome = GoICP(source, source.copy(), settings_for(9), never()).run()
         assert outcome.status is Status.OPTIMAL
         assert outcome.upper_bound == 0.0
 
@@ -168,35 +160,23 @@ class TestGoICP:
 
 
 class TestRotationSearch:
+    @pytest.mark.parametrize("search", [most_matches, most_correspondences])
     @given(SEEDS, st.sampled_from([0.02, 0.1, 0.3]), st.integers(0, 6), st.integers(0, 2))
-    def test_bounds_the_count_of_every_rotation(self, seed, radius, cutoff, slack):
-        generator, source, target = clouds(seed)
-        found = most_matches(source, target, radius, cutoff, slack, never())
+    def test_bounds_the_count_of_every_rotation(self, search, seed, radius, cutoff, slack):
+        in_pairs = search is most_correspondences
+        generator, source, target = clouds(seed, 9, 9 if in_pairs else 11)
+        found = search(source, target, radius, cutoff, slack, never())
 
         def count(rotation: np.ndarray, within: float) -> int:
             distances = np.linalg.norm((source @ rotation.T)[:, None] - target, axis=2)
-            return int((distances.min(axis=1) <= within).sum())
+            nearest = np.diag(distances) if in_pairs else distances.min(axis=1)
+            return int((nearest <= within).sum())
 
         assert found.count <= count(found.rotation, radius + 1e-9)
         assert found.upper_bound <= max(cutoff, found.count + slack)
+        most = found.upper_bound if in_pairs else max(found.upper_bound, cutoff)
         for rotation in Rotation.random(200, random_state=generator).as_matrix():
-            assert count(rotation, radius - 1e-9) <= max(found.upper_bound, cutoff)
-
-    @given(SEEDS, st.sampled_from([0.02, 0.1, 0.3]), st.integers(-1, 6), st.integers(0, 2))
-    def test_bounds_the_count_of_correspondences(self, seed, radius, cutoff, slack):
-        generator, source, target = clouds(seed)
-        n = min(len(source), len(target))
-        source, target = source[:n], target[:n]
-        found = most_correspondences(source, target, radius, cutoff, slack, never())
-
-        def count(rotation: np.ndarray, within: float) -> int:
-            distances = np.linalg.norm(source @ rotation.T - target, axis=1)
-            return int((distances <= within).sum())
-
-        assert found.count <= count(found.rotation, radius + 1e-9)
-        assert found.upper_bound <= max(cutoff, found.count + slack)
-        for rotation in Rotation.random(200, random_state=generator).as_matrix():
-            assert count(rotation, radius - 1e-9) <= found.upper_bound
+            assert count(rotation, radius - 1e-9) <= most
 
     @given(SEEDS)
     def test_planted_points_are_all_found(self, seed):
@@ -216,7 +196,8 @@ class TestFRS:
     @given(SEEDS, st.sampled_from([0.3, 0.1, 0.02]))
     def test_bound_of_a_cube_holds_in_it_and_shrinks_with_it(self, seed, half):
         generator, source, target = clouds(seed)
-        problem = consensus_of(source, target, 0.05)
+        instance = Instance("p", source, target, "rigid3d", 7, (1, 1), 0.05, 0)
+        problem = Consensus(instance, 0.05)
         incumbent = Incumbent(-problem.count(np.eye(4)), np.eye(4))
         cubes = frs.TranslationCubes(problem, incumbent, 0, never())
         fitted, count = max(problem.starts(8, never()), key=lambda start: start[1])
@@ -229,7 +210,7 @@ class TestFRS:
             pose[:3, 3] = centre + half * shift
             assert bound <= -problem.count(pose)
         child, _ = cubes.bound(centre + half / 2 * OCTANTS[0], half / 2)
-        # The incumbent may lie elsewhere, and counts below its own are not bounded any closer.
+        # the incumbent may lie elsewhere, and counts below its own are not bounded more closely
         assert child >= min(bound, incumbent.value)
         assert incumbent.value == -problem.count(incumbent.pose)
 
@@ -359,20 +340,18 @@ class TestCubes:
         assert asked == [1.0, 0.5, 0.5, 0.5]
 
     @pytest.mark.parametrize("memory_mb", [None, 0.02])
-    def test_parts_get_what_their_cube_hands_on_as_far_as_memory_goes(self, memory_mb):
+    def test_children_receive_the_results_of_their_cube_while_memory_suffices(self, memory_mb):
         everything, fulls = np.zeros(1000), []
 
         def bound(centre, half, passed_on):
             fulls.append(passed_on is everything)
-            if passed_on is not everything:
-                assert (
-                    np.abs(centre - passed_on[:3]) < passed_on[3]
-                ).all()  # within its own parent
+            if passed_on is not everything:  # then it comes from the cube's own parent
+                assert (np.abs(centre - passed_on[:3]) < passed_on[3]).all()
             return 0.5 - half, np.array([*centre, half, *np.zeros(996)])
 
         search_cubes(
             bound, (np.zeros(3), 1.0), Incumbent(1.0), Budget(60.0, 200, memory_mb),
             gap_tol=0.0, passed_on=everything,
         )  # fmt: skip
-        # nothing was learnt of the root's parent; with memory for one, all but the first go without
+        # the root has no parent; with memory for one result, only the first child receives it
         assert fulls.count(True) == 1 if memory_mb is None else fulls.count(True) > 100
