@@ -29,7 +29,7 @@ def test_matching_on_a_line_is_the_cheapest_of_all(case, share):
     for row in lists:
         costs, columns = cheapest_pairs((row[:, None] - values) ** 2, k)
         exact.append(costs[np.arange(len(row)), columns].sum())
-    for _ in range(2):  # the prices of the first time serve the second
+    for _ in range(2):  # the second call starts from the dual variables of the first
         found = line.bounds(ordered, ordered, np.inf)
         np.testing.assert_allclose(found, exact, rtol=0, atol=1e-12)
     needed = share * max(exact[0], 1e-9)
@@ -52,7 +52,7 @@ def test_matching_with_intervals_bounds_that_of_all_numbers_in_them(case, size, 
 
 @pytest.mark.parametrize("offset", [1e-12, 1e-9, 1e-3])
 def test_lists_are_matched_after_others_that_cost_far_less(offset):
-    """Such a price may be no unit of the later costs."""
+    """The scale of the first costs must not be the scale of the later ones."""
     line, far = Line(np.arange(7.0), 2, 2), np.array([[2.25, 4.5]])
     near = np.array([[1.0, 2.0]]) + offset
     line.bounds(near, near, offset**2)
