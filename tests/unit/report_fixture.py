@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,18 +37,15 @@ LEVELS = (0.0, 0.02, 0.04)
 TRIALS = 3
 
 
-def write_tables(folder: Path, experiment: str = "made-up") -> Path:
+def write_tables(folder: Path, experiment: str = "made-up", cases: Sequence[tuple] = CASES) -> Path:
     """Write runs, traces, accounting, provenance and overlays; returns `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     runs, traces = [], []
-    for model, dataset, shape, test in CASES:
-        for level in LEVELS:
-            for trial in range(TRIALS):
-                instance = f"{model}-{shape}-{test}-{level}-{trial}".replace(" ", "_")
-                for method in CARDS:
-                    run, events = _run(method, model, dataset, shape, test, level, trial, instance)
-                    runs.append(run)
-                    traces += events
+    for case, level, trial in itertools.product(cases, LEVELS, range(TRIALS)):
+        for method in CARDS:
+            run, events = _run(method, *case, level, trial)
+            runs.append(run)
+            traces += events
     table = pd.DataFrame(runs).assign(experiment=experiment)
     best = table.groupby(["instance_id", "n_inliers"])["objective"].transform("min")
     table["objective_best"] = best
@@ -62,7 +61,8 @@ def write_tables(folder: Path, experiment: str = "made-up") -> Path:
     return folder
 
 
-def _run(method, model, dataset, shape, test, level, trial, instance):
+def _run(method, model, dataset, shape, test, level, trial):
+    instance = f"{model}-{shape}-{test}-{level}-{trial}"
     draw = np.random.default_rng(zlib.crc32(f"{instance}{method}".encode()))
     status, message = _status(method, model, level, trial)
     posed = status in ("optimal", "converged", "time_limit")

@@ -8,6 +8,7 @@ import gzip
 import itertools
 import json
 import re
+import shutil
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,19 +17,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-import report_fixture
-
 from baselines import registry
 from reports import page as pages
 from reports import theme
 from reports.build import build
 from reports.figures import attribution, levels, printing, standalone
+from reports.figures.figure import Figure
 from reports.figures.standalone import paper_2d, paper_3d, paper_examples, paper_images, paper_scans
 from reports.ledger.judging import ledger
 from reports.sections import figures, outcome
 from reports.sections.parameters import parameters
 from reports.tables import ReportError, Tables, row_names, thin_trace
+from tests.unit import report_fixture
 from workflows.attribution import VERDICTS
 from workflows.config import CONFIGS, load
 from workflows.outcomes import attempted
@@ -36,8 +36,8 @@ from workflows.records import SchemaError
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    return report_fixture.write_tables(tmp_path_factory.mktemp("made-up") / "tables")
+def folder(made_report) -> Path:
+    return made_report / "tables"
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +46,40 @@ def tables(folder) -> Tables:
 
 
 @pytest.fixture(scope="module")
-def html(folder) -> str:
-    out = folder.parent / "report" / "index.html"
-    build(folder, out)
-    return out.read_text(encoding="utf-8")
+def html(made_report) -> str:
+    return (made_report / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def styles(tables) -> dict[str, theme.Style]:
+    return theme.method_styles(tables)
+
+
+@pytest.fixture(scope="module")
+def flat(tables, styles) -> Figure:
+    """The figure of levels in 2D."""
+    return levels.build(tables, styles, "similarity2d")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory) -> tuple[Path, str]:
+    """Tables of one test of an experiment of the paper, in which two methods hit limits on boxes."""
+    root = tmp_path_factory.mktemp("small")
+    cases = report_fixture.CASES[:1]
+    folder = report_fixture.write_tables(root / "tables", "paper2d", cases)
+    path = folder / "provenance.json"
+    known = json.loads(path.read_text(encoding="utf-8"))
+    boxes = {"dcreg-full": {"nodes_at_100": 700}, "dcreg-half": {"nodes": 8, "nodes_at_100": None}}
+    for method, limits in boxes.items():
+        known["methods"][method]["limits"] |= limits
+    path.write_text(json.dumps(known), encoding="utf-8")
+    runs = pd.read_parquet(folder / "runs.parquet")
+    late = runs["method"].isin(list(boxes)) & runs["status"].eq("time_limit")
+    assert late.any()
+    runs.loc[late, "status"] = "node_limit"
+    runs.to_parquet(folder / "runs.parquet")
+    build(folder, root / "index.html")
+    return folder, (root / "index.html").read_text(encoding="utf-8")
 
 
 class Page(HTMLParser):
@@ -75,8 +105,7 @@ class Page(HTMLParser):
 
 def broken(folder: Path, tmp_path: Path, edit) -> Path:
     """A copy of the tables with an edited accounting ledger."""
-    for path in folder.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     ledger = pd.read_csv(tmp_path / "accounting.csv")
     edit(ledger).to_csv(tmp_path / "accounting.csv", index=False)
     return tmp_path
@@ -107,41 +136,36 @@ def test_messages_are_escaped(html):
     assert "<b>segfault</b>" not in html
 
 
-def test_print_figures_are_next_to_the_page_and_in_it(html, folder):
+def test_print_figures_are_next_to_the_page_and_in_it(html, made_report):
+    files = Page(html).files
     for name in ("levels-similarity2d.svg", "levels-rigid3d-mean.pdf"):
-        content = (folder.parent / "report" / "figures" / name).read_bytes()
-        assert Page(html).files[name] == content
-    assert (
-        b"<svg" in (folder.parent / "report" / "figures" / "levels-similarity2d.svg").read_bytes()
-    )
+        assert files[name] == (made_report / "figures" / name).read_bytes()
+    assert b"<svg" in files["levels-similarity2d.svg"]
 
 
-def test_same_tables_give_the_same_page(html, folder, tmp_path):
+def test_same_tables_give_the_same_page(small, tmp_path):
+    folder, html = small
     build(folder, tmp_path / "index.html")
     assert (tmp_path / "index.html").read_text(encoding="utf-8") == html
 
 
-def test_dropped_run_in_the_ledger_is_refused(folder, tmp_path):
-    def drop(ledger):
-        ledger.loc[0, "finished"] -= 1
-        return ledger
+@pytest.mark.parametrize(
+    ("steps", "dropped", "message"),
+    [
+        ({"finished": -1}, "", r"accounting\.csv.*planned = 63.*sum to 62"),
+        ({"finished": -1, "limited": 1}, "", "finished = 55 but runs has 56"),
+        ({}, "teaser", "teaser"),
+    ],
+    ids=["a run less", "another outcome", "a method less"],
+)
+def test_a_wrong_ledger_is_refused(folder, tmp_path, steps, dropped, message):
+    def edit(ledger):
+        for column, step in steps.items():
+            ledger.loc[0, column] += step
+        return ledger[ledger["method"] != dropped]
 
-    with pytest.raises(ReportError, match=r"accounting\.csv.*planned = 63.*sum to 62"):
-        Tables.load(broken(folder, tmp_path, drop))
-
-
-def test_ledger_that_disagrees_with_the_runs_is_refused(folder, tmp_path):
-    def shift(ledger):
-        ledger.loc[0, ["finished", "limited"]] += [-1, 1]
-        return ledger
-
-    with pytest.raises(ReportError, match="finished = 55 but runs has 56"):
-        Tables.load(broken(folder, tmp_path, shift))
-
-
-def test_missing_method_in_the_ledger_is_refused(folder, tmp_path):
-    with pytest.raises(ReportError, match="teaser"):
-        Tables.load(broken(folder, tmp_path, lambda table: table[table["method"] != "teaser"]))
+    with pytest.raises(ReportError, match=message):
+        Tables.load(broken(folder, tmp_path, edit))
 
 
 def test_missing_tables_are_named(tmp_path):
@@ -197,12 +221,14 @@ def test_page_prints_every_parameter(html):
         assert text in shown
 
 
-def test_level_figure_shows_the_numbers_of_the_table(tables):
-    styles = theme.method_styles(tables)
-    view = levels.build(tables, styles, "similarity2d").payload["views"]["rmse"]
-    trace = next(
-        t for t in view["data"] if t["meta"] == {"role": "median", "method": "icp"}
-    )  # fmt: skip
+def medians(figure, method):
+    """The first trace of a method's medians."""
+    data = figure.payload["views"]["rmse"]["data"]
+    return next(t for t in data if t["meta"] == {"role": "median", "method": method})
+
+
+def test_level_figure_shows_the_numbers_of_the_table(tables, flat):
+    trace = medians(flat, "icp")
     runs = tables.runs
     cell = runs[
         (runs.method == "icp") & (runs.test == "deformation") & (runs["shape"] == "fish-like")
@@ -215,12 +241,10 @@ def test_level_figure_shows_the_numbers_of_the_table(tables):
 
 
 @pytest.mark.parametrize("statistic", ["median", "mean"])
-def test_print_figure_cuts_no_data(tables, statistic):
-    styles = theme.method_styles(tables)
-    figure = levels.build(tables, styles, "similarity2d")
-    view = figure.payload["views"]["rmse"]["data"]
-    figure = printing.draw(view, figure.grid, styles, "", (statistic, "floor"))
-    lines = [(axes, line) for axes in figure.axes for line in axes.lines]
+def test_print_figure_cuts_no_data(flat, styles, statistic):
+    view = flat.payload["views"]["rmse"]["data"]
+    drawn = printing.draw(view, flat.grid, styles, "", (statistic, "floor"))
+    lines = [(axes, line) for axes in drawn.axes for line in axes.lines]
     assert len(lines) > 20
     for axes, line in lines:
         low, high = axes.get_ylim()
@@ -228,31 +252,22 @@ def test_print_figure_cuts_no_data(tables, statistic):
         assert (line.get_ydata() <= high).all()
 
 
-def test_figures_keep_their_room_until_they_are_drawn(html, tables):
+def test_figures_keep_their_room_until_they_are_drawn(html, flat):
     """Or else what lies below moves away from a reader who jumps to it."""
-    figure = levels.build(tables, theme.method_styles(tables), "similarity2d")
-    wide = figure.payload["views"]["rmse"]["layouts"]["wide"]["height"]
+    wide = flat.payload["views"]["rmse"]["layouts"]["wide"]["height"]
     tag = html.split('id="fig-levels-similarity2d"')[1].split(">")[0]
     assert f"--wide: {wide}px" in tag
     assert len(re.findall(r"--narrow: \d{3,}px", html)) == html.count('class="plot"')
 
 
-def test_levels_with_a_limited_run_have_open_markers(tables):
-    styles = theme.method_styles(tables)
-    view = levels.build(tables, styles, "similarity2d").payload["views"]["rmse"]
-    trace = next(t for t in view["data"] if t["meta"] == {"role": "median", "method": "bilinear"})
-    assert [symbol.endswith("-open") for symbol in trace["marker"]["symbol"]] == [
-        False,
-        False,
-        True,
-    ]
+def test_levels_with_a_limited_run_have_open_markers(flat):
+    symbols = medians(flat, "bilinear")["marker"]["symbol"]
+    assert [symbol.endswith("-open") for symbol in symbols] == [False, False, True]
 
 
-def test_print_shows_what_the_page_shows_and_its_open_markers(tables):
-    styles = theme.method_styles(tables)
-    figure = levels.build(tables, styles, "similarity2d")
-    view = figure.payload["views"]["rmse"]["data"]
-    drawn = printing.draw(view, figure.grid, styles, "", ("median",))
+def test_print_shows_what_the_page_shows_and_its_open_markers(flat, styles):
+    view = flat.payload["views"]["rmse"]["data"]
+    drawn = printing.draw(view, flat.grid, styles, "", ("median",))
     shown = [t for t in view if t["meta"]["role"] == "median"]
     expected = sorted(y for trace in shown for y in trace["y"])
     markers = [line for axis in drawn.axes for line in axis.lines if line.get_linestyle() == "None"]
@@ -264,11 +279,10 @@ def test_print_shows_what_the_page_shows_and_its_open_markers(tables):
     assert "open: some runs hit a limit" in texts
 
 
-def test_levels_with_a_failed_run_are_dotted_on_the_page_and_in_print(tables):
-    styles = theme.method_styles(tables)
+def test_levels_with_a_failed_run_are_dotted_on_the_page_and_in_print(tables, styles):
     figure = levels.build(tables, styles, "rigid3d")
     view = figure.payload["views"]["rmse"]["data"]
-    (trace, *_) = (t for t in view if t["meta"] == {"role": "median", "method": "fgr"})
+    trace = medians(figure, "fgr")
     assert trace["marker"]["symbol"][-1].endswith("-open-dot")
     assert "(1 without a pose)" in trace["text"][-1]
     drawn = printing.draw(view, figure.grid, styles, "", ("median",))
@@ -276,9 +290,8 @@ def test_levels_with_a_failed_run_are_dotted_on_the_page_and_in_print(tables):
     assert sum(len(line.get_ydata()) for line in dots) > 0
 
 
-def test_levels_are_named_with_their_unit(tables):
-    figure = levels.build(tables, theme.method_styles(tables), "similarity2d")
-    titles = {panel.x_title for panel in figure.grid.panels}
+def test_levels_are_named_with_their_unit(flat):
+    titles = {panel.x_title for panel in flat.grid.panels}
     assert titles == {
         "deformation, in longest sides", "noise σ, in longest sides", "outliers per inlier, each set",
     }  # fmt: skip
@@ -319,10 +332,8 @@ def test_first_screen_shows_what_was_run(html):
     assert html.index('id="outcomes"') < html.index('id="accounting"')
 
 
-def test_ledger_is_on_the_first_page_of_its_experiment(folder, tmp_path):
-    tables = report_fixture.write_tables(tmp_path / "paper2d" / "tables", experiment="paper2d")
-    build(tables, tmp_path / "index.html")
-    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+def test_ledger_is_on_the_first_page_of_its_experiment(small):
+    _, page = small
     about = [claim for claim in ledger().claims if claim.experiment == "paper2d"]
     assert all(f"<code>{claim.id}</code>" in page for claim in about)
     assert page.index('class="tally"') < page.index('id="outcomes"')
@@ -336,24 +347,12 @@ def test_a_run_at_its_limit_shows_the_limit_and_its_replay(html):
     assert "python -m workflows replay made-up" in text
 
 
-def test_the_page_shows_the_limit_that_a_run_hit(tmp_path):
+def test_the_page_shows_the_limit_that_a_run_hit(small):
     """A search that ended by its boxes did not meet the seconds."""
-    folder = report_fixture.write_tables(tmp_path / "tables")
-    path = folder / "provenance.json"
-    known = json.loads(path.read_text(encoding="utf-8"))
-    boxes = {"dcreg-full": {"nodes_at_100": 700}, "dcreg-half": {"nodes": 8, "nodes_at_100": None}}
-    for method, limits in boxes.items():
-        known["methods"][method]["limits"] |= limits
-    path.write_text(json.dumps(known), encoding="utf-8")
-    runs = pd.read_parquet(folder / "runs.parquet")
-    late = runs["method"].isin(list(boxes)) & runs["status"].eq("time_limit")
-    assert late.any()
-    runs.loc[late, "status"] = "node_limit"
-    runs.to_parquet(folder / "runs.parquet")
-    build(folder, tmp_path / "index.html")
-    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    _, page = small
     first = page.split('class="run"')[1].split("</dl>")[0]
-    assert f"10 s per run; 2 of {len(known['methods'])} methods also with a limit on boxes" in first
+    n_methods = len(report_fixture.CARDS)
+    assert f"10 s per run; 2 of {n_methods} methods also with a limit on boxes" in first
     assert "10 s, 700 boxes at 100 points" in page.split('id="parameters"')[1]
 
     unfinished = page.split('id="unfinished"')[1].split("</table>")[0]
@@ -445,15 +444,13 @@ def test_examples_are_brought_back_by_the_reference_pose(tables):
         assert np.abs(source["x"] - target["x"]).max() < 0.5  # the warped one, no longer turned
 
 
-def test_variants_of_one_method_look_different(tables):
-    styles = theme.method_styles(tables)
+def test_variants_of_one_method_look_different(styles):
     one, other = styles["dcreg-full"], styles["dcreg-half"]
     assert (one.light, one.dash) != (other.light, other.dash)
     assert {one.name, other.name} == {"dcreg-full", "dcreg-half"}  # shared display name
 
 
-def test_a_method_looks_the_same_in_every_experiment(tables):
-    styles = theme.method_styles(tables)
+def test_a_method_looks_the_same_in_every_experiment(tables, styles):
     without = dataclasses.replace(tables, runs=tables.runs[tables.runs["method"] != "dcreg-full"])
     fewer = theme.method_styles(without)
     assert "dcreg-full" not in fewer
@@ -494,8 +491,8 @@ def test_variants_differ_in_every_experiment_and_look_the_same_in_all(tables):
     assert len(seen) > 200
 
 
-def test_method_colours_are_legible_in_both_themes(tables):
-    for style in theme.method_styles(tables).values():
+def test_method_colours_are_legible_in_both_themes(styles):
+    for style in styles.values():
         assert theme.contrast(style.light, theme.SURFACE["light"]) >= 3
         assert theme.contrast(style.dark, theme.SURFACE["dark"]) >= 3
 
@@ -528,7 +525,7 @@ def test_packed_numbers_are_valid_json():
     assert json.loads(gzip.decompress(base64.b64decode(packed))) == {"a": [None, None, 0.333333, 2]}
 
 
-def test_a_figure_is_one_file_that_is_found(tables, tmp_path, monkeypatch):
+def test_a_figure_is_one_file_that_is_found(small, tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(
         "from reports.figures import levels\n\n"
         "POSITION, CAPTION, DRAWN = 1, 'My caption.', ('median',)\n\n"
@@ -537,6 +534,7 @@ def test_a_figure_is_one_file_that_is_found(tables, tmp_path, monkeypatch):
         "    return levels.assemble('mine', 'My figure', runs, styles)\n"
     )
     monkeypatch.setattr(standalone, "__path__", [*standalone.__path__, str(tmp_path)])
+    tables = Tables.load(small[0])
     page = pages.Page(tables, theme.method_styles(tables), tmp_path / "figures")
     try:
         first = figures.context(page)["figures"][0]

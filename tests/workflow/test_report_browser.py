@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 import time
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
-import report_fixture
-
-from reports.build import build
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRIVER = shutil.which("chromedriver")
@@ -25,14 +18,6 @@ pytestmark = [
         reason="chromium or chromedriver is missing: apt-get install chromium chromium-driver",
     ),
 ]
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("report")
-    report_fixture.write_tables(folder / "tables")
-    build(folder / "tables", folder / "index.html")
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -57,16 +42,16 @@ def browser(tmp_path_factory):
 
 
 @pytest.fixture
-def page(browser, made):
+def page(browser, made_report):
     """The page freshly opened, wide and light; afterwards no error and no request was made."""
     view(browser, 1400, "light")
     browser.get_log("performance")
     browser.get_log("browser")
-    browser.get((made / "index.html").as_uri())
+    browser.get((made_report / "index.html").as_uri())
     yield browser
     errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
     assert errors == []
-    assert requests(browser) == {(made / "index.html").as_uri()}
+    assert requests(browser) == {(made_report / "index.html").as_uri()}
 
 
 def view(browser, width: int, scheme: str) -> None:
@@ -194,13 +179,13 @@ def test_bounds_follow_the_chosen_instance_and_work(page):
     assert page.execute_script("return pick('trial').value") == "1"
 
 
-def test_bounds_show_what_the_trace_table_holds(page, made):
+def test_bounds_show_what_the_trace_table_holds(page, made_report):
     import pandas as pd
 
     element = drawn(page, "bounds")
     run = page.execute_script("return $('#bounds-runs tbody tr').lastElementChild.innerText")
     shown = page.execute_script(f"return {element}.data.map(t => [t.meta.role, t.x, t.y])[0]")
-    traces = pd.read_csv(made / "tables" / "traces.csv", dtype={"run_id": str})
+    traces = pd.read_csv(made_report / "tables" / "traces.csv", dtype={"run_id": str})
     events = traces[(traces["run_id"] == run) & (traces["stage"] == "search")]
     assert shown[0] == "lower bound"
     assert shown[1] == pytest.approx(list(events["time_s"]), rel=1e-5)
@@ -273,7 +258,7 @@ def test_overlay_enlarges_with_its_replay_command(page, test, kind):
     assert "workflows replay made-up" in page.find_element("css selector", ".replay code").text
 
 
-def test_downloads_are_the_tables(page, made, tmp_path):
+def test_downloads_are_the_tables(page, made_report, tmp_path):
     page.execute_cdp_cmd(
         "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)}
     )
@@ -282,7 +267,7 @@ def test_downloads_are_the_tables(page, made, tmp_path):
         end = time.monotonic() + 30
         while not (tmp_path / name).exists() and time.monotonic() < end:
             time.sleep(0.1)
-        assert (tmp_path / name).read_bytes() == (made / "tables" / name).read_bytes()
+        assert (tmp_path / name).read_bytes() == (made_report / "tables" / name).read_bytes()
 
 
 def background(browser) -> list[int]:
