@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,9 @@ from baselines import registry
 from baselines.contract import Instance, Limits
 from dcreg.problem import apply_pose
 from dcreg.status import Status
+from workflows.studies.golden import golden_folder, read_case
 
-MIRROR = os.environ.get("DCREG_DATA_MIRROR")
-FOLDER = Path(MIRROR).parent / "golden" if MIRROR else None
+FOLDER = golden_folder()
 FILES = sorted(FOLDER.glob("goicp_*.npz")) if FOLDER else []
 
 pytestmark = pytest.mark.skipif(
@@ -24,7 +23,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_is_as_good_as_the_official_pose(path: Path) -> None:
-    case = np.load(path)
+    case = read_case(path)
     source, target = case["source"], case["target"]
     n_kept = int(np.floor(len(source) * (1 - float(case["trim_fraction"]))))
     instance = Instance(path.stem, source, target, "rigid3d", n_kept, (1, 1), 0.01, 0)
