@@ -45,6 +45,7 @@ HERE = Path(__file__).parent
 INTERPRETED = bool(getattr(config, "DISABLE_JIT", False))  # kernels run as plain Python
 _PREFIX = "kernels-"
 _LLVM_LEVEL = 1
+_SETTINGS: Any = config  # of Numba, which sets them at run time
 # Importing `NEVER` compiles nothing: an edit of such a file leaves the compiled kernels valid.
 _IMPORTS_JIT = re.compile(
     r"from dcreg\.jit import [^)]*?\bjit|import dcreg\.jit|from dcreg import jit"
@@ -182,12 +183,12 @@ def _at_low_level(compile_core: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     def compile_kernel(*args: Any) -> Any:
-        level = config.OPT
-        config.OPT = min(level, type(level)(_LLVM_LEVEL))
+        level = _SETTINGS.OPT
+        _SETTINGS.OPT = min(level, type(level)(_LLVM_LEVEL))
         try:
             return compile_core(*args)
         finally:
-            config.OPT = level
+            _SETTINGS.OPT = level
 
     return compile_kernel
 

@@ -23,7 +23,7 @@ from dcreg.cli import output
 from dcreg.cli.interrupts import Interrupt, leave
 from dcreg.cli.options import (
     ARGUMENTS,
-    Clouds,
+    CloudFiles,
     MatchSearch,
     Outputs,
     Quiet,
@@ -140,7 +140,7 @@ def _finish(
 @command
 def register(
     *,
-    clouds: Clouds,
+    clouds: CloudFiles,
     n_inliers: str | None = None,
     search: Search,
     outputs: Outputs,
@@ -180,7 +180,7 @@ def register(
 
 @command
 def register_matches(
-    *, clouds: Clouds, matches: str, search: MatchSearch, outputs: Outputs, quiet: Quiet = False
+    *, clouds: CloudFiles, matches: str, search: MatchSearch, outputs: Outputs, quiet: Quiet = False
 ) -> int:
     """Register two 3D clouds from a list of matches, many of which may be wrong.
 
@@ -202,7 +202,7 @@ def register_matches(
 @command
 def sweep(
     *,
-    clouds: Clouds,
+    clouds: CloudFiles,
     n_inliers: str,
     search: Search,
     out_path: Path | None = None,
@@ -252,7 +252,7 @@ def sweep(
 
 
 @command
-def verify(*, certificate: Path, clouds: Clouds, quiet: Quiet = False) -> int:
+def verify(*, certificate: Path, clouds: CloudFiles, quiet: Quiet = False) -> int:
     """Check a certificate against its clouds, using only NumPy and SciPy.
 
     Exit code: 0 the claim is proven, or true but trivial; 2 bad input;

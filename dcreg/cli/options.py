@@ -152,7 +152,7 @@ def _info(name: str, kind: Any, metavar: str | None, text: str) -> Any:
 
 
 @dataclass
-class Clouds:
+class CloudFiles:
     """The two files of points.
 
     Attributes

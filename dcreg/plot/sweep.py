@@ -35,21 +35,14 @@ def plot_sweep(
         If `path` has another suffix.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
+    suffix, known = path.suffix.lower(), " or ".join(FIGURE_PACKAGES)
     if suffix not in FIGURE_PACKAGES:
-        raise InputError(
-            f"{path}: the suffix {suffix!r} is not supported; use {' or '.join(FIGURE_PACKAGES)}"
-        )
+        raise InputError(f"{path}: the suffix {suffix!r} is not supported; use {known}")
     if suffix == ".html":
         write_page(
-            path,
-            page_title("sweep", names),
-            _sweep_title(sweep),
-            sweep_figures(sweep),
-            warnings=sweep.warnings,
-            table=sweep.table(),
-            notes=sweep.notes(),
-        )
+            path, page_title("sweep", names), _sweep_title(sweep), sweep_figures(sweep),
+            warnings=sweep.warnings, table=sweep.table(), notes=sweep.notes(),
+        )  # fmt: skip
     else:
         with whole_file(path) as part:
             _sweep_image(sweep, part, suffix.removeprefix("."))
@@ -108,17 +101,11 @@ def sweep_figures(sweep: SweepResult) -> dict[str, go.Figure]:
     """Return the figures of the page of `plot_sweep`, by caption."""
     drawn = {}
     for curve in _sweep_curves(sweep):
+        around = np.concatenate([curve.high, curve.low[::-1]])
         band = go.Scatter(
-            x=np.concatenate([curve.x, curve.x[::-1]]),
-            y=np.concatenate([curve.high, curve.low[::-1]]),
-            name=_BAND,
-            fill="toself",
-            fillcolor=curve.color,
-            opacity=0.25,
-            line={"width": 0},
-            mode="lines",
-            hoverinfo="skip",
-        )
+            x=np.concatenate([curve.x, curve.x[::-1]]), y=around, name=_BAND, fill="toself",
+            fillcolor=curve.color, opacity=0.25, line={"width": 0}, mode="lines", hoverinfo="skip",
+        )  # fmt: skip
         line = go.Scatter(
             x=curve.x, y=curve.y, name="from the upper bound", mode="lines+markers",
             line={"color": curve.color}, showlegend=True,

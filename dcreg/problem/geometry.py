@@ -147,8 +147,7 @@ def isolated(points: np.ndarray) -> np.ndarray:
         return np.zeros(len(points), dtype=bool)
     reach = cKDTree(points).query(points, k=_NEIGHBOURS + 1)[0][:, -1]
     usual = np.median(reach)
-    alone: np.ndarray = (reach > _ISOLATED * usual) & (usual > 0.0)
-    return alone
+    return np.asarray((reach > _ISOLATED * usual) & (usual > 0.0))
 
 
 def representative_points(points: np.ndarray, count: int) -> np.ndarray:

@@ -106,5 +106,4 @@ def normals_of(points: np.ndarray, some: np.ndarray) -> np.ndarray:
     _, near = cKDTree(points).query(some, k=np.arange(1, count + 1))
     apart = points[near] - points[near].mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
-    normals: np.ndarray = np.ascontiguousarray(axes[:, :, 0])
-    return normals
+    return np.ascontiguousarray(axes[:, :, 0])
