@@ -274,8 +274,8 @@ class Result:
 
     @property
     def rmse_matched(self) -> float:
-        """Root mean square residual of the matched pairs, in units of the target."""
-        return float(np.sqrt(self.objective / self.n_inliers))
+        """Root mean square residual of the matched pairs, in units of the target; NaN without pairs."""
+        return float(np.sqrt(self.objective / self.n_inliers)) if self.n_inliers else np.nan
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; an infinite bound becomes None. The manual lists all keys."""
@@ -317,8 +317,9 @@ class Result:
     __str__ = summary
 
     def __repr__(self) -> str:
+        pairs = text.count(self.n_inliers, "pair")
         return (
-            f"<Result {self.status.value}: {self.model}, mode {self.mode}, {self.n_inliers} pairs, "
+            f"<Result {self.status.value}: {self.model}, mode {self.mode}, {pairs}, "
             f"bounds [{self.lower_bound:.6g}, {self.upper_bound:.6g}], RMSE {self.rmse_matched:.4g}>"
         )
 

@@ -47,7 +47,7 @@ def require(holds: bool | np.bool_, problem: str) -> None:
 
 
 class NoCertificateError(CertificateError):
-    """A file that is not a certificate, rather than a false or damaged one."""
+    """A file that is not a certificate of this format, rather than a false or damaged one."""
 
     def __init__(self, path: Path, problem: str) -> None:
         super().__init__(f"{path}: {problem}; `dcreg register --certificate` writes a certificate")
@@ -173,11 +173,9 @@ def read(path: str | Path) -> Certificate:
         raise NoCertificateError(path, f"not a {FORMAT}")
     names = {entry.name for entry in fields(Certificate)} | {"format", "format_version"}
     version = str(arrays.get("format_version"))
-    require(
-        version == str(FORMAT_VERSION),
-        f"{path}: format version {version}, but this dcreg reads version {FORMAT_VERSION} only; "
-        "make the certificate again with `dcreg register --certificate`",
-    )
+    if version != str(FORMAT_VERSION):
+        problem = f"format version {version}, but this dcreg reads version {FORMAT_VERSION} only"
+        raise NoCertificateError(path, problem)
     wrong = sorted(names ^ set(arrays))
     require(not wrong, f"{path}: wrong entries: {wrong}")
     is_whole = stated == _checksum(arrays)

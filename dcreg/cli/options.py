@@ -187,8 +187,8 @@ class CloudFiles:
             if found != (needed := MODEL_DIM.get(model or "", found)):
                 fitting = next(name for name, dim in MODEL_DIM.items() if dim == found)
                 raise dcreg.InputError(
-                    f"{path}: points have {found} coordinates, but --model {model} needs {needed}; "
-                    f"use --model {fitting} or another file"
+                    f"{path}: points have {found} coordinates, but model {model} needs {needed}; "
+                    f"give another file, or use `dcreg register --model {fitting}`"
                 )
             clouds.append(points)
         return clouds[0], clouds[1]

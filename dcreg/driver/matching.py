@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
+import numpy as np
+
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.warm_up import warm_up_matches
 from dcreg.families.matches.bound import MatchBound
@@ -46,7 +48,9 @@ def _certified(score: str, certify: bool | None) -> bool:
             "certify: bounds refer to the cost of matches, but score='surfaces' selects a pose by "
             "another criterion; omit one of the two"
         )
-    return score == "correspondences" if certify is None else certify
+    if not isinstance(certify, bool | np.bool_ | None):
+        raise InputError(f"certify: {certify!r} is not a bool; give True, False or None")
+    return score == "correspondences" if certify is None else bool(certify)
 
 
 def _solved(

@@ -49,7 +49,7 @@ def read_text(stream: BinaryIO, _: str | None, *, any_width: bool = False) -> np
     """
     rows = list(rows_of(lines_of(stream.read())))
     if not rows:
-        fail("is empty", "give one point per line")
+        fail("is empty", "give one point or pair per line")
     announced = None
     if len(rows[0][1]) == 1 and rows[0][1][0].isdigit():
         announced = int(rows.pop(0)[1][0])
@@ -61,7 +61,7 @@ def read_text(stream: BinaryIO, _: str | None, *, any_width: bool = False) -> np
             "the file may be cut off; export it again or correct that line",
         )
     if not rows:
-        fail("holds no points", "give one point per line")
+        fail("holds no points", "give one point or pair per line")
     width = len(rows[0][1] if names is None else names)
     return numbers_of(rows, _columns(names, width, any_width), width)
 

@@ -129,7 +129,7 @@ class Problem:
         scale_range: tuple[float, float] | None = None,
         candidates: Candidates | None = None,
     ) -> None:
-        if model not in MODEL_DIM:
+        if model not in [*MODEL_DIM]:  # it may be unhashable
             raise InputError(f"model: {model!r} is unknown{suggestion(model, MODEL_DIM)}")
         dim = MODEL_DIM[model]
         source = check_points("source", source, dim, model)
@@ -164,6 +164,10 @@ class Problem:
 
 def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndarray:
     """Return a finite contiguous (n, dim) float64 copy of `points`, or raise `InputError`."""
+    if np.ma.is_masked(points) or np.iscomplexobj(points):
+        raise InputError(
+            f"{name}: masked or complex entries; give an (n, {dim}) array of real numbers"
+        )
     try:
         points = np.array(points, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
@@ -222,7 +226,7 @@ def check_scale_range(scale_range: tuple[float, float] | None, model: str) -> tu
     if scale_range is None:
         return DEFAULT_SCALE_RANGE[model]
     try:
-        low, high = (float(value) for value in scale_range)
+        low, high = (float(value) for value in scale_range if not isinstance(value, str))
     except (TypeError, ValueError):
         raise InputError(
             f"scale_range: {scale_range!r} is not a pair of numbers; give (low, high)"

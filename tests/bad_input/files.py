@@ -27,16 +27,16 @@ TEXT = {
     "empty field": (b"1,2,3\n4,,6\n", "line 2: ''", "correct or remove that line"),
     "announced more": (b"5\n1 2\n3 4\n", "announces 5 points, 2 follow", "correct that line"),
     "announced fewer": (b"1\n1 2\n3 4\n", "announces 1 points, 2 follow", "correct that line"),
-    "header alone": (b"x y\n", "holds no points", "give one point per line"),
-    "comments alone": (b"# x\n% y\n", "is empty", "give one point per line"),
-    "blank lines": (b"\n \n\n", "is empty", "give one point per line"),
+    "header alone": (b"x y\n", "holds no points", "give one point or pair per line"),
+    "comments alone": (b"# x\n% y\n", "is empty", "give one point or pair per line"),
+    "blank lines": (b"\n \n\n", "is empty", "give one point or pair per line"),
     "decimal comma beside blanks": (b"1,5 2,5\n", "line 1: '5 2'", "write a point instead"),
     "quoted decimal comma": (b'"1,5","2,5"\n"3,5","4,5"\n', "line 2: '3,5'", "write a point instead"),
     "thousands": (b"1.000.000 2\n3 4\n", "line 1: '1.000.000'", "correct or remove"),
     "zero bytes": ("1 2\n3 4\n".encode("utf-16"), "zero bytes found", "save it as UTF-8 text"),
     "binary": (bytes(range(256)), "zero bytes found", "save it as UTF-8 text"),
     "another language": ("1 2\n３ 四\n".encode(), "line 2: '四'", "correct or remove that line"),
-    "html": (b"<html><body>404</body></html>\n", "holds no points", "give one point per line"),
+    "html": (b"<html><body>404</body></html>\n", "holds no points", "give one point or pair per line"),
     "json": (b"[[1, 2],\n[3, 4]]\n", "line 2: '[3'", "correct or remove"),
 }  # fmt: skip
 NARROW = {  # what .xyz, with any number of columns, reads
@@ -271,9 +271,9 @@ def _cases() -> Iterator[Case]:
         words = [file, "key 'k' given", "drop the key"]
         yield Case("files", f"key of {suffix}", register("--source-key", "k", source=file), words)
     yield Case("files", "wrong dimension 3", register(source="a3.txt"),
-               ["a3.txt", "3 coordinates", "use --model rigid3d"])  # fmt: skip
+               ["a3.txt", "3 coordinates", "--model rigid3d"])  # fmt: skip
     yield Case("files", "wrong dimension 2", register(dim=3, target="a2.txt"),
-               ["a2.txt", "2 coordinates", "use --model similarity2d"])  # fmt: skip
+               ["a2.txt", "2 coordinates", "--model similarity2d"])  # fmt: skip
     for name, huge in (("one", {"source": "huge.txt"}),
                        ("both", {"source": "huge.txt", "target": "huge.txt"})):  # fmt: skip
         content = "\n".join(f"{x:g} {y:g}" for x, y in 1e300 * A2).encode()

@@ -23,6 +23,9 @@ CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
     "target without points": ({"target": np.zeros((0, 2))}, "target: no points", "give at least"),
     "nan": ({"source": NAN}, "source: 1 point(s) with NaN or infinity, the first in row 3", "remove"),
     "huge coordinates": ({"target": 1e200 * B2}, "target: [", "in a larger unit"),
+    "masked": ({"source": np.ma.masked_greater(A2, 0)}, "source: masked or complex", "real numbers"),
+    "complex": ({"target": B2 + 1j}, "target: masked or complex", "real numbers"),
+    "list of models": ({"model": ["rigid3d"]}, "model: ['rigid3d'] is unknown", "known: rigid3d"),
     "model": ({"model": "affine"}, "model: 'affine' is unknown", "known: rigid3d"),
     "pairs of words": ({"n_inliers": "half"}, "n_inliers: 'half'", "give a count or a fraction"),
     "no pairs": ({"n_inliers": None}, "n_inliers: None", "give a count or a fraction"),
@@ -36,6 +39,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
     "start box": ({"start_box": "small"}, "start_box: 'small' is unknown", "known: radius, stationary"),
     "scale range": ({"scale_range": (2, 1)}, "scale_range: (2.0, 1.0)", "0 < low <= high"),
     "scale of words": ({"scale_range": "wide"}, "scale_range: 'wide'", "pair of numbers"),
+    "digits as scales": ({"scale_range": "11"}, "scale_range: '11'", "pair of numbers"),
     "three scales": ({"scale_range": (1, 2, 3)}, "scale_range: (1, 2, 3)", "pair of numbers"),
     "gap_tol": ({"gap_tol": -1}, "gap_tol: -1", "give a positive number"),
     "gap_tol of words": ({"gap_tol": "small"}, "gap_tol: 'small'", "give a positive number"),
@@ -78,6 +82,12 @@ def _cases() -> Iterator[Case]:
     yield Case("library", "plot as an image",
                lambda: dcreg.plot_registration(A2, B2, found(), "o.png"),
                ["o.png", "'.png'", "use .html"])  # fmt: skip
+    pairs = np.column_stack([np.arange(8)] * 2)
+    for name, value in (("inlier_distance", "0.1"), ("inlier_distance", None), ("certify", "no")):
+        given = {"inlier_distance": 0.1, name: value}
+        yield Case("library", f"{name} {value!r}",
+                   partial(dcreg.register_matches, A3, B3, pairs, **given),
+                   [f"{name}: {value!r} is not a"])  # fmt: skip
     yield Case("library", "scale in 3D",
                partial(dcreg.register, A3, B3, n_inliers=6, model="rigid3d", scale_range=(1, 2)),
                ["scale_range: (1.0, 2.0)", "leave it out"])  # fmt: skip

@@ -29,7 +29,7 @@ PAIRS = {
     "words": (b"0 1\na b\n", "line 2: 'a'", "correct or remove that line"),
     "too few": (b"0 0\n", "at most 1 pairs can be matched", "allow more pairs"),
     "one target for all": (b"0 0\n1 0\n2 0\n3 0\n4 0\n5 0\n", "at most 1 pairs", "allow more pairs"),
-    "empty": (b"", "is empty", "give one point per line"),
+    "empty": (b"", "is empty", "give one point or pair per line"),
 }  # fmt: skip
 
 

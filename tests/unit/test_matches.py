@@ -251,6 +251,14 @@ def test_matches_that_determine_no_pose_give_a_warning():
     assert "do not determine" in str(found)
 
 
+def test_without_a_selected_match_there_is_no_residual():
+    source, target, matches, _ = planted(0, 10, 4)
+    found = dcreg.register_matches(source, target, matches, inlier_distance=1e-30, node_limit=20)
+    assert found.n_inliers == 0
+    assert "nan over 0 pairs" in str(found)
+    assert '"rmse_matched": null' in found.to_json()
+
+
 def test_a_search_that_proves_nothing_gives_a_warning():
     source, target, matches, _ = planted(12, 150, noise=0.02)
     found = dcreg.register_matches(source, target, matches, inlier_distance=REACH, node_limit=16)

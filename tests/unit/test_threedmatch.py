@@ -136,7 +136,7 @@ def test_the_protocols_threshold_and_the_shared_matches_reach_the_problem(monkey
         asked.append(how)
         return {"m": MATCHES}
 
-    monkeypatch.setattr(generate, "shared_matches", shared_matches)
+    monkeypatch.setattr(front_ends, "shared_matches", shared_matches)
     spec = InstanceSpec("threedmatch", "s", "3DMatch", 0.3, 0, None, "rigid3d")
     made = generate.problem_of(spec, raw)
     assert (made.noise_bound, made.matches) == (0.07, {"m": MATCHES})

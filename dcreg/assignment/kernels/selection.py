@@ -3,22 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from llvmlite import ir
-from numba import types
 
-from dcreg.jit import intrinsic, jit, jit_part, jit_reduction
+from dcreg.jit import jit, jit_part, jit_reduction
 
 _MAGNITUDE = np.int64(0x7FFFFFFFFFFFFFFF)
-
-
-@intrinsic(lambda bits: bits.view(np.float64))
-def _as_float(typing_context, bits):
-    """Return the float64 with these 64 bits."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.DoubleType())
-
-    return types.float64(types.int64), generate
 
 
 @jit_part
@@ -36,7 +24,7 @@ def least(values):
     low, bits = _MAGNITUDE, values.view(np.int64)
     for i in range(bits.size):
         low = min(low, _ordered(bits[i]))
-    return _as_float(_ordered(low))
+    return _ordered(low).view(np.float64)
 
 
 @jit

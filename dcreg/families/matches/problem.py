@@ -50,9 +50,10 @@ class MatchProblem:
         """
         source = check_points("source", source, 3, "rigid3d")
         target = check_points("target", target, 3, "rigid3d")
-        if not np.isfinite(inlier_distance) or inlier_distance <= 0:
+        is_number = isinstance(inlier_distance, float | int | np.number)
+        if not is_number or not 0 < inlier_distance < np.inf:
             raise InputError(
-                f"inlier_distance: {inlier_distance} is not a positive number; give a length of about "
+                f"inlier_distance: {inlier_distance!r} is not a positive number; give a length of about "
                 "three times the noise"
             )
         return cls(

@@ -9,33 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from llvmlite import ir
-from numba import types
 
-from dcreg.jit import intrinsic, jit, jit_reduction
+from dcreg.jit import jit, jit_reduction
 
+# Non-negative numbers have the order of their bits, whose minimum the compiler vectorises.
 _NONE = np.int32(0x7F800000)  # the bits of infinity
 _ZERO = np.float32(0.0)
-
-
-@intrinsic(lambda value: value.view(np.int32))
-def _bits(typing_context, value):
-    """Return the 32 bits of a number; for non-negative numbers they have the same order."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.IntType(32))
-
-    return types.int32(types.float32), generate
-
-
-@intrinsic(lambda bits: bits.view(np.float32))
-def _as_float(typing_context, bits):
-    """Return the number with these 32 bits."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.FloatType())
-
-    return types.float32(types.int32), generate
 
 
 @jit_reduction
@@ -56,8 +35,8 @@ def rough_minima(cost, b, low):
     for i in range(cost.shape[0]):
         row, best = cost[i], _NONE
         for j in range(cost.shape[1]):
-            best = min(best, _bits(row[j] + b[j]))
-        low[i] = _as_float(best)
+            best = min(best, (row[j] + b[j]).view(np.int32))
+        low[i] = best.view(np.float32)
 
 
 @jit_reduction
@@ -85,11 +64,12 @@ def _two_cheapest(row, b, places, totals):
     """
     first = second = _NONE
     for j in range(b.size):
-        totals[j] = (_bits(row[j] + b[j]) & ~places) | np.int32(j)
+        totals[j] = ((row[j] + b[j]).view(np.int32) & ~places) | np.int32(j)
         first = min(first, totals[j])
     for j in range(b.size):
         second = min(second, totals[j] if totals[j] != first else _NONE)
-    return first & places, _as_float(first & ~places), _as_float(second & ~places)
+    cheapest, next_one = np.int32(first & ~places), np.int32(second & ~places)
+    return first & places, cheapest.view(np.float32), next_one.view(np.float32)
 
 
 class Auction(NamedTuple):
