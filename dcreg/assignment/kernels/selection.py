@@ -24,7 +24,7 @@ def least(values):
     low, bits = _MAGNITUDE, values.view(np.int64)
     for i in range(bits.size):
         low = min(low, _ordered(bits[i]))
-    return _ordered(low).view(np.float64)
+    return np.int64(_ordered(low)).view(np.float64)
 
 
 @jit

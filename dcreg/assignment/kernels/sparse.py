@@ -128,7 +128,8 @@ def _pop(keys, items, size):
 @jit
 def _twice(values):
     wider = np.empty(2 * values.size, values.dtype)
-    wider[: values.size] = values
+    for at in range(values.size):
+        wider[at] = values[at]
     return wider
 
 

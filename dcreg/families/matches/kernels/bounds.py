@@ -49,7 +49,9 @@ def rotation_bounds(matches, lower, upper, enough, bounds, poses):
                 wanted[j, a] = matches.target[j, a] - (
                     R[a, 0] * x[0] + R[a, 1] * x[1] + R[a, 2] * x[2]
                 )
-        poses[k, :, :3] = R
+        for a in range(3):
+            for b in range(3):
+                poses[k, a, b] = R[a, b]
         fine = FINE * max(total / n, 0.01 * matches.reach)
         bounds[k] = _best_cube(
             matches, (wanted, slack), fine, enough, (members, cubes, by_row, by_column), poses[k]
@@ -82,7 +84,8 @@ def _best_cube(matches, demands, fine, enough, space, pose):
         is_full = end + 8 * size > members.size or waiting + 8 > cubes.shape[0]
         if cubes[waiting, 3] <= fine or (is_full and bound < np.inf):
             best = bound
-            pose[:, 3] = cubes[waiting, :3]
+            for a in range(3):
+                pose[a, 3] = cubes[waiting, a]
             continue
         waiting = _divide(matches, demands, waiting, best, space)
     return best
@@ -130,10 +133,12 @@ def _divide(matches, demands, at, best, space):
             continue
         slot = waiting
         while slot > at and cubes[slot - 1, 6] > bound:
-            cubes[slot] = cubes[slot - 1]
+            for entry in range(8):
+                cubes[slot, entry] = cubes[slot - 1, entry]
             slot -= 1
         cubes[slot, 0], cubes[slot, 1], cubes[slot, 2], cubes[slot, 3] = x, y, z, half
         cubes[slot, 4], cubes[slot, 5], cubes[slot, 6] = start, place, bound
         waiting += 1
-    cubes[at:waiting, 7] = place
+    for slot in range(at, waiting):
+        cubes[slot, 7] = place
     return waiting

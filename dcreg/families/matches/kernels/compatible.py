@@ -59,8 +59,8 @@ def caps(matches, out):
     n = matches.source.shape[0]
     by_row, by_column = np.zeros(matches.n_rows), np.zeros(matches.n_columns)
     for i in range(n):
-        by_row[:] = 0.0
-        by_column[:] = 0.0
+        by_row.fill(0.0)
+        by_column.fill(0.0)
         for j in range(n):
             if i != j and _share(matches, i, j):
                 continue

@@ -50,8 +50,8 @@ def scores(matches, poses, out):
     x, y = matches.source, matches.target
     for p in range(poses.shape[0]):
         T = poses[p]
-        by_row[:] = 0.0
-        by_column[:] = 0.0
+        by_row.fill(0.0)
+        by_column.fill(0.0)
         for k in range(x.shape[0]):
             square = 0.0
             for a in range(3):

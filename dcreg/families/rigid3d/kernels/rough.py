@@ -35,8 +35,8 @@ def rough_minima(cost, b, low):
     for i in range(cost.shape[0]):
         row, best = cost[i], _NONE
         for j in range(cost.shape[1]):
-            best = min(best, (row[j] + b[j]).view(np.int32))
-        low[i] = best.view(np.float32)
+            best = min(best, np.float32(row[j] + b[j]).view(np.int32))
+        low[i] = np.int32(best).view(np.float32)
 
 
 @jit_reduction
@@ -64,12 +64,12 @@ def _two_cheapest(row, b, places, totals):
     """
     first = second = _NONE
     for j in range(b.size):
-        totals[j] = ((row[j] + b[j]).view(np.int32) & ~places) | np.int32(j)
+        totals[j] = (np.float32(row[j] + b[j]).view(np.int32) & ~places) | np.int32(j)
         first = min(first, totals[j])
     for j in range(b.size):
         second = min(second, totals[j] if totals[j] != first else _NONE)
-    cheapest, next_one = np.int32(first & ~places), np.int32(second & ~places)
-    return first & places, cheapest.view(np.float32), next_one.view(np.float32)
+    one = np.int32(first & ~places).view(np.float32)
+    return first & places, one, np.int32(second & ~places).view(np.float32)
 
 
 class Auction(NamedTuple):
