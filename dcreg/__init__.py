@@ -1,4 +1,4 @@
-"""Globally optimal point cloud registration with the holistic DC bound (DC-Reg, arXiv 2603.25442).
+"""Globally optimal point cloud registration by branch and bound (after DC-Reg, arXiv 2603.25442).
 
 `register`, `sweep` and `register_matches` solve, `verify` checks a certificate independently of the
 search, and `read_points` reads files. Results are printed by ``print``, written by `Result.write_json`
