@@ -47,7 +47,7 @@ run: setup
 ## paper-2d-images: run on edges and manually marked points of photographs
 ## paper-3d: run the paper's 3D tests
 ## sensitivity: run with wrong n_inliers and wrong noise bounds
-## threedmatch: run the official 3DMatch and 3DLoMatch lists, with recalls and a figure (NORMALS=oriented)
+## threedmatch: run the official 3DMatch and 3DLoMatch lists, with recalls and a figure (NORMALS=oriented: better features)
 EXPERIMENT = $(subst -,_,$(subst paper-,paper,$@))$(if $(NORMALS),_$(NORMALS))$(if $(QUICK),-quick)
 .PHONY: paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch
 paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch: setup

@@ -36,7 +36,7 @@ REASONS = {
     "code": "the code of the method differs",
     "limit": "hit the time or memory limit",
     "random": "not deterministic, as its card states",
-    "others": "compared with runs that differ",
+    "others": "relative to another run, which differs",
     "unexplained": "unexplained",
 }
 

@@ -50,7 +50,7 @@ def modes() -> str:
     from dcreg.driver.modes import MODES
 
     def row(mode):
-        bound = "its own" if mode.make_bound else f"any (`{mode.own_bound}`)"
+        bound = "its own" if mode.make_bound else f"any (default `{mode.own_bound}`)"
         return f"`{mode.model}`", f"`{mode.name}`", mode.summary, bound, mode.certifies and "yes"
 
     head = ("model", "mode", "search and certificate", "`bound`", "certificate file")

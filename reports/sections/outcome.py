@@ -54,7 +54,7 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
         ("points per cloud", "; ".join(dict.fromkeys(points))),
         ("limit", _limit(tables)),
         ("success", _success(runs)),
-        ("n_p", _prior(runs)),
+        ("n_inliers (n_p)", _prior(runs)),
     ]
 
 
