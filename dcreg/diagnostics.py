@@ -1,7 +1,7 @@
-"""Advice before a search, warnings about its result, and the runner-up pose.
+"""Warnings and hints before a search, warnings about its result, and the runner-up pose.
 
-Each rule is a function from a solved problem to one line of text, or None. The line names the problem and
-the remedy. `warnings_for` applies all `RULES`.
+Each rule is a function from a solved problem to one line of text, or None. The line says what is wrong
+and what to do. `warnings_for` applies all `RULES`.
 """
 
 from __future__ import annotations
@@ -109,9 +109,9 @@ def nothing_proven(case: Case) -> str | None:
     if result.gap_tol >= result.upper_bound:
         what, other = ("norms fit", "translation") if case.in_norm_space else ("pose fits", "pose")
         return (
-            f"{known}. The {what} within the tolerance ({result.upper_bound:.3g} of "
-            f"{result.gap_tol:.3g}), so no {other} is better by more than that; nothing else is proven. "
-            "Set a smaller gap_tol"
+            f"{known}. The {what} within the tolerance (upper_bound={result.upper_bound:.3g}, "
+            f"gap_tol={result.gap_tol:.3g}), so no {other} is better by more than gap_tol; nothing else "
+            "is proven. Set a smaller gap_tol"
         )
     return (
         f"{known}: nothing is proven. Allow more time, use fewer points, or choose a mode that closes "
@@ -122,15 +122,15 @@ def nothing_proven(case: Case) -> str | None:
 def surrogate_mismatch(case: Case) -> str | None:
     """The pose fits much worse than the bounds in norm space suggest."""
     result = case.result
-    found, promised = result.objective / result.n_inliers, result.upper_bound / result.n_bounded
-    ratio = float(found) / float(max(promised, np.finfo(float).tiny))
+    found, bounded = result.objective / result.n_inliers, result.upper_bound / result.n_bounded
+    ratio = float(found) / float(max(bounded, np.finfo(float).tiny))
     is_expected = not case.in_norm_space or ratio <= _MUCH_LARGER or result.is_greedy
     if is_expected or _is_rounding(result.objective, case):
         return None
     times = f"{ratio:.3g}" if ratio < 1e6 else "over a million"
     return (
         f"the mean cost of a pair at this pose is {found:.3g}, {times} times the upper bound "
-        f"{promised:.3g} in norm space. The norms do not determine the pose, which may be wrong. Use "
+        f"{bounded:.3g} in norm space. The norms do not determine the pose, which may be wrong. Use "
         "mode 'full' (with downsample=200 for large clouds), or another n_inliers"
     )
 

@@ -9,7 +9,7 @@ from dcreg.families.matches.problem import MIN_MATCHES, MatchProblem
 RUNNER_UP_RATIO = (
     0.8  # minimum score, relative to that of the best pose, of another pose that is reported
 )
-_REMEDY = "Inspect both clouds, or give better matches"
+_REMEDY = "Look at the clouds at this pose, or give better matches"
 _FLAT = 1e-9  # extent across a line, relative to the extent along it, that counts as rounding
 
 
@@ -67,13 +67,13 @@ def _runner_up(score: str, best: float, other: float) -> str | None:
     share = f" ({other / best:.0%} of the score)" if best > 0.0 else ""
     agrees = "agrees with the matches" + (" and the surfaces" if score == "surfaces" else "")
     return (
-        f"another pose {agrees} nearly as well{share}: either may be right. {_REMEDY}, or several for "
-        "each point"
+        f"another pose {agrees} nearly as well{share}: either may be right. {_REMEDY} (several per "
+        "point)"
     )
 
 
 def _chance(best: float, other: float) -> str | None:
-    """Warn if the next pose is nearly as good, although matches support it by chance only."""
+    """Warn if the score exceeds that of the next pose by no more than matches that agree by chance."""
     if best - other >= MIN_MATCHES:
         return None
     return (
