@@ -167,7 +167,7 @@ class Result:
         Final pose after the polish, as a homogeneous matrix:
         ``p_target = T_target_source @ [p_source, 1]``.
     T_certified : (d+1, d+1) array
-        Pose before the polish; in 2D it attains `upper_bound`.
+        Pose before the polish; it attains `upper_bound`, except in norm space.
     assignment : (n_inliers, 2) int array
         Matched pairs (source row, target row) at `T_target_source`.
     n_inliers : int

@@ -1,1 +1,1 @@
-"""One-to-one matchings of fixed size, and the local steps that use them."""
+"""One-to-one matchings of fixed size, and the local searches that use them."""

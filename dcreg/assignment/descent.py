@@ -1,4 +1,4 @@
-"""Descents that alternate matching and pose: of the searches, and the polish of the final pose."""
+"""Local searches, which alternate matching and pose fit, and the polish of the final pose."""
 
 from __future__ import annotations
 

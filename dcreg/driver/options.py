@@ -46,8 +46,9 @@ class SolveOptions:
         if neither mode, bound, certificate nor candidates are given: 300 points in 2D above 1,000,000
         point pairs, and 1,000 points in 3D above 4,000,000 point pairs unless all points match.
     listener : callable, optional
-        Called with every `dcreg.Event` and at least every half second; the additional calls come from
-        another thread. If it returns True, the solve stops with status ``stopped``.
+        Called with every `dcreg.Event`. If none occurs for a quarter of a second, it is called with an
+        event of kind ``heartbeat`` from another thread. If it returns True, the solve stops with status
+        ``stopped``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Several cardinalities: the optimum for each, to choose from if `n_inliers` is unknown.
+"""Solve for several cardinalities, to choose one if `n_inliers` is unknown.
 
 Let E_k(theta) be the minimum sum of squared residuals of k one-to-one pairs at a pose. The k cheapest
 pairs of an optimal matching of k' > k pairs cost at most the fraction k / k' of it, and they are a

@@ -1,1 +1,1 @@
-"""Pose families: parameters, objective, starts and bounds, one folder each."""
+"""Pose families: parameters, objective, initial poses and bounds, one folder each."""

@@ -1,4 +1,4 @@
-"""Boxes of parameters: bounds over them, the open ones, the leaves."""
+"""Boxes of parameters, the interface of a bound over them, the queue of open boxes, and leaf boxes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A binary heap of open boxes: least bound first, among equals the larger box, then the older.
+"""A binary heap of open boxes: lowest bound first, among equals the larger box, then the older.
 
-The heap holds slots; what orders them stays in arrays by slot.
+The heap holds the slots of boxes. Bounds, sizes and serial numbers are in arrays indexed by slot.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Sort many arrays of one length at once, as the columns of a table.
 
-A sorting network makes the same comparisons for all numbers. So each step takes two rows and orders all
+A sorting network makes the same comparisons for every input. So each step takes two rows and orders all
 their columns by one vector minimum and one vector maximum, without branches. The network is bitonic, in
 the form in which each comparison moves the smaller number up. Rows beyond the last one count as
 infinite, so the number of rows is arbitrary.

@@ -1,5 +1,4 @@
-"""Rotation stage for large clouds: initial rotations from a sample, refinement on all points; no
-search.
+"""Rotation stage for large clouds: local searches from sampled rotations, without branch and bound.
 
 The rotations of a fixed grid are scored by the nearest neighbours of a sample of the points. The best
 ones are refined on a larger sample, and the best of those on all points. Each step alternates nearest

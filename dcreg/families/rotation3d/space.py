@@ -11,10 +11,10 @@ Why boxes of quaternions
 theta is a quaternion (w, x, y, z) of any length. The eight facets of the cube [-1, 1]^4 contain each
 quaternion once up to length. Since q and -q are the same rotation, the four facets on which one
 component is +1 contain every rotation, and only those on their boundaries more than once. They are the
-roots. A box has zero width along its facet's axis, is never divided along it, and needs no chart
-number. Both bounds apply to such boxes directly. The cube of angle-axis vectors would waste 48 % of its
-volume outside the ball of radius pi, cover half-turns twice, and need an enclosure by such a box for
-B2.
+roots. A box has zero width along its facet's axis, is never divided along it, and needs no index of
+its facet. Both bounds apply to such boxes directly. The cube of angle-axis vectors would waste 48 % of
+its volume outside the ball of radius pi, cover half-turns twice, and need an enclosure by such a box
+for B2.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""3D translation in norm space: theta = t, matched are |x + t| and |y| (DC-Reg, Case II)."""
+"""3D translation in norm space: theta = t, and |x + t| is matched with |y| (DC-Reg, Case II)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """Costs of all pairs at a parameter, the curvature of the costs, and their range over a box.
 
-Both problems match *features*: points in 2D, or norms ``|x + t|``. The residual of a pair is a squared
-distance of features, so both problems share the bounds. A one-dimensional target holds norms. Kernels
-that receive the target as a separate argument are compiled for only one of the two problems.
+Similarities match points in 2D, and translations in norm space match norms ``|x + t|``. Both are called
+*features*. The residual of a pair is a squared distance of features, so both problems share the bounds.
+A one-dimensional target holds norms. Kernels that receive the target as a separate argument are compiled
+for only one of the two problems.
 """
 
 from __future__ import annotations
