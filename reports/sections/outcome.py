@@ -65,7 +65,9 @@ def _prior(runs: pd.DataFrame) -> str:
     is_whole = full["n_source"] == full.groupby("instance_id")["n_source"].transform("max")
     differs = is_whole & (full["n_inliers"] != full["n_inliers_true"])
     tests = full.loc[differs, "test"].unique()
-    other = f" ({', '.join(tests)}: × the number that the dataset prescribes)" if len(tests) else ""
+    other = (
+        f" (in {', '.join(tests)}: × the pairs that the dataset prescribes)" if len(tests) else ""
+    )
     fewer = "" if is_whole.all() else "; in proportion for methods that receive fewer points"
     return " and ".join(f"{ratio:g}" for ratio in ratios) + " × the true pairs" + other + fewer
 

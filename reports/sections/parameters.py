@@ -46,7 +46,7 @@ def parameters(card: dict[str, Any]) -> list[tuple[str, str, str]]:
         ("limits", ", ".join(limits_of(card).values()) or "not stated", ""),
         (
             "n_inliers",
-            f"{card.get('n_inliers_ratio', 1):g} × the true pairs, or × the number that the dataset "
+            f"{card.get('n_inliers_ratio', 1):g} × the true pairs, or × the pairs that the dataset "
             "prescribes",
             "",
         ),

@@ -367,7 +367,7 @@ def test_the_page_shows_the_limit_that_a_run_hit(small):
         ({}, "1 × the true pairs"),
         (
             {"n_inliers": [90, 90]},
-            "1 × the true pairs (canny: × the number that the dataset prescribes)",
+            "1 × the true pairs (in canny: × the pairs that the dataset prescribes)",
         ),
         (
             {"n_source": [400, 100], "n_inliers": [20, 5]},
