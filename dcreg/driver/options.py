@@ -29,7 +29,7 @@ class SolveOptions:
         ``tight``. Mode ``full`` has its own bounds and accepts none.
     start_box : {"stationary", "radius"}
         Both contain every optimum. ``radius`` follows from the radii of the clouds alone. ``stationary``
-        uses that an optimal pose is stationary, so that its translation is a difference of means of
+        uses the fact that an optimal pose is stationary: its translation is a difference of means of
         `n_inliers` points (a single value when all points match).
     threads : int
         Threads that evaluate bounds. The result does not depend on their number.

@@ -1,4 +1,4 @@
-"""Bounds on the optima of a box from the matchings at its centre: optima are stationary.
+"""Bounds on the optima of a box, which are stationary, from the matchings at its centre.
 
 The proof is in `dcreg.families.rigid3d.bound`.
 """
