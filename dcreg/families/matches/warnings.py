@@ -73,7 +73,7 @@ def _runner_up(score: str, best: float, other: float) -> str | None:
 
 
 def _chance(best: float, other: float) -> str | None:
-    """Warn if the score exceeds that of the next pose by no more than matches that agree by chance."""
+    """Warn if the lead over the next pose is so small that chance can explain it."""
     if best - other >= MIN_MATCHES:
         return None
     return (
