@@ -230,8 +230,8 @@ def _correlations(ranks: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def race(source: Source, p: Parameters) -> Finding:
     """Ratio of times to the smallest relative gap that both searches of an instance reached.
 
-    If only one search has a bound above 0, they are compared at the smallest gap of this one. The other
-    one counts with its whole time.
+    If only one search has a bound above 0, the comparison uses its smallest gap, and the other search
+    counts with its whole time.
     """
     finding = Finding("ratio of mean time to equal gap")
     assert source.experiment is not None
