@@ -78,7 +78,7 @@ def register(
     Raises
     ------
     InputError
-        For bad input, before any search, naming field, value and remedy.
+        For bad input, before any search. The message names field and value, and says what to do.
 
     Examples
     --------
@@ -144,7 +144,7 @@ def sweep(
     Raises
     ------
     InputError
-        For bad input, before any search, naming field, value and remedy.
+        For bad input, before any search. The message names field and value, and says what to do.
 
     Examples
     --------
@@ -233,7 +233,7 @@ def register_matches(
     Raises
     ------
     InputError
-        For bad input, naming field, value and remedy.
+        For bad input. The message names field and value, and says what to do.
 
     Examples
     --------

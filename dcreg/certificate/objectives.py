@@ -1,8 +1,8 @@
 """The objectives that certificates refer to, with simple bounds on them, in NumPy and SciPy only.
 
 Each family of poses has an objective E(theta), a region that contains all its minimisers, and three lower
-bounds over boxes of parameters. The argument `needed` is the bound that a
-box has to reach; the computation may stop there.
+bounds over boxes of parameters. The argument `needed` is the bound that a box has
+to reach; the computation may stop there.
 """
 
 from __future__ import annotations

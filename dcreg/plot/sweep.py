@@ -19,7 +19,7 @@ from dcreg.sweep_result import SweepResult
 def plot_sweep(
     sweep: SweepResult, path: str | Path, *, names: tuple[str, str] = ("source", "target")
 ) -> None:
-    """Write the residual and the cost of the next pair against the number of pairs.
+    """Write a figure of the RMS residual and the marginal cost against the number of pairs.
 
     Parameters
     ----------

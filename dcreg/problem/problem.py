@@ -17,7 +17,7 @@ from dcreg.names import MODEL_DIM
 
 
 class InputError(ValueError):
-    """Bad input. The message names the field (and file), the value and the remedy."""
+    """Bad input. The message names the field (and file) and the value, and says what to do."""
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
@@ -110,7 +110,7 @@ class Problem:
     Raises
     ------
     InputError
-        Naming the field, the value and the remedy.
+        The message names the field and the value, and says what to do.
     """
 
     source: np.ndarray

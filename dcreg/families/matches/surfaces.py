@@ -1,8 +1,8 @@
 """The surface score: how well the surfaces of both clouds coincide.
 
 A wrong pose often agrees with more matches than the right one, because many of the thousands of feature
-matches agree by chance. Wrong poses hardly ever align the surfaces as well, so that near points have
-similar normals.
+matches agree by chance. Hardly any wrong pose also aligns the surfaces, which means that near points
+have similar normals.
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ assignment it is close, and it takes one pass over the pairs per point. Only the
 solved, and its dual variables serve the others. Dual variables alone would lose the second order if the
 matching changes within the box.
 
-The bound of a box is max(B1, B2). Cheaper bounds come first. None is evaluated
-after one that reaches the cutoff. For a box of one rotation B1 equals E.
+The bound of a box is max(B1, B2). Cheaper bounds come first. None is evaluated after
+one that reaches the cutoff. For a box of one rotation B1 equals E.
 """
 
 from __future__ import annotations
