@@ -32,8 +32,8 @@ class Space(abc.ABC):
     stop_flag : (1,) uint8 array
         Set from another thread to stop kernels.
     stationary_box : bool
-        Whether the start box is limited to the translations of stationary poses. Otherwise it follows from
-        the radii of the clouds. Without effect on a space without translations.
+        Whether the start box is limited to the translations of stationary poses. Otherwise it follows
+        from the radii of the clouds. Without effect on a space without translations.
     max_scale : float
         Maximum scale of a pose.
 
