@@ -97,7 +97,7 @@ class Stage:
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid``, ``polish``, ``all points`` or, in a sweep, ``descents``.
+        ``search``, ``rotation``, ``rigid``, ``polish``, ``all points`` or, in sweeps, ``local searches``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional

@@ -72,7 +72,7 @@ class Solution:
     stages : list of Stage
     events : list of Event
     minima : list of (pose, objective)
-        Where descents over poses ended.
+        Where local searches over poses ended.
     certified : (Box, Outcome), optional
         The root and the outcome of the certified search.
     """

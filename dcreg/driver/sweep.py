@@ -123,10 +123,10 @@ class Level:
     def solution(self) -> Solution:
         """Return all that is known except the pose."""
         status = Status.OPTIMAL if self.closed else self.stopped_by or Status.STOPPED
-        descents = Stage("descents", self.descending_s, n_assignments=self.n_descending)
+        local = Stage("local searches", self.descending_s, n_assignments=self.n_descending)
         return Solution(
             np.empty(0), status, self.lower_bound, self.upper_bound, self.space.scope,
-            [descents, *self.searches], list(self.events),
+            [local, *self.searches], list(self.events),
         )  # fmt: skip
 
 
@@ -153,7 +153,7 @@ class _Sweep:
         return min(share, 1.0 - min(ending, _LARGEST_ENDING))
 
     def incumbents(self) -> None:
-        """Find a pose for every cardinality, by its own descents and from its neighbours."""
+        """Find a pose for every cardinality, by local searches and from its neighbours."""
         starting = self.searching.sub_budget(STARTING_SHARE)
         for at, level in enumerate(self.levels):
             if at and starting.is_over:

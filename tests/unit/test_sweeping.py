@@ -383,7 +383,7 @@ def test_a_pose_reaches_all_cardinalities_though_the_time_is_over(monkeypatch, t
 
 def test_time_of_descents_is_counted(found):
     for result in found.results:
-        assert result.stages[0].name == "descents"
+        assert result.stages[0].name == "local searches"
         assert 0.0 < result.stages[0].time_s <= result.time_solve_s
 
 
