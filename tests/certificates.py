@@ -5,8 +5,9 @@ from functools import cache
 
 import numpy as np
 
-from dcreg.certificate import verify, write
+from dcreg.certificate import write
 from dcreg.certificate.record import record
+from dcreg.certificate.verification import verify
 from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D

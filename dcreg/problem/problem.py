@@ -164,14 +164,12 @@ class Problem:
 
 def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndarray:
     """Return a finite contiguous (n, dim) float64 copy of `points`, or raise `InputError`."""
-    if np.ma.is_masked(points) or np.iscomplexobj(points):
-        raise InputError(
-            f"{name}: masked or complex entries; give an (n, {dim}) array of real numbers"
-        )
     try:
+        if np.ma.is_masked(points) or np.iscomplexobj(points):
+            raise TypeError("masked or complex entries")
         points = np.array(points, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: not an array of numbers ({error})") from None
+        raise InputError(f"{name}: not an array of real numbers ({error})") from None
     if points.ndim != 2 or points.shape[1] != dim:
         raise InputError(
             f"{name}: shape {points.shape}, but model {model} needs (n, {dim}); "

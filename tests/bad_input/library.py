@@ -15,7 +15,7 @@ from tests.problems import register as solve
 NAN = A2.copy()
 NAN[3, 1] = np.nan
 CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
-    "source of words": ({"source": [["a", "b"]]}, "source: not an array of numbers", "'a'"),
+    "source of words": ({"source": [["a", "b"]]}, "source: not an array of real numbers", "'a'"),
     "source of rows of all lengths": ({"source": [[1, 2], [3]]}, "source: not an array", "shape"),
     "source of one axis": ({"source": np.zeros(4)}, "source: shape (4,)", "one point per row"),
     "source in 3D": ({"source": A3}, "source: shape (8, 3)", "choose the other model"),
@@ -23,8 +23,8 @@ CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
     "target without points": ({"target": np.zeros((0, 2))}, "target: no points", "give at least"),
     "nan": ({"source": NAN}, "source: 1 point(s) with NaN or infinity, the first in row 3", "remove"),
     "huge coordinates": ({"target": 1e200 * B2}, "target: [", "in a larger unit"),
-    "masked": ({"source": np.ma.masked_greater(A2, 0)}, "source: masked or complex", "real numbers"),
-    "complex": ({"target": B2 + 1j}, "target: masked or complex", "real numbers"),
+    "masked": ({"source": np.ma.masked_greater(A2, 0)}, "source: not an array of real", "masked"),
+    "complex": ({"target": B2 + 1j}, "target: not an array of real", "masked or complex"),
     "list of models": ({"model": ["rigid3d"]}, "model: ['rigid3d'] is unknown", "known: rigid3d"),
     "model": ({"model": "affine"}, "model: 'affine' is unknown", "known: rigid3d"),
     "pairs of words": ({"n_inliers": "half"}, "n_inliers: 'half'", "give a count or a fraction"),

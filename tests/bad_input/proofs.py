@@ -70,6 +70,7 @@ def _certificates() -> Iterator[Case]:
         ("pickle", b"\x80\x04\x95\x00", "not an .npz file"),
         ("other arrays", no_arrays, "not a dcreg leaf cover"),
         ("no arrays", npz(), "not a dcreg leaf cover"),
+        ("another version", npz(format="dcreg leaf cover", format_version=9), "format version"),
     ):
         case = ["c.npz", words, remedy]
         yield Case("certificates", name, verify, case, {"c.npz": content})
@@ -79,7 +80,6 @@ def _certificates() -> Iterator[Case]:
         ("cut off", good[:-100], "not a readable certificate"),
         ("half", good[: len(good) // 2], "not a readable certificate"),
         ("first bytes", good[:4], "not a readable certificate"),
-        ("another version", npz(format="dcreg leaf cover", format_version=9), "format version"),
     ):
         case = ["c.npz", words, again]
         yield Case("certificates", name, verify, case, {"c.npz": content}, code=5)

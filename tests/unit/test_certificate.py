@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dcreg
-from dcreg.certificate import CertificateError, format, verification, verify
+from dcreg.certificate import CertificateError, format, verification
 from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Proof, check_partition
-from dcreg.certificate.verification import check_samples, objective_of
+from dcreg.certificate.verification import check_samples, objective_of, verify
 from tests.certificates import DIM, certify, check, clouds, made_case, refused
 from tests.problems import register
 

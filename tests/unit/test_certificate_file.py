@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dcreg.certificate import Certificate, CertificateError, format, read, verify, write
+from dcreg.certificate import Certificate, CertificateError, format, read, write
+from dcreg.certificate.verification import verify
 from tests.certificates import DIM, made_case
 
 

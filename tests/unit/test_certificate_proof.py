@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcreg.certificate import CertificateError, verify, write
+from dcreg.certificate import CertificateError, write
 from dcreg.certificate.assignment import cheapest_pairs, duals_of
 from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Proof, check_partition
+from dcreg.certificate.verification import verify
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Boxes, LongestEdge
 from tests.certificates import DIM, certify, clouds, made_case
@@ -32,7 +33,7 @@ sys.modules["dcreg"] = package
 for name in ("search", "families", "assignment", "driver", "problem", "jit"):
     sys.modules[f"dcreg.{name}"] = None  # importing it raises
 import numpy as np
-from dcreg.certificate import verify
+from dcreg.certificate.verification import verify
 report = verify(sys.argv[1], np.load(sys.argv[2]), np.load(sys.argv[3]))
 print(report.accepted, report.reason)
 assert not [name for name in sys.modules if name.startswith("numba")]

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.assignment.kernels.selection import kth_smallest, least
+from dcreg.assignment.kernels.selection import cleared, kth_smallest, least
 from dcreg.jit import NEVER, jit, jit_part, jit_reduction
 
 
@@ -216,7 +216,7 @@ def _augment(cost, spare_price, a, b, col_of, row_of, starts, stop):
     """Augment from each unmatched row, and from the dummy row once per column that it lacks."""
     n, m = cost.shape
     dummy, spare = n, m
-    dist, open_b, no_cost = np.empty(m), np.empty(m), np.zeros(m)
+    dist, open_b, no_cost = np.empty(m), np.empty(m), cleared(np.empty(m))
     pred = np.empty(m + 1, np.int64)
     scanned, reached = np.empty(m + 1, np.int64), np.empty(m + 1)
     spare_cost, spare_row = np.empty(m), np.empty(m, np.int64)

@@ -27,6 +27,14 @@ def least(values):
     return np.int64(_ordered(low)).view(np.float64)
 
 
+@jit_part
+def cleared(values):
+    """Return an array after it is filled with zeros; `np.zeros` takes longer to compile."""
+    for at in np.ndindex(values.shape):
+        values[at] = 0
+    return values
+
+
 @jit
 def place_of_least(values):
     """Return the index of the first minimum."""

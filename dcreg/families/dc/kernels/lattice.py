@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcreg.assignment.kernels.selection import cleared
 from dcreg.families.dc.kernels.boxes import n_vertices, vertex
 from dcreg.jit import jit, jit_part
 
@@ -92,7 +93,7 @@ def find_or_add(lattice, used, call, lower, upper, slots):
     """
     table, keys, dim = lattice.table, lattice.keys, lattice.origin.size
     mask = np.uint64(table.size - 1)
-    theta, q = np.empty(dim), np.zeros(4, np.int64)
+    theta, q = np.empty(dim), cleared(np.empty(4, np.int64))
     for box in range(lower.shape[0]):
         slots[box, 0] = -1
         for index in range(n_vertices(lower[box], upper[box])):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dcreg.assignment.kernels.selection import cleared
 from dcreg.jit import jit_part
 
 _STEPS = 40
@@ -20,7 +21,7 @@ def best_linearisation(vertices, values, weights, floor, enough, point):
     reach, or if `enough` is reached.
     """
     count, dim = vertices.shape
-    w, centre = np.empty(count), np.zeros(dim)
+    w, centre = np.empty(count), cleared(np.empty(dim))
     for v in range(count):
         w[v] = 1.0 / count
         for a in range(dim):

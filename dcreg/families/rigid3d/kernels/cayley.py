@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.assignment.kernels.dense import k_assignment_duals
-from dcreg.assignment.kernels.selection import least, place_of_least, sum_of_smallest
+from dcreg.assignment.kernels.selection import cleared, least, place_of_least, sum_of_smallest
 from dcreg.families.rigid3d.kernels.poses import add_penalty_by_target
 from dcreg.jit import jit, jit_part
 
@@ -47,8 +47,7 @@ def residuals(view, delta, terms):
 def fit_delta(view, col_of, lower, upper, delta):
     """Fit (r, s) in a box to given pairs: bounded least squares by coordinate descent."""
     moved, shifted = view.source, view.target
-    H = np.zeros((6, 6))
-    g = np.zeros(6)
+    H, g = cleared(np.empty((6, 6))), cleared(np.empty(6))
     for i in range(col_of.size):
         j = col_of[i]
         if j < 0:
@@ -136,14 +135,14 @@ def vertex_bound(view, vertices, half, floor, cutoff, col_of):
     will not exceed `floor`.
     """
     n, m = view.source.shape[1], view.target.shape[1]
-    low_box, high_box, delta = np.empty(6), np.empty(6), np.zeros(6)
+    low_box, high_box, delta = np.empty(6), np.empty(6), cleared(np.empty(6))
     scale = _step_box(vertices, half, low_box, high_box)
     goal, hopeless, spent = cutoff * scale, False, 0
     terms, costs, low, b = np.empty((7, m, n)), np.empty((n, m)), np.empty(n), np.empty(m)
     for _ in range(_REFITS):
         fit_delta(view, col_of, low_box, high_box, delta)
         residuals(view, delta, terms)
-        linear_costs(terms, np.zeros(6), costs)
+        linear_costs(terms, cleared(np.empty(6)), costs)
         value, matching, b = k_assignment_duals(costs, view.k, view.stop)
         spent += 1
         hopeless = value <= floor * scale  # already at delta, which lies in the box

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from dcreg.assignment.kernels.selection import cleared
 from dcreg.families.kernels import overlap
 from dcreg.jit import jit
 
@@ -35,7 +36,7 @@ def pair_poses(pairs, source, target, feasible, search, thetas, scores):
         Receive the best poses of each pair; scores are initially zero.
     """
     looked, field, low, high, stop = search
-    theta, R, t = np.empty(4), np.zeros((3, 3)), np.zeros(3)
+    theta, R, t = np.empty(4), cleared(np.empty((3, 3))), cleared(np.empty(3))
     for at in range(pairs.shape[0]):
         i, j = pairs[at, 0], pairs[at, 1]
         x, y = source[j, 0] - source[i, 0], source[j, 1] - source[i, 1]
