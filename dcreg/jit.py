@@ -63,7 +63,7 @@ def _kernels_in(package: Path) -> Iterator[Path]:
 @functools.cache
 def digest_of(package: Path) -> str:
     """Return the digest of the library's kernels and of the files in `package` that compile others."""
-    sources = {path for root in (HERE, package) for path in _kernels_in(root)}
+    sources = {Path(__file__), *(path for root in (HERE, package) for path in _kernels_in(root))}
     digest = hashlib.sha256()
     for path in sorted(sources):
         digest.update(path.read_bytes())
@@ -177,7 +177,7 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wra
 
 
 def _at_low_level(compile_core: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile at LLVM's level 1, not 3: in a tenth less time, to kernels that are as fast.
+    """Compile at LLVM's level 1, not 3: in a tenth less time, and searches take as long.
 
     Numba holds its lock while it compiles, so no other thread sees the level.
     """
@@ -200,7 +200,8 @@ def _compiled(**options: Any) -> Any:
         # a private kernel is called by other kernels alone and needs no entry from Python
         inner: dict[str, Any] = {"no_cpython_wrapper": function.__name__.startswith("_")}
         kernel: Any = nb.njit(**inner, **_OPTIONS, **options)(function)
-        kernel._compiler._compile_core = _at_low_level(kernel._compiler._compile_core)
+        if function.__module__.startswith("dcreg."):  # some kernels of other methods slow down
+            kernel._compiler._compile_core = _at_low_level(kernel._compiler._compile_core)
         if cache_folder(Path(function.__code__.co_filename)) is not None:
             kernel._cache = _Cache(function)
         return kernel

@@ -1,15 +1,19 @@
 """Run the stages of a workflow in processes that share their imports.
 
 The first stage starts a server process that has imported what most stages need; it forks for every stage.
-A stage has its own process, as before, but does not load pandas, SciPy and the configuration again.
+A stage has its own process, as before, but does not import pandas and SciPy again.
 """
 
 from __future__ import annotations
 
 import multiprocessing
+import threading
+from multiprocessing.connection import wait
 
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(["workflows.preload"])
+# `start` and `join` read the exit codes of all stages, and an exit code can be read only once.
+_lock = threading.Lock()
 
 
 class StageError(RuntimeError):
@@ -24,8 +28,11 @@ def run_stage(program: str, *arguments: str) -> None:
     StageError
     """
     stage = _context.Process(target=_main, args=(program, arguments))
-    stage.start()
-    stage.join()
+    with _lock:
+        stage.start()
+    wait([stage.sentinel])
+    with _lock:
+        stage.join()
     if stage.exitcode:
         raise StageError(f"`{program} {' '.join(arguments)}` ended with exit code {stage.exitcode}")
 

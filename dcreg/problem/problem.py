@@ -224,7 +224,9 @@ def check_scale_range(scale_range: tuple[float, float] | None, model: str) -> tu
     if scale_range is None:
         return DEFAULT_SCALE_RANGE[model]
     try:
-        low, high = (float(value) for value in scale_range if not isinstance(value, str))
+        if any(isinstance(value, str) for value in scale_range):
+            raise TypeError
+        low, high = map(float, scale_range)
     except (TypeError, ValueError):
         raise InputError(
             f"scale_range: {scale_range!r} is not a pair of numbers; give (low, high)"

@@ -40,6 +40,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
     "scale range": ({"scale_range": (2, 1)}, "scale_range: (2.0, 1.0)", "0 < low <= high"),
     "scale of words": ({"scale_range": "wide"}, "scale_range: 'wide'", "pair of numbers"),
     "digits as scales": ({"scale_range": "11"}, "scale_range: '11'", "pair of numbers"),
+    "a scale of words": ({"scale_range": (0.5, 1.5, "x")}, "scale_range: (0.5", "pair of numbers"),
     "three scales": ({"scale_range": (1, 2, 3)}, "scale_range: (1, 2, 3)", "pair of numbers"),
     "gap_tol": ({"gap_tol": -1}, "gap_tol: -1", "give a positive number"),
     "gap_tol of words": ({"gap_tol": "small"}, "gap_tol: 'small'", "give a positive number"),

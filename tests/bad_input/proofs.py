@@ -99,6 +99,7 @@ def _certificates() -> Iterator[Case]:
         ("a gap", {"leaf_upper": 0.9 * c.leaf_upper + 0.1 * c.leaf_lower}, "leaves: a gap"),
         ("small start box", {"start_upper": 0.5 * c.start_upper}, "start box: axis"),
         ("more pairs", {"n_inliers": 7}, "7"),
+        ("no pairs", {"n_inliers": 0}, "n_inliers: out of range"),
         ("pairs beyond the clouds", {"n_inliers": 99}, "n_inliers: 99 exceeds"),
         ("another model", {"model": "affine"}, "model 'affine' is unknown"),
         ("model of space", {"model": "translation3d"}, "shape"),

@@ -439,6 +439,19 @@ def test_no_box_with_a_local_optimum_is_bounded_above_it(seed):
                 boxes.warm_start = found.warm_start
 
 
+def test_limits_of_a_matching_hold_for_every_choice_of_points(rng):
+    source = centred(rng.standard_normal((7, 3)) * [2.0, 1.0, 0.5])
+    for k in range(1, 8):
+        limits = RigidBound(Rigid3D(source, source, k))._limits
+        chosen = [source[list(rows)] for rows in combinations(range(7), k)]
+        inertia = max((points**2).sum() for points in chosen)
+        drift = max(np.linalg.norm(points.sum(axis=0)) for points in chosen)
+        spread = max(np.ptp(np.linalg.eigvalsh(points.T @ points)) for points in chosen)
+        assert limits.inertia == pytest.approx(inertia)
+        assert drift - 1e-9 <= limits.drift <= 1.1 * drift + 1e-9
+        assert spread <= limits.spread + 1e-9
+
+
 def test_without_its_loss_the_bound_would_exceed_local_optima(rng):
     """The preceding test can fail."""
     passed = 0

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dcreg.problem import farthest_points, representative_points
+from dcreg.driver.downsample import to_search
+from dcreg.problem import Problem, farthest_points, representative_points
 from dcreg.problem.geometry import isolated
 
 
@@ -48,3 +49,10 @@ def test_degenerate_clouds_keep_all_points(kind, rng):
     assert len(representative_points(points, 10)) == min(
         10, len(np.unique(points, axis=0)), len(points)
     )
+
+
+def test_a_sample_keeps_model_and_scales(rng):
+    problem = Problem(rng.random((60, 2)), rng.random((50, 2)), 40, "similarity2d", (0.9, 1.1))
+    (searched,) = to_search([problem], 20, None, None)
+    assert (searched.model, searched.scale_range) == ("similarity2d", (0.9, 1.1))
+    assert (len(searched.source), len(searched.target), searched.n_inliers) == (20, 20, 16)

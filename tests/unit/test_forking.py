@@ -1,0 +1,45 @@
+"""Stages that start and end at the same time in several threads."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from workflows.forking import StageError, run_stage
+
+STAGES = """
+import threading
+from workflows import forking
+
+forking._context.set_forkserver_preload([])
+
+def run():
+    for _ in range(60):
+        forking.run_stage("stage")
+
+threads = [threading.Thread(target=run) for _ in range(8)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+"""
+
+
+def test_no_stage_of_many_threads_is_said_to_fail(tmp_path):
+    stage = tmp_path / "stage" / "__main__.py"
+    stage.parent.mkdir()
+    stage.write_text("def app(arguments): pass")
+    path = os.pathsep.join([str(Path(__file__).parents[2]), str(tmp_path)])
+    done = subprocess.run(
+        [sys.executable, "-c", STAGES], env=os.environ | {"PYTHONPATH": path},
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert "StageError" not in done.stderr
+
+
+def test_a_stage_that_fails_is_reported():
+    with pytest.raises(StageError, match="nothing"):
+        run_stage("nothing")
