@@ -28,6 +28,7 @@ from baselines._shared.kernels.products import (
     product_range,
     relax_product,
     relax_square,
+    relaxed_costs,
 )
 from dcreg.assignment.kernels.dense import k_assignment
 from dcreg.jit import jit
@@ -68,18 +69,7 @@ def aggregated_bound(features, ranges, k, stop, lower, upper, bounds, thetas):
                 beta[a] += ca
                 beta[b] += cb
             constant += c0
-        for row in range(BILINEAR.shape[0]):
-            f, a = BILINEAR[row, 0], BILINEAR[row, 1]
-            cg, ct, c0 = relax_product(-2.0, low[f], high[f], lo[a], up[a])
-            alpha[f] += cg
-            beta[a] += ct
-            constant += c0
-        for i in range(n):
-            for j in range(m):
-                total = features[7, i, j]
-                for f in range(N_FEATURES):
-                    total += alpha[f] * features[f, i, j]
-                cost[i, j] = total
+        constant = relaxed_costs(features, ranges, (lo, up), constant, alpha, beta, cost)
         value, _ = k_assignment(cost, k, stop)
         value += constant
         for a in range(4):

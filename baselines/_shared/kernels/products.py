@@ -91,6 +91,28 @@ def minimum_product(c, low, high):
 
 
 @jit
+def relaxed_costs(features, ranges, box, constant, alpha, beta, cost):
+    """Relax the bilinear terms, and fill the costs of all pairs; return the constant with theirs.
+
+    `alpha` and `beta`, the slopes in the features and in theta, receive those of the bilinear terms.
+    """
+    (low, high), (lo, up) = ranges, box
+    for row in range(BILINEAR.shape[0]):
+        f, a = BILINEAR[row, 0], BILINEAR[row, 1]
+        cg, ct, c0 = relax_product(-2.0, low[f], high[f], lo[a], up[a])
+        alpha[f] += cg
+        beta[a] += ct
+        constant += c0
+    for i in range(cost.shape[0]):
+        for j in range(cost.shape[1]):
+            total = features[7, i, j]
+            for f in range(N_FEATURES):
+                total += alpha[f] * features[f, i, j]
+            cost[i, j] = total
+    return constant
+
+
+@jit
 def linearise(features, low, high, k, lower, upper, constants, beta, gamma):
     """Linearise each box: a constant with the best assignment, slopes in theta and in phi.
 
@@ -110,18 +132,8 @@ def linearise(features, low, high, k, lower, upper, constants, beta, gamma):
             )
             alpha[f] += cg
             constant += c0
-        for row in range(BILINEAR.shape[0]):
-            f, a = BILINEAR[row, 0], BILINEAR[row, 1]
-            cg, ct, c0 = relax_product(-2.0, low[f], high[f], lo[a], up[a])
-            alpha[f] += cg
-            beta[box, a] += ct
-            constant += c0
-        for i in range(n):
-            for j in range(m):
-                total = features[7, i, j]
-                for f in range(N_FEATURES):
-                    total += alpha[f] * features[f, i, j]
-                cost[i, j] = total
+        ranges = low, high
+        constant = relaxed_costs(features, ranges, (lo, up), constant, alpha, beta[box], cost)
         value, _ = k_assignment(cost, k, np.zeros(1, np.uint8))
         constants[box] = value + constant
     return lower.shape[0]

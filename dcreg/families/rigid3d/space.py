@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,6 @@ from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
 from dcreg.families.rigid3d.starts import SCALES, best_descents, congruent_poses, rounds_for
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
-from dcreg.jit import NEVER
 from dcreg.names import RIGID_POSE
 from dcreg.problem.geometry import apply_pose
 from dcreg.search import Box, Budget
@@ -76,8 +76,7 @@ class Rigid3D(CloudSpace):
         target: np.ndarray,
         n_inliers: int,
         candidates: np.ndarray | None = None,
-        stop_flag: np.ndarray = NEVER,
-        stationary_box: bool = True,
+        *settings: Any,
     ) -> Rigid3D:
         """Return the space in which the smaller cloud moves; `pose` still returns poses of `source`.
 
@@ -89,7 +88,7 @@ class Rigid3D(CloudSpace):
             source, target = target, source
             if candidates is not None:  # in C order, because kernels are compiled for C order only
                 candidates = np.ascontiguousarray(candidates.T)
-        space = cls(source, target, n_inliers, candidates, stop_flag, stationary_box)
+        space = cls(source, target, n_inliers, candidates, *settings)
         space._swapped = swapped
         return space
 
