@@ -6,6 +6,9 @@ Tests compare these lists with the tables of that code.
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 # Kind of pose: dimension of the points.
 MODEL_DIM = {"similarity2d": 2, "rigid3d": 3}
 
@@ -17,6 +20,8 @@ _MODES = {"similarity2d": ("paper",), "rigid3d": ("full", "paper")}
 
 BOUND_NAMES = ("tight", "shared", "dc", "interval")
 DEFAULT_BOUND = "tight"
+_BOUNDS_OF_MODES = ("rigid", "rotation")  # of modes that accept no other bound
+_NAME = re.compile(r'^    name(?:, \w+)* = "([\w-]+)"', re.M)  # of the class of a bound
 
 # Start boxes of a search, which contain every optimum; the first is the default.
 START_BOXES = ("stationary", "radius")
@@ -42,5 +47,10 @@ def mode_names(model: str) -> list[str]:
 
 
 def bound_names() -> list[str]:
-    """Return the bounds, without combinations ``a+b``."""
-    return [*BOUND_NAMES]
+    """Return the bounds, without combinations ``a+b``: those of the library, then added ones.
+
+    Their names are read from the source of the families' files ``bound*.py``, which is not imported.
+    """
+    files = Path(__file__).parent.glob("families/*/bound*.py")
+    found = {name for file in files for name in _NAME.findall(file.read_text("utf-8"))}
+    return [*BOUND_NAMES, *sorted(found.difference(BOUND_NAMES, _BOUNDS_OF_MODES))]

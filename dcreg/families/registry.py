@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from dcreg.families.protocol import Space, SpaceBound, Strongest
-from dcreg.names import BOUND_NAMES, bound_names
+from dcreg.names import bound_names
 from dcreg.problem import InputError, suggestion
 from dcreg.search import Box
 
@@ -51,7 +51,7 @@ def bound_parts(name: str) -> list[str]:
         For an unknown name.
     """
     parts = name.split("+") if isinstance(name, str) else [name]
-    unknown = [part for part in parts if part not in BOUND_NAMES]
+    unknown = [part for part in parts if part not in bound_names()]
     if unknown:
         raise InputError(
             f"bound: {unknown[0]!r} is unknown{suggestion(unknown[0], bound_names())}; several can be "

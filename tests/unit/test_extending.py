@@ -18,6 +18,7 @@ MOST_LINES = 20
 CHECKS = """
 import numpy as np
 
+import dcreg
 from baselines import registry
 from baselines.contract import Instance, Limits
 from data.registry import dataset
@@ -46,6 +47,11 @@ for name in ("ball", "tight"):
     found = minimise(space, make_bound(name, space), Budget(nodes=5000), gap_tol=0.05)
     assert found.status == "optimal", (name, found.status)
     assert found.lower_bound <= found.upper_bound
+ball = dcreg.SolveOptions(bound="ball")
+found = dcreg.register(
+    source, target, n_inliers=8, model="similarity2d", node_limit=100, options=ball
+)
+assert "ball" in dcreg.bound_names() and found.bound == "ball"
 
 assert METRICS["median_error"].meaning.startswith("Median distance")
 assert "noise_only" in [module.__name__.rpartition(".")[2] for module in modules(standalone)]
