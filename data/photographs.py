@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -143,7 +144,8 @@ def _grey(path: Path) -> np.ndarray:
     from skimage import color, io
 
     try:
-        picture = io.imread(path)
+        # from memory: on a broken picture imageio leaves files open
+        picture = io.imread(BytesIO(path.read_bytes()))
     except (OSError, ValueError) as error:
         raise DataError(f"{path}: not a readable image ({error})") from error
     return color.rgb2gray(picture[..., :3]) if picture.ndim == 3 else picture / 255.0
