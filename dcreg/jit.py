@@ -200,7 +200,8 @@ def _compiled(**options: Any) -> Any:
         # a private kernel is called by other kernels alone and needs no entry from Python
         inner: dict[str, Any] = {"no_cpython_wrapper": function.__name__.startswith("_")}
         kernel: Any = nb.njit(**inner, **_OPTIONS, **options)(function)
-        if function.__module__.startswith("dcreg."):  # some kernels of other methods slow down
+        # some kernels of other methods slow down
+        if HAS_CACHE and function.__module__.startswith("dcreg."):
             kernel._compiler._compile_core = _at_low_level(kernel._compiler._compile_core)
         if cache_folder(Path(function.__code__.co_filename)) is not None:
             kernel._cache = _Cache(function)
