@@ -290,7 +290,7 @@ def verify(*, certificate: Path, clouds: CloudFiles, quiet: Quiet = False) -> in
 
 @app.command()
 def version() -> None:
-    """Print the versions that determine a result."""
+    """Print the versions of dcreg, Python, NumPy, SciPy and Numba."""
     typer.echo(f"dcreg {dcreg.__version__}")
     packages = ("numpy", "scipy", "numba")
     listing = ", ".join(f"{name} {package_version(name)}" for name in packages)

@@ -222,11 +222,11 @@ class Search:
     time_limit : S
         Seconds of search; inf: no limit.
     node_limit : N
-        Maximum number of boxes in each search; the batch in progress is completed.
+        Maximum number of boxes in each search; exceeded by less than one round.
     memory_limit_mb : MB
         Maximum memory of the open boxes of a search. Default: no limit.
     threads : N
-        Number of threads; the result does not depend on it.
+        Number of threads. They change the result only if the time limit ends the search.
     polish : switch
         Refine pose and pairs jointly after the certified search.
     downsample : N
@@ -278,7 +278,7 @@ class MatchSearch:
     time_limit : S
         Seconds of search; inf: no limit.
     node_limit : N
-        Maximum number of boxes in each search; the batch in progress is completed.
+        Maximum number of boxes in each search; exceeded by less than one round.
     """
 
     inlier_distance: float
