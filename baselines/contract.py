@@ -168,12 +168,13 @@ class Limits:
     nodes: int | None = None  # boxes; for a multi-start method, initial poses
     memory_mb: int | None = None
     threads: int = 1
+    assignments: int | None = None  # exact ones, of each search; other methods ignore it
 
     def budget(self) -> Budget:
-        """Return the budget of time, boxes and memory of a run that starts now."""
+        """Return the budget of time, work and memory of a run that starts now."""
         from dcreg.search import Budget
 
-        return Budget(self.time_s, self.nodes, self.memory_mb)
+        return Budget(self.time_s, self.nodes, self.memory_mb, assignments=self.assignments)
 
 
 @dataclass

@@ -18,6 +18,8 @@ class Status(enum.StrEnum):
     TIME_LIMIT = "time_limit"
     #: It hit the node limit; the best pose is kept.
     NODE_LIMIT = "node_limit"
+    #: It hit the limit on assignments; the best pose is kept.
+    ASSIGNMENT_LIMIT = "assignment_limit"
     #: Its open boxes hit the memory limit; the best pose is kept.
     MEMORY_LIMIT = "memory_limit"
     #: It raised an error, crashed, was killed, or returned no pose.
@@ -31,5 +33,5 @@ class Status(enum.StrEnum):
 
     @property
     def is_limit(self) -> bool:
-        """Whether a limit of time, boxes or memory ended the run."""
-        return self in (Status.TIME_LIMIT, Status.NODE_LIMIT, Status.MEMORY_LIMIT)
+        """Whether a limit of time, work or memory ended the run."""
+        return self.value.endswith("_limit")

@@ -146,10 +146,10 @@ def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Ser
 def limits_of(card: dict[str, Any]) -> dict[str, str]:
     """Return the limits of a method in words, by the status of a run that hits them."""
     limits = card.get("limits", {})
-    boxes = {"nodes": "{:g} boxes or initial poses", "nodes_at_100": "{:g} boxes at 100 points"}
     texts = {
         "time_limit": {"time_s": "{:g} s"},
-        "node_limit": boxes,
+        "node_limit": {"nodes": "{:g} boxes or initial poses"},
+        "assignment_limit": {"assignments": "{:g} assignments"},
         "memory_limit": {"memory_mb": "{:g} MB"},
     }
     return {

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 
 from baselines import registry
-from baselines.contract import Instance, Limits
+from baselines.contract import Limits
 from data.parameters import explain, key_path
 from dcreg.problem import suggestion
 from workflows import CHECKOUT, shown
@@ -30,8 +30,8 @@ class LimitSettings(Part):
     # Of the whole worker, including its libraries; below 100 none could start.
     memory_mb: Annotated[int, Field(ge=100, le=10**8)] = 2048
     nodes: Annotated[int, Field(gt=0, le=10**15)] | None = None
-    # The same at 100 points; scaled to take as long for other sizes (assignments take cubic time).
-    nodes_at_100: Annotated[int, Field(gt=0, le=10**15)] | None = None
+    # Of methods that solve exact assignments: a measure of work that no machine and no language changes.
+    assignments: Annotated[int, Field(gt=0, le=10**15)] | None = None
     threads: Annotated[int, Field(gt=0, le=1024)] = 1
     warm_up_s: Seconds = 300.0  # imports and JIT compilation, once per worker
 
@@ -40,14 +40,9 @@ class LimitSettings(Part):
         """Seconds until a worker is killed; a method that keeps the limit answers before."""
         return 1.5 * self.time_s + 1.0
 
-    def of_run(self, instance: Instance) -> Limits:
-        """Return the limits of a run on `instance`, as given to the method."""
-        nodes = self.nodes
-        if self.nodes_at_100 is not None:
-            size = len(instance.source) * len(instance.target) / 100**2
-            scaled = max(1, round(self.nodes_at_100 / size**1.5))
-            nodes = scaled if nodes is None else min(nodes, scaled)
-        return Limits(self.time_s, nodes, self.memory_mb, self.threads)
+    def of_run(self) -> Limits:
+        """Return the limits of a run, as given to the method."""
+        return Limits(self.time_s, self.nodes, self.memory_mb, self.threads, self.assignments)
 
 
 class MethodSettings(Part):

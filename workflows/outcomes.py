@@ -23,6 +23,7 @@ GROUPS: dict[Status, Group] = {
     Status.TIME_LIMIT: Group("limited", is_timed=True),
     Status.MEMORY_LIMIT: Group("limited", is_timed=True),
     Status.NODE_LIMIT: Group("limited"),
+    Status.ASSIGNMENT_LIMIT: Group("limited"),
     Status.STOPPED: Group("limited"),
     Status.FAILED: Group("failed"),
     Status.UNSUPPORTED: Group("unsupported"),

@@ -32,7 +32,7 @@ def replay(plan: Plan, run_id: str) -> dict[str, Any]:
     if reason := method.available() or method.supports(instance):
         raise ConfigError(f"{run.method.name}: {reason}")
     method.warm_up(instance)
-    solution = method.solve(instance, plan.experiment.limits_of(run.method).of_run(instance))
+    solution = method.solve(instance, plan.experiment.limits_of(run.method).of_run())
     pose = solution.T_target_source
     return {
         "method": run.method.name,

@@ -187,7 +187,7 @@ def _times(
 ) -> dict[tuple[str, str, str], list[float]]:
     """Return the seconds of finished runs per method, model and test under the limits of an experiment.
 
-    A run that hit a node limit counts as the time limit if the experiment has no node limit.
+    A run that hit a limit of work counts as the time limit if the experiment has no such limit.
     """
     limits_of = {method.name: experiment.limits_of(method) for method in experiment.methods}
     times: dict[tuple[str, str, str], list[float]] = {}
@@ -195,10 +195,11 @@ def _times(
         row, limits = kept.get(run.run_id, {}), limits_of.get(run.method.name)
         if limits is None or (time := row.get("time_solve_s")) is None:
             continue
-        limits_nodes = limits.nodes is not None or limits.nodes_at_100 is not None
-        if row["status"] == Status.TIME_LIMIT or (
-            row["status"] == Status.NODE_LIMIT and not limits_nodes
-        ):
+        limited = {
+            Status.NODE_LIMIT: limits.nodes is None,
+            Status.ASSIGNMENT_LIMIT: limits.assignments is None,
+        }
+        if limited.get(row["status"], row["status"] == Status.TIME_LIMIT):
             time = limits.time_s
         key = run.method.name, run.chunk.model, run.instance.test
         times.setdefault(key, []).append(time)

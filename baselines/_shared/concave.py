@@ -185,11 +185,8 @@ class ConcaveSearch(abc.ABC):
             return Status.OPTIMAL
         if budget.is_over:
             return Status.TIME_LIMIT
-        if budget.nodes is not None and self.n_nodes >= budget.nodes:
-            return Status.NODE_LIMIT
-        if budget.memory_mb is not None and nbytes > share * budget.memory_mb * 2**20:
-            return Status.MEMORY_LIMIT
-        return None
+        spent = self.n_assignments + self.reduced.incumbent.n_assignments
+        return budget.spent(self.n_nodes, spent, nbytes / share)
 
     def record(self, n_open: int = 0) -> None:
         """Record the state of the search when a bound changed, and at the end."""

@@ -94,6 +94,7 @@ class Adapter(LibraryMethod):
                 bound=self.options["bound"],
                 polish=self.options["polish"],
                 threads=limits.threads,
+                assignment_limit=limits.assignments,
             ),
         )
         return solution_of(result)

@@ -155,15 +155,10 @@ class _Search:
             self.status = Status.OPTIMAL
         elif budget.is_over:
             self.status = budget.ended_by
-        elif budget.nodes is not None and self.n_nodes >= budget.nodes:
-            self.status = Status.NODE_LIMIT
-        elif budget.memory_mb is not None and self._megabytes > budget.memory_mb:
-            self.status = Status.MEMORY_LIMIT
+        else:
+            nbytes = len(self.open) * self.bytes_per_box
+            self.status = budget.spent(self.n_nodes, self.bound.n_assignments, nbytes)
         self._report("bound" if self.status is None else "end")
-
-    @property
-    def _megabytes(self) -> float:
-        return len(self.open) * self.bytes_per_box / 2**20
 
     def _report(self, kind: str) -> None:
         """Keep an event for a new incumbent, a risen lower bound, and the end."""

@@ -35,7 +35,7 @@ def register_match_problem(
     certify = _certified(score, certify)
     warm_up_matches()
     setup = time.perf_counter() - began
-    with limits.budget(options.listener) as budget:
+    with limits.budget(options, options.listener) as budget:
         return _solved(problem, score, certify, limits.gap_tol, budget, setup)
 
 

@@ -45,6 +45,9 @@ class SolveOptions:
         clouds and is scaled down with them. By default, all points are searched, except for large clouds
         if neither mode, bound, certificate nor candidates are given: 300 points in 2D above 1,000,000
         point pairs, and 1,000 points in 3D above 4,000,000 point pairs unless all points match.
+    assignment_limit : int, optional
+        Maximum number of exact assignments of each search after the initial poses. In contrast to a time
+        limit it gives the same result on every machine.
     listener : callable, optional
         Called with every `dcreg.Event`. If none occurs for a quarter of a second, it is called with an
         event of kind ``heartbeat`` from another thread. If it returns True, the solve stops with status
@@ -64,6 +67,7 @@ class SolveOptions:
     polish: bool = True
     certificate: bool = False
     downsample: int | None = None
+    assignment_limit: int | None = None
     listener: Listener | None = None
 
     def __post_init__(self) -> None:
@@ -76,6 +80,7 @@ class SolveOptions:
             raise InputError(
                 f"threads: {self.threads} threads are too many; give at most {MAX_THREADS}"
             )
+        check_positive("assignment_limit", self.assignment_limit, such_as=100_000)
         for name in ("polish", "certificate"):
             if not isinstance(value := getattr(self, name), bool | np.bool_):
                 raise InputError(f"{name}: {value!r} is not a bool; give True or False")
@@ -135,9 +140,9 @@ class Limits:
         check_positive("node_limit", self.nodes, such_as=10_000)
         check_positive("memory_limit_mb", self.memory_mb)
 
-    def budget(self, listener: Listener | None) -> Budget:
+    def budget(self, options: SolveOptions, listener: Listener | None) -> Budget:
         """Start the clock."""
-        return Budget(self.time_s, self.nodes, self.memory_mb, listener)
+        return Budget(self.time_s, self.nodes, self.memory_mb, listener, options.assignment_limit)
 
 
 def check_positive(

@@ -117,7 +117,9 @@ class Setup:
 
     def budget(self) -> Budget:
         """Start the clock; the listener receives events in the units of the input."""
-        return self.limits.budget(in_input_units(self.options.listener, self.frame.area))
+        return self.limits.budget(
+            self.options, in_input_units(self.options.listener, self.frame.area)
+        )
 
     def normalised(self, at: int, budget: Budget) -> NormalisedProblem:
         """Return the problem that is searched for ``problems[at]``."""

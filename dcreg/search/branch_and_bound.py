@@ -158,6 +158,10 @@ class _Search:
     def lower_bound(self) -> float:
         return min(self.nodes.lower_bound, self.pruned_bound, self.upper_bound)
 
+    @property
+    def n_assignments(self) -> int:
+        return self.bound.n_assignments + self.n_refining
+
     def update_incumbent(self, found: Evaluation, refine: Refine | None) -> None:
         """Update the incumbent by the best candidate of the round and a local search from it."""
         best = int(np.argmin(_settled(found.values, self.gap_tol)))
@@ -204,10 +208,10 @@ class _Search:
             self.status = Status.OPTIMAL
         elif self.is_over:
             self.status = budget.ended_by
-        elif budget.nodes is not None and self.n_nodes >= budget.nodes:
-            self.status = Status.NODE_LIMIT
-        elif budget.memory_mb is not None and self.nodes.nbytes > budget.memory_mb * 2**20:
-            self.status = Status.MEMORY_LIMIT
+        else:
+            self.status = budget.spent(
+                self.n_nodes, self.n_assignments + self.start.n_assignments, self.nodes.nbytes
+            )
         self._report("bound" if self.status is None else "end")
         if budget.stopped and self.status is None:
             self.status = Status.STOPPED
@@ -224,17 +228,17 @@ class _Search:
             is_open = self.status is not Status.OPTIMAL
             self.leaves.add(self.nodes.pop(len(self.nodes), np.inf), is_open)
         assert self.status is not None
-        spent = self.bound.n_assignments + self.n_refining + self.start.n_assignments
+        spent = self.n_assignments + self.start.n_assignments
         return Outcome(
             self.status, self.theta, lower_bound, self.upper_bound, self.n_nodes, spent, time_s,
             self.events, self.leaves,
         )  # fmt: skip
 
     def _report(self, kind: str) -> None:
-        spent = self.bound.n_assignments + self.n_refining
         event = Event(
-            kind, self.stage, self.budget.elapsed(), self.n_nodes, spent, len(self.nodes),
-            self.lower_bound, self.upper_bound, self.status.value if self.status is not None else "",
+            kind, self.stage, self.budget.elapsed(), self.n_nodes, self.n_assignments,
+            len(self.nodes), self.lower_bound, self.upper_bound,
+            self.status.value if self.status is not None else "",
         )  # fmt: skip
         if kind == "bound" and self.events and _same_bounds(self.events[-1], event):
             event = replace(event, kind="heartbeat")  # passed to the listener, not kept

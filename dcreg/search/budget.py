@@ -99,7 +99,7 @@ class Interrupted(Exception):  # noqa: N818 (not an error: it never leaves the l
 
 
 class Budget:
-    """Limits on time, boxes and memory of a solve, handed down from stage to stage.
+    """Limits on time, boxes, memory and assignments of a solve, handed down from stage to stage.
 
     As a context manager, it runs a thread that watches the clock, because kernels do not: at the limit
     the thread sets `stop`. It also repeats the last event after a quarter of a second without events,
@@ -116,6 +116,8 @@ class Budget:
         Memory of the open boxes of a search.
     listener : callable, optional
         Receives every event; returning True sets `stopped`.
+    assignments : int, optional
+        Maximum number of exact assignments of each search, checked between its rounds.
 
     Attributes
     ----------
@@ -133,8 +135,9 @@ class Budget:
         nodes: int | None = None,
         memory_mb: float | None = None,
         listener: Listener | None = None,
+        assignments: int | None = None,
     ) -> None:
-        self.nodes, self.memory_mb = nodes, memory_mb
+        self.nodes, self.memory_mb, self.assignments = nodes, memory_mb, assignments
         self.history: list[Event] = []
         self.stop, self.hard_stop = np.zeros(1, np.uint8), np.zeros(1, np.uint8)
         self._listener = listener
@@ -210,6 +213,16 @@ class Budget:
         """Whether the time is up or the caller asked to stop, so that nothing new should begin."""
         late = self._deadline is not None and time.perf_counter() > self._deadline
         return late or self.stopped
+
+    def spent(self, nodes: int, assignments: int, nbytes: float) -> Status | None:
+        """Return the limit of work or memory that a search has reached, or None."""
+        if self.nodes is not None and nodes >= self.nodes:
+            return Status.NODE_LIMIT
+        if self.assignments is not None and assignments >= self.assignments:
+            return Status.ASSIGNMENT_LIMIT
+        if self.memory_mb is not None and nbytes > self.memory_mb * 2**20:
+            return Status.MEMORY_LIMIT
+        return None
 
     @property
     def ended_by(self) -> Status:

@@ -83,11 +83,9 @@ def _named(names: np.ndarray, dataset: str) -> str:
 def _limit(tables: Tables) -> str:
     limits = [card.get("limits", {}) for card in tables.cards.values()]
     known = sorted({each["time_s"] for each in limits if each.get("time_s") is not None})
-    by_boxes = sum(any(each.get(key) for key in ("nodes", "nodes_at_100")) for each in limits)
-    boxes = f"; {by_boxes} of {len(limits)} methods also with a limit on boxes or initial poses" * (
-        by_boxes > 0
-    )
-    return (_range(known, " s per run") if known else "not stated") + boxes
+    by_work = sum(any(each.get(key) for key in ("nodes", "assignments")) for each in limits)
+    work = f"; {by_work} of {len(limits)} methods also with a limit on work" * (by_work > 0)
+    return (_range(known, " s per run") if known else "not stated") + work
 
 
 def _range(values: list[float], unit: str) -> str:

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from baselines import registry
-from baselines.contract import Instance, Limits
+from baselines.contract import Limits
 from workflows import config
 from workflows.config import ConfigError, LimitSettings
 from workflows.stages.plan import expand
@@ -85,7 +85,7 @@ def test_quick_parts_have_every_method_and_test_and_end_within_15_minutes(name):
 
     def seconds_of(method):
         limits = quick.limits_of(method)
-        by_nodes = limits.nodes is not None or limits.nodes_at_100 is not None
+        by_nodes = limits.nodes is not None or limits.assignments is not None
         return min(limits.time_s * (0.5 if by_nodes else 1.0), at_most.get(method.baseline, np.inf))
 
     seconds = sum(seconds_of(run.method) for run in plan.runs())
@@ -116,17 +116,10 @@ def test_quick_part_limits_single_methods_before_they_are_varied(load_quick_part
     assert {whole.limits_of(method).nodes for method in whole.methods} == {None}
 
 
-def test_nodes_are_given_at_100_points_and_reduced_for_larger_clouds():
-    def given(n_source, n_target, **limits):
-        clouds = np.zeros((n_source, 2)), np.zeros((n_target, 2))
-        instance = Instance("i", *clouds, "similarity2d", 3, (1, 1), 0.1, 0)
-        return LimitSettings(**limits).of_run(instance)
-
-    assert given(100, 100, nodes_at_100=800).nodes == 800
-    assert given(200, 200, nodes_at_100=800).nodes == given(100, 400, nodes_at_100=800).nodes == 100
-    assert given(5000, 5000, nodes_at_100=800).nodes == 1
-    assert given(50, 50, nodes_at_100=800, nodes=900).nodes == 900
-    assert given(50, 50, time_s=3, memory_mb=500, threads=2) == Limits(3, None, 500, 2)
+def test_limits_of_a_run_are_those_of_its_settings():
+    assert LimitSettings(time_s=3, memory_mb=500, threads=2, assignments=9).of_run() == Limits(
+        3, None, 500, 2, 9
+    )
 
 
 NO_LIMITS = [{"name": "icp", "baseline": "icp", "limits": 5}]

@@ -69,7 +69,7 @@ def small(tmp_path_factory) -> tuple[Path, str]:
     folder = report_fixture.write_tables(root / "tables", "paper2d", cases)
     path = folder / "provenance.json"
     known = json.loads(path.read_text(encoding="utf-8"))
-    boxes = {"dcreg-full": {"nodes_at_100": 700}, "dcreg-half": {"nodes": 8, "nodes_at_100": None}}
+    boxes = {"dcreg-full": {"nodes": 700}, "dcreg-half": {"nodes": 8}}
     for method, limits in boxes.items():
         known["methods"][method]["limits"] |= limits
     path.write_text(json.dumps(known), encoding="utf-8")

@@ -253,7 +253,7 @@ class Sandbox:
             answer = worker.ask(
                 "solve",
                 instance,
-                limits.of_run(instance),
+                limits.of_run(),
                 timeout_s=limits.kill_after_s,
                 limit=f"the limit is {limits.time_s:g} s",
                 compile_s=compile_s,
