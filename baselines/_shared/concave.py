@@ -26,11 +26,12 @@ import numpy as np
 
 from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.kernels.statistics import N_STATISTICS, concave, minimum_linear, statistics
+from baselines._shared.tolerance import absolute_tolerance
 from baselines.contract import Instance, Solution
 from dcreg.assignment.descent import polish
 from dcreg.assignment.objective import pairs_of
 from dcreg.families.similarity2d.space import Similarity2D
-from dcreg.problem import Frame, Problem, default_gap_tol
+from dcreg.problem import Frame, Problem
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget, Event, Trace
 from dcreg.status import Status
@@ -85,7 +86,7 @@ class Incumbent:
 class Reduced:
     """An instance as concave minimisation, in the normalised coordinates of the library.
 
-    `gap_tol` is the library's default tolerance times a factor.
+    `gap_tol` is the absolute tolerance for a factor of the RMS radius of the target.
     """
 
     frame: Frame
@@ -106,8 +107,7 @@ class Reduced:
         source, target = frame.source(problem.source), frame.target(problem.target)
         clouds = Clouds(source, target, problem.n_inliers, *problem.scale_range)
         space = Similarity2D(source, target, clouds.k, clouds.scale_range)
-        points = instance.source, instance.target
-        gap_tol = default_gap_tol(*points, instance.n_inliers, factor) / frame.area
+        gap_tol = absolute_tolerance(target, clouds.k, factor)
         theta, value, spent = space.start(budget, gap_tol)
         return cls(frame, Incumbent(clouds, space.pose(theta), value, spent, budget), gap_tol)
 

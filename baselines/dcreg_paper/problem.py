@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baselines._shared.tolerance import absolute_tolerance
 from baselines.contract import Instance
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
-from dcreg.problem.geometry import Frame
+from dcreg.problem import Frame, rms_radius
 from dcreg.search import Box
 
 UNITS = ("source", "target", "none")
@@ -56,7 +57,7 @@ class Centred:
 
     def epsilon(self, factor: float) -> float:
         """Return ``k (factor r)^2``, r the RMS radius of the target."""
-        return self.n_inliers * (factor * rms_radius(self.target)) ** 2
+        return absolute_tolerance(self.target, self.n_inliers, factor)
 
     def space(self, stop_flag: np.ndarray, stationary: bool = False) -> FeatureSpace:
         """Return the similarities, or the translations in norm space."""
@@ -87,8 +88,3 @@ class Centred:
             reach = np.abs(self.target).max()
             half = np.array([*2 * [self.scale_range[1]], reach, reach])
         return Box(-half, half)
-
-
-def rms_radius(points: np.ndarray) -> float:
-    """Return the RMS distance of points from their mean."""
-    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
