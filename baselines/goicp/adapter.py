@@ -43,16 +43,15 @@ class Adapter(Baseline):
         )
 
     def _settings(self, frame: Frame, instance: Instance) -> Settings:
-        half = self.options["translation_half_width"]
-        centre = np.zeros(3)
-        if half is None:
-            centre, half = optimal_translations(frame.source, frame.target, instance.n_inliers)
+        centre, half = frame.translations(
+            self.options["translation_half_width"], instance.n_inliers
+        )
         tolerance = self.options["mse_threshold"] * instance.n_inliers
         return Settings(
             n_kept=instance.n_inliers,
             tolerance=tolerance,
             translation_centre=centre,
-            translation_half_width=float(half),
+            translation_half_width=half,
             cells_per_axis=self.options["cells_per_axis"],
             icp_tolerance=tolerance / 10_000,
             n_starts=self.options["start_rotations"],
@@ -82,11 +81,38 @@ class Frame:
         self.source = (source - self.origin_source) / self.unit
         self.target = (instance.target - self.origin_target) / self.unit
 
+    def translations(self, half: float | None, n_kept: int) -> tuple[np.ndarray, float]:
+        """Return centre and half-width of the cube of translations; None: all that can be optimal."""
+        if half is None:
+            return optimal_translations(self.source, self.target, n_kept)
+        return np.zeros(3), float(half)
+
     def restore(self, pose: np.ndarray) -> np.ndarray:
         """Return a pose of this frame in the coordinates of the instance."""
         rotation = pose[:3, :3]
         shift = self.unit * pose[:3, 3] + self.origin_target - rotation @ self.origin_source
         return homogeneous(1.0, rotation, shift)
+
+
+def contains_translation(
+    instance: Instance, T_true: np.ndarray, half_width: float | None, normalise: bool = True
+) -> bool:
+    """Return whether Go-ICP's cube of translations contains that of a pose.
+
+    Parameters
+    ----------
+    instance : Instance
+    T_true : (4, 4) array
+        A pose in the coordinates of the instance.
+    half_width : float or None
+    normalise : bool
+        The options ``translation_half_width`` and ``normalise``.
+    """
+    frame = Frame(instance, normalise)
+    moved = T_true[:3, :3] @ frame.origin_source + T_true[:3, 3]
+    centre, half = frame.translations(half_width, instance.n_inliers)
+    offset = np.abs((moved - frame.origin_target) / frame.unit - centre).max()
+    return bool(offset <= half * (1 + 1e-9))
 
 
 def optimal_translations(

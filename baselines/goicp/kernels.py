@@ -1,6 +1,6 @@
 """Compiled inner search of Go-ICP over translations, and nearest distances.
 
-One search serves a rotation cube with centre R0. Let e_i(t) = d(R0 x_i + t, Y), gamma_i the uncertainty
+A rotation cube with centre R0 needs two searches. Let e_i(t) = d(R0 x_i + t, Y), gamma_i the uncertainty
 radius of point i by the rotation, gamma_t the half-diagonal of a translation cube, and take sums over
 the k smallest terms:
 
@@ -8,8 +8,8 @@ the k smallest terms:
     relaxed      sum max(e_i(t) - gamma_i, 0)^2               an upper bound on the relaxed minimum
     bound        sum max(e_i(t0) - gamma_i - gamma_t, 0)^2    a lower bound over both cubes
 
-All three use the same distances, so the search for the lower bound of the rotation cube also provides the
-poses for its upper bound, without a second search.
+The first one has gamma_i = 0 and finds the best translation for R0, and with it the upper bound. The
+second one has the radii and finds the lower bound; poses that it meets count as well.
 """
 
 from __future__ import annotations

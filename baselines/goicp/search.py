@@ -62,7 +62,9 @@ class GoICP:
     def run(self) -> Outcome:
         """Search all rotations until the gap is closed or a limit is reached."""
         settings = self.settings
-        self._descend(spread_poses(settings.n_starts, settings.seed, settings.translation_centre))
+        centre, half = settings.translation_centre, settings.translation_half_width
+        nearest_zero = np.clip(np.zeros(3), centre - half, centre + half)
+        self._descend(spread_poses(settings.n_starts, settings.seed, nearest_zero))
         root = np.zeros(3), np.pi
         return search_cubes(
             self.bound_cube, root, self.incumbent, self.budget, gap_tol=settings.tolerance
@@ -78,10 +80,10 @@ class GoICP:
                 None,
             )  # outside the ball of rotation vectors: other cubes contain its rotations
         rotation = Rotation.from_rotvec(centre).as_matrix()
-        gamma = uncertainty(half, self.norms)
-        bound, value, translation = self.search_translations(rotation, gamma)
-        if value < self.incumbent.value:
-            self._descend(homogeneous(1.0, rotation, translation)[None])
+        for gamma in (np.zeros(len(self.source)), uncertainty(half, self.norms)):
+            bound, value, translation = self.search_translations(rotation, gamma)
+            if value < self.incumbent.value:
+                self._descend(homogeneous(1.0, rotation, translation)[None])
         return bound, None
 
     def search_translations(

@@ -10,12 +10,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from baselines import registry
+from baselines._shared.closest_point import ClosestPoint
 from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.poses import homogeneous
 from baselines.contract import Instance, Limits
+from baselines.goicp.adapter import contains_translation
 from baselines.gots import adapter as gots
+from data.registry import dataset
 from dcreg.problem import apply_pose
 from dcreg.status import Status
+from workflows.disturb import make_instance
 
 METHODS = ["goicp", "frs", "gots"]
 
@@ -93,6 +97,37 @@ def test_goicp_keeps_to_its_cube_of_translations_and_says_so() -> None:
     everywhere = registry.load("goicp", translation_half_width=None).solve(shifted, limits)
     assert "all translations" in everywhere.certificate_scope
     assert everywhere.upper_bound < solution.upper_bound
+
+
+@pytest.mark.parametrize("test", ["noise", "separate_outliers", "occlusion_outliers"])
+def test_cube_of_all_translations_contains_the_reference_pose(test: str) -> None:
+    """Under the true number of pairs and half of it; the published cube excludes some."""
+    pony, published = dataset("embedded"), registry.read_card("goicp").parameters
+    outside = 0
+    for trial in range(10):
+        raw = make_instance(pony, "pony", test, 0.4, trial, 40)
+        for k in (len(raw.pairs), len(raw.pairs) // 2):
+            instance = Instance("i", raw.source, raw.target, "rigid3d", k, (1, 1), 0.01, 0)
+            assert contains_translation(instance, raw.T_true, None)
+        outside += not contains_translation(
+            instance, raw.T_true, published["translation_half_width"]
+        )
+        assert not contains_translation(instance, raw.T_true + np.eye(4)[3] * 1e3, None)
+    assert outside > 0 or test == "noise"
+
+
+def test_goicp_by_default_refines_only_the_identity_before_its_search(monkeypatch) -> None:
+    begun = []
+    descend = ClosestPoint.descend_until
+
+    def recorded(self, poses, *settings):
+        begun.append(poses.copy())
+        return descend(self, poses, *settings)
+
+    monkeypatch.setattr(ClosestPoint, "descend_until", recorded)
+    instance, _ = planted()
+    registry.load("goicp").solve(instance, Limits(time_s=10.0, nodes=50))
+    np.testing.assert_array_equal(begun[0], np.eye(4)[None])
 
 
 def test_gots_refuses_clouds_with_too_many_pairs() -> None:
