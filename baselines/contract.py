@@ -88,10 +88,14 @@ class Card(BaseModel):
     # algorithm; reconstruction: our code for a paper whose body was not read, a member of the described
     # family; own: a new method, by its own author.
     provenance: Literal["official", "library", "port", "reconstruction", "own"]
+    # Of the code that takes the time, and whose it is; stated next to comparisons of time.
+    language: str = Field(min_length=1)
     input: str = "raw point sets"  # e.g. "FPFH correspondences"
     provides_bounds: bool = False
     certifies: str = "nothing"  # scope of the certificate
     uses_n_inliers: bool = False
+    # Whether it counts exact assignments (`n_assignments`) and stops at ``limits.assignments``.
+    solves_assignments: bool = False
     one_to_one: bool = False
     needs_initial_pose: bool = False
     deterministic: bool = True

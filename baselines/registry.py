@@ -35,8 +35,8 @@ TEMPLATE = ROOT / "_template"
 
 # Facts of a card that do not affect a solve: a change of them repeats no run.
 PRESENTATION = {
-    "display_name", "summary", "input", "provenance", "how_to_get", "citation", "licence", "url",
-    "color", "marker", "ranges",
+    "display_name", "summary", "input", "provenance", "language", "how_to_get", "citation", "licence",
+    "url", "color", "marker", "ranges", "solves_assignments",
 }  # fmt: skip
 
 
@@ -147,7 +147,9 @@ def _facts(name: str, root: Path | None) -> dict[str, Any]:
         method = load(name, root=root)
         card, reason = method.card, method.available()
     except (BaselineError, ImportError, SyntaxError, NameError) as error:
-        unknown = dict.fromkeys(("models", "version", "provenance", "bounds", "input"), "")
+        unknown = dict.fromkeys(
+            ("models", "version", "provenance", "language", "bounds", "input"), ""
+        )
         broken = {"available": False, "reason": f"{type(error).__name__}: {error}"}
         texts = {"licence": "", "citation": "", "parameters": {}, "deterministic": True}
         return {"name": name, "method": name, **unknown, **broken, **texts}
@@ -159,6 +161,7 @@ def _facts(name: str, root: Path | None) -> dict[str, Any]:
         "reason": reason or "",
         "version": version(card),
         "provenance": card.provenance,
+        "language": card.language,
         "bounds": card.certifies if card.provides_bounds else "none",
         "input": card.input,
         "deterministic": card.deterministic,

@@ -55,9 +55,9 @@ DASHES: dict[str, tuple[float, ...]] = {
 _SHADES = (("#000000", 0.0), ("#000000", 0.3), ("#ffffff", 0.3))
 # Words in the names of variants -> look, the same in every experiment.
 _VARIANTS = {
-    "half": 1, "tuned": 1, "exact": 1, "100": 1, "mutual": 1,
-    "paper": 2, "oracle": 2, "200": 2,
-    "full": 3, "nearest": 3, "tight": 4, "all": 4, "auto": 5, "fpfh": 5,
+    "half": 1, "given": 1, "exact": 1, "100": 1, "mutual": 1,
+    "paper": 2, "dc": 2, "ours": 2, "oracle": 2, "200": 2,
+    "full": 3, "nearest": 3, "tight": 4, "all": 4, "fpfh": 5,
     "several": 5, "multi": 6, "norm": 6,
 }  # fmt: skip
 _LOOKS = len(DASHES) * len(_SHADES)
@@ -127,8 +127,9 @@ def method_styles(tables: Tables) -> dict[str, Style]:
 
 
 def _look(label: str, card: dict[str, Any]) -> int:
-    """Return 0 for a method with default options, otherwise a look by the words of its name."""
-    if not card.get("options") and card.get("n_inliers_ratio", 1) == 1:
+    """Return 0 for the main row of a method, otherwise a look by the words of its name."""
+    is_plain = not card.get("options") and card.get("n_inliers_ratio", 1) == 1
+    if is_plain or "-" not in label:
         return 0
     known = [_VARIANTS[word] for word in label.split("-")[1:] if word in _VARIANTS]
     return sum(look * len(DASHES) ** place for place, look in enumerate(known[:2])) or 1

@@ -23,24 +23,22 @@ class ConfigError(UserError):
 def read(path: Path, quick: bool = False) -> dict[str, Any]:
     """Return the content of a config, or of its quick part, with shared lists expanded.
 
-    The key ``quick`` replaces keys of the config: ``limits`` key by key, all others as a whole. Its
-    ``limits_of`` are limits of single methods. A text among ``methods`` is the name of a list in
-    ``methods/`` next to the config, or in ``workflows/configs/methods``.
+    The key ``quick`` replaces keys of the config: ``limits`` key by key, all others as a whole. A text
+    among ``methods`` is the name of a list in ``methods/`` next to the config, or in
+    ``workflows/configs/methods``.
 
     Raises
     ------
     ConfigError
-        The file cannot be read, has no quick part, or names an unknown list or method.
+        The file cannot be read, has no quick part, or names an unknown list.
     """
     content = _yaml(path)
     if not isinstance(content, dict):
         raise ConfigError(f"{shown(path)}: must be a mapping of keys to values")
     instead = content.pop("quick", None)
-    limits_of: dict[str, Any] = {}
     if quick:
         if not isinstance(instead, dict):
             raise ConfigError(f"{shown(path)}: has no quick part; add the key quick, a mapping")
-        limits_of = instead.pop("limits_of", {})
         whole, part = content.get("limits"), instead.get("limits")
         if isinstance(whole, dict) and isinstance(part, dict):
             instead["limits"] = {**whole, **part}
@@ -50,30 +48,12 @@ def read(path: Path, quick: bool = False) -> dict[str, Any]:
         content["methods"] = [
             method for entry in content["methods"] for method in _methods(entry, path)
         ]
-        _limit(content["methods"], limits_of, path)
     return content
 
 
 def has_quick_part(path: Path) -> bool:
     """Whether a readable config has the key ``quick``."""
     return "quick" in _yaml(path)
-
-
-def _limit(listed: list[Any], limits_of: Any, path: Path) -> None:
-    """Set the limits that the quick part states for single methods."""
-    by_name = {str(each.get("name")): each for each in listed if isinstance(each, dict)}
-    if not isinstance(limits_of, dict):
-        raise ConfigError(f"{shown(path)}: quick.limits_of: must be a mapping of methods to limits")
-    for name, limits in limits_of.items():
-        if name not in by_name:
-            raise ConfigError(
-                f"{shown(path)}: quick.limits_of: no method {name!r}{suggestion(name, by_name)}"
-            )
-        if not isinstance(limits, dict):
-            raise ConfigError(f"{shown(path)}: quick.limits_of.{name}: must be a mapping of limits")
-        own = by_name[name].get("limits", {})
-        if isinstance(own, dict):  # otherwise the method is refused later
-            by_name[name]["limits"] = {**own, **limits}
 
 
 def _methods(entry: Any, path: Path) -> list[Any]:

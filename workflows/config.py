@@ -32,6 +32,9 @@ class LimitSettings(Part):
     nodes: Annotated[int, Field(gt=0, le=10**15)] | None = None
     # Of methods that solve exact assignments: a measure of work that no machine and no language changes.
     assignments: Annotated[int, Field(gt=0, le=10**15)] | None = None
+    safety_s: Seconds | None = (
+        None  # replaces time_s for methods that stop at the limit `assignments`
+    )
     threads: Annotated[int, Field(gt=0, le=1024)] = 1
     warm_up_s: Seconds = 300.0  # imports and JIT compilation, once per worker
 
@@ -153,7 +156,8 @@ def _load(path: Path, quick: bool) -> Experiment:
     ]
     problems = problems or [*_check_variations(settings)]
     if not problems:
-        settings = settings.model_copy(update={"methods": list(_varied(settings)), "vary": {}})
+        methods = [_with_its_limits(settings, method) for method in _varied(settings)]
+        settings = settings.model_copy(update={"methods": methods, "vary": {}})
         problems = [
             *_check_labels(settings),
             *check_size(settings.datasets, [method.models for method in settings.methods]),
@@ -217,6 +221,17 @@ def _check_methods(settings: Experiment) -> Iterable[str]:
             for problem in error.errors():
                 problem["loc"] = ("limits", *problem["loc"])
                 yield f"{key}.{_explain(problem)}"
+
+
+def _with_its_limits(settings: Experiment, method: MethodSettings) -> MethodSettings:
+    """Return the method with its limit: assignments and `safety_s`, or `time_s`."""
+    limits = settings.limits_of(method)
+    if limits.assignments is None:
+        return method
+    own: dict[str, float | None] = {"assignments": None}
+    if registry.read_card(method.baseline).solves_assignments:
+        own = {} if limits.safety_s is None else {"time_s": limits.safety_s}
+    return method.model_copy(update={"limits": {**method.limits, **own}})
 
 
 def _check_labels(settings: Experiment) -> Iterable[str]:

@@ -214,11 +214,12 @@ def _quick_part(plan: Plan) -> Iterator[Plan]:
 
 def print_baselines(console: Console | None = None) -> None:
     """Print a table of all methods, including those of extra folders."""
-    table = Table("baseline", "method", "models", "version", "provenance", "certifies", "available")
+    head = ("baseline", "method", "models", "version", "provenance", "language", "certifies")
+    table = Table(*head, "available")
     citations = []
     for row in registry.availability():
         available = "yes" if row["available"] else f"no: {row['reason']}"
-        facts = ("name", "method", "models", "version", "provenance", "bounds")
+        facts = ("name", "method", "models", "version", "provenance", "language", "bounds")
         table.add_row(*(str(row[key]) for key in facts), escape(available))
         citations.append(f"{row['method']}: {row['citation']}")
     console = console or Console(width=None if os.isatty(1) else 180)

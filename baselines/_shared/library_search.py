@@ -74,7 +74,11 @@ class OwnBound(LibraryMethod):
         return register_problem(
             problem,
             options.Limits(gap_tol, None, limits.time_s, limits.nodes, limits.memory_mb),
-            options.SolveOptions(threads=limits.threads, polish=self.options["polish"]),
+            options.SolveOptions(
+                threads=limits.threads,
+                polish=self.options["polish"],
+                assignment_limit=limits.assignments,
+            ),
             self.mode(problem.model),
         )
 

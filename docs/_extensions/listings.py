@@ -71,12 +71,18 @@ def methods() -> str:
         given = card.get("input", "raw point sets")
         facts = ("needs_initial_pose", "uses_n_inliers", "one_to_one")
         marks = ("yes" if card.get(fact) else "" for fact in facts)
-        name = f"`{card['folder']}`", card["display_name"], models, card["provenance"]
+        name = (
+            f"`{card['folder']}`",
+            card["display_name"],
+            models,
+            card["provenance"],
+            card["language"],
+        )
         return *name, given, *marks, what
 
     head = (
-        *("folder", "method", "models", "provenance", "input", "needs an initial pose"),
-        *("uses `n_inliers`", "one-to-one", "its bounds certify"),
+        *("folder", "method", "models", "provenance", "language", "input"),
+        *("needs an initial pose", "uses `n_inliers`", "one-to-one", "its bounds certify"),
     )
     return table(head, map(row, cards("baselines")))
 

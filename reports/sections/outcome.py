@@ -41,7 +41,7 @@ def context(page: Page) -> dict[str, Any]:
 
 
 def facts(tables: Tables) -> list[tuple[str, str]]:
-    """Return data, points, limit, threshold and prior of the experiment, in a few words each."""
+    """Return data, points, limit, threshold, prior and machine of the experiment, in a few words each."""
     runs, data, points = tables.runs, [], []
     for (dataset, model), part in runs.groupby(["dataset", "model"], sort=False):
         tests = part["test"].nunique()
@@ -55,7 +55,16 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
         ("limit", _limit(tables)),
         ("success", _success(runs)),
         ("n_inliers (n_p)", _prior(runs)),
+        ("machine", _machine(tables)),
     ]
+
+
+def _machine(tables: Tables) -> str:
+    """Return the machine that all times refer to; runs of other machines are counted."""
+    card = tables.provenance.get("machine", {})
+    here = f"{card.get('cpu', 'unknown')}, {card.get('cores', '?')} cores"
+    others = len(set(tables.runs["machine_id"]) - {card.get("machine_id"), ""})
+    return here + (f", and {others} other{'s' * (others > 1)}" if others else "")
 
 
 def _prior(runs: pd.DataFrame) -> str:
@@ -81,11 +90,18 @@ def _named(names: np.ndarray, dataset: str) -> str:
 
 
 def _limit(tables: Tables) -> str:
+    """Return the limits in words; a method with a limit on work meets its time limit only by accident."""
     limits = [card.get("limits", {}) for card in tables.cards.values()]
-    known = sorted({each["time_s"] for each in limits if each.get("time_s") is not None})
-    by_work = sum(any(each.get(key) for key in ("nodes", "assignments")) for each in limits)
-    work = f"; {by_work} of {len(limits)} methods also with a limit on work" * (by_work > 0)
-    return (_range(known, " s per run") if known else "not stated") + work
+    by_work = [each for each in limits if each.get("nodes") or each.get("assignments")]
+    by_time = [each for each in limits if each not in by_work]
+    known = sorted({each["time_s"] for each in by_time or by_work if each.get("time_s")})
+    texts = [_range(known, " s per run")] if known else []
+    for key, unit in (("assignments", "assignments"), ("nodes", "boxes")):
+        counts = [each[key] for each in by_work if each.get(key)]
+        if counts:
+            numbers = _range(sorted(set(counts)), f" {unit}")
+            texts.append(f"{numbers} per search for {len(counts)} of {len(limits)} methods")
+    return "; ".join(texts) or "not stated"
 
 
 def _range(values: list[float], unit: str) -> str:
@@ -115,7 +131,9 @@ def outcomes(tables: Tables) -> list[dict[str, Any]]:
         for method in tables.methods:
             part = here[here["method"] == method]
             if len(part):
-                rows.append({"model": model, "method": method, **_outcome(part)})
+                language = tables.cards.get(method, {}).get("language", "")
+                facts = {"model": model, "method": method, "language": language}
+                rows.append({**facts, **_outcome(part)})
     models = list(runs["model"].unique())
 
     def rank(row: dict[str, Any]) -> tuple[int, bool, float]:
@@ -136,6 +154,7 @@ def _outcome(part: pd.DataFrame) -> dict[str, Any]:
         "floor": float(part["rmse_floor"].median()),
         "time": float(part["time"].mean()),
         "median_time": float(part["time_solve_s"].median()),
+        "assignments": float(part["n_assignments"].median()),
         "limited": int(part["outcome"].eq("limited").sum()),
         "failed": int(part["outcome"].eq("failed").sum()),
     }

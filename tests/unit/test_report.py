@@ -352,11 +352,11 @@ def test_the_page_shows_the_limit_that_a_run_hit(small):
     _, page = small
     first = page.split('class="run"')[1].split("</dl>")[0]
     n_methods = len(report_fixture.CARDS)
-    assert f"10 s per run; 2 of {n_methods} methods also with a limit on boxes" in first
-    assert "10 s, 700 boxes at 100 points" in page.split('id="parameters"')[1]
+    assert f"10 s per run; 8 to 700 boxes per search for 2 of {n_methods} methods" in first
+    assert "10 s, 700 boxes or initial poses" in page.split('id="parameters"')[1]
 
     unfinished = page.split('id="unfinished"')[1].split("</table>")[0]
-    for limit in ("700 boxes at 100 points", "8 boxes or initial poses"):
+    for limit in ("700 boxes or initial poses", "8 boxes or initial poses"):
         assert f"hit its limit of {limit} (made-up bound)" in unfinished
     assert unfinished.count("hit its limit of 10 s") == 1  # the third method that bounds
 
