@@ -15,6 +15,7 @@ from dcreg.driver.modes import Mode, find_mode
 from dcreg.driver.solve import register_problem
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.problem import Problem, default_gap_tol
+from dcreg.problem.geometry import TOLERATED_RESIDUAL
 from dcreg.result import Result
 from dcreg.search import Bound, Box
 
@@ -25,7 +26,10 @@ class LibraryMethod(Baseline):
     def gap_tol(self, instance: Instance) -> float:
         """The library's default tolerance, with the card's `gap_tol_factor`."""
         return default_gap_tol(
-            instance.source, instance.target, instance.n_inliers, self.options["gap_tol_factor"]
+            instance.source,
+            instance.target,
+            instance.n_inliers,
+            self.options.get("gap_tol_factor", TOLERATED_RESIDUAL),
         )
 
 

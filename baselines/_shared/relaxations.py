@@ -1,4 +1,6 @@
-"""Bounds over 2D similarities from linearised products, for RPM-BP and HBSP.
+"""Relaxations of matching and pose: their single boxes, and those of RPM-BP and HBSP in 2D.
+
+In 2D both linearise products.
 
 With phi1 = t1^2 + t2^2, phi2 = t1 t3 + t2 t4 and phi3 = t1 t4 - t2 t3 the products in the objective have
 two factors: an aggregate g_f = sum p_ij f_ij of the matching, and a component of theta or phi,
@@ -20,9 +22,12 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import Any, TypeVar
 
 import numpy as np
 
+from baselines._shared.algorithm1 import Bounded
 from baselines._shared.kernels.products import (
     N_FEATURES,
     feature_ranges,
@@ -30,7 +35,7 @@ from baselines._shared.kernels.products import (
     pair_features,
 )
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.protocol import SpaceBound
+from dcreg.families.protocol import Space, SpaceBound
 from dcreg.search import Box, Boxes, Evaluation
 
 # (beta, gamma, lower, upper) -> relaxed minimum of beta.theta + gamma.phi + k (t3^2 + t4^2) over the box,
@@ -40,7 +45,64 @@ MinimumOverBox = Callable[
 ]
 
 
-class SubstitutedBound(SpaceBound[FeatureSpace]):
+S = TypeVar("S", bound=Space)
+
+
+class Relaxation(SpaceBound[S]):
+    """A bound that replaces the objective of a box by one in which matching and pose separate.
+
+    Attributes
+    ----------
+    matchings : (B, n) int array
+        The relaxed matching of each box of the last evaluation: a column per source row, -1 for none.
+    """
+
+    matchings: np.ndarray
+
+    def relax(self, boxes: Boxes) -> Evaluation:
+        """Bound boxes with all their parameters, admissible or not."""
+        found = self._evaluate(boxes, None)
+        self.space.check()
+        return found
+
+    def no_matchings(self, count: int) -> np.ndarray:
+        """Return `matchings` of `count` boxes, to be filled."""
+        self.matchings = np.full((count, self.space.n_source), -1)
+        return self.matchings
+
+
+class SingleBoxes:
+    """The strongest of several relaxations, box by box, in the form of `algorithm_1`.
+
+    Candidates are the poses of the relaxations and, with `fits`, the least-squares fits to their
+    matchings. Each costs one assignment.
+    """
+
+    def __init__(self, parts: Sequence[Relaxation[Any]], fits: bool) -> None:
+        self.parts, self.fits = parts, fits
+        self._n_fitted = 0
+
+    @property
+    def n_assignments(self) -> int:
+        return sum(part.n_assignments for part in self.parts) + self._n_fitted
+
+    def evaluate(self, boxes: list[Box]) -> list[Bounded]:
+        """Bound each box; see `baselines._shared.algorithm1.Bounding`."""
+        batch = Boxes.of(boxes)
+        found = [part.relax(batch) for part in self.parts]
+        return [self._bounded(at, found) for at in range(len(boxes))]
+
+    def _bounded(self, at: int, found: list[Evaluation]) -> Bounded:
+        candidates = [(float(each.values[at]), each.thetas[at]) for each in found]
+        for part, each in zip(self.parts, found, strict=True) if self.fits else ():
+            theta = part.space.fit_matching(each.thetas[at], part.matchings[at])
+            candidates.append((part.space.objective(theta)[0], theta))
+            self._n_fitted += 1
+        value, theta = min(candidates, key=itemgetter(0))
+        return Bounded(max(float(each.lower_bounds[at]) for each in found), theta, value)
+
+
+class SubstitutedBound(Relaxation[FeatureSpace]):
     """Common part of the bounds: the linear part over matchings, and the exact value of the candidate.
 
     Every box needs a convex programme. Rounds are small so that the search stays interruptible.
@@ -64,13 +126,15 @@ class SubstitutedBound(SpaceBound[FeatureSpace]):
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         space, found = self.space, Evaluation.empty(boxes)
+        matchings = self.no_matchings(len(boxes))
 
         def work(part: slice) -> int:
             lo, up, bounds = boxes.lower[part], boxes.upper[part], found.lower_bounds[part]
             beta, gamma = np.empty_like(lo), np.empty((len(lo), 3))
             spent = linearise(
-                self.features, self.low, self.high, space.n_inliers, lo, up, bounds, beta, gamma
-            )
+                self.features, (self.low, self.high), space.n_inliers, lo, up, bounds, beta, gamma,
+                matchings[part],
+            )  # fmt: skip
             minimum = self.minimum_over_box()
             for box in range(len(lo)):
                 value, theta = minimum(beta[box], gamma[box], lo[box], up[box])

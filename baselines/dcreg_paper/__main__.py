@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dcreg_paper.algorithm1 import algorithm_1
-from baselines.dcreg_paper.bounds import NormBound, SimilarityBound
+from baselines._shared.algorithm1 import algorithm_1
+from baselines._shared.published import NormBound, SimilarityBound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.search import Box, Budget, Outcome
@@ -76,7 +76,7 @@ class Case(NamedTuple):
                 )
             else:
                 bound = NormBound(Translation3D(source, target, k, None, budget.stop))
-            return algorithm_1(bound, root, float(self.eps), budget)
+            return algorithm_1(bound, [root], float(self.eps), budget)
 
 
 def main() -> None:

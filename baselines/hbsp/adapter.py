@@ -5,32 +5,51 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from baselines._shared.library_search import OwnBound
-from baselines.contract import Instance
-from baselines.hbsp.rotation import SemidefiniteRotationBound
+from baselines._shared.algorithm1 import Bounding
+from baselines._shared.own_search import EitherSearch
+from baselines._shared.published import NormBound
+from baselines._shared.relaxations import Relaxation
+from baselines.contract import Instance, Limits
+from baselines.contract import Solution as Answer
+from baselines.hbsp.rotation import SemidefiniteRotationBound, rotation_alone
 from baselines.hbsp.similarity import SemidefiniteBound
 from dcreg.driver.modes import Mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
-from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.registry import make_bound
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.search import Bound, Box, Budget, Outcome, minimise
+from dcreg.families.translation3d.space import Translation3D
+from dcreg.search import Box, Budget, Outcome, minimise
 
 SCOPE_3D = "rotation about the translation found in norm space"
 
 
-class Adapter(OwnBound):
+class Adapter(EitherSearch):
     """2D: branch and bound over theta. 3D: DC-Reg's translation search, then HBSP's rotation search."""
 
     own_bound = "hbsp"
 
-    def make_bound(
-        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
-    ) -> Bound:
-        return SemidefiniteBound(space, roots, threads)
+    def relaxations(
+        self, space: Any, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> list[Relaxation[Any]]:
+        return [SemidefiniteBound(space, roots, threads)]
+
+    def bounding(self, space: Any, threads: int) -> Bounding:
+        """The paper of DC-Reg joins its translation search to HBSP's rotation search."""
+        if isinstance(space, Translation3D):
+            return NormBound(space, threads)
+        return super().bounding(space, threads)
+
+    def make_rotation(self, space: Rotation3D, threads: int) -> Bounding:
+        return rotation_alone(space, threads, self.options["incumbents"] == "fit")
+
+    def solve(self, instance: Instance, limits: Limits) -> Answer:
+        if instance.dim == 2 or self.options["search"] == "ours":
+            return super().solve(instance, limits)
+        return self.search_alone(instance, limits).solution(certified=1, scope=SCOPE_3D)
 
     def mode(self, model: str) -> Mode:
         mode = super().mode(model)

@@ -16,16 +16,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from baselines._shared.relaxations import Relaxation, SingleBoxes
 from baselines.hbsp.lifted import LiftedBox
 from dcreg.assignment.kernels.dense import cheapest_pairs
-from dcreg.families.protocol import SpaceBound
 from dcreg.families.rotation3d.kernels.geometry import chord_matrix
 from dcreg.families.rotation3d.kernels.rotation import box_corners
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.search import Box, Boxes, Evaluation
 
 
-class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
+class SemidefiniteRotationBound(Relaxation[Rotation3D]):
     """Lower bound of HBSP (reconstructed) over boxes of quaternions; the SDP provides the candidate.
 
     Every box needs a semidefinite programme. Rounds are small so that the search stays interruptible.
@@ -40,35 +40,37 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
         a, y = space.clouds.source, space.clouds.target
         self.squares = (a**2).sum(axis=0)[:, None] + (y**2).sum(axis=0)
         self.outer = a[:, None, :, None] * y[None, :, None, :]  # (3, 3, n, m)
-        self.low = np.array([[self._assign(plane) for plane in row] for row in self.outer])
-        self.high = np.array([[-self._assign(-plane) for plane in row] for row in self.outer])
+        self.low = np.array([[self._assign(plane)[0] for plane in row] for row in self.outer])
+        self.high = np.array([[-self._assign(-plane)[0] for plane in row] for row in self.outer])
         self.n_assignments += 2 * 9
 
-    def _assign(self, cost: np.ndarray) -> float:
-        return float(cheapest_pairs(np.ascontiguousarray(cost), self.space.n_inliers)[0])
+    def _assign(self, cost: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the minimum of `cost` over all matchings, and the columns of a minimiser."""
+        value, col_of, _ = cheapest_pairs(np.ascontiguousarray(cost), self.space.n_inliers)
+        return float(value), col_of
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
-        found = Evaluation.empty(boxes)
+        found, matchings = Evaluation.empty(boxes), self.no_matchings(len(boxes))
 
         def work(part: slice) -> int:
             lifted = LiftedBox(3)
             rows = range(len(boxes))[part]
             for at in rows:
                 box = Box(boxes.lower[at], boxes.upper[at])
-                found.lower_bounds[at], found.thetas[at] = self._bound(box, lifted)
+                found.lower_bounds[at], found.thetas[at], matchings[at] = self._bound(box, lifted)
                 found.values[at] = self.space.objective(found.thetas[at])[0]
             return 2 * len(rows)
 
         self.map_slices(len(boxes), work)
         return found
 
-    def _bound(self, box: Box, lifted: LiftedBox) -> tuple[float, np.ndarray]:
+    def _bound(self, box: Box, lifted: LiftedBox) -> tuple[float, np.ndarray, np.ndarray]:
         lower, upper = rotation_range(box)
         r_low, r_high = lower.T, upper.T  # [a, b] is the range of R_ba
         r_centre, g_centre = 0.5 * (r_low + r_high), 0.5 * (self.low + self.high)
         constant = (self.low * r_high + self.high * r_low).sum()
         cost = self.squares - 2.0 * np.tensordot(r_centre, self.outer, axes=2)
-        value = self._assign(cost) + constant
+        value, matching = self._assign(cost)
         # theta = T (1, z) with z in [-1, 1]^3, so that Q = T Y T^T
         fixed = int(np.argmax((box.lower == 1.0) & (box.upper == 1.0)))
         free = np.delete(np.arange(4), fixed)
@@ -77,7 +79,12 @@ class SemidefiniteRotationBound(SpaceBound[Rotation3D]):
         T[free, [1, 2, 3]] = box.half_widths[free]
         rotating, z = lifted.minimum(T.T @ quaternion_form(-2.0 * g_centre.T) @ T, T.T @ T)
         theta = T @ np.concatenate([[1.0], np.clip(z, -1.0, 1.0)])
-        return value + rotating, theta
+        return value + constant + rotating, theta, matching
+
+
+def rotation_alone(space: Rotation3D, threads: int, fits: bool = True) -> SingleBoxes:
+    """Return the bound for a rotation search by itself; `fits` as in `SingleBoxes`."""
+    return SingleBoxes([SemidefiniteRotationBound(space, threads=threads)], fits)
 
 
 def rotation_range(box: Box) -> tuple[np.ndarray, np.ndarray]:

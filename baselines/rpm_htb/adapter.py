@@ -1,18 +1,20 @@
-"""RPM-HTB, reconstructed: the library's search with term-wise bounds in place of the DC bound."""
+"""RPM-HTB, reconstructed: branch and bound over the pose with term-wise bounds."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-from baselines._shared.library_search import OwnBound
+from baselines._shared.algorithm1 import Bounding
+from baselines._shared.own_search import EitherSearch
+from baselines._shared.relaxations import Relaxation
 from baselines.contract import Card, Instance
+from baselines.hbsp.rotation import rotation_alone
 from baselines.rpm_htb.bounds import TermwiseBound, TermwiseR1, TermwiseR2
 from baselines.rpm_htb.lp import TermwiseR3
-from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.protocol import Strongest
+from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.problem import suggestion
-from dcreg.search import Bound, Box
+from dcreg.search import Box
 
 BOUNDS: dict[str, type[TermwiseBound]] = {
     "termwise-r1": TermwiseR1,
@@ -22,8 +24,8 @@ BOUNDS: dict[str, type[TermwiseBound]] = {
 ALIASES = {"termwise": "termwise-r1+termwise-r2"}
 
 
-class Adapter(OwnBound):
-    """Search, box, tolerance, assignment and polish of DC-Reg in mode `paper`; only the bound differs."""
+class Adapter(EitherSearch):
+    """The term-wise bounds; in 3D over norm space, then HBSP's rotation search."""
 
     bounds = tuple(BOUNDS)
 
@@ -42,8 +44,10 @@ class Adapter(OwnBound):
             return f"bound termwise-r3 does not support {instance.model}"
         return super().supports(instance)
 
-    def make_bound(
-        self, space: FeatureSpace, roots: Sequence[Box] | None = None, threads: int = 1
-    ) -> Bound:
-        made = [BOUNDS[part](space, roots, threads) for part in self.parts]
-        return made[0] if len(made) == 1 else Strongest(made)
+    def relaxations(
+        self, space: Any, roots: Sequence[Box] | None = None, threads: int = 1
+    ) -> list[Relaxation[Any]]:
+        return [BOUNDS[part](space, roots, threads) for part in self.parts]
+
+    def make_rotation(self, space: Rotation3D, threads: int) -> Bounding:
+        return rotation_alone(space, threads)

@@ -12,15 +12,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from baselines._shared.kernels import products
+from baselines._shared.relaxations import Relaxation
 from baselines.rpm_htb import kernels
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.protocol import SpaceBound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.search import Box, Boxes, Evaluation
 
 
-class TermwiseBound(SpaceBound[FeatureSpace]):
+class TermwiseBound(Relaxation[FeatureSpace]):
     """Common part: the pair features of a 2D problem."""
 
     def __init__(
@@ -57,30 +57,40 @@ class SeparableBound(TermwiseBound):
         return low, high
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
-        found = Evaluation.empty(boxes)
+        found, matchings = Evaluation.empty(boxes), self.no_matchings(len(boxes))
 
         def work(part: slice) -> int:
             bounds, thetas = found.lower_bounds[part], found.thetas[part]
-            spent = self._bound(boxes.lower[part], boxes.upper[part], bounds, thetas)
+            spent = self._bound(
+                boxes.lower[part], boxes.upper[part], bounds, thetas, matchings[part]
+            )
             return spent + self.space.objectives(thetas, found.values[part])
 
         self.map_slices(len(boxes), work)
         return found
 
     def _bound(
-        self, lower: np.ndarray, upper: np.ndarray, bounds: np.ndarray, thetas: np.ndarray
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        bounds: np.ndarray,
+        thetas: np.ndarray,
+        matchings: np.ndarray,
     ) -> int:
         space, k = self.space, self.space.n_inliers
         if isinstance(space, Translation3D):
             return kernels.norm_bounds(
-                space.clouds, self.low, self.high, self.averaged, lower, upper, bounds, thetas
-            )
+                space.clouds, self.low, self.high, self.averaged, lower, upper, bounds, thetas,
+                matchings,
+            )  # fmt: skip
         if self.averaged:
             ranges = self.low, self.high
             return kernels.aggregated_bound(
-                self.features, ranges, k, space.stop_flag, lower, upper, bounds, thetas
+                self.features, ranges, k, space.stop_flag, lower, upper, bounds, thetas, matchings
             )
-        return kernels.entry_bound(self.features, k, space.stop_flag, lower, upper, bounds)
+        return kernels.entry_bound(
+            self.features, k, space.stop_flag, lower, upper, bounds, matchings
+        )
 
 
 class TermwiseR1(SeparableBound):

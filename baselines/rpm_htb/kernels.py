@@ -40,8 +40,11 @@ TRILINEAR = np.array(
 
 
 @jit
-def aggregated_bound(features, ranges, k, stop, lower, upper, bounds, thetas):
-    """R1: one assignment and one separable box QP a box. Returns the number of assignments."""
+def aggregated_bound(features, ranges, k, stop, lower, upper, bounds, thetas, matchings):
+    """R1: one assignment, written into `matchings`, and one separable box QP a box.
+
+    Returns the number of assignments.
+    """
     n, m = features.shape[1], features.shape[2]
     low, high = ranges
     cost = np.empty((n, m))
@@ -70,7 +73,7 @@ def aggregated_bound(features, ranges, k, stop, lower, upper, bounds, thetas):
                 beta[b] += cb
             constant += c0
         constant = relaxed_costs(features, ranges, (lo, up), constant, alpha, beta, cost)
-        value, _ = k_assignment(cost, k, stop)
+        value, matchings[box] = k_assignment(cost, k, stop)
         value += constant
         for a in range(4):
             quadratic = 0.0 if a < 2 else float(k)
@@ -85,7 +88,7 @@ def aggregated_bound(features, ranges, k, stop, lower, upper, bounds, thetas):
 
 
 @jit
-def entry_bound(features, k, stop, lower, upper, bounds):
+def entry_bound(features, k, stop, lower, upper, bounds, matchings):
     """R2: each monomial of each pair at its minimum over the box. One assignment a box."""
     n, m = features.shape[1], features.shape[2]
     cost = np.empty((n, m))
@@ -107,7 +110,7 @@ def entry_bound(features, k, stop, lower, upper, bounds):
                     a = BILINEAR[row, 1]
                     total += minimum_product(-2.0 * features[BILINEAR[row, 0], i, j], lo[a], up[a])
                 cost[i, j] = total
-        value, _ = k_assignment(cost, k, stop)
+        value, matchings[box] = k_assignment(cost, k, stop)
         for a in (2, 3):
             near = max(lo[a], -up[a], 0.0)
             value += k * near * near
@@ -116,7 +119,7 @@ def entry_bound(features, k, stop, lower, upper, bounds):
 
 
 @jit
-def norm_bounds(clouds, low, high, averaged, lower, upper, bounds, thetas):
+def norm_bounds(clouds, low, high, averaged, lower, upper, bounds, thetas, matchings):
     """R1 (`averaged`) or R2 in norm space; `low` and `high` are the ranges of the aggregates of x.
 
     One assignment a box. R1 writes the t that minimises its quadratic into `thetas`.
@@ -153,7 +156,7 @@ def norm_bounds(clouds, low, high, averaged, lower, upper, bounds, thetas):
                 constant += c0 + _add_length(source[i], lo, up, length_high[i], weight, beta)
             for j in range(m):
                 cost[i, j] = charge + norms[j] * (slope + norms[j])
-        value, _ = k_assignment(cost, k, clouds.stop)
+        value, matchings[box] = k_assignment(cost, k, clouds.stop)
         value += constant
         for a in range(3):
             t = min(max(-beta[a] / (2.0 * k), lo[a]), up[a])

@@ -66,16 +66,17 @@ class TermwiseR3(TermwiseBound):
             np.ascontiguousarray(cost.reshape(shape)), self.space.n_inliers, self.space.stop_flag
         )
         self.n_assignments += 1
+        self.matching = col_of  # of the last assignment
         rows = np.flatnonzero(col_of >= 0)
         return float(value), self.features[:, rows, col_of[rows]].sum(axis=1)
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         enough = np.inf if cutoff is None else cutoff
-        found = Evaluation.empty(boxes)
+        found, matchings = Evaluation.empty(boxes), self.no_matchings(len(boxes))
         for at, (lower, upper) in enumerate(zip(boxes.lower, boxes.upper, strict=True)):
             self.space.check()
             found.lower_bounds[at], theta = self._solve(lower, upper, enough)
-            found.thetas[at] = self._project(theta)
+            found.thetas[at], matchings[at] = self._project(theta), self.matching
         self.n_assignments += self.space.objectives(found.thetas, found.values)
         return found
 

@@ -73,7 +73,7 @@ class Case:
             points + jitter * generator.standard_normal(points.shape) for points in self.points()
         )
         if self.bound.startswith("termwise"):  # a bound of RPM-HTB
-            method = registry.load("rpm_htb", bound=self.bound, polish=self.polish)
+            method = registry.load("rpm_htb", search="ours", bound=self.bound, polish=self.polish)
             problem = Problem(source, target, self.n_inliers, self.model, self.scale_range)
             limits = Limits(60.0, self.node_limit, threads=threads)
             return method.result(problem, self.gap_tol, limits)

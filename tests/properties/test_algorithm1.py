@@ -8,23 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from baselines.dcreg_paper.algorithm1 import Bounded, algorithm_1, bisected
-from baselines.dcreg_paper.bounds import NormBound, PublishedBound, SimilarityBound
-from dcreg.families.similarity2d.space import Similarity2D
+from baselines._shared.algorithm1 import Bounded, algorithm_1, bisected
+from baselines._shared.published import published_bound
 from dcreg.search import Box, Budget
 from dcreg.status import Status
 from tests.oracles import kernels as reference
 from tests.problems import model_of, models_with_boxes
 
 
-def bound_of(space) -> PublishedBound:
-    return SimilarityBound(space) if isinstance(space, Similarity2D) else NormBound(space)
-
-
 @given(case=models_with_boxes())
 def test_bound_is_the_published_formula(case):
     space, box = case
-    (found,) = bound_of(space).evaluate([box])
+    (found,) = published_bound(space).evaluate([box])
     assert found.lower_bound == pytest.approx(reference.paper_bound(space, box), abs=1e-9)
     assert found.value == pytest.approx(reference.objective(space, found.theta), abs=1e-9)
     assert ((found.theta == box.lower) | (found.theta == box.upper)).all()
@@ -35,7 +30,7 @@ def test_incumbents_are_objectives_at_visited_vertices(family):
     generator = np.random.default_rng(0)
     dim = 2 if family == "similarity2d" else 3
     space = model_of(family, *generator.standard_normal((2, 7, dim)), 5)
-    bound, visited = bound_of(space), []
+    bound, visited = published_bound(space), []
     evaluate = bound.evaluate
 
     def recorded(boxes: list[Box]) -> list[Bounded]:
@@ -47,7 +42,7 @@ def test_incumbents_are_objectives_at_visited_vertices(family):
         return evaluate(boxes)
 
     bound.evaluate = recorded
-    found = algorithm_1(bound, space.roots()[0], 1e-9, Budget(nodes=60))
+    found = algorithm_1(bound, space.roots(), 1e-9, Budget(nodes=60))
     values = [reference.objective(space, vertex) for vertex in visited]
     incumbents = {event.upper_bound for event in found.events}
     assert len(incumbents) > 1
@@ -74,8 +69,8 @@ class _Line:
 
 @pytest.mark.parametrize("raise_children", [False, True])
 def test_search_ends_at_the_minimum(raise_children):
-    root = Box(np.array([-1.0]), np.array([1.0]))
-    found = algorithm_1(_Line(), root, 1e-4, Budget(), raise_children=raise_children)
+    roots = [Box(np.array([-1.0]), np.array([1.0]))]
+    found = algorithm_1(_Line(), roots, 1e-4, Budget(), raise_children=raise_children)
     assert found.status is Status.OPTIMAL
     assert found.lower_bound <= 0.0 <= found.upper_bound <= found.lower_bound + 1e-4
     bounds = [event.lower_bound for event in found.events]
@@ -89,10 +84,10 @@ def test_longest_edge_is_bisected():
 
 
 def test_limits_end_the_search_with_valid_bounds():
-    root = Box(np.array([-1.0]), np.array([1.0]))
-    found = algorithm_1(_Line(), root, 1e-12, Budget(nodes=9))
+    roots = [Box(np.array([-1.0]), np.array([1.0]))]
+    found = algorithm_1(_Line(), roots, 1e-12, Budget(nodes=9))
     assert found.status is Status.NODE_LIMIT
     assert found.n_nodes == 9
     assert found.lower_bound < 0.0 <= found.upper_bound
-    found = algorithm_1(_Line(), root, 1e-12, Budget(memory_mb=1e-3))
+    found = algorithm_1(_Line(), roots, 1e-12, Budget(memory_mb=1e-3))
     assert found.status is Status.MEMORY_LIMIT

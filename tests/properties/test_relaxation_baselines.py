@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baselines import registry
+from baselines._shared.library_search import solution_of
 from baselines.contract import BoxBounding, Instance, Limits
 from baselines.hbsp.lifted import LiftedBox
 from baselines.hbsp.rotation import SemidefiniteRotationBound, quaternion_form, rotation_range
@@ -24,7 +25,7 @@ from baselines.rpm_htb.bounds import TermwiseR1
 from dcreg.assignment.objective import objective
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.translation3d.space import Translation3D
-from dcreg.problem import rms_radius
+from dcreg.problem import Problem
 from dcreg.search import Box, Budget, minimise
 from tests.oracles import kernels as reference
 from tests.oracles.matchings import optimal_rotation, optimal_similarity
@@ -177,10 +178,10 @@ def test_no_wrong_optimum_in_2d(name, options, nodes):
         source, target, k = clouds(seed, 2)
         optimum = optimal_similarity(source, target, k, (0.5, 1.5))
         gap_tol = tolerance(seed, optimum, k)
-        factor = float(np.sqrt(gap_tol / k) / rms_radius(target))
-        method = registry.load(name, gap_tol_factor=factor, polish=False, **options)
-        instance = Instance("small", source, target, "similarity2d", k, (0.5, 1.5), 0.1, seed)
-        solution = method.solve(instance, Limits(60.0, nodes[seed % 6 == 5]))
+        method = registry.load(name, search="ours", polish=False, **options)
+        problem = Problem(source, target, k, "similarity2d", (0.5, 1.5))
+        limits = Limits(60.0, nodes[seed % 6 == 5])
+        solution = solution_of(method.result(problem, gap_tol, limits))
         n_positive += is_certified(solution, optimum, gap_tol) and solution.upper_bound > gap_tol
         reached, _ = objective(source, target, solution.T_target_source, k)
         assert reached == pytest.approx(solution.upper_bound, abs=1e-8)

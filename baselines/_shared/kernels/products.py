@@ -113,12 +113,12 @@ def relaxed_costs(features, ranges, box, constant, alpha, beta, cost):
 
 
 @jit
-def linearise(features, low, high, k, lower, upper, constants, beta, gamma):
+def linearise(features, ranges, k, lower, upper, constants, beta, gamma, matchings):
     """Linearise each box: a constant with the best assignment, slopes in theta and in phi.
 
     See `baselines._shared.relaxations`.
     """
-    n, m = features.shape[1], features.shape[2]
+    (low, high), n, m = ranges, features.shape[1], features.shape[2]
     cost, alpha = np.empty((n, m)), np.empty(N_FEATURES)
     for box in range(lower.shape[0]):
         lo, up = lower[box], upper[box]
@@ -132,9 +132,8 @@ def linearise(features, low, high, k, lower, upper, constants, beta, gamma):
             )
             alpha[f] += cg
             constant += c0
-        ranges = low, high
         constant = relaxed_costs(features, ranges, (lo, up), constant, alpha, beta[box], cost)
-        value, _ = k_assignment(cost, k, np.zeros(1, np.uint8))
+        value, matchings[box] = k_assignment(cost, k, np.zeros(1, np.uint8))
         constants[box] = value + constant
     return lower.shape[0]
 

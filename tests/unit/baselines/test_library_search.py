@@ -81,7 +81,7 @@ def test_a_warm_up_compiles_all_kernels_of_the_solve(dim, k, options, ran):
     ],
 )
 def test_message_names_mode_and_bound(name, dim, bound):
-    solution = registry.load(name).solve(instance(dim), Limits(10.0, nodes=20))
+    solution = registry.load(name, search="ours").solve(instance(dim), Limits(10.0, nodes=20))
     assert solution.message == bound
 
 
@@ -91,8 +91,9 @@ def test_message_names_mode_and_bound(name, dim, bound):
 )
 def test_clouds_too_large_for_a_cost_matrix_are_refused(name, dim, monkeypatch):
     monkeypatch.setattr(table, "MAX_PAIRS", 60)
+    options = {} if name == "dcreg" else {"search": "ours"}
     with pytest.raises(InputError, match="8 x 8 pairs exceed 60"):
-        registry.load(name).solve(instance(dim), Limits(10.0))
+        registry.load(name, **options).solve(instance(dim), Limits(10.0))
 
 
 def test_a_method_with_its_own_bound_searches_all_points(monkeypatch):
@@ -100,7 +101,7 @@ def test_a_method_with_its_own_bound_searches_all_points(monkeypatch):
     monkeypatch.setattr(table, "LARGE_SAMPLE", {2: 4, 3: 4})
     points = instance(2).source
     problem = Problem(points, points + 0.1, 6, "similarity2d", (0.5, 1.5))
-    result = registry.load("rpm_htb").result(problem, 0.1, Limits(10.0, nodes=20))
+    result = registry.load("rpm_htb", search="ours").result(problem, 0.1, Limits(10.0, nodes=20))
     assert result.downsampled is None
 
 
@@ -119,12 +120,13 @@ def test_hbsp_bounds_rotations_alike_with_any_threads(rng):
 def test_hbsp_bounds_the_objective_about_its_translation_not_the_norms():
     x, y = np.random.default_rng(0).normal(size=(2, 5, 3))
     noise = Instance("i", x, y, "rigid3d", 4, (1.0, 1.0), 0.05, 0)
-    solution = registry.load("hbsp", polish=False).solve(noise, Limits(30.0, nodes=2000))
-    ends = {row["stage"]: row for row in solution.trace if row["kind"] == "end"}
-    value, _ = objective(x, y, solution.T_target_source, 4)
-    assert solution.upper_bound == pytest.approx(value)
-    assert solution.upper_bound == ends["rotation"]["upper_bound"] > ends["search"]["upper_bound"]
-    assert solution.lower_bound == ends["rotation"]["lower_bound"] != ends["search"]["lower_bound"]
+    for first, options in (("search", {"search": "ours", "polish": False}), ("translation", {})):
+        solution = registry.load("hbsp", **options).solve(noise, Limits(30.0, nodes=2000))
+        ends = {row["stage"]: row for row in solution.trace if row["kind"] == "end"}
+        value, _ = objective(x, y, solution.T_target_source, 4)
+        assert solution.upper_bound == pytest.approx(value)
+        assert solution.upper_bound == ends["rotation"]["upper_bound"] > ends[first]["upper_bound"]
+        assert solution.lower_bound == ends["rotation"]["lower_bound"] != ends[first]["lower_bound"]
 
 
 def test_hbsp_turns_with_the_threads_it_is_given(monkeypatch):
@@ -136,8 +138,9 @@ def test_hbsp_turns_with_the_threads_it_is_given(monkeypatch):
         made(self, space, roots, threads)
 
     monkeypatch.setattr(SemidefiniteRotationBound, "__init__", spy)
-    registry.load("hbsp").solve(instance(3), Limits(10.0, nodes=10, threads=2))
-    assert seen == [2]
+    for search in ("own", "ours"):
+        registry.load("hbsp", search=search).solve(instance(3), Limits(10.0, nodes=10, threads=2))
+    assert seen == [2, 2]
 
 
 @pytest.mark.parametrize("experiment", ["all", "demo"])

@@ -1,8 +1,11 @@
 """Algorithm 1 of DC-Reg (arXiv 2603.25442), step by step, and nothing else.
 
 One box at a time: the one with the lowest bound is bisected along its longest edge; both children are
-bounded; the objective at the minimising vertex of each child is the only incumbent. There are no initial
-poses and no local searches, and a bound may be negative.
+bounded; the candidate that each bound offers is the only incumbent. There are no initial poses and no
+local searches, and a bound may be negative.
+
+The other methods that divide boxes of poses run in the same loop when they search by themselves
+(`baselines._shared.own_search`), since their notes do not tell theirs.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -20,17 +24,18 @@ from dcreg.status import Status
 
 
 class Bounded(NamedTuple):
-    """The bound of one box, its minimising vertex, and the objective there."""
+    """The bound of one box, a candidate (for DC-Reg the minimising vertex), and the objective there."""
 
     lower_bound: float
     theta: np.ndarray
     value: float
 
 
-class PublishedBound(Protocol):
-    """Bounds boxes as the paper does: see `baselines.dcreg_paper.bounds`."""
+class Bounding(Protocol):
+    """Bounds boxes: see `baselines._shared.published`, `baselines._shared.relaxations`."""
 
-    n_assignments: int
+    @property
+    def n_assignments(self) -> int: ...
 
     def evaluate(self, boxes: list[Box]) -> list[Bounded]:
         """Bound each box; raises `Interrupted` if the time is over."""
@@ -38,21 +43,21 @@ class PublishedBound(Protocol):
 
 
 def algorithm_1(
-    bound: PublishedBound,
-    root: Box,
+    bound: Bounding,
+    roots: Sequence[Box],
     epsilon: float,
     budget: Budget,
     *,
     stage: str = "search",
     raise_children: bool = False,
 ) -> Outcome:
-    """Minimise a function over a box to within `epsilon`.
+    """Minimise a function over boxes to within `epsilon`.
 
     Parameters
     ----------
-    bound : PublishedBound
-    root : Box
-        The start box.
+    bound : Bounding
+    roots : sequence of Box
+        The start box, or several that together contain every parameter.
     epsilon : float
         Boxes with ``lower_bound >= upper_bound - epsilon`` are pruned.
     budget : Budget
@@ -67,8 +72,8 @@ def algorithm_1(
         ``n_nodes`` counts bounded boxes.
     """
     began = budget.elapsed()
-    search = _Search(bound, epsilon, budget, stage, root.centre, _bytes_of(root))
-    boxes, least = [root], -np.inf
+    search = _Search(bound, epsilon, budget, stage, roots[0].centre, _bytes_of(roots[0]))
+    boxes, least = list(roots), -np.inf
     while search.status is None:
         try:
             found = bound.evaluate(boxes)
@@ -101,7 +106,7 @@ def bisected(box: Box) -> list[Box]:
 class _Search:
     """Open boxes and the incumbent."""
 
-    bound: PublishedBound
+    bound: Bounding
     epsilon: float
     budget: Budget
     stage: str

@@ -1,4 +1,4 @@
-"""What the paper leaves open about the problem: units, start boxes and the tolerance."""
+"""What papers leave open about their problem: units, start boxes and the tolerance; ours."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dcreg.problem import Frame, rms_radius
 from dcreg.search import Box
 
 UNITS = ("source", "target", "none")
-START_BOXES = ("extent", "radius", "stationary")
+START_BOXES = ("extent", "scaled", "stationary")
 _INFLATION = 1.5  # of the bounding box of the source, in norm space
 
 
@@ -75,8 +75,8 @@ class Centred:
         - ``extent``: 2D: similarities of at most the maximum scale along each axis; translations up to
           the largest coordinate of the target. 3D: the bounding box of the source, half as large again.
           It need not contain the optimum.
-        - ``radius``: translations up to the sum of the radii of both clouds, the source at its
-          maximum scale. It contains every optimum.
+        - ``scaled``: translations up to the sum of the radii of both clouds, the source at the
+          maximum admissible scale. It contains every optimum.
         - ``stationary``: the start box of this library, which contains every optimum.
         """
         if name != "extent":

@@ -1,4 +1,4 @@
-"""The published bound of one box: an assignment at each vertex, started from the duals of the last."""
+"""The published bound of DC-Reg: an assignment at each vertex, started from the duals of the last."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The published bound: tangent at the centre of a box, one k-assignment per vertex.
+"""The published bound of DC-Reg: tangent at the centre of a box, one k-assignment per vertex.
 
 LB(M) = min over the vertices v of M of min_P sum p_ij [E_ij(v) - R_i(v - theta0)], where R_i is the gap
 of the tangent of the convex part at the centre theta0.
@@ -12,8 +12,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from baselines.dcreg_paper.algorithm1 import Bounded
-from baselines.dcreg_paper.kernels import linearised_values
+from baselines._shared.algorithm1 import Bounded
+from baselines._shared.kernels.published import linearised_values
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
@@ -91,3 +91,11 @@ class NormBound(PublishedBound[Translation3D]):
         return Bounded(float(values[best]) - missed, vertices[best], float(values[best])), len(
             vertices
         )
+
+
+def published_bound(space: FeatureSpace, threads: int = 1) -> SimilarityBound | NormBound:
+    """Return the published bound over a space."""
+    if isinstance(space, Similarity2D):
+        return SimilarityBound(space, threads)
+    assert isinstance(space, Translation3D)
+    return NormBound(space, threads)
