@@ -15,7 +15,7 @@ from dcreg.problem import Frame, rms_radius
 from dcreg.search import Box
 
 UNITS = ("source", "target", "none")
-START_BOXES = ("extent", "scaled", "stationary")
+START_BOXES = ("extent", "radius", "stationary")
 _INFLATION = 1.5  # of the bounding box of the source, in norm space
 
 
@@ -75,7 +75,7 @@ class Centred:
         - ``extent``: 2D: similarities of at most the maximum scale along each axis; translations up to
           the largest coordinate of the target. 3D: the bounding box of the source, half as large again.
           It need not contain the optimum.
-        - ``scaled``: translations up to the sum of the radii of both clouds, the source at the
+        - ``radius``: translations up to the sum of the radii of both clouds, the source at the
           maximum admissible scale. It contains every optimum.
         - ``stationary``: the start box of this library, which contains every optimum.
         """
