@@ -28,18 +28,44 @@ NOISE_FACTOR = 2.0
 
 
 class ThresholdRule(BaseModel):
-    """How the paper of a method chooses its threshold: a quantile of the length of Gaussian noise."""
+    """The rule of the option ``threshold: paper``: the greater of a quantile of noise and a spacing."""
 
     model_config = ConfigDict(extra="forbid")
 
     text: str  # the rule as stated, and where
-    confidence: float = Field(gt=0, lt=1)  # share of true pairs within the threshold
+    # The method's paper, its authors' code, a textbook, or us where we could read none of them.
+    origin: Literal["paper", "code", "textbook", "ours"]
+    confidence: float | None = Field(None, gt=0, lt=1)  # share of true pairs within, Gaussian noise
+    spacings: float | None = Field(
+        None, gt=0
+    )  # in mean distances to the nearest point of the cloud
 
-    def sigmas(self, dim: int) -> float:
-        """Return the threshold in standard deviations per axis."""
+    @model_validator(mode="after")
+    def _states_a_length(self) -> ThresholdRule:
+        if self.confidence is None and self.spacings is None:
+            raise ValueError("threshold_rule: give confidence, spacings or both")
+        return self
+
+    def distance(self, instance: Instance) -> float:
+        """Return the threshold in target units, for the noise behind the noise bound of the instance."""
+        return max(self._quantile(instance), self._resolution(instance))
+
+    def _quantile(self, instance: Instance) -> float:
         from scipy.stats import chi2
 
-        return float(np.sqrt(chi2.ppf(self.confidence, dim)))
+        if self.confidence is None:
+            return 0.0
+        sigma = instance.noise_bound / (NOISE_FACTOR * np.sqrt(instance.dim))
+        return float(sigma * np.sqrt(chi2.ppf(self.confidence, instance.dim)))
+
+    def _resolution(self, instance: Instance) -> float:
+        from scipy.spatial import cKDTree
+
+        if self.spacings is None:
+            return 0.0
+        clouds = (instance.source, instance.target)
+        means = [cKDTree(points).query(points, k=2)[0][:, 1].mean() for points in clouds]
+        return float(self.spacings * np.mean(means))
 
 
 class Range(BaseModel):
@@ -261,13 +287,12 @@ class Baseline(abc.ABC):
     def inlier_distance(self, instance: Instance) -> float:
         """Return the maximum residual of an inlier, in target units.
 
-        It is the noise bound of the instance times the option ``noise_factor``. With ``threshold: paper``
-        the rule of the card computes it from the standard deviation behind the noise bound.
+        It is the noise bound of the instance times the option ``noise_factor``, or, with
+        ``threshold: paper``, that of the rule of the card.
         """
         rule = self.card.threshold_rule
         if rule is not None and self.options["threshold"] == "paper":
-            sigma = instance.noise_bound / (NOISE_FACTOR * np.sqrt(instance.dim))
-            return float(rule.sigmas(instance.dim) * sigma)
+            return rule.distance(instance)
         return float(self.options["noise_factor"] * instance.noise_bound)
 
     def warm_up(self, instance: Instance) -> None:

@@ -237,15 +237,11 @@ class PrototypeDataset(Dataset):
 
 
 class RecordedDataset(Dataset):
-    """Recorded instances: source and target from files, with known ground truth.
+    """Recorded instances: source and target from files, with known ground truth."""
 
-    Attributes
-    ----------
-    fixed_size : bool
-        Whether the number of points is fixed, so that n_points is refused.
-    """
-
-    fixed_size = False
+    def takes_n_points(self, test: str) -> bool:
+        """Whether the clouds of this test can be reduced to a given number of points."""
+        return True
 
     @abc.abstractmethod
     def tests(self) -> dict[str, Axis]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Hashable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,9 @@ from dcreg.problem import suggestion
 from workflows import UserError, shown
 
 QUICK = "-quick"  # ends the name of the quick part of an experiment
+TIER = re.compile(
+    r"(?P<whole>.+)-(?P<points>[1-9][0-9]*)"
+)  # the name of a tier: fewer points per shape
 METHOD_LISTS = "methods"  # folder of shared lists, next to the configs
 OWN_LISTS = Path(__file__).parent / "configs" / METHOD_LISTS
 
@@ -20,8 +24,11 @@ class ConfigError(UserError):
     """The config cannot be used; the message names file, key, value and remedy."""
 
 
-def read(path: Path, quick: bool = False) -> dict[str, Any]:
+def read(path: Path, quick: bool = False, n_points: int | None = None) -> dict[str, Any]:
     """Return the content of a config, or of its quick part, with shared lists expanded.
+
+    With `n_points` it is a tier: every dataset has this number of points per shape, and name and title
+    say so.
 
     The key ``quick`` replaces keys of the config: ``limits`` key by key, all others as a whole. A text
     among ``methods`` is the name of a list in ``methods/`` next to the config, or in
@@ -36,6 +43,13 @@ def read(path: Path, quick: bool = False) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ConfigError(f"{shown(path)}: must be a mapping of keys to values")
     instead = content.pop("quick", None)
+    if n_points is not None:
+        for part in (content, instead) if isinstance(instead, dict) else (content,):
+            for entry in part.get("datasets") or ():
+                if isinstance(entry, dict):
+                    entry["n_points"] = n_points
+        content["name"] = f"{content.get('name')}-{n_points}"
+        content["title"] = f"{content.get('title', '')}, {n_points} points"
     if quick:
         if not isinstance(instead, dict):
             raise ConfigError(f"{shown(path)}: has no quick part; add the key quick, a mapping")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, ValidationError
 
@@ -14,8 +14,8 @@ from baselines.contract import Limits
 from data.parameters import explain, key_path
 from dcreg.problem import suggestion
 from workflows import CHECKOUT, shown
-from workflows.compose import QUICK, ConfigError, has_quick_part, read
-from workflows.grid import DatasetSettings, Model, check_datasets, check_size
+from workflows.compose import QUICK, TIER, ConfigError, has_quick_part, read
+from workflows.grid import DatasetSettings, Model, check_datasets, check_size, check_tier
 from workflows.parts import Part, part_of
 
 CONFIGS = CHECKOUT / "workflows" / "configs"
@@ -99,26 +99,41 @@ class Experiment(Part):
         return LimitSettings(**{**self.limits.model_dump(), **method.limits})
 
 
-def find(experiment: str) -> tuple[Path, bool]:
-    """Return the path of a config, given by name (``demo``) or path, and whether its quick part is meant.
+class Place(NamedTuple):
+    """What the name of an experiment stands for: a config, its quick part, or a tier of either."""
 
-    The name of a quick part ends with ``-quick``.
+    path: Path
+    quick: bool = False
+    n_points: int | None = None  # of the tier; None: as in the config
+
+
+def find(experiment: str) -> Place:
+    """Return the config of an experiment, given by path or by name, such as ``demo``.
+
+    ``paper2d-quick`` is the quick part of a config, ``paper2d-40`` its tier of 40 points per shape, and
+    ``paper2d-40-quick`` the quick part of the tier.
     """
     path = Path(experiment)
     if path.suffix in (".yaml", ".yml") and path.is_file():
-        return path, False
-    name = experiment.removesuffix(QUICK)
+        return Place(path)
     known = sorted(file.stem for file in CONFIGS.glob("*.yaml"))
+    name = experiment.removesuffix(QUICK)
+    if name not in known and (tier := TIER.fullmatch(name)) and tier["whole"] in known:
+        n_points = int(tier["points"])
+        return Place(CONFIGS / f"{tier['whole']}.yaml", name != experiment, n_points)
     if name in known:
-        return CONFIGS / f"{name}.yaml", name != experiment
+        return Place(CONFIGS / f"{name}.yaml", name != experiment)
     raise ConfigError(f"no experiment {experiment!r}{suggestion(experiment, known)}")
 
 
 def origin(experiment: str) -> str:
     """Return the name of a config of the checkout, or the path of another one."""
-    path, quick = find(experiment)
-    path = path.resolve()
-    return path.stem + QUICK * quick if path.parent == CONFIGS else shown(path)
+    place = find(experiment)
+    path = place.path.resolve()
+    if path.parent != CONFIGS:
+        return shown(path)
+    tier = "" if place.n_points is None else f"-{place.n_points}"
+    return path.stem + tier + QUICK * place.quick
 
 
 def load(experiment: str) -> Experiment:
@@ -131,24 +146,27 @@ def load(experiment: str) -> Experiment:
     ConfigError
         Lists all problems.
     """
-    path, quick = find(experiment)
-    settings = _load(path, quick)
-    if not quick and has_quick_part(path):
+    place = find(experiment)
+    settings = _load(place)
+    if not place.quick and has_quick_part(place.path):
         try:
-            _load(path, quick=True)
+            _load(place._replace(quick=True))
         except ConfigError as error:
             remedy = "this is in the quick part; correct it, or remove the key quick"
-            raise ConfigError(f"{error}\n{shown(path)}: {remedy}") from error
+            raise ConfigError(f"{error}\n{shown(place.path)}: {remedy}") from error
     return settings
 
 
-def _load(path: Path, quick: bool) -> Experiment:
-    """Read and check the experiment of a file, or its quick part."""
-    content = read(path, quick)
+def _load(place: Place) -> Experiment:
+    """Read and check the experiment of a config, its quick part, or a tier."""
+    path = place.path
+    content = read(*place)
     try:
         settings = Experiment.model_validate(content)
     except ValidationError as error:
         raise _config_error(path, [_explain(problem) for problem in error.errors()]) from error
+    if place.n_points is not None and (problems := [*check_tier(settings.datasets)]):
+        raise _config_error(path, problems)
     problems = [
         *_check_name(settings, path),
         *_check_methods(settings),

@@ -45,6 +45,24 @@ class DatasetSettings(Part):
         return shapes
 
 
+def check_tier(asked: Sequence[DatasetSettings]) -> Iterable[str]:
+    """Yield the tests of a tier whose clouds cannot be reduced to its number of points."""
+    from data import registry
+    from data.contract import RecordedDataset
+
+    for entry in asked:
+        dataset = registry.datasets().get(entry.dataset)
+        fixed = isinstance(dataset, RecordedDataset) and [
+            test for test in entry.tests if not dataset.takes_n_points(test)
+        ]
+        if fixed:
+            yield (
+                f"a tier of {entry.n_points} points is not possible: dataset {entry.dataset} has a fixed "
+                f"number of points in {', '.join(fixed)}; run the experiment without POINTS and without "
+                f"the ending -{entry.n_points}"
+            )
+
+
 def check_datasets(asked: Sequence[DatasetSettings]) -> Iterable[str]:
     """Yield unknown datasets, shapes, tests, levels and trials."""
     from data import registry
@@ -68,7 +86,8 @@ def check_datasets(asked: Sequence[DatasetSettings]) -> Iterable[str]:
         recorded: dict[str, Axis] = {}
         if isinstance(dataset, RecordedDataset):
             recorded = dataset.tests()
-            if dataset.fixed_size and entry.n_points is not None:
+            fixed = [test for test in entry.tests if not dataset.takes_n_points(test)]
+            if fixed and entry.n_points is not None:
                 yield f"{key}.n_points: {entry.dataset} has a fixed number of points; remove it"
         tests = recorded or DISTURBANCES
         for test, levels in entry.tests.items():

@@ -41,6 +41,9 @@ class Loader(RecordedDataset):
         """Return the files of the marks, the first photograph and, for edges, the other one."""
         return [fetch(self.card.file(path)) for path in self._paths(shape, test, level)]
 
+    def takes_n_points(self, test: str) -> bool:
+        return test != "marked"
+
     def load(
         self, shape: str, test: str, level: float, trial: int, n_points: int | None
     ) -> RawInstance:

@@ -155,6 +155,7 @@ def _outcome(part: pd.DataFrame) -> dict[str, Any]:
         "time": float(part["time"].mean()),
         "median_time": float(part["time_solve_s"].median()),
         "assignments": float(part["n_assignments"].median()),
+        "truth_excluded": float(1 - part["truth_in_cube"].mean()),  # NaN without such a cube
         "limited": int(part["outcome"].eq("limited").sum()),
         "failed": int(part["outcome"].eq("failed").sum()),
     }

@@ -14,6 +14,14 @@ TITLE = "Parameters"
 POSITION = 90
 
 
+_ORIGINS = {
+    "paper": "rule of its paper",
+    "code": "rule of its authors' code",
+    "textbook": "rule of a textbook",
+    "ours": "our rule",
+}
+
+
 def context(page: Page) -> dict[str, Any]:
     runs = page.tables.runs
     return {
@@ -21,7 +29,7 @@ def context(page: Page) -> dict[str, Any]:
             (name, parameters(page.tables.cards.get(name, {}))) for name in page.tables.methods
         ],
         "rules": {
-            name: rule["text"]
+            name: f"{_ORIGINS[rule['origin']]}: {rule['text']}"
             for name in page.tables.methods
             if (card := page.tables.cards.get(name, {})).get("options", {}).get("threshold")
             == "paper"

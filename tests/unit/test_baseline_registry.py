@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from baselines import registry
-from baselines.contract import NOISE_FACTOR, Instance
+from baselines.contract import NOISE_FACTOR, Instance, ThresholdRule
 from baselines.dependencies import files_behind
 from baselines.registry import BaselineError
 
@@ -91,7 +91,7 @@ BAD_OPTIONS = [  # the contract tests try an unknown option and -1 with every me
     ("icp_open3d", {"coarse_distances": [1.0, True]}, "is a list; give a list such as"),
     ("icp_open3d", {"coarse_distances": [1.0, -1]}, "give a finite number, above 0$"),
     ("teaser", {"threshold": "mine"}, "threshold = 'mine'; choose one of given, paper"),
-    ("gore", {"threshold": "paper"}, "gore: unknown option 'threshold'"),
+    ("mac", {"threshold": "paper"}, "mac: unknown option 'threshold'"),
     ("kiss_matcher", {"front_end": "sift"}, "fpfh-mutual, norm-signature, all-pairs, oracle"),
     ("hunter", {"entry": "mine.py"}, "give module:function"),
 ]  # fmt: skip
@@ -124,6 +124,26 @@ def test_a_tuned_threshold_is_the_papers_multiple_of_the_deviation(
     tuned = registry.load(name, threshold="paper").inlier_distance(instance)
     assert tuned == pytest.approx(sigmas * deviation, rel=1e-3)
     assert registry.load(name).inlier_distance(instance) == bound
+
+
+@pytest.mark.parametrize(
+    ("name", "deviation", "expected"),
+    [("gore", 5.0, 0.75), ("frs", 0.01, 0.75), ("frs", 5.0, 15.0)],
+)
+def test_a_threshold_by_resolution_is_the_mean_spacing_of_both_clouds(
+    name: str, deviation: float, expected: float
+) -> None:
+    source = np.indices((3, 3, 3)).reshape(3, -1).T.astype(float)  # a grid of spacing 1
+    bound = NOISE_FACTOR * deviation * np.sqrt(3)
+    instance = Instance("i", source, 0.5 * source, "rigid3d", 27, (1.0, 1.0), bound, 0)
+    tuned = registry.load(name, threshold="paper").inlier_distance(instance)
+    assert tuned == pytest.approx(expected, rel=1e-3)
+    assert registry.load(name).inlier_distance(instance) == bound
+
+
+def test_a_threshold_rule_states_a_length() -> None:
+    with pytest.raises(ValueError, match="give confidence, spacings or both"):
+        ThresholdRule(text="none", origin="ours")
 
 
 def test_dcreg_leaves_mode_and_bound_to_the_library() -> None:

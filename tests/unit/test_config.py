@@ -132,6 +132,38 @@ def test_quick_parts_have_one_limit_for_all_searches_and_one_for_all_other_metho
     assert {quick.limits_of(m).nodes for m in quick.methods} == {None}
 
 
+@pytest.mark.parametrize(
+    "name", ["paper2d-40", "paper3d-40", "paper2d-40-quick", "paper3d-40-quick"]
+)
+def test_a_tier_is_the_experiment_with_fewer_points_in_its_own_folder(name):
+    tier, whole = load(name), load(name.replace("-40", ""))
+    assert tier.name == config.origin(name) == name
+    assert ", 40 points" in tier.title
+    assert {entry.n_points for entry in tier.datasets} == {40}
+    assert (tier.methods, tier.limits) == (whole.methods, whole.limits)
+    assert [entry.tests for entry in tier.datasets] == [entry.tests for entry in whole.datasets]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("paper2d_cr-40", "chui_rangarajan has a fixed number of points in def, noise"),
+        ("paper2d_images-40-quick", "lian_images has a fixed number of points in marked; run"),
+        (
+            "threedmatch-40",
+            "threedmatch has a fixed number of points in 3DMatch; run the experiment w",
+        ),
+        ("paper2d-2", r"datasets[0].n_points: 2; input should be greater"),
+        ("paper4d-40", "no experiment 'paper4d-40'"),
+        ("paper2d-quick-40", "no experiment 'paper2d-quick-40'"),
+    ],
+)
+def test_a_tier_that_is_not_possible_is_refused(name, message):
+    with pytest.raises(ConfigError) as error:
+        config.load(name)
+    assert message in str(error.value)
+
+
 @pytest.mark.parametrize("name", ["paper2d", "paper2d_cr", "paper3d"])
 def test_quick_parts_have_the_instances_that_a_verdict_needs(name):
     quick = expand(load(f"{name}-quick"))

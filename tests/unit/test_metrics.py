@@ -12,17 +12,21 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import workflows.metrics
+from data.contract import DataError
 from data.sampling import reference_pose
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import NORM_SCOPES, POSE_SCOPES
+from dcreg.problem import apply_pose
 from workflows.discovery import modules
 from workflows.instances import Problem, Truth
 from workflows.metrics import METRICS, Case
 from workflows.metrics.errors import rotation_error_deg
 from workflows.records import runs_columns
+from workflows.stages import generate
 from workflows.stages.evaluate import judge, relate
+from workflows.stages.plan import InstanceSpec
 
 
 def similarity(angle_deg: float, scale: float, shift: tuple[float, float]) -> np.ndarray:
@@ -211,6 +215,25 @@ def test_a_run_without_pose_has_no_metrics_and_no_success(rng):
     assert row["noise_bound"] == 0.1
     assert json.loads(row["T_reference"]) == np.eye(3).tolist()
     assert row["objective_true"] == pytest.approx(0, abs=1e-12)  # known without any pose
+
+
+def test_the_cube_of_translations_of_a_method_may_exclude_the_truth(rng):
+    source = rng.random((12, 3))
+    T_true = np.eye(4)
+    T_true[:3, 3] = [0.1, -0.2, 0.3]
+    target = np.vstack([apply_pose(T_true, source), 30.0 + rng.random((4, 3))])
+    problem = Problem("i", "rigid3d", source, target, (1.0, 1.0), 12, 0.1)
+    spec = InstanceSpec("horse", "horse", "noise", 0.5, 3, None, "rigid3d")
+    truth = Truth("i", T_true, np.column_stack([np.arange(12)] * 2))
+    run = RUN | {"n_inliers": 12, "n_source": 12, "n_target": 16}
+    options = [{"translation_half_width": half} for half in (None, 0.01)]
+    found = [judge(run, problem, truth, None, each)["truth_in_cube"] for each in (*options, {})]
+    assert found[:2] == [1.0, 0.0]
+    assert np.isnan(found[2])
+    generate.check_cube(spec, problem, T_true)
+    T_true[0, 3] = 1e3
+    with pytest.raises(DataError, match=r"horse horse noise 0\.5, trial 3: the cube of transl"):
+        generate.check_cube(spec, problem, T_true)
 
 
 def test_a_run_is_evaluated_by_the_marks_and_the_given_range(rng):

@@ -29,6 +29,7 @@ class Case:
     marks: np.ndarray | None = None  # (k, 2 d): see `workflows.instances.Truth`
     scope: str = ""  # what the lower bound refers to
     is_downsampled: bool = False  # the method received fewer points: its objective is another one
+    truth_in_cube: float = np.nan  # 1 or 0; of methods that search a cube of translations
 
     @property
     def dim(self) -> int:

@@ -81,3 +81,10 @@ def admissible(case: Case) -> bool:
     if not low * (1 - slack) <= scale <= high * (1 + slack):
         return False
     return bool(np.abs(linear - scale * nearest_rotation(linear)).max() <= slack * scale)
+
+
+@metric("1 or 0", "none")
+def truth_in_cube(case: Case) -> float:
+    """1 if the cube of translations that the method searches contains the reference pose, 0 if not;
+    empty for methods without such a cube."""
+    return case.truth_in_cube

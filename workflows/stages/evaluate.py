@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from baselines import registry as methods
 from data import registry
 from workflows import records
 from workflows.instances import Problem, Truth, read_problems, read_truths
@@ -24,10 +26,11 @@ def evaluate(folder: Path, plan_path: Path) -> pd.DataFrame:
         problems = {p.instance_id: p for p in read_problems(folder / f"instances/{chunk_id}.npz")}
         truths = read_truths(folder / f"truth/{chunk_id}.npz")
         datasets = dict(zip(planned["instance_id"], planned["dataset"], strict=True))
-        for method in planned["method"].unique():
+        for method, row in planned.groupby("method", sort=False).first().iterrows():
+            options = methods.read_card(row["baseline"]).parameters | json.loads(row["options"])
             raw = records.read(folder / f"runs/{method}/{chunk_id}.parquet", records.RAW)
             rows = [
-                judge(run, problems[key], truths[key], success_rmse(datasets[key]))
+                judge(run, problems[key], truths[key], success_rmse(datasets[key]), options)
                 for run in raw.to_dict("records")
                 if (key := run["instance_id"]) in datasets
             ]
@@ -42,9 +45,16 @@ def success_rmse(dataset: str) -> float | None:
 
 
 def judge(
-    run: Mapping[Any, Any], problem: Problem, truth: Truth, success_rmse: float | None = None
+    run: Mapping[Any, Any],
+    problem: Problem,
+    truth: Truth,
+    success_rmse: float | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return the metrics of one run; without a pose they are empty, and those of yes or no are no."""
+    """Return the metrics of one run; without a pose they are empty, and those of yes or no are no.
+
+    `options` are all options of the method, defaults included.
+    """
     row: dict[str, Any] = {
         "run_id": run["run_id"],
         "instance_id": run["instance_id"],
@@ -69,6 +79,7 @@ def judge(
         scope=run["certificate_scope"],
         is_downsampled=(run["n_source"], run["n_target"])
         != (len(problem.source), len(problem.target)),
+        truth_in_cube=truth_in_cube(run, problem, truth, options or {}),
     )
     for name, metric in METRICS.items():
         # Metrics of the ground truth alone also have a value where the method found no pose.
@@ -77,6 +88,22 @@ def judge(
         if metric.unit == "yes/no":
             row[name] = found is not None and bool(row[name])
     return row
+
+
+def truth_in_cube(
+    run: Mapping[Any, Any], problem: Problem, truth: Truth, options: Mapping[str, Any]
+) -> float:
+    """Return 1 or 0 for a method that searches a cube of translations, NaN for all others."""
+    if "translation_half_width" not in options or not run["n_source"]:
+        return np.nan
+    from baselines.goicp.adapter import contains_translation  # loads Numba
+
+    n_points = int(max(run["n_source"], run["n_target"]))
+    is_whole = n_points >= max(len(problem.source), len(problem.target))
+    given = problem.for_solver(1.0, 0, None if is_whole else n_points)
+    given = replace(given, n_inliers=int(run["n_inliers"]))
+    half = options["translation_half_width"]
+    return float(contains_translation(given, truth.T_true, half, options.get("normalise", True)))
 
 
 def relate(metrics: pd.DataFrame) -> pd.DataFrame:

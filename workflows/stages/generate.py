@@ -10,7 +10,7 @@ import numpy as np
 from baselines.contract import NOISE_FACTOR, Instance
 from baselines.dependencies import files_behind
 from data import registry
-from data.contract import RawInstance
+from data.contract import DataError, RawInstance
 from dcreg.problem import apply_pose
 from workflows import CHECKOUT
 from workflows.disturb import make_instance
@@ -28,7 +28,10 @@ MIN_NOISE_BOUND = 0.01
 def generate(chunk: Chunk, instances_path: Path, truth_path: Path) -> None:
     """Write the two files of a chunk."""
     made = [(spec, raw_instance(spec)) for spec in chunk.instances]
-    write_problems(instances_path, (problem_of(spec, raw) for spec, raw in made))
+    problems = [problem_of(spec, raw) for spec, raw in made]
+    for problem, (spec, raw) in zip(problems, made, strict=True):
+        check_cube(spec, problem, raw.T_true)
+    write_problems(instances_path, problems)
     write_truths(truth_path, (truth_of(spec, raw) for spec, raw in made))
 
 
@@ -50,6 +53,24 @@ def problem_of(spec: InstanceSpec, raw: RawInstance) -> Problem:
             else {}
         ),
     )
+
+
+def check_cube(spec: InstanceSpec, problem: Problem, T_true: np.ndarray) -> None:
+    """Refuse an instance whose reference pose lies outside Go-ICP's cube of all translations.
+
+    Raises
+    ------
+    DataError
+    """
+    if problem.model != "rigid3d":
+        return
+    from baselines.goicp.adapter import contains_translation  # loads Numba
+
+    if not contains_translation(problem.for_solver(1.0, 0), T_true, None):
+        raise DataError(
+            f"{spec.dataset} {spec.shape} {spec.test} {spec.level:g}, trial {spec.trial}: the cube of "
+            "translations of goicp-all excludes the reference pose; correct the pose or the pairs"
+        )
 
 
 def instance_of(
