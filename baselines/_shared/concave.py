@@ -28,10 +28,8 @@ from baselines._shared.cubes import OutOfTimeError
 from baselines._shared.kernels.statistics import N_STATISTICS, concave, minimum_linear, statistics
 from baselines._shared.tolerance import absolute_tolerance
 from baselines.contract import Instance, Solution
-from dcreg.assignment.descent import polish
-from dcreg.assignment.objective import pairs_of
-from dcreg.families.similarity2d.space import Similarity2D
-from dcreg.problem import Frame, Problem
+from dcreg.assignment.objective import objective, pairs_of
+from dcreg.problem import Frame, Problem, apply_pose
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget, Event, Trace
 from dcreg.status import Status
@@ -56,27 +54,38 @@ class Clouds(NamedTuple):
 
 @dataclass
 class Incumbent:
-    """The pose of the best matching so far, in normalised coordinates, and the assignments spent."""
+    """The best matching among those that the search assigned: E(P) and the pose that attains it.
+
+    With `alternates`, a better matching is followed to a local minimum, by matchings that are best for
+    the pose of the last one. These are vertices that minimise a linear function above the concave one.
+    """
 
     clouds: Clouds
-    pose: np.ndarray
-    value: float
-    n_assignments: int
     budget: Budget
+    value: float = np.inf
+    pose: np.ndarray = field(default_factory=lambda: np.eye(3))
+    alternates: bool = False
+    n_assignments: int = 0
 
     def beaten_by(self, value: float) -> bool:
         """Return whether a matching of this value is better by more than rounding."""
-        return value < self.value - 1e-9 * abs(self.value)
+        return value < self.value * (1.0 - 1e-9)
 
     def offer(self, col_of: np.ndarray) -> bool:
-        """Descend from a matching if it is better than the incumbent; return whether it replaced it."""
-        source, target, k, *scales = self.clouds
-        pairs = pairs_of(col_of)
-        pose = fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], self.clouds.scale_range)
-        problem = Problem(source, target, k, "similarity2d", (scales[0], scales[1]))
-        pose, value, _, spent = polish(problem, pose, self.budget)
-        self.n_assignments += spent
-        if value >= self.value:
+        """Fit the pose to a matching; return whether it replaced the incumbent."""
+        source, target, k, *_ = self.clouds
+        is_better = self._take(pairs_of(col_of))
+        improves = is_better and self.alternates
+        while improves and not self.budget.is_over:
+            self.n_assignments += 1
+            improves = self._take(objective(source, target, self.pose, k)[1])
+        return is_better
+
+    def _take(self, pairs: np.ndarray) -> bool:
+        x, y = self.clouds.source[pairs[:, 0]], self.clouds.target[pairs[:, 1]]
+        pose = fit_pose(x, y, self.clouds.scale_range)
+        value = float(((apply_pose(pose, x) - y) ** 2).sum())
+        if not self.beaten_by(value):
             return False
         self.pose, self.value = pose, value
         return True
@@ -94,11 +103,10 @@ class Reduced:
     gap_tol: float
 
     @classmethod
-    def of(cls, instance: Instance, budget: Budget, factor: float) -> Reduced:
-        """Normalise, and find the first incumbent by the descents that start the library's search.
-
-        Every branch and bound thus starts from the same incumbent.
-        """
+    def of(
+        cls, instance: Instance, budget: Budget, factor: float, alternates: bool = False
+    ) -> Reduced:
+        """Normalise; there is no incumbent before the first assignment of the search."""
         problem = Problem(
             instance.source, instance.target, instance.n_inliers, "similarity2d",
             instance.scale_range,
@@ -106,10 +114,8 @@ class Reduced:
         frame = Frame.of(problem)
         source, target = frame.source(problem.source), frame.target(problem.target)
         clouds = Clouds(source, target, problem.n_inliers, *problem.scale_range)
-        space = Similarity2D(source, target, clouds.k, clouds.scale_range)
         gap_tol = absolute_tolerance(target, clouds.k, factor)
-        theta, value, spent = space.start(budget, gap_tol)
-        return cls(frame, Incumbent(clouds, space.pose(theta), value, spent, budget), gap_tol)
+        return cls(frame, Incumbent(clouds, budget, alternates=alternates), gap_tol)
 
     @property
     def clouds(self) -> Clouds:
@@ -136,10 +142,8 @@ class ConcaveSearch(abc.ABC):
         In normalised units.
     status : Status or None
         None during the search.
-    n_nodes, dim : int
-        Regions bounded, and dimensions of the statistics.
-    n_assignments : int
-        Of the search without the incumbent's.
+    n_nodes, n_assignments, dim : int
+        Regions bounded, their assignments, and dimensions of the statistics.
     history : Trace
         An event for every changed bound and for the end, in squared units of the input.
     """
@@ -160,6 +164,11 @@ class ConcaveSearch(abc.ABC):
     @property
     def upper_bound(self) -> float:
         return self.reduced.incumbent.value
+
+    @property
+    def n_spent(self) -> int:
+        """Return the assignments solved, including those of local searches."""
+        return self.n_assignments + self.reduced.incumbent.n_assignments
 
     @property
     def cutoff(self) -> float:
@@ -185,15 +194,13 @@ class ConcaveSearch(abc.ABC):
             return Status.OPTIMAL
         if budget.is_over:
             return Status.TIME_LIMIT
-        spent = self.n_assignments + self.reduced.incumbent.n_assignments
-        return budget.spent(self.n_nodes, spent, nbytes / share)
+        return budget.spent(self.n_nodes, self.n_spent, nbytes / share)
 
     def record(self, n_open: int = 0) -> None:
         """Record the state of the search when a bound changed, and at the end."""
         kind = "bound" if self.status is None else "end"
         event = Event(
-            kind, "search", self.budget.elapsed(), self.n_nodes,
-            self.n_assignments + self.reduced.incumbent.n_assignments, n_open,
+            kind, "search", self.budget.elapsed(), self.n_nodes, self.n_spent, n_open,
             self.lower_bound, self.upper_bound, "" if self.status is None else self.status.value,
         ).scaled(self.reduced.area)  # fmt: skip
         last = self.history.events[-1] if self.history.events else None
@@ -206,7 +213,7 @@ class ConcaveSearch(abc.ABC):
     def solution(self, **extra: float) -> Solution:
         """Return the result in the units of the instance."""
         assert self.status is not None
-        area, incumbent = self.reduced.area, self.reduced.incumbent
+        area = self.reduced.area
         return Solution(
             self.status,
             self.reduced.pose(),
@@ -214,10 +221,7 @@ class ConcaveSearch(abc.ABC):
             upper_bound=self.upper_bound * area,
             gap_tol=self.gap_tol * area,
             certificate_scope=SCOPE,
-            counters={
-                "n_nodes": self.n_nodes,
-                "n_assignments": self.n_assignments + incumbent.n_assignments,
-            },
+            counters={"n_nodes": self.n_nodes, "n_assignments": self.n_spent},
             trace=self.history.rows(),
             extra={**extra, "n_dimensions": float(self.dim)},
         )
@@ -263,8 +267,11 @@ class Support:
         return N_STATISTICS + self.with_fixed
 
     def least(self, direction: np.ndarray) -> np.ndarray:
-        """Return the point that minimises ``direction . point``."""
-        if self.incumbent.budget.is_over:
+        """Return the point that minimises ``direction . point``.
+
+        The first assignment, which gives the first incumbent, is solved even if the time is over.
+        """
+        if self.incumbent.budget.is_over and np.isfinite(self.incumbent.value):
             raise OutOfTimeError
         fixed_weight = float(direction[-1]) if self.with_fixed else 0.0
         weights = np.ascontiguousarray(direction[:N_STATISTICS])

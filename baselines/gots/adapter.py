@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from baselines._shared.consensus import Consensus
@@ -41,18 +39,16 @@ class Adapter(Baseline):
         problem = Consensus(instance, eps)
         incumbent = Incumbent()
         cubes = TranslationCubes(problem.source, problem.target, eps, incumbent, translating)
-        starts = problem.starts(self.options["start_rotations"], translating)
-        for pose, _ in starts:
-            translation = pose[:3, :3].T @ pose[:3, 3]  # R x + t = R (x + R^T t)
-            incumbent.offer(-cubes.count(translation), translation)
+        centre, half = matching_translations(problem.source, problem.target, eps)
+        incumbent.offer(-cubes.count(centre), centre)  # the others are centres of further cubes
         found = search_cubes(
-            cubes.bound, matching_translations(problem.source, problem.target, eps), incumbent,
-            translating, gap_tol=0.0, floor=-float(len(cubes.pairs)), passed_on=cubes.all_pairs,
+            cubes.bound, (centre, half), incumbent, translating,
+            gap_tol=0.0, floor=-float(len(cubes.pairs)), passed_on=cubes.all_pairs,
         )  # fmt: skip
         found = with_bounds(
             found, lambda value: float(eps**2 * (instance.n_inliers - points_of(-value)))
         )
-        pose, extra, turned = self._pose(problem, incumbent.pose, starts, budget)
+        pose, turned = self._rotated(problem, incumbent.pose, budget)
         return Solution(
             found.status if turned else Status.TIME_LIMIT,
             problem.restore(problem.polish(pose) if self.options["polish"] else pose),
@@ -62,27 +58,20 @@ class Adapter(Baseline):
             certificate_scope=SCOPE,
             counters={"n_nodes": found.n_nodes},
             trace=Trace(found.events).rows(),
-            extra={"matched_pairs": -incumbent.value, **extra},
+            extra={"matched_pairs": -incumbent.value, "matched": float(problem.count(pose))},
         )
 
-    def _pose(
-        self, problem: Consensus, translation: np.ndarray, starts: list[Any], budget: Budget
-    ) -> tuple[np.ndarray, dict[str, float], bool]:
-        """Return the pose of maximum consensus, and whether its rotation search finished.
+    def _rotated(
+        self, problem: Consensus, translation: np.ndarray, budget: Budget
+    ) -> tuple[np.ndarray, bool]:
+        """Return the pose of maximum consensus at a translation, and whether the search finished.
 
-        It is the pose at the translation found, or a pose refined from an initial one if that is better.
+        Without time for the search it is the translation alone.
         """
-        pose, count = max(starts, key=lambda start: start[1])
-        at_translation, ended = 0, True
         try:
             found = most_matches(
                 problem.source + translation, problem.target, problem.radius, 0, 0, budget
             )
-            turned = homogeneous(1.0, found.rotation, found.rotation @ translation)
-            turned, at_translation = problem.ascend(turned, 2.0 * problem.radius)
-            if at_translation >= count:
-                pose, count = turned, at_translation
         except OutOfTimeError:
-            ended = False  # use the best refined initial pose
-        extra = {"matched": float(count), "matched_at_translation": float(at_translation)}
-        return pose, extra, ended
+            return homogeneous(1.0, np.eye(3), translation), False
+        return homogeneous(1.0, found.rotation, found.rotation @ translation), True

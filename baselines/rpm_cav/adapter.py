@@ -26,7 +26,7 @@ class Adapter(Baseline):
         self.solve(tiny(instance), Limits(time_s=600.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        reduced = Reduced.of(instance, limits.budget(), self.options["gap_tol_factor"])
+        reduced = Reduced.of(instance, limits.budget(), self.options["epsilon_factor"])
         by_gap = self.options["branching"] == "gap"
         search = Search(reduced, reduced.gap_tol, self.options["ascents"], by_gap)
         search.run()

@@ -29,8 +29,8 @@ class BoxBound:
             for points in (instance.source, instance.target)
         )
         self.clouds = Clouds(source, target, instance.n_inliers, *instance.scale_range)
-        # with a value of minus infinity no matching starts a descent
-        support = Support(Incumbent(self.clouds, np.eye(3), -np.inf, 0, Budget()))
+        # with a value of minus infinity no matching is kept
+        support = Support(Incumbent(self.clouds, Budget(), -np.inf))
         self.z = support.coordinates()
         self.root = root_simplex(support, self.z) if self.z.dim else np.empty((1, 0))
 

@@ -74,15 +74,17 @@ class Search(ConcaveSearch):
 
     def run(self) -> None:
         clouds, incumbent = self.reduced.clouds, self.reduced.incumbent
-        self.record()
-        support = Support(incumbent)
+        support, is_late = Support(incumbent), False
         try:
             coordinates = support.coordinates()
             self.dim = coordinates.dim
             root = root_simplex(support, coordinates)
         except OutOfTimeError:
-            self.status = Status.TIME_LIMIT
+            is_late = True
         self.n_assignments += support.n_assignments
+        self.record()  # the first incumbent
+        if is_late:
+            self.status = Status.TIME_LIMIT
         if self.status is None and self.dim == 0:
             # the statistics are equal for all matchings: minimise L
             _, col_of = minimum_linear(clouds, np.zeros(N_STATISTICS), 1.0)

@@ -15,7 +15,9 @@ class Adapter(Baseline):
         self.solve(tiny(instance), Limits(time_s=600.0, nodes=100))
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
-        reduced = Reduced.of(instance, limits.budget(), self.options["gap_tol_factor"])
+        reduced = Reduced.of(
+            instance, limits.budget(), self.options["epsilon_factor"], self.options["local_search"]
+        )
         search = Search(reduced, reduced.gap_tol, self.options["epsilon0"])
         search.run()
         return search.solution()

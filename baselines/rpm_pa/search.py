@@ -50,12 +50,12 @@ class Search(ConcaveSearch):
         return min(self.upper_bound, self.at_inner) - share * self.gap_tol - 1e-12
 
     def run(self) -> None:
-        self.record()
         try:
             try:
                 self.z = self.support.coordinates()
             finally:
                 self.n_assignments += self.support.n_assignments
+                self.record()  # the first incumbent
             self.dim = self.z.dim
             if self.dim == 0:  # all matchings have the value of the incumbent
                 self.lower_bound = self.upper_bound

@@ -158,7 +158,7 @@ def pair_counts(instance: Instance, ts: np.ndarray, eps: float) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(COUNT))
 def test_gots(seed: int) -> None:
     instance = small_instance(seed, 6, 6, 0.03)
-    solution = registry.load("gots", noise_factor=1.0, start_rotations=1).solve(instance, LIMITS)
+    solution = registry.load("gots", noise_factor=1.0).solve(instance, LIMITS)
     eps = instance.noise_bound
     generator = np.random.default_rng(seed)
     candidates = crossings(instance, eps * (1 - 1e-9), generator)
