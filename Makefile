@@ -59,6 +59,17 @@ paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch: setup
 claims: setup
 	@$(BIN)/python -m reports claims
 
+## paper-figures: draw every figure of the paper from the available results, for print and as a page
+.PHONY: paper-figures
+paper-figures: setup
+	@$(BIN)/python -m reports figures
+
+## findings: run the experiment behind docs/findings.md and write the page (QUICK=1: about 10 minutes on one core)
+.PHONY: findings
+findings: setup
+	@$(BIN)/python -m workflows run findings$(if $(QUICK),-quick) --cores $(CORES)
+	@$(BIN)/python -m reports findings results/findings$(if $(QUICK),-quick)/tables
+
 ## plan: print the runs of CONFIG=… and their estimated time without running them
 .PHONY: plan
 plan: setup

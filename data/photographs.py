@@ -40,7 +40,7 @@ def edge_points(path: Path, sigma: float, n_points: int, parity: int | None = No
     DataError
         The image cannot be read, or has fewer edge points.
     """
-    y, x = np.nonzero(_edges(_grey(path), sigma))
+    y, x = np.nonzero(_edges(grey(path), sigma))
     points = np.column_stack([x, y]).astype(float)
     if parity is not None:
         points = points[(x + y) % 2 == parity]
@@ -54,7 +54,7 @@ def edge_points(path: Path, sigma: float, n_points: int, parity: int | None = No
 
 def half_turn(path: Path) -> np.ndarray:
     """Return the pose that rotates an image by 180 degrees about its centre."""
-    height, width = _grey(path).shape
+    height, width = grey(path).shape
     return np.array([[-1.0, 0.0, width - 1], [0.0, -1.0, height - 1], [0.0, 0.0, 1.0]])
 
 
@@ -140,7 +140,8 @@ class Photographs(RecordedDataset):
 
 
 @lru_cache(maxsize=4)
-def _grey(path: Path) -> np.ndarray:
+def grey(path: Path) -> np.ndarray:
+    """Return a photograph as grey values between 0 and 1."""
     from skimage import color, io
 
     try:
@@ -151,7 +152,7 @@ def _grey(path: Path) -> np.ndarray:
     return color.rgb2gray(picture[..., :3]) if picture.ndim == 3 else picture / 255.0
 
 
-def _edges(grey: np.ndarray, sigma: float) -> np.ndarray:
+def _edges(picture: np.ndarray, sigma: float) -> np.ndarray:
     from skimage.feature import canny
 
-    return canny(grey, sigma=sigma)
+    return canny(picture, sigma=sigma)

@@ -50,6 +50,60 @@ def claims(
     check(results or [Path("results")], out)
 
 
+Folders = Annotated[
+    list[Path] | None, typer.Argument(help="Folders that contain results; default: results.")
+]
+
+
+@app.command()
+@user_errors
+def figures(
+    results: Folders = None,
+    out: Annotated[Path, typer.Option(help="Folder for the page and the files for print.")] = Path(
+        "results/figures"
+    ),
+) -> None:
+    """Draw all figures of the paper for print, and their page."""
+    from reports.paper_page import build
+
+    say(f"figures   {build(out, results or [Path('results')])}")
+
+
+@app.command()
+@user_errors
+def figure(
+    name: Annotated[str, typer.Argument(help="A module of reports/figures/standalone.")],
+    tables: Annotated[
+        Path | None, typer.Option(help="Folder with tables; default: those found in results/.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for SVG, PDF and page.")] = Path(
+        "results/figures"
+    ),
+) -> None:
+    """Draw one figure of the paper."""
+    from reports.paper_page import build
+
+    say(f"figure    {build(out, names=[name], tables=tables)}")
+
+
+@app.command()
+@user_errors
+def findings(
+    tables: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Folders with tables to store in docs/measured; default: those stored."
+        ),
+    ] = None,
+) -> None:
+    """Write docs/findings.md from stored tables, or store new ones first."""
+    from reports import findings as page
+
+    if tables:
+        page.store(tables)
+    say(f"findings  {page.write()}")
+
+
 @app.command()
 @user_errors
 def bounds(

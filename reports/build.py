@@ -33,7 +33,8 @@ def build(tables_dir: Path, out: Path) -> None:
     tables = Tables.load(Path(tables_dir))
     page = Page(tables, theme.method_styles(tables), out.parent / "figures")
     order = sorted(modules(sections), key=lambda section: section.POSITION)
-    parts = [(part, part.context(page)) for part in order]
+    found = ((part, part.context(page)) for part in order)
+    parts = [(part, context) for part, context in found if context is not None]
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(_render(page, parts), encoding="utf-8")
 

@@ -48,7 +48,7 @@ class Page:
         assert figure.grid is not None
         drawing = printing.draw(
             figure.payload["views"][view]["data"], figure.grid, self.styles,
-            f"{self.tables.experiment}: {text}", roles,
+            f"{self.tables.experiment}: {text}", roles, photographs=figure.photographs,
         )  # fmt: skip
         return [
             self.add_download(path.name, path.read_bytes(), f"{text}, {path.suffix[1:].upper()}")

@@ -12,6 +12,14 @@ from reports.tables import Tables
 SURFACE = {"light": "#ffffff", "dark": "#161b22"}
 SOURCE_COLOR = {"light": "#c62828", "dark": "#ff8a80"}  # red circles, as in the paper
 TARGET_COLOR = {"light": "#1565c0", "dark": "#82b1ff"}  # blue crosses
+# Parts of the drawings of the method.
+PART_COLORS = {
+    "convex": {"light": "#8a5a00", "dark": "#e3b341"},
+    "concave": {"light": "#00795b", "dark": "#5fd3b0"},
+    "objective": {"light": "#5b6570", "dark": "#b4bec8"},
+    "bound": {"light": "#8c1d1d", "dark": "#ff9a8f"},
+    "fixed": {"light": "#6f7fb5", "dark": "#8f9fd6"},
+}
 OUTCOME_COLOR = {
     "finished": "#2e7d5b",
     "limited": "#c98a12",

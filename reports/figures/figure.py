@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from reports.figures.grid import Grid
 
@@ -17,6 +19,8 @@ class Figure:
     builder: str
     payload: dict[str, Any]
     grid: Grid | None = None  # for figures that are also printed
+    # Grey photographs behind panels, by the panel's index; printed only.
+    photographs: dict[int, np.ndarray] = field(default_factory=dict)
 
     @property
     def heights(self) -> dict[str, int]:
@@ -29,3 +33,8 @@ class Figure:
         """Labels of the methods that any view of the figure draws."""
         drawn = [trace for view in self.payload.get("views", {}).values() for trace in view["data"]]
         return {trace["meta"]["method"] for trace in drawn if "method" in trace["meta"]}
+
+    @property
+    def traces(self) -> list[dict[str, Any]]:
+        """The traces of the first view, which is printed."""
+        return next(iter(self.payload["views"].values()))["data"]

@@ -1,5 +1,5 @@
-"""The sections of the page, found by themselves.
+"""One section per file: ID, TITLE, POSITION (sections are shown in this order), and `context(page)`.
 
-A section is a module with ``ID``, ``TITLE``, ``POSITION`` and ``context(page)``, whose result is given to
-the template ``templates/sections/<ID>.html``.
+`context` returns the variables of ``templates/sections/<ID>.html``, and may add figures and downloads to
+the page. Without anything to show it may return None; the section is then left out.
 """

@@ -23,6 +23,8 @@ ROLES = {
 def context(page: Page) -> dict[str, Any]:
     figures = []
     for module in sorted(modules(standalone), key=lambda module: module.POSITION):
+        if hasattr(module, "PAPER") and not module.PAPER.experiment:
+            continue  # a drawing of the method: the same for every experiment
         figure = module.build(page.tables, page.styles)
         if figure is None:
             continue

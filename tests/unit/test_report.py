@@ -23,7 +23,6 @@ from reports import theme
 from reports.build import build
 from reports.figures import attribution, levels, printing, standalone
 from reports.figures.figure import Figure
-from reports.figures.standalone import paper_2d, paper_3d, paper_examples, paper_images, paper_scans
 from reports.ledger.judging import ledger
 from reports.sections import figures, outcome
 from reports.sections.parameters import parameters
@@ -397,51 +396,6 @@ def test_parameters_that_do_nothing_are_not_printed():
     assert "noise_factor" in {name for name, *_ in parameters(card)}
     shown = {name for name, *_ in parameters(card | {"idle_options": ["noise_factor"]})}
     assert shown == {"limits", "n_inliers", "threshold"}
-
-
-def scans(tables, experiment, dataset):
-    """The made-up tables as if their solid shapes were scans, with cards of the paper's methods."""
-    cards = {label: {**card, "baseline": base, "options": options, "n_inliers_ratio": ratio}
-             for (label, card), (base, options, ratio) in zip(tables.cards.items(), (
-                 ("dcreg", {}, 1), ("dcreg", {}, 0.9), ("rpm_htb", {}, 1), ("icp", {}, 1),
-                 ("frs", {}, 1), ("teaserpp", {}, 1)), strict=True)}  # fmt: skip
-    shape = tables.runs["shape"].replace("horse-like", "sun3d-home")
-    runs = tables.runs.assign(experiment=experiment, dataset=dataset, shape=shape)
-    return dataclasses.replace(tables, runs=runs, provenance={"methods": cards})
-
-
-def test_every_figure_of_the_paper_is_drawn_where_its_runs_are(tables):
-    plain = scans(tables, "paper2d", "embedded")
-    styles = theme.method_styles(plain)
-    flat = paper_2d.build(plain, styles)
-    assert flat.methods == {"dcreg-full", "bilinear"}  # DC-Reg and RPM-HTB by their cards
-    assert {panel.y_type for panel in flat.grid.panels} == {"linear", "log"}
-    assert paper_3d.build(plain, styles).methods == {"bilinear", "fgr"}
-    assert paper_scans.build(plain, styles) is None
-    assert paper_images.build(plain, styles) is None
-    found = paper_scans.build(scans(tables, "threedmatch", "threedmatch"), styles)
-    assert found.grid.column_titles[-1] == "sun3d"
-    assert {panel.x_title for panel in found.grid.panels} == {"overlap"}
-    edges = scans(tables, "paper2d_images-quick", "lian_images")
-    overlays = [
-        item | {"test": "canny"}
-        for item in tables.overlays
-        if (item["model"], item["test"]) == ("similarity2d", "noise")
-    ]
-    images = paper_images.build(dataclasses.replace(edges, overlays=overlays), styles)
-    assert len(images.grid.panels) == 3 * 2  # ranks by methods
-
-
-def test_examples_are_brought_back_by_the_reference_pose(tables):
-    poses = {item["run_id"]: json.dumps(item["T_target_source"]) for item in tables.overlays}
-    runs = tables.runs.assign(T_reference=tables.runs["run_id"].map(poses).fillna("[]"))
-    figure = paper_examples.build(dataclasses.replace(tables, runs=runs), {})
-    assert figure.grid.column_titles == ["deformation", "noise", "mixed outliers"]
-    by_axis = {}
-    for trace in figure.payload["views"][""]["data"]:
-        by_axis.setdefault(trace["xaxis"], []).append(trace)
-    for source, target in by_axis.values():
-        assert np.abs(source["x"] - target["x"]).max() < 0.5  # the warped one, no longer turned
 
 
 def test_variants_of_one_method_look_different(styles):

@@ -10,6 +10,7 @@ import numpy as np
 from dcreg.problem import apply_pose
 from reports.figures import clouds
 from reports.figures.figure import Figure
+from reports.figures.paper import PaperFigure
 from reports.tables import Tables
 from reports.theme import Style, words
 from workflows.disturb import DISTURBANCES
@@ -20,6 +21,16 @@ CAPTION = (
     "Source (red circles) and target (blue crosses) at the reference pose, at the highest level."
 )
 DRAWN = clouds.DRAWN
+PAPER = PaperFigure(
+    caption="The clouds of the five tests: source and disturbed target of a shape.",
+    differs=(
+        "The laws of the deformation and of the outliers are ours, after the programs that the paper "
+        "cites.",
+        "Both clouds are shown at the reference pose.",
+    ),
+    experiment="paper2d",
+    command="make paper-2d",
+)
 
 
 def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:

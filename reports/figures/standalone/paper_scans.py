@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from reports.figures import levels
 from reports.figures.figure import Figure
+from reports.figures.paper import PaperFigure, lines
 from reports.ledger.evidence import Experiment
-from reports.ledger.judging import ledger
 from reports.tables import Tables
 from reports.theme import Style
 
@@ -16,17 +16,31 @@ CAPTION = (
     "the names of the other methods state their front end. Bands: 10 to 90 % of the pairs."
 )
 DRAWN = ("mean", "band")
-METHODS = ("dcreg_scan", "rpm_htb", "goicp", "frs", "gores", "teasers")
+PAPER = PaperFigure(
+    caption="Mean error of six methods against the overlap of two scans, a panel per source of 3DMatch.",
+    differs=(
+        "The paper shows five sources. The clouds of three of them are not public, so ours has two.",
+        "The paper states neither the unit of its error nor voxel size, sampling, n_p and bins. Ours are "
+        "in the protocol.",
+        "The paper does not state the correspondences of GORE and TEASER++. Ours are FPFH matches that "
+        "all such methods share.",
+        "DC-Reg (ours) and the bands are added.",
+    ),
+    experiment="threedmatch",
+    command="make threedmatch",
+    lines=lines(
+        "DC-Reg, n_p × 1/1", "DC-Reg (ours)", "RPM-HTB", "Go-ICP", "FRS", "GORE", "TEASER++"
+    ),
+)  # fmt: skip
 
 
 def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
     """Draw the figure; None if the experiment has no scans."""
-    experiment, known = Experiment(tables), ledger().roles
-    methods = [method for role in METHODS for method in experiment.methods_in(known[role])]
-    runs = experiment.runs[experiment.runs["model"].eq("rigid3d")]
+    runs = Experiment(tables).runs
+    runs = runs[runs["model"].eq("rigid3d")]
     # the published setting: normals are not oriented towards the sensor
     published = runs["dataset"].eq("threedmatch") & ~runs["test"].str.endswith("oriented")
-    runs = runs[published & runs["method"].isin(methods)]
+    runs = runs[published & runs["method"].isin(PAPER.methods(tables).values())]
     if runs.empty:
         return None
     sources = runs["source"].unique()

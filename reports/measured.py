@@ -1,0 +1,381 @@
+"""What runs show about bounds, searches, n_inliers and certificates, as tables of text.
+
+`Measured` holds the few columns that this needs, so that the tables behind ``docs/findings.md`` are small
+enough to be committed. Every interval is a 95 % interval over instances: Wilson's for shares, a bootstrap
+of percentiles for the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binomtest, bootstrap
+
+from dcreg.names import NORM_SCOPES, POSE_SCOPES
+from reports.figures.paper import options_of
+from reports.tables import Tables
+from reports.theme import MISSING, integer, number, words
+from workflows.hashing import digest
+from workflows.metrics.errors import SUCCESS_SHARE
+from workflows.outcomes import attempted
+
+COVERAGE = 0.95
+DRAWS = 4000
+SEED = 20260326
+NO_POSE_ERROR = 1.0  # longest sides: the error that a run without a pose counts
+OURS, AUTHORS = "ours", "its authors'"
+PUBLISHED = "DC, published"
+# Columns of `Measured.runs`, besides those added by `Measured.of_tables`.
+KEPT = (
+    "run_id", "instance_id", "model", "shape", "test", "level", "trial", "method", "display_name",
+    "n_inliers_ratio", "n_source", "status", "outcome", "certificate_scope", "success", "rmse_over_scale",
+    "lower_bound", "upper_bound", "gap_tol", "objective", "objective_true", "n_nodes", "n_assignments",
+    "time_solve_s", "norm_translation_error",
+)  # fmt: skip
+STAGE = ("run_id", "stage")
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A table of text; the first column names the row."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def markdown(self) -> str:
+        """Return the table in Markdown, the numbers aligned to the right."""
+        lines = [self.columns, ["---", *["---:"] * (len(self.columns) - 1)], *self.rows]
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Attempted runs, and the end of each of their searches.
+
+    Attributes
+    ----------
+    runs : DataFrame
+        `KEPT`, and ``bound``, ``search`` (empty for methods without bounds) and ``family``: the method
+        without its share of the pairs.
+    stages : DataFrame
+        ``run_id``, ``stage`` and the last ``n_nodes``, ``n_assignments``, ``lower_bound`` and
+        ``upper_bound``.
+    """
+
+    runs: pd.DataFrame
+    stages: pd.DataFrame
+
+    @classmethod
+    def of_tables(cls, tables: Tables) -> Measured:
+        runs = attempted(tables.runs)
+        kinds = {
+            (model, label): kind({"baseline": label, **card}, model)
+            for label, card in tables.cards.items()
+            for model in runs["model"].unique()
+        }
+        families = {
+            label: digest([card.get("baseline", label), options_of(card)], 8)
+            for label, card in tables.cards.items()
+        }
+        found = [
+            kinds.get(key, ("", "")) for key in zip(runs["model"], runs["method"], strict=True)
+        ]
+        runs = runs[list(KEPT)].assign(
+            bound=[bound for bound, _ in found],
+            search=[search for _, search in found],
+            family=runs["method"].map(families),
+        )
+        ends = ["n_nodes", "n_assignments", "lower_bound", "upper_bound"]
+        traces = tables.traces[tables.traces["run_id"].isin(set(runs["run_id"]))]
+        stages = traces.groupby(list(STAGE), sort=False)[ends].last().reset_index()
+        return cls(runs.reset_index(drop=True), stages)
+
+    @property
+    def stored(self) -> list[str]:
+        """Return the columns of ``runs`` that are not derived from others."""
+        return [*KEPT, "bound", "search", "family"]
+
+    def __post_init__(self) -> None:
+        runs = self.runs
+        error = runs["rmse_over_scale"].fillna(NO_POSE_ERROR)
+        of_pose = runs["certificate_scope"].isin(POSE_SCOPES)
+        object.__setattr__(
+            self,
+            "runs",
+            runs.assign(
+                success=runs["success"].astype(bool),
+                error=error,
+                certified=runs["status"].eq("optimal") & of_pose,
+                closed=(runs["lower_bound"] / runs["upper_bound"]).clip(0.0, 1.0),
+            ),
+        )
+
+
+def kind(card: Mapping[str, Any], model: str) -> tuple[str, str]:
+    """Return the bounding function of a method and whose search uses it; empty if it has none.
+
+    In 3D the library bounds norm space only in mode ``paper``.
+    """
+    options, name = options_of(card), str(card.get("display_name", ""))
+    if card["baseline"] == "dcreg_paper":
+        return PUBLISHED, AUTHORS
+    if card["baseline"] == "dcreg":
+        if model == "rigid3d" and options.get("mode") != "paper":
+            return "", ""
+        return (PUBLISHED if options.get("bound") == "dc" else "DC, tight"), OURS
+    searches = {"own": AUTHORS, "ours": OURS}
+    if options.get("search") in searches:
+        return name.split(",")[0].split("(")[0].strip(), searches[options["search"]]
+    return "", ""
+
+
+# --- intervals --------------------------------------------------------------------------------
+
+
+def share(values: pd.Series) -> str:
+    """Return a share of runs with Wilson's interval, in per cent."""
+    if values.empty:
+        return MISSING
+    found = binomtest(int(values.sum()), len(values))
+    ends = found.proportion_ci(COVERAGE, method="wilson")
+    return f"{100 * values.mean():.0f} % [{100 * ends.low:.0f}, {100 * ends.high:.0f}]"
+
+
+def estimate(statistic: Callable[..., Any], *samples: pd.Series) -> tuple[float, float, float]:
+    """Return a statistic of paired samples with its bootstrap interval."""
+    data = [np.asarray(sample, dtype=float) for sample in samples]
+    value = float(statistic(*data, axis=-1))
+    if all(np.ptp(sample) == 0 for sample in data):
+        return value, value, value
+    ends = bootstrap(
+        data, statistic, paired=True, vectorized=True, n_resamples=DRAWS, method="percentile",
+        confidence_level=COVERAGE, rng=np.random.default_rng(SEED),
+    ).confidence_interval  # fmt: skip
+    return value, float(ends.low), float(ends.high)
+
+
+def _mean(values: np.ndarray, axis: int = -1) -> np.ndarray:
+    return values.mean(axis=axis)
+
+
+def _difference(one: np.ndarray, other: np.ndarray, axis: int = -1) -> np.ndarray:
+    return one.mean(axis=axis) - other.mean(axis=axis)
+
+
+def _ratio(one: np.ndarray, other: np.ndarray, axis: int = -1) -> np.ndarray:
+    return one.mean(axis=axis) / other.mean(axis=axis)
+
+
+def _shown(found: tuple[float, float, float], digits: int = 2) -> str:
+    value, low, high = (number(end, digits) for end in found)
+    return f"{value} [{low}, {high}]"
+
+
+def _change(found: tuple[float, float, float]) -> str:
+    """Return a difference of shares in per cent; a tie of all runs has no interval."""
+    value, low, high = (100 * end for end in found)
+    return f"{value:+.0f} % [{low:+.0f}, {high:+.0f}]" if low != high else f"{value:+.0f} %"
+
+
+def decision(found: tuple[float, float, float], equal: float) -> str:
+    """Return on which side of `equal` an interval lies."""
+    _, low, high = found
+    return "lower" if high < equal else "higher" if low > equal else "open"
+
+
+def groups(
+    frame: pd.DataFrame, keys: Sequence[str], *, sort: bool = False
+) -> Iterator[tuple[list[str], pd.DataFrame]]:
+    """Return the parts of a table with equal keys, and the keys as text."""
+    for key, part in frame.groupby(list(keys), sort=sort):
+        yield [f"{value:g}" if isinstance(value, float) else str(value) for value in key], part
+
+
+# --- tables -----------------------------------------------------------------------------------
+
+
+def paired(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs of instances that every method attempted."""
+    counts = runs.groupby("instance_id")["method"].nunique()
+    return runs[runs["instance_id"].isin(counts[counts == runs["method"].nunique()].index)]
+
+
+def bounding(measured: Measured, model: str) -> pd.DataFrame:
+    """Return the runs of methods that bound boxes of poses, with all pairs, on common instances."""
+    runs = measured.runs
+    runs = runs[runs["model"].eq(model) & runs["bound"].ne("") & runs["n_inliers_ratio"].eq(1)]
+    # one method per bound and search
+    first = runs.drop_duplicates(["bound", "search"])["method"]
+    return paired(runs[runs["method"].isin(first)])
+
+
+def separation(measured: Measured, model: str) -> Shown | None:
+    """Tabulate bound and search; None without a bound in two searches."""
+    runs = bounding(measured, model)
+    if runs.empty or runs.groupby("bound")["search"].nunique().max() < 2:
+        return None
+    rows = []
+    for (bound, search), part in groups(runs, ["bound", "search"], sort=True):
+        rows.append([
+            bound, search, str(len(part)), share(part["success"]),
+            _shown(estimate(_mean, part["error"])), share(part["certified"]),
+            number(part["closed"].median(), 2), _count(part["n_nodes"]),
+            _count(part["n_assignments"]), number(part["time_solve_s"].median(), 2),
+        ])  # fmt: skip
+    head = (
+        "bound", "search", "instances", "success rate", "mean RMSE (longest sides)", "certified",
+        "median lower / upper bound", "median boxes", "median assignments", "median time (s)",
+    )  # fmt: skip
+    return Shown(head, rows)
+
+
+def effects(measured: Measured, model: str) -> Shown | None:
+    """Compare two bounds in one search, and two searches with one bound, on the same instances."""
+    runs = bounding(measured, model)
+    rows = []
+    for fixed, varied in (("search", "bound"), ("bound", "search")):
+        for (name,), part in groups(runs, [fixed], sort=True):
+            kinds = sorted(part[varied].unique(), key=lambda kind: (kind == PUBLISHED, kind))
+            if PUBLISHED not in kinds and varied == "bound":
+                continue
+            for other in kinds[:-1]:
+                pair = [
+                    part[part[varied] == kind].set_index("instance_id")
+                    for kind in (kinds[-1], other)
+                ]
+                what = f"{varied} {kinds[-1]} / {other}; {fixed} {name}"
+                rows.append([what, *_compared(*pair)])
+    head = (
+        "comparison", "instances", "difference of success rates", "ratio of mean RMSE",
+        "ratio of mean assignments", "RMSE is", "assignments are",
+    )  # fmt: skip
+    return Shown(head, rows) if rows else None
+
+
+def _compared(one: pd.DataFrame, other: pd.DataFrame) -> list[str]:
+    other = other.loc[one.index]
+    gained = estimate(_difference, one["success"], other["success"])
+    error = estimate(_ratio, one["error"], other["error"])
+    work = estimate(_ratio, one["n_assignments"], other["n_assignments"])
+    return [
+        str(len(one)), _change(gained), _shown(error), _shown(work),
+        decision(error, 1.0), decision(work, 1.0),
+    ]  # fmt: skip
+
+
+def effect_of_n_inliers(measured: Measured) -> Shown | None:
+    """Compare all and fewer given pairs for each method, on the same instances."""
+    rows = []
+    for (model, _), part in groups(measured.runs, ["model", "family"]):
+        ratios = sorted(part["n_inliers_ratio"].unique(), reverse=True)
+        if len(ratios) < 2:
+            continue
+        by_ratio = {
+            ratio: part[part["n_inliers_ratio"] == ratio].set_index("instance_id")
+            for ratio in ratios
+        }
+        common = by_ratio[ratios[0]].index
+        for other in ratios[1:]:
+            common = common.intersection(by_ratio[other].index)
+        whole = by_ratio[ratios[0]].loc[common]
+        for ratio in ratios:
+            some = by_ratio[ratio].loc[common]
+            wrong = some[~some["success"]]
+            change = estimate(_difference, some["success"], whole["success"])
+            rows.append([
+                whole["display_name"].iloc[0], words_of(model), f"{ratio:g}", str(len(some)),
+                share(some["success"]), share(some["certified"]),
+                f"{(wrong['objective'] <= wrong['objective_true']).sum()} of {len(wrong)}",
+                MISSING if ratio == ratios[0] else _change(change),
+            ])  # fmt: skip
+    head = (
+        "method", "model", "n_p / true pairs", "instances", "success rate", "certified",
+        "wrong poses with E ≤ E(reference)", "change of the success rate",
+    )  # fmt: skip
+    return Shown(head, rows) if rows else None
+
+
+def norm_stage(measured: Measured) -> Shown | None:
+    """Tabulate the error of translations that are certified optima in norm space, per test."""
+    runs = measured.runs
+    runs = runs[runs["certificate_scope"].isin(NORM_SCOPES) & runs["n_inliers_ratio"].eq(1)]
+    first = searches(measured).drop_duplicates("run_id").set_index("run_id")
+    lower, upper = (runs["run_id"].map(first[name]) for name in ("lower_bound", "upper_bound"))
+    # a bound of 0 proves nothing, whatever the tolerance
+    runs = runs.assign(ended=(lower > 0) & (upper - lower <= runs["gap_tol"] * (1 + 1e-9)))
+    if not runs["ended"].any():
+        return None
+    rows = []
+    for (name, test), part in groups(runs, ["display_name", "test"]):
+        ended = part[part["ended"]]
+        wrong = ended["norm_translation_error"] > SUCCESS_SHARE
+        rows.append([
+            name, words(test), _span(part["level"]), str(len(part)), str(len(ended)), share(wrong),
+            number(ended["norm_translation_error"].median(), 2), share(~ended["success"]),
+        ])  # fmt: skip
+    head = (
+        "method", "test", "levels", "instances", "certified in norm space", "of these: wrong translation",
+        "median error of the translation", "of these: wrong pose",
+    )  # fmt: skip
+    return Shown(head, rows)
+
+
+def certified_wrong(measured: Measured) -> Shown | None:
+    """Count certified optima of the pose objective that are wrong poses, per method and test."""
+    runs = measured.runs[measured.runs["certified"]]
+    rows = []
+    keys = ["model", "n_inliers_ratio", "test"]
+    # an optimum counts once, whoever certifies it
+    for (model, ratio, test), part in groups(runs, keys):
+        once = part.sort_values("upper_bound").drop_duplicates("instance_id")
+        wrong = once[~once["success"]]
+        lower = wrong["objective"] <= wrong["objective_true"]
+        rows.append([
+            words(test), words_of(model), ratio, _span(part["level"]), str(len(once)),
+            share(~once["success"]), f"{lower.sum()} of {len(wrong)}",
+        ])  # fmt: skip
+    head = (
+        "test", "model", "n_p / true pairs", "levels", "certified optima", "wrong poses",
+        "of these: E ≤ E(reference)",
+    )  # fmt: skip
+    return Shown(head, rows) if rows else None
+
+
+def searches(measured: Measured) -> pd.DataFrame:
+    """Return the stages that bound boxes, without those that find initial poses."""
+    return measured.stages[~measured.stages["stage"].str.startswith("start")]
+
+
+def boxes_per_stage(measured: Measured) -> Shown | None:
+    """Tabulate the boxes and assignments of each stage of a search."""
+    stages = searches(measured).merge(measured.runs, on="run_id", suffixes=("", "_run"))
+    if stages.empty:
+        return None
+    rows = []
+    for (model, name, stage), part in groups(stages, ["model", "display_name", "stage"]):
+        closed = (part["lower_bound"] / part["upper_bound"]).clip(0, 1)
+        rows.append([
+            name, words_of(model), stage, str(len(part)), _count(part["n_nodes"]),
+            integer(part["n_nodes"].max()), _count(part["n_assignments"]), number(closed.median(), 2),
+        ])  # fmt: skip
+    head = (
+        "method", "model", "stage", "runs", "median boxes", "maximum boxes", "median assignments",
+        "median lower / upper bound",
+    )  # fmt: skip
+    return Shown(head, rows)
+
+
+def words_of(model: str) -> str:
+    return {"similarity2d": "2D", "rigid3d": "3D"}.get(model, model)
+
+
+def _count(values: pd.Series) -> str:
+    return MISSING if values.isna().all() else integer(values.median())
+
+
+def _span(values: pd.Series) -> str:
+    return ", ".join(f"{value:g}" for value in sorted(values.unique()))

@@ -1,0 +1,23 @@
+"""Bound against search: each bound in the search of its authors, and in ours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from reports.measured import Measured, effects, separation, words_of
+from reports.page import Page
+
+ID = "separation"
+TITLE = "Bound and search"
+POSITION = 54
+
+
+def context(page: Page) -> dict[str, Any] | None:
+    """Return the tables of each model; None if no bound runs in two searches."""
+    measured = Measured.of_tables(page.tables)
+    models = [
+        (words_of(model), shown, effects(measured, model))
+        for model in dict.fromkeys(measured.runs["model"])
+        if (shown := separation(measured, model))
+    ]
+    return {"models": models} if models else None

@@ -1,0 +1,17 @@
+"""Boxes and assignments of every stage of a search."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from reports.measured import Measured, boxes_per_stage
+from reports.page import Page
+
+ID = "stages"
+TITLE = "Boxes per stage"
+POSITION = 52
+
+
+def context(page: Page) -> dict[str, Any] | None:
+    shown = boxes_per_stage(Measured.of_tables(page.tables))
+    return {"shown": shown} if shown else None

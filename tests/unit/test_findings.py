@@ -1,0 +1,179 @@
+"""`docs/findings.md` and the tables behind it: every number on the page comes from stored runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from reports import findings, measured
+from reports.measured import AUTHORS, OURS, PUBLISHED, Measured, Shown
+from reports.sections import separation, stages
+from reports.tables import ReportError, Tables
+from tests.unit import report_fixture
+
+TEMPLATE = findings.HERE / "templates" / "findings.md"
+
+
+def test_the_page_is_what_the_stored_tables_give():
+    """After a change of tables or template: `python -m reports findings`."""
+    assert findings.PAGE.read_text(encoding="utf-8") == findings.render()
+
+
+def test_the_stored_tables_are_small_and_say_where_they_come_from():
+    files = list(findings.FOLDER.iterdir())
+    assert sum(path.stat().st_size for path in files) < findings.MAX_BYTES
+    _, origins = findings.load()
+    page = findings.PAGE.read_text(encoding="utf-8")
+    for origin in origins:
+        assert origin["machine"]["cpu"] in page
+        assert origin["commit"][:10] in page
+        assert all(command in page for command in origin["commands"])
+
+
+def test_the_template_has_no_number():
+    text = re.sub(r"\{\{.*?\}\}|\{%.*?%\}", "", TEMPLATE.read_text(encoding="utf-8"), flags=re.S)
+    assert not re.findall(r"\d+", re.sub(r"\b[23]D\b", "", text))
+
+
+def test_every_number_of_the_page_follows_the_tables(tmp_path):
+    """Other runs give other numbers: nothing on the page is constant but its words and settings."""
+    table, origins = findings.load()
+    runs = table.runs[table.stored].assign(
+        success=lambda t: np.arange(len(t)) % 3 == 0,
+        rmse_over_scale=lambda t: t["rmse_over_scale"] * 1.7 + 0.011,
+        n_nodes=lambda t: t["n_nodes"] * 3 + 1,
+        n_assignments=lambda t: t["n_assignments"] * 5 + 2,
+    )
+    runs.to_csv(tmp_path / "runs.csv", index=False)
+    table.stages.to_csv(tmp_path / "stages.csv", index=False)
+    (tmp_path / "origin.json").write_text(json.dumps(origins))
+    before = findings.render().splitlines()
+    after = findings.render(tmp_path).splitlines()
+    changed = [line for line in after if line.startswith("|") and line not in before]
+    rates = [line for line in changed if "%" in line]
+    assert len(rates) > 10
+    assert [line for line in before if not line.startswith("|")] == [
+        line for line in after if not line.startswith("|")
+    ]
+
+
+def test_tables_are_stored_and_rendered_without_a_loss(tmp_path):
+    tables = report_fixture.write_tables(tmp_path / "tables")
+    findings.store([tables], tmp_path / "stored")
+    found, _ = findings.load(tmp_path / "stored")
+    direct = Measured.of_tables(Tables.load(tables))
+    for show in (measured.effect_of_n_inliers, measured.certified_wrong, measured.norm_stage):
+        assert show(found) == show(direct)
+    text = findings.render(tmp_path / "stored")
+    assert "no bound in two searches" in text
+    assert "made-up CPU" in text
+
+
+def test_too_much_is_not_stored(tmp_path, monkeypatch):
+    tables = report_fixture.write_tables(tmp_path / "tables")
+    monkeypatch.setattr(findings, "MAX_BYTES", 1000)
+    with pytest.raises(ReportError, match="exceed 1000"):
+        findings.store([tables], tmp_path / "stored")
+    assert not (tmp_path / "stored").exists()
+
+
+@pytest.mark.parametrize(
+    ("card", "model", "expected"),
+    [
+        ({"baseline": "dcreg_paper"}, "similarity2d", (PUBLISHED, AUTHORS)),
+        ({"baseline": "dcreg", "options": {"bound": "dc"}}, "similarity2d", (PUBLISHED, OURS)),
+        ({"baseline": "dcreg", "parameters": {"bound": None}}, "similarity2d", ("DC, tight", OURS)),
+        ({"baseline": "dcreg", "options": {"bound": "dc"}}, "rigid3d", ("", "")),
+        ({"baseline": "dcreg", "options": {"mode": "paper"}}, "rigid3d", ("DC, tight", OURS)),
+        ({"baseline": "x", "parameters": {"search": "own"}, "display_name": "X (reconstructed)"},
+         "similarity2d", ("X", AUTHORS)),
+        ({"baseline": "x", "parameters": {"search": "own"}, "options": {"search": "ours"},
+          "display_name": "X"}, "similarity2d", ("X", OURS)),
+        ({"baseline": "icp"}, "similarity2d", ("", "")),
+    ],
+)  # fmt: skip
+def test_bound_and_search_are_recognised_by_the_options_in_effect(card, model, expected):
+    assert measured.kind(card, model) == expected
+
+
+def made(**columns) -> Measured:
+    """Eight instances, each solved by the published bound in both searches."""
+    rows = [
+        {"run_id": f"{search}{i}", "instance_id": str(i), "method": search, "search": search,
+         "success": search == OURS or i < 2, "n_assignments": 10.0 if search == OURS else 40.0,
+         "rmse_over_scale": 0.1 if search == OURS else 0.2 + 0.01 * i}
+        for search in (OURS, AUTHORS)
+        for i in range(8)
+    ]  # fmt: skip
+    same = {
+        "model": "similarity2d", "bound": PUBLISHED, "n_inliers_ratio": 1.0, "status": "optimal",
+        "certificate_scope": "similarity pose", "lower_bound": 0.5, "upper_bound": 1.0, "gap_tol": 0.6,
+        "n_nodes": 3.0, "time_solve_s": 0.1, "display_name": "DC", "test": "noise", "level": 0.1,
+        "objective": 1.0, "objective_true": 2.0, "family": "f", "norm_translation_error": 0.2,
+    }  # fmt: skip
+    runs = pd.DataFrame(rows).assign(**same).assign(**columns)
+    first = {"stage": "start", "n_nodes": 0, "n_assignments": 0, "lower_bound": 0.0}
+    ends = runs[["run_id", "lower_bound", "upper_bound", "n_nodes", "n_assignments"]]
+    parts = [ends.assign(**first), ends.assign(stage="search")]
+    return Measured(runs, pd.concat(parts, ignore_index=True))
+
+
+def test_separation_compares_on_the_same_instances():
+    found = made()
+    shown = measured.separation(found, "similarity2d")
+    assert [row[:3] for row in shown.rows] == [
+        [PUBLISHED, AUTHORS, "8"],
+        [PUBLISHED, OURS, "8"],
+    ]
+    (row,) = measured.effects(found, "similarity2d").rows
+    assert row[0] == f"search {OURS} / {AUTHORS}; bound {PUBLISHED}"
+    assert row[2].startswith("+75 % [")
+    assert row[4] == "0.25 [0.25, 0.25]"
+    assert row[-2:] == ["lower", "lower"]
+    fewer = found.runs[~(found.runs["method"].eq(OURS) & found.runs["instance_id"].eq("3"))]
+    shown = measured.separation(dataclasses.replace(found, runs=fewer), "similarity2d")
+    assert {row[2] for row in shown.rows} == {"7"}
+
+
+def test_an_interval_that_contains_equality_decides_nothing():
+    noisy = made(rmse_over_scale=[0.1, 0.3] * 8)
+    (row,) = measured.effects(noisy, "similarity2d").rows
+    assert row[-2] == "open"
+
+
+def test_one_bound_in_one_search_is_no_separation():
+    assert measured.separation(made(search=OURS), "similarity2d") is None
+
+
+def test_an_instance_counts_once_among_wrong_certified_optima():
+    (row,) = measured.certified_wrong(made(success=False)).rows
+    assert row[-3:] == ["8", "100 % [68, 100]", "8 of 8"]
+
+
+def test_the_norm_stage_needs_a_bound_above_zero():
+    norm = {"certificate_scope": "translation in norm space", "model": "rigid3d", "success": False}
+    (row,) = measured.norm_stage(made(**norm)).rows
+    assert row[3:6] == ["16", "16", "100 % [81, 100]"]
+    assert measured.norm_stage(made(**norm, lower_bound=0.0)) is None
+    assert measured.norm_stage(made(**norm, gap_tol=0.4)) is None
+
+
+def test_stages_that_find_initial_poses_are_not_counted():
+    rows = measured.boxes_per_stage(made()).rows
+    assert [row[2] for row in rows] == ["search"]
+
+
+def test_sections_are_left_out_without_runs_for_them(made_report):
+    class Page:
+        tables = Tables.load(made_report / "tables")
+
+    assert separation.context(Page()) is None
+    assert isinstance(stages.context(Page())["shown"], Shown)
+    html = (made_report / "index.html").read_text(encoding="utf-8")
+    assert 'id="stages-title"' in html
+    assert 'id="separation-title"' not in html
