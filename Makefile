@@ -5,6 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORES ?= 2
 CONFIG ?= demo
+COMMA := ,
 PART = $(if $(METHODS),--methods $(METHODS)) $(if $(DATASETS),--datasets $(DATASETS)) $(if $(TESTS),--tests $(TESTS))
 # Tests that are quick enough where kernels run as plain Python.
 INTERPRETED := $(patsubst %,tests/unit/test_%.py,without_compiler io plot result problem pose sample) \
@@ -64,11 +65,11 @@ claims: setup
 paper-figures: setup
 	@$(BIN)/python -m reports figures
 
-## findings: run the experiment behind docs/findings.md and write the page (QUICK=1: about 10 minutes on one core)
+## findings: run the experiment behind docs/findings.md and write the page (TRIALS=0,1: a part, minutes)
 .PHONY: findings
 findings: setup
-	@$(BIN)/python -m workflows run findings$(if $(QUICK),-quick) --cores $(CORES)
-	@$(BIN)/python -m reports findings results/findings$(if $(QUICK),-quick)/tables
+	@$(BIN)/python -m workflows run findings --cores $(CORES) $(if $(TRIALS),--trials $(TRIALS))
+	@$(BIN)/python -m reports findings results/findings$(if $(TRIALS),/parts/trials-$(subst $(COMMA),+,$(TRIALS)))/tables
 
 ## plan: print the runs of CONFIG=… and their estimated time without running them
 .PHONY: plan

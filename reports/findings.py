@@ -106,7 +106,7 @@ def _origin(tables: Tables) -> dict[str, Any]:
         "changed": bool(known.get("git", {}).get("dirty")),
         "created": known.get("created", "")[:10],
         "machine": {key: machine.get(key, "unknown") for key in ("cpu", "cores", "python")},
-        "limits": next(iter(limits.values()), {}),
+        "limits": {"time_s": None, "assignments": None} | next(iter(limits.values()), {}),
     }
 
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from baselines._shared.algorithm1 import Bounded, algorithm_1
+from baselines._shared.centred import Centred
+from baselines._shared.published import NormBound, vertices_of
 from baselines.contract import Instance
-from baselines.dcreg_paper.algorithm1 import Bounded, algorithm_1
-from baselines.dcreg_paper.bounds import NormBound, vertices_of
-from baselines.dcreg_paper.problem import Centred
 from data.registry import dataset
 from dcreg.assignment.objective import k_assignment
 from dcreg.families.translation3d.space import Translation3D
@@ -121,7 +121,7 @@ def section() -> Section:
         space = problem.space(budget.stop)
         assert isinstance(space, Translation3D)
         recorder = _Recorder(space)
-        algorithm_1(recorder, problem.start_box("extent"), problem.epsilon(0.01), budget)
+        algorithm_1(recorder, [problem.start_box("extent")], problem.epsilon(0.01), budget)
         box = recorder.boxes[-1]
         (bounded,) = recorder.evaluate([box])
     at = np.linspace(-1.0, 1.0, STEPS)
