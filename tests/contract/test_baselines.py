@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from dcreg.status import Status
 NAMES = registry.names()
 PAIRS = [(name, model) for name in NAMES for model in registry.read_card(name).models]
 LIMITS = Limits(time_s=20.0)
+MOST_OF_A_STEP = 250  # assignments between two checks of their limit
 
 
 def easy_instance(model: str) -> Instance:
@@ -52,6 +54,15 @@ def easy_instance(model: str) -> Instance:
         noise_bound=0.02,
         seed=11,
     )
+
+
+def hard_instance(model: str) -> Instance:
+    """Return the easy instance with many points displaced, which no search solves at once."""
+    easy, generator = easy_instance(model), np.random.default_rng(3)
+    target = easy.target.copy()
+    moved = generator.permutation(len(target))[::2]
+    target[moved] = generator.permutation(target[moved] * [1.0, -0.6, 0.8][: easy.dim])
+    return replace(easy, target=target, n_inliers=len(target) // 2)
 
 
 def runnable(name: str) -> Baseline:
@@ -246,6 +257,26 @@ class TestSolve:
         finished = solution.status in (Status.CONVERGED, Status.OPTIMAL, Status.FAILED)
         assert finished or solution.status is Status.TIME_LIMIT
         assert solution.T_target_source is not None or solution.status is Status.FAILED
+
+    def test_searches_stop_near_a_limit_on_assignments(
+        self, solutions: dict, name: str, model: str
+    ) -> None:
+        """A search stops between two boxes, so it exceeds the limit by those of a box or an initial pose."""
+        card, first = registry.read_card(name), solved(solutions, name, model)
+        assert card.solves_assignments == ("n_assignments" in first.counters)
+        if not card.solves_assignments:
+            return
+        searches = 2 if model == "rigid3d" else 1
+        counts = []
+        for limit in (1, 300):
+            limits = Limits(time_s=20.0, assignments=limit)
+            found = registry.load(name).solve(hard_instance(model), limits)
+            assert found.status is not Status.TIME_LIMIT
+            assert found.T_target_source is not None
+            counts.append(found.counters["n_assignments"])
+        assert counts[1] <= counts[0] + searches * 300 + MOST_OF_A_STEP
+        if found.status is Status.ASSIGNMENT_LIMIT:
+            assert counts[1] >= 300
 
     def test_awkward_sizes_are_handled(self, name: str, model: str) -> None:
         """Few points, one pair, n != m, coinciding points: a pose or a reason, no exception."""
