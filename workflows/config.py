@@ -281,7 +281,8 @@ def _with_setting(method: MethodSettings, key: str, value: float | str) -> Metho
     text = isinstance(value, str)
     label = method.label or registry.read_card(method.baseline).display_name
     factors = {"n_inliers_ratio": "n_p ×", "noise_factor": "noise_factor ×"}
-    shown_value = value if text else f"{factors.get(key, f'{key} =')} {value:g}"
+    ours = "our " * (key == "front_end" and value != "oracle")
+    shown_value = f"{ours}{value}" if text else f"{factors.get(key, f'{key} =')} {value:g}"
     label = f"{label[:-1]}, {shown_value})" if label.endswith(")") else f"{label} ({shown_value})"
     changed = {"name": f"{method.name}-{value if text else f'{key}{value:g}'}", "label": label}
     if key == "n_inliers_ratio":

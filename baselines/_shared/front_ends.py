@@ -21,6 +21,9 @@
     of the whole clouds, computed once by the harness with the settings of the dataset. They are the
     mutual ones, the nearest one of every source point, or its five nearest. 3D only.
 
+``own``
+    The method's own front end on the clouds of the instance, for methods that have one. 3D only.
+
 No front end returns more than `max_pairs` pairs: the least similar are dropped, and the message says so.
 """
 
@@ -41,6 +44,7 @@ from dcreg.search import Budget
 from dcreg.status import Status
 
 SHARED = ("shared-mutual", "shared-nearest", "shared-several")
+OWN = "own"  # of methods with `CorrespondenceMethod.has_own_front_end`
 FRONT_ENDS = ("fpfh-mutual", "norm-signature", "all-pairs", "oracle", *SHARED)
 # Options that a single front end uses.
 OPTIONS_OF = {
@@ -258,16 +262,18 @@ def _signatures(
 class CorrespondenceMethod(Baseline):
     """A method over putative pairs from a front end.
 
-    A subclass defines `estimate`, or `solve_pairs` if it returns a pose only.
+    A subclass defines `estimate`, or `solve_pairs` if it returns a pose only. With `has_own_front_end`
+    it also defines `solve_clouds`.
     """
+
+    has_own_front_end = False
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
         front_end = self.options["front_end"]
-        if front_end not in FRONT_ENDS:
-            raise ValueError(
-                f"option front_end = {front_end!r}; choose one of {', '.join(FRONT_ENDS)}"
-            )
+        known = (*FRONT_ENDS, *[OWN] * self.has_own_front_end)
+        if front_end not in known:
+            raise ValueError(f"option front_end = {front_end!r}; choose one of {', '.join(known)}")
 
     def idle_options(self) -> dict[str, str]:
         front_end = self.options["front_end"]
@@ -277,6 +283,8 @@ class CorrespondenceMethod(Baseline):
             if owner != front_end
             for option in options
         }
+        if front_end == OWN:
+            idle |= dict.fromkeys(("max_pairs", "threshold"), "with front_end: own")
         return {**super().idle_options(), **idle}
 
     def available(self) -> str | None:
@@ -292,6 +300,9 @@ class CorrespondenceMethod(Baseline):
 
     def warm_up(self, instance: Instance) -> None:
         small = tiny(instance)
+        if self.options["front_end"] == OWN:
+            self.solve_clouds(small)
+            return
         if self.options["front_end"] not in ("oracle", *SHARED):
             putative_pairs(small, self.options)
         rows = np.arange(len(small.source))
@@ -299,6 +310,8 @@ class CorrespondenceMethod(Baseline):
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         budget = limits.budget()
+        if self.options["front_end"] == OWN:
+            return self._solution_of_clouds(instance, budget)
         try:
             putative = putative_pairs(instance, self.options)
         except FrontEndError as error:
@@ -332,6 +345,21 @@ class CorrespondenceMethod(Baseline):
         return Solution(
             status, pose, "; ".join(filter(None, notes)), counters=counters, extra=found.extra
         )
+
+    def _solution_of_clouds(self, instance: Instance, budget: Budget) -> Solution:
+        pose, n_pairs = self.solve_clouds(instance)
+        counters = {"n_correspondences": n_pairs}
+        if pose is None:
+            message = "the method found no consistent correspondences"
+            return Solution(Status.FAILED, None, message, counters=counters)
+        if budget.is_over:
+            message = "the solver ended after the time limit"
+            return Solution(Status.TIME_LIMIT, pose, message, counters=counters)
+        return Solution(Status.CONVERGED, pose, "its own front end", counters=counters)
+
+    def solve_clouds(self, instance: Instance) -> tuple[np.ndarray | None, int]:
+        """Return the pose, or None, by the method's own front end, and its number of pairs."""
+        raise NotImplementedError(f"{type(self).__name__} has no front end of its own")
 
     def estimate(self, instance: Instance, pairs: np.ndarray, budget: Budget) -> Estimate:
         """Return the pose from these pairs within the budget, with notes.

@@ -261,7 +261,7 @@ class TestSolve:
     def test_searches_stop_near_a_limit_on_assignments(
         self, solutions: dict, name: str, model: str
     ) -> None:
-        """A search stops between two boxes, so it exceeds the limit by those of a box or an initial pose."""
+        """It stops between two boxes, so it exceeds the limit by those of a box or a start."""
         card, first = registry.read_card(name), solved(solutions, name, model)
         assert card.solves_assignments == ("n_assignments" in first.counters)
         if not card.solves_assignments:

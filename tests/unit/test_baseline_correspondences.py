@@ -52,6 +52,40 @@ def test_planted_pose_is_recovered_despite_outliers(name: str, outlier_share: fl
     )
 
 
+@pytest.mark.parametrize("name", ["fpfh_ransac", "fpfh_fgr", "kiss_matcher"])
+def test_own_front_end_finds_the_pose_of_dense_clouds(name: str) -> None:
+    method = registry.load(name, front_end="own")
+    if reason := method.available():
+        pytest.skip(reason)
+    rng = np.random.default_rng(5)
+    ground = rng.uniform(-2, 2, (6000, 2))
+    x, y = ground.T
+    height = 0.5 * np.sin(2 * x + np.cos(3 * y)) + 0.4 * np.exp(-4 * (x - 1) ** 2 - 2 * y**2)
+    points = np.column_stack([x, y, height])
+    rotation = Rotation.from_rotvec([0.4, -0.3, 1.9]).as_matrix()
+    truth = homogeneous(1.0, rotation, np.array([1.0, -2.0, 0.5]))
+    kept = rng.random(len(points)) < 0.9
+    instance = Instance(
+        "dense", points[kept], apply_pose(truth, points[rng.permutation(len(points))]), "rigid3d",
+        100, (1.0, 1.0), 0.1, 3,
+    )  # fmt: skip
+    found = method.solve(instance, LIMITS)
+    assert found.status is Status.CONVERGED
+    assert found.counters["n_correspondences"] > 0
+    assert angle_between(found.T_target_source, truth) < 3.0
+
+
+def test_a_method_without_its_own_front_end_refuses_it() -> None:
+    with pytest.raises(
+        registry.BaselineError, match="front_end = 'own'; choose one of fpfh-mutual"
+    ):
+        registry.load("mac", front_end="own")
+    with pytest.raises(
+        registry.BaselineError, match="max_pairs = 50 has no effect with front_end: o"
+    ):
+        registry.load("kiss_matcher", front_end="own", max_pairs=50)
+
+
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 def test_kiss_matcher_does_not_depend_on_the_unit_of_length(unit: float) -> None:
     method = registry.load("kiss_matcher")
