@@ -44,8 +44,8 @@ def read(path: Path, quick: bool = False, n_points: int | None = None) -> dict[s
         raise ConfigError(f"{shown(path)}: must be a mapping of keys to values")
     instead = content.pop("quick", None)
     if n_points is not None:
-        for part in (content, instead) if isinstance(instead, dict) else (content,):
-            for entry in part.get("datasets") or ():
+        for settings in (content, instead) if isinstance(instead, dict) else (content,):
+            for entry in settings.get("datasets") or ():
                 if isinstance(entry, dict):
                     entry["n_points"] = n_points
         content["name"] = f"{content.get('name')}-{n_points}"
