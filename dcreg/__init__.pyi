@@ -11,7 +11,7 @@ from .driver.warm_up import warm_up
 from .io import read_candidates, read_matches, read_points
 from .names import bound_names, mode_names
 from .plot import plot_registration, plot_sweep
-from .problem import Candidates, InputError, Problem, default_gap_tol, gap_tol_of
+from .problem import Candidates, InputError, Problem
 from .result import Result, RunnerUp, Stage
 from .search import Event, Listener, Trace
 from .status import Status
@@ -37,8 +37,6 @@ __all__ = [
     "advice",
     "bound_names",
     "certificate",
-    "default_gap_tol",
-    "gap_tol_of",
     "mode_names",
     "objective",
     "plot_registration",

@@ -11,7 +11,7 @@ from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import register_problem
 from dcreg.driver.sweep import sweep_problems
 from dcreg.families.matches.problem import MatchProblem
-from dcreg.names import DEFAULT_TIME_LIMIT_S, SCORES
+from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, SCORES
 from dcreg.problem import Candidates, InputError, Problem
 from dcreg.result import Result
 from dcreg.sweep_result import SweepResult
@@ -25,7 +25,8 @@ def register(
     model: str,
     scale_range: tuple[float, float] | None = None,
     candidates: Candidates | None = None,
-    gap_tol: float | None = None,
+    rel_gap: float = DEFAULT_REL_GAP,
+    abs_gap: float | None = None,
     tol: float | None = None,
     time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
@@ -53,13 +54,17 @@ def register(
     candidates : (n, m) bool array, or n sequences of target indices, optional
         The feasible pairs, e.g. from descriptors or a distance gate. All other pairs are excluded from
         the objective, the bounds and the assignment.
-    gap_tol : float, optional
-        Absolute tolerance on the gap of the objective, in squared units of the target; default
-        ``n_inliers * (0.03 * RMS radius of the target)^2`` (`dcreg.default_gap_tol`), with 0.003 instead
-        of 0.03 if the bounds refer to norms, which fit better than points.
+    rel_gap : float
+        A share of the upper bound, below 1. The search stops when
+        ``upper_bound - lower_bound <= max(rel_gap * upper_bound, abs_gap)``.
+    abs_gap : float, optional
+        The absolute tolerance, in squared units of the target. Default and minimum: the rounding error of
+        the objective, ``n_inliers * (1e-7 * RMS radius of the target)^2`` for moderate coordinates. A fit
+        with up to 100 times as much is exact. If the gap of another one closes only because `abs_gap`
+        exceeds the upper bound, while the lower bound is 0, the status is ``converged``.
     tol : float, optional
-        The tolerance as a length, the RMS residual per pair in units of the target:
-        ``gap_tol = n_inliers * tol^2``. Only one of the two can be given.
+        `abs_gap` as a length, the RMS residual per pair in units of the target:
+        ``abs_gap = n_inliers * tol^2``. Only one of the two can be given.
     time_limit : float, optional
         Seconds for the solve, 60 by default; None or inf: no limit. At the limit the best pose is
         returned with status ``time_limit``, at most a tenth of the limit and a second later.
@@ -89,7 +94,7 @@ def register(
     ('optimal', [3.0, 3.0])
     """
     problem = Problem(source, target, n_inliers, model, scale_range, candidates)
-    limits = Limits(gap_tol, tol, time_limit, node_limit, memory_limit_mb)
+    limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
     return register_problem(problem, limits, SolveOptions.of(options))
 
 
@@ -101,7 +106,8 @@ def sweep(
     model: str,
     scale_range: tuple[float, float] | None = None,
     candidates: Candidates | None = None,
-    gap_tol: float | None = None,
+    rel_gap: float = DEFAULT_REL_GAP,
+    abs_gap: float | None = None,
     tol: float | None = None,
     time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
@@ -122,10 +128,10 @@ def sweep(
         ``min(n, m)``.
     model, scale_range, candidates
         As in `dcreg.register`.
-    gap_tol : float, optional
-        Absolute tolerance for every number of pairs; default `dcreg.default_gap_tol` of each.
+    rel_gap, abs_gap : optional
+        For every number of pairs, as in `dcreg.register`.
     tol : float, optional
-        The tolerance as a length, as in `dcreg.register`: ``gap_tol = k * tol^2`` for k pairs.
+        `abs_gap` as a length, as in `dcreg.register`: ``abs_gap = k * tol^2`` for k pairs.
     time_limit : float, optional
         Seconds for all numbers of pairs together, 60 by default; None or inf: no limit. Time that one
         search leaves unused is given to the next ones. A result whose gap is open at the end has status
@@ -167,7 +173,7 @@ def sweep(
         raise InputError("n_inliers: the list is empty; give at least one count or fraction")
     first = Problem(source, target, counts[0], model, scale_range, candidates)
     distinct = {problem.n_inliers: problem for problem in map(first.with_n_inliers, counts)}
-    limits = Limits(gap_tol, tol, time_limit, node_limit, memory_limit_mb)
+    limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
     return sweep_problems([distinct[k] for k in sorted(distinct)], limits, SolveOptions.of(options))
 
 
@@ -179,7 +185,8 @@ def register_matches(
     inlier_distance: float,
     score: str = SCORES[0],
     certify: bool | None = None,
-    gap_tol: float | None = None,
+    rel_gap: float = DEFAULT_REL_GAP,
+    abs_gap: float | None = None,
     time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
     options: SolveOptions | None = None,
@@ -212,13 +219,13 @@ def register_matches(
     certify : bool, optional
         False: the pose only, with lower bound 0 and status ``converged``. Default: True for
         ``correspondences``.
-    gap_tol : float, optional
-        Absolute tolerance on the gap, in squared units; default a tenth of `inlier_distance` squared for
-        every match that the initial pose selects.
+    rel_gap, abs_gap : optional
+        Tolerances on the gap of the cost, as in `dcreg.register`. They apply to the certificate only, as
+        does `node_limit`.
     time_limit : float, optional
         Seconds for the solve, 60 by default; None or inf: no limit.
     node_limit : int, optional
-        Maximum number of boxes bounded. It applies to the certificate only, as does `gap_tol`.
+        Maximum number of boxes bounded.
     options : SolveOptions, optional
         Only `listener` may be set; other options are rejected.
 
@@ -246,5 +253,5 @@ def register_matches(
     (20, [3.0, 3.0, 3.0])
     """
     problem = MatchProblem.checked(source, target, matches, inlier_distance)
-    limits = Limits(gap_tol, None, time_limit, node_limit)
+    limits = Limits(rel_gap, abs_gap, None, time_limit, node_limit)
     return register_match_problem(problem, score, certify, limits, SolveOptions.of(options))

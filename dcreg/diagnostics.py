@@ -19,7 +19,7 @@ from dcreg.problem import (
     nearest_rotation,
     rms_radius,
     rotation_angle_deg,
-    unit_length,
+    rounding_error,
 )
 from dcreg.result import Result, RunnerUp
 from dcreg.status import Status
@@ -93,29 +93,26 @@ class Case:
 
 
 def _is_rounding(value: float, case: Case) -> bool:
-    """Tell whether a sum over the pairs is only the rounding error of a perfect fit."""
-    source, target = case.problem.source, case.problem.target
-    unit = unit_length(source, target)
-    last_bits = 16.0 * np.finfo(float).eps * max(np.abs(source).max(), np.abs(target).max())
-    return bool(value <= case.result.n_inliers * (EXACT * unit**2 + last_bits**2))
+    """Tell whether a sum over the pairs is that of an exact fit."""
+    problem = case.problem
+    return value <= EXACT * rounding_error(problem.source, problem.target, case.result.n_inliers)
 
 
 def nothing_proven(case: Case) -> str | None:
     """The lower bound is 0, which proves nothing."""
     result = case.result
-    if result.lower_bound > 0.0 or _is_rounding(result.upper_bound, case):
+    if result.lower_bound > 0.0 or result.is_exact:
         return None
-    known = "the lower bound is 0, which holds for every sum of squares"
+    known = "the lower bound is 0, which holds for every sum of squares: nothing is proven"
     if result.gap_tol >= result.upper_bound:
-        what, other = ("norms fit", "translation") if case.in_norm_space else ("pose fits", "pose")
+        what = "norms fit" if case.in_norm_space else "pose fits"
         return (
-            f"{known}. The {what} within the tolerance (upper_bound={result.upper_bound:.3g}, "
-            f"gap_tol={result.gap_tol:.3g}), so no {other} is better by more than gap_tol; nothing else "
-            "is proven. Set a smaller gap_tol"
+            f"{known}. The search ended because the {what} within the tolerance "
+            f"(upper_bound={result.upper_bound:.3g}, gap_tol={result.gap_tol:.3g}). Omit abs_gap and tol"
         )
     return (
-        f"{known}: nothing is proven. Allow more time, use fewer points, or choose a mode that closes "
-        "the gap (see the page Modes of the manual)"
+        f"{known}. Allow more time, use fewer points, or choose a mode that closes the gap (see the page "
+        "Modes of the manual)"
     )
 
 
@@ -282,7 +279,7 @@ def find_runner_up(
     if not others:
         return None
     other, value = min(others, key=lambda end: end[1])
-    rounding = EXACT * problem.n_inliers * (unit_length(source, target) or 1.0) ** 2
+    rounding = EXACT * rounding_error(source, target, problem.n_inliers)
     angle = rotation_angle_deg(nearest_rotation(other[:d, :d] @ T[:d, :d].T))
     ratio = (value + rounding) / (objective + rounding)
     return RunnerUp(other, ratio, abs(angle), displacement(other))

@@ -14,6 +14,8 @@ MODEL_DIM = {"similarity2d": 2, "rigid3d": 3}
 
 # Default time limit, long enough for most searches that close at all.
 DEFAULT_TIME_LIMIT_S = 60.0
+# Default share of the upper bound at which a gap counts as closed.
+DEFAULT_REL_GAP = 0.01
 
 AUTO = "auto"  # the library chooses the mode
 _MODES = {"similarity2d": ("paper",), "rigid3d": ("full", "paper")}

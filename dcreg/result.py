@@ -15,7 +15,7 @@ from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, plain, write_text
 from dcreg.problem import InputError, rotation_angle_deg, scale_of
-from dcreg.search import Outcome, Trace
+from dcreg.search import Outcome, Trace, proven_share
 from dcreg.status import Status
 
 
@@ -140,8 +140,10 @@ class Stage:
 
     def summary(self) -> str:
         """Return one line about a stage that has bounds."""
+        assert self.lower_bound is not None and self.upper_bound is not None  # noqa: PT018
         return (
-            f"{self.status}, bounds [{self.lower_bound:.5g}, {self.upper_bound:.5g}], "
+            f"{self.status}, bounds [{self.lower_bound:.5g}, {self.upper_bound:.5g}] "
+            f"({text.percent(proven_share(self.lower_bound, self.upper_bound))}), "
             f"{text.count(self.n_nodes, 'node')}, {self.time_s:.2f} s"
         )
 
@@ -175,7 +177,10 @@ class Result:
         Bounds on the optimum of the certified objective (see `certificate_scope`), in squared
         units of the target. The objective is a sum over the `n_inliers` pairs.
     gap_tol : float
-        Absolute tolerance on ``upper_bound - lower_bound``.
+        The gap that counts as closed at the end: ``max(rel_gap * upper_bound, abs_gap)``, or the upper
+        bound of an exact fit.
+    is_exact : bool
+        Whether the upper bound is 0 up to rounding. The pose is then optimal, whatever the lower bound.
     certificate_scope : str
         What the bounds refer to: ``"similarity pose"``, ``"translation in norm space"``, ...
     objective : float
@@ -215,6 +220,7 @@ class Result:
     lower_bound: float
     upper_bound: float
     gap_tol: float
+    is_exact: bool
     certificate_scope: str
     objective: float
     objective_certified: float
@@ -236,6 +242,16 @@ class Result:
         return max(0.0, self.upper_bound - self.lower_bound)
 
     @property
+    def bound_ratio(self) -> float:
+        """Lower bound divided by upper bound: the proven share. 1 for an exact fit."""
+        return 1.0 if self.is_exact else proven_share(self.lower_bound, self.upper_bound)
+
+    @property
+    def gap_closed(self) -> bool:
+        """Whether the gap is closed by bounds that prove it, even if a later stage did not finish."""
+        return self.is_exact or (self.lower_bound > 0.0 and self.gap <= self.gap_tol)
+
+    @property
     def n_bounded(self) -> int:
         """Number of pairs that the bounds refer to: `n_inliers` of the clouds or of the sample."""
         return self.n_inliers if self.downsampled is None else self.downsampled.n_inliers
@@ -247,7 +263,7 @@ class Result:
 
     @property
     def success(self) -> bool:
-        """Whether the status is ``optimal``: the gap is closed."""
+        """Whether the status is ``optimal``: the gap is closed, and proven so."""
         return self.status is Status.OPTIMAL
 
     @property
@@ -281,9 +297,10 @@ class Result:
         """Return plain values for JSON; an infinite bound becomes None. The manual lists all keys."""
         names = (
             "status", "T_target_source", "T_certified", "scale", "model", "n_inliers", "bound", "mode",
-            "lower_bound", "upper_bound", "gap", "gap_tol", "objective", "objective_certified", "n_nodes",
-            "n_assignments", "time_setup_s", "time_solve_s", "certificate_scope", "rmse_matched",
-            "assignment", "downsampled", "score", "runner_up", "warnings",
+            "lower_bound", "upper_bound", "gap", "gap_tol", "bound_ratio", "is_exact", "objective",
+            "objective_certified", "n_nodes", "n_assignments", "time_setup_s", "time_solve_s",
+            "certificate_scope", "rmse_matched", "assignment",
+            "downsampled", "score", "runner_up", "warnings",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "stages": [stage.to_dict() for stage in self.stages]})
@@ -339,7 +356,7 @@ class Result:
             )
         yield "lower bound", f"{self.lower_bound:.6g}"
         yield "upper bound", f"{self.upper_bound:.6g}"
-        yield "gap", f"{self.gap:.4g} (tolerance {self.gap_tol:.4g})"
+        yield "gap", f"{self.gap:.4g} (tolerance {self.gap_tol:.4g}); {self._proven_share()}"
         yield "scope of bounds", self.certificate_scope
         bounding = [stage for stage in self.stages if stage.status is not None]
         for stage in bounding if len(bounding) > 1 else []:
@@ -365,12 +382,19 @@ class Result:
     def _verdict(self) -> str:
         status, scope = self.status, self.certificate_scope
         if status is Status.OPTIMAL:
-            return f"optimal: certified within the tolerance for the {scope}"
-        if status is Status.CONVERGED:
-            return "converged: the method finished; not certified"
-        if self.gap <= self.gap_tol:
+            return f"optimal: certified for the {scope}; {self._proven_share()}"
+        if status is not Status.CONVERGED:
+            more = f"; certified for the {scope}, but a later stage did not finish"
             return (
-                f"{status.value}: best pose so far; certified for the {scope}, but a later stage "
-                "did not finish"
+                f"{status.value}: best pose so far{more if self.gap_closed else ', not certified'}"
             )
-        return f"{status.value}: best pose so far, not certified"
+        if self.gap_closed:
+            return f"converged: certified for the {scope}, but not in a later stage"
+        what = "fits within the tolerance" if self.gap <= self.gap_tol else "the method finished"
+        return f"converged: {what}; not certified"
+
+    def _proven_share(self) -> str:
+        """Return what the lower bound proves, in words."""
+        if self.is_exact:
+            return "the fit is exact up to rounding"
+        return f"the lower bound is {text.percent(self.bound_ratio)} of the upper bound"

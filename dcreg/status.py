@@ -8,9 +8,9 @@ import enum
 class Status(enum.StrEnum):
     """How a run ended: a string, which compares and prints as its value."""
 
-    #: The gap closed to `gap_tol`: certified within the stated scope.
+    #: The gap is closed, and not only because 0 is a lower bound: certified within the stated scope.
     OPTIMAL = "optimal"
-    #: A local or heuristic method finished; nothing is proven.
+    #: The method finished; nothing is proven.
     CONVERGED = "converged"
     #: The caller stopped the run.
     STOPPED = "stopped"

@@ -127,8 +127,8 @@ class SweepResult:
         """Return the headings and the `rows` as text."""
         flat = self.results[0].model == "similarity2d"
         headings = [
-            "pairs", "status", "lower bound", "upper bound", "RMS", "marginal cost", "proven by",
-            *([] if flat else ["RMSE of pose"]), "nodes", "time",
+            "pairs", "status", "lower bound", "upper bound", "proven", "RMS", "marginal cost",
+            "proven by", *([] if flat else ["RMSE of pose"]), "nodes", "time",
         ]  # fmt: skip
         suggested = self.suggested_n_inliers
         rows = [
@@ -137,6 +137,7 @@ class SweepResult:
                 row["status"],
                 f"{row['lower_bound']:.5g}",
                 f"{row['upper_bound']:.5g}",
+                text.percent(row["bound_ratio"]),
                 f"{row['rms_lower']:.4g} to {row['rms']:.4g}",
                 "" if row["marginal_cost"] is None else f"{row['marginal_cost']:.4g}",
                 "" if row["proven_by"] is None else f"k={row['proven_by']}",
@@ -152,8 +153,9 @@ class SweepResult:
         """Return the meaning of the columns, and the suggestion."""
         suggested = self.suggested_n_inliers
         legend = (
-            f"bounds on: {self.results[0].certificate_scope}; RMS: sqrt(bound / pairs), units of the "
-            "target; marginal cost: increase of the upper bound per additional pair"
+            f"bounds on: {self.results[0].certificate_scope}; proven: lower bound in % of the upper "
+            "bound; RMS: sqrt(bound / pairs), units of the target; "
+            "marginal cost: increase of the upper bound per additional pair"
         )
         if suggested is None:
             hint = (
@@ -200,7 +202,7 @@ def _one_of(lines: dict[int, str], counts: list[int]) -> str:
 
 def _row(result: Result, after: Result | None, proven_by: int | None) -> dict[str, Any]:
     k = result.n_bounded
-    names = ("n_inliers", "status", "lower_bound", "upper_bound", "gap", "gap_tol")
+    names = ("n_inliers", "status", "lower_bound", "upper_bound", "gap", "gap_tol", "bound_ratio")
     row: dict[str, Any] = {name: getattr(result, name) for name in names} | {
         "status": result.status.value,
         "rms": float(np.sqrt(result.upper_bound / k)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 
@@ -14,6 +15,17 @@ def count(number: int, thing: str) -> str:
     ('1 node', '2 nodes')
     """
     return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def percent(share: float) -> str:
+    """Return a share in per cent, rounded down: only a whole is 100 %.
+
+    Examples
+    --------
+    >>> percent(0.99996), percent(1.0)
+    ('99.9 %', '100 %')
+    """
+    return "100 %" if share >= 1.0 else f"{math.floor(1000.0 * share) / 10.0:.1f} %"
 
 
 def listing(entries: Sequence[tuple[str, str]]) -> str:

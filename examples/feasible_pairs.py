@@ -13,7 +13,7 @@ target_colour = np.concatenate([colour, rng.integers(0, 4, size=20)])
 
 mask = colour[:, None] == target_colour[None, :]  # (n, m): may i match j?
 
-settings = {"n_inliers": 36, "model": "similarity2d", "gap_tol": 1e-3}
+settings = {"n_inliers": 36, "model": "similarity2d", "rel_gap": 0.0, "abs_gap": 1e-3}
 free = dcreg.register(source, target, **settings)
 gated = dcreg.register(source, target, **settings, candidates=mask)
 for name, result in (("all pairs", free), ("feasible pairs", gated)):

@@ -6,7 +6,7 @@ from dcreg.assignment.objective import k_assignment
 from dcreg.families.protocol import SpaceBound
 from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.space import Similarity2D
-from dcreg.search import Budget, Evaluation, minimise
+from dcreg.search import Budget, Evaluation, Tolerance, minimise
 
 
 class BallBound(SpaceBound[Similarity2D]):
@@ -40,7 +40,7 @@ target -= target.mean(axis=0)
 space = Similarity2D(source, target, n_inliers=10, scale_range=(0.5, 1.5))
 
 for name, bound in (("ball", BallBound(space)), ("tight", make_bound("tight", space))):
-    found = minimise(space, bound, Budget(nodes=20_000), gap_tol=0.02)
+    found = minimise(space, bound, Budget(nodes=20_000), tolerance=Tolerance(abs=0.02))
     print(f"{name}: {found.status}, {found.n_nodes} boxes, "
           f"[{found.lower_bound:.4f}, {found.upper_bound:.4f}]")  # fmt: skip
     assert found.status == "optimal"

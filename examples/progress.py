@@ -20,7 +20,7 @@ result = dcreg.register(
     target,
     n_inliers=20,
     model="similarity2d",
-    gap_tol=1e-6,
+    rel_gap=1e-6,
     options=dcreg.SolveOptions(listener=listener),
 )
 print(result.status, "with valid bounds:", result.lower_bound, "<=", result.upper_bound)

@@ -44,6 +44,7 @@ def _render(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> str:
     environment.filters |= {
         "number": theme.number,
         "percent": theme.percent,
+        "proven": theme.proven,
         "seconds": theme.seconds,
         "integer": theme.integer,
         "sortable": theme.sortable,

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from dcreg import text
 from reports.tables import Tables
 
 SURFACE = {"light": "#ffffff", "dark": "#161b22"}
@@ -210,6 +211,11 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def percent(value: float | None) -> str:
     return MISSING if value is None or math.isnan(value) else f"{100 * value:.0f} %"
+
+
+def proven(value: float | None) -> str:
+    """Format L/U, rounded down: only a closed gap is 100 %."""
+    return MISSING if value is None or math.isnan(value) else text.percent(value)
 
 
 def seconds(value: float | None) -> str:

@@ -12,7 +12,7 @@ from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import Frame, Problem
-from dcreg.search import Budget, minimise
+from dcreg.search import Budget, Tolerance, minimise
 
 DIM = {"similarity2d": 2, "translation3d": 3}
 
@@ -47,7 +47,8 @@ def certify(
     searched, gap_tol = make_bound(bound, space), n_inliers * tau**2
     found = minimise(
         space, searched, Budget(nodes=nodes),
-        gap_tol=gap_tol, start=(theta, value), keep_leaves=True,
+        tolerance=Tolerance(abs=gap_tol, exact=1e-12 * n_inliers), start=(theta, value),
+        keep_leaves=True,
     )  # fmt: skip
     root, names = searched.roots[0], {"model": model, "mode": "paper", "bound": bound}
     return record(found, root, problem, frame, gap_tol, **names)

@@ -31,6 +31,7 @@ def made_result(**changes):
         "lower_bound": 0.75,
         "upper_bound": 1.0,
         "gap_tol": 0.5,
+        "is_exact": False,
         "certificate_scope": "similarity pose",
         "objective": 1.0,
         "objective_certified": 1.25,

@@ -10,7 +10,7 @@ from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.rotation3d.bound import RotationBound
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.problem import Frame
-from dcreg.search import Budget, minimise
+from dcreg.search import Budget, Tolerance, minimise
 from dcreg.status import Status
 
 
@@ -19,7 +19,7 @@ def search_rotation(source, target, k, *, gap_tol, candidates=None, threads=1, *
     budget = Budget(**limits)
     space = Rotation3D(source, target, k, candidates, budget.stop)
     bound = RotationBound(space, threads=threads)
-    found = minimise(space, bound, budget, gap_tol=gap_tol, stage="rotation")
+    found = minimise(space, bound, budget, tolerance=Tolerance(abs=gap_tol), stage="rotation")
     return SimpleNamespace(
         **vars(found),
         rotation=space.matrix(found.theta),
@@ -33,7 +33,7 @@ def normalised(
     """A rigid problem in the coordinates of the clouds themselves; `limits` are those of a `Budget`."""
     return NormalisedProblem(
         source, target, k, (1.0, 1.0), candidates, Frame(np.zeros(3), np.zeros(3), 1.0), "rigid",
-        stationary_box, gap_tol, gap_tol, threads, Budget(**limits),
+        stationary_box, Tolerance(abs=gap_tol), threads, Budget(**limits),
     )  # fmt: skip
 
 

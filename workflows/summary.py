@@ -17,6 +17,7 @@ from rich.table import Table
 
 from baselines import registry
 from dcreg.status import Status
+from dcreg.text import percent
 from workflows import records
 from workflows.compose import QUICK, ConfigError
 from workflows.config import Experiment, MethodSettings, load
@@ -37,8 +38,6 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
         rmse=tried["rmse"].fillna(METRICS["rmse"].worst),
         bounding=tried["gap"].notna(),
         certified=tried["status"].eq("optimal"),
-        # RMS per pair: comparable between instances with different numbers of pairs.
-        gap_rms=np.sqrt(tried["gap"] / tried["n_inliers"]),
     )
     keys = ["model", "test", "method"]
     grouped = tried.groupby(keys, sort=False)
@@ -50,7 +49,7 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
         median_time_s=("time_solve_s", "median"),
         bounding=("bounding", "any"),
         certified=("certified", "mean"),
-        median_gap_rms=("gap_rms", "median"),
+        median_bound_ratio=("bound_ratio", "median"),
         failed=("outcome", lambda outcomes: int(outcomes.eq("failed").sum())),
     )
     return table.reset_index()
@@ -70,8 +69,8 @@ def print_summary(folder: Path, console: Console | None = None) -> None:
     for model, part in summarise(runs).groupby("model", sort=False):
         console.print(_table(str(model), part))
     console.print(
-        "[dim]RMSE over the true pairs, target units (∞: no pose); gap as RMS per pair "
-        "√(gap / n_inliers).[/dim]"
+        "[dim]RMSE over the true pairs, target units (∞: no pose); L/U: lower bound divided by upper "
+        "bound, also of open runs.[/dim]"
     )
     for outcome in ("unavailable", "unsupported", "failed"):
         these = runs[runs["outcome"] == outcome]
@@ -232,7 +231,7 @@ def _table(model: str, part: pd.DataFrame) -> Table:
     table = Table(title=f"{model}", title_justify="left", title_style="bold")
     table.add_column("test")
     table.add_column("method")
-    for name in ("runs", "median RMSE", "success", "median time", "certified", "median gap"):
+    for name in ("runs", "median RMSE", "success", "median time", "certified", "median L/U"):
         table.add_column(name, justify="right")
     for test, rows in part.groupby("test", sort=False):
         for index, row in enumerate(rows.to_dict("records")):
@@ -244,10 +243,14 @@ def _table(model: str, part: pd.DataFrame) -> Table:
                 f"{row['success']:.0%}",
                 _seconds(row["median_time_s"]),
                 f"{row['certified']:.0%}" if row["bounding"] else "–",
-                _number(row["median_gap_rms"]) if row["bounding"] else "–",
+                _share(row["median_bound_ratio"]) if row["bounding"] else "–",
             )
         table.add_section()
     return table
+
+
+def _share(value: float) -> str:
+    return "–" if np.isnan(value) else percent(value)
 
 
 def _number(value: float) -> str:

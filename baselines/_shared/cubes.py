@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.search import Box, Boxes, Budget, Evaluation, Outcome, branch_and_bound
+from dcreg.search import Box, Boxes, Budget, Evaluation, Outcome, Tolerance, branch_and_bound
 
 OCTANTS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 _SHARE_OF_BOXES = 0.5  # of the memory; the rest is for data that cubes pass on
@@ -79,7 +79,7 @@ def search_cubes(
         _Cubes(bound, root, incumbent, floor, passed_on, memory.memory_mb),
         memory,
         branching=divide_in_eight,
-        gap_tol=gap_tol,
+        tolerance=Tolerance(abs=gap_tol),
         start=(root[0], incumbent.value - floor),
     )
     return with_bounds(found, lambda value: value + floor)

@@ -14,29 +14,16 @@ from dcreg.driver import options
 from dcreg.driver.modes import Mode, find_mode
 from dcreg.driver.solve import register_problem
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.problem import Problem, default_gap_tol
-from dcreg.problem.geometry import TOLERATED_RESIDUAL
+from dcreg.names import DEFAULT_REL_GAP
+from dcreg.problem import Problem
 from dcreg.result import Result
 from dcreg.search import Bound, Box
 
 
-class LibraryMethod(Baseline):
-    """Tolerance of every method on the library's search."""
-
-    def gap_tol(self, instance: Instance) -> float:
-        """The library's default tolerance, with the card's `gap_tol_factor`."""
-        return default_gap_tol(
-            instance.source,
-            instance.target,
-            instance.n_inliers,
-            self.options.get("gap_tol_factor", TOLERATED_RESIDUAL),
-        )
-
-
-class OwnBound(LibraryMethod):
+class OwnBound(Baseline):
     """A method that differs from mode `paper` of the library in the bound.
 
-    Normalisation, start box, first incumbent, branching, tolerance and polish are those of DC-Reg.
+    Normalisation, start box, first incumbent, branching, tolerances and polish are those of DC-Reg.
 
     Attributes
     ----------
@@ -71,13 +58,19 @@ class OwnBound(LibraryMethod):
             instance.source, instance.target, instance.n_inliers, instance.model,
             instance.scale_range,
         )  # fmt: skip
-        return solution_of(self.result(problem, self.gap_tol(instance), limits))
+        return solution_of(self.result(problem, limits))
 
-    def result(self, problem: Problem, gap_tol: float, limits: Limits) -> Result:
+    def result(
+        self,
+        problem: Problem,
+        limits: Limits,
+        rel_gap: float = DEFAULT_REL_GAP,
+        abs_gap: float | None = None,
+    ) -> Result:
         """Return what `dcreg.register` would return if the method were a mode of the library."""
         return register_problem(
             problem,
-            options.Limits(gap_tol, None, limits.time_s, limits.nodes, limits.memory_mb),
+            options.Limits(rel_gap, abs_gap, None, limits.time_s, limits.nodes, limits.memory_mb),
             options.SolveOptions(
                 threads=limits.threads,
                 polish=self.options["polish"],

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from baselines._shared.front_ends import SHARED, FrontEndError, missing_matches, putative_pairs
-from baselines._shared.library_search import LibraryMethod, solution_of
-from baselines.contract import Card, Instance, Limits, Solution
+from baselines._shared.library_search import solution_of
+from baselines.contract import Baseline, Card, Instance, Limits, Solution
 from dcreg.api import register, register_matches
 from dcreg.driver.modes import MODES, find_mode
 from dcreg.driver.options import SolveOptions
@@ -17,10 +17,10 @@ from dcreg.problem import InputError, suggestion
 from dcreg.status import Status
 
 OVER_MATCHES = ("max_pairs", "certify", "score")  # options of `dcreg.register_matches`
-OVER_POINTS = ("bound", "mode", "gap_tol_factor", "polish")  # of `dcreg.register`
+OVER_POINTS = ("bound", "mode", "polish")  # of `dcreg.register`
 
 
-class Adapter(LibraryMethod):
+class Adapter(Baseline):
     """`dcreg.register`; with option `front_end`, `dcreg.register_matches` over its matches."""
 
     def __init__(self, card: Card, **options: Any) -> None:
@@ -85,7 +85,8 @@ class Adapter(LibraryMethod):
             n_inliers=instance.n_inliers,
             model=instance.model,
             scale_range=instance.scale_range,
-            gap_tol=self.gap_tol(instance),
+            rel_gap=self.options["rel_gap"],
+            abs_gap=self.options["abs_gap"],
             time_limit=limits.time_s,
             node_limit=limits.nodes,
             memory_limit_mb=limits.memory_mb,
@@ -111,6 +112,8 @@ class Adapter(LibraryMethod):
             inlier_distance=instance.noise_bound,
             score=self.options["score"],
             certify=self.options["certify"],
+            rel_gap=self.options["rel_gap"],
+            abs_gap=self.options["abs_gap"],
             time_limit=limits.time_s,
             node_limit=limits.nodes,
         )

@@ -86,4 +86,4 @@ def search_rotation(problem: NormalisedProblem, shifted: np.ndarray, budget: Bud
     space = Rotation3D(shifted, problem.target, problem.n_inliers, stop_flag=budget.stop)
     bound = SemidefiniteRotationBound(space, threads=problem.threads)
     budget = budget.named("start of rotation")
-    return minimise(space, bound, budget, gap_tol=problem.gap_tol, stage="rotation")
+    return minimise(space, bound, budget, tolerance=problem.tolerance, stage="rotation")

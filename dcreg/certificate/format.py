@@ -21,7 +21,7 @@ from dcreg._version import __version__
 from dcreg.files import whole_file
 
 FORMAT = "dcreg leaf cover"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 MODELS = ("similarity2d", "translation3d")
 
 # Why a leaf was not divided further.
@@ -65,7 +65,7 @@ class Certificate:
         2D similarity poses, or translations in norm space about `target_centre`.
     mode, bound, status : str
         How the leaves were found, for information only, except that ``status == "optimal"`` claims a
-        closed gap.
+        closed gap, and a lower bound above 0 or an exact fit.
     n_inliers : int
     scale_range : (2,) array
     source_centre, target_centre : (dim,) arrays

@@ -170,7 +170,8 @@ def _check(
     objective = objective_of(c, source, target)
     # rounding: relative to the claim, and to a residual of the size of the cloud
     slack = 1e-9 * abs(c.lower_bound) + 1e-12 * c.n_inliers
-    check_claim(c, slack)
+    exact = exact_up_to(c, source, target)
+    check_claim(c, slack, exact)
     report.checks.append("the stated bounds, reasons and tolerance are consistent")
     check_start_box(objective, c.start_lower, c.start_upper)
     report.checks.append("the start box contains every optimum")
@@ -194,7 +195,7 @@ def _check(
         f"{objective.scope}: the minimum sum over {c.n_inliers} one-to-one pairs{among} of squared "
         f"residuals lies in [{report.lower_bound:.9g}, {report.upper_bound:.9g}]"
     )
-    report.is_trivial = c.lower_bound <= 0.0 and c.upper_bound > slack
+    report.is_trivial = c.lower_bound <= 0.0 and c.upper_bound > exact
 
 
 # --- the clouds -----------------------------------------------------------------------------------
@@ -257,7 +258,13 @@ def feasible_pairs(c: Certificate, n: int, m: int) -> np.ndarray | None:
 # --- the statement --------------------------------------------------------------------------------
 
 
-def check_claim(c: Certificate, slack: float) -> None:
+def exact_up_to(c: Certificate, source: np.ndarray, target: np.ndarray) -> float:
+    """Return the objective up to which a fit counts as exact, in normalised units."""
+    last_bits = 16.0 * np.finfo(float).eps * max(np.abs(source).max(), np.abs(target).max())
+    return float(c.n_inliers * (1e-12 + 100.0 * (last_bits / c.unit) ** 2))
+
+
+def check_claim(c: Certificate, slack: float, exact: float) -> None:
     """Check that the bounds of the leaves, if true, imply the stated lower bound and status."""
     require(
         0 <= c.lower_bound <= c.upper_bound + slack,
@@ -272,6 +279,10 @@ def check_claim(c: Certificate, slack: float) -> None:
     threshold = c.upper_bound * (1.0 - 1e-9) - c.gap_tol - slack
     if c.status == "optimal" and c.lower_bound < threshold:
         raise CertificateError("status optimal does not follow: the gap exceeds gap_tol")
+    require(
+        c.status != "optimal" or c.lower_bound > 0.0 or c.upper_bound <= exact * (1.0 + 1e-6),
+        "status optimal does not follow: the lower bound is 0, which holds for every sum of squares",
+    )
     early = np.flatnonzero((c.leaf_reasons == PRUNED) & (c.leaf_bounds < threshold))
     if early.size:
         raise CertificateError(

@@ -98,13 +98,13 @@ def _run(
     """Call `solve` while its progress is shown and Ctrl-C stops it."""
     from dcreg.cli.progress import Progress
 
-    for name in ("gap_tol", "tol"):
-        if keywords.get(name) == 0 and not quiet:
-            output.print_warning(
-                f"{flag(name)} 0: a gap hardly ever closes completely, so the search ends "
-                "only at a limit or by Ctrl-C; give a length such as --tol 0.01, or --time-limit 60"
-            )
-    with Progress(gap_tol=keywords["gap_tol"], quiet=quiet) as progress:
+    absolute = any(keywords.get(name) for name in ("abs_gap", "tol"))
+    if keywords["rel_gap"] == 0 and not (absolute or quiet):
+        output.print_warning(
+            "--rel-gap 0: a gap hardly ever closes completely, so the search ends only at a limit or by "
+            "Ctrl-C, unless the fit is exact; give a share such as --rel-gap 0.001"
+        )
+    with Progress(quiet=quiet) as progress:
         chosen = dcreg.SolveOptions(**options, listener=progress)
         return progress.run(partial(solve, *given, **keywords, options=chosen))
 
@@ -281,7 +281,7 @@ def verify(*, certificate: Path, clouds: CloudFiles, quiet: Quiet = False) -> in
     if report.is_trivial:
         typer.echo(
             f"true, but proves nothing: {report.statement}; 0 is a lower bound of every sum of squares. "
-            "Register with a smaller --gap-tol or more time for a larger lower bound"
+            "Register without --abs-gap and --tol, or with more time, for a larger lower bound"
         )
     else:
         typer.echo(f"proven: {report.statement}")

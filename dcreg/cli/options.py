@@ -19,6 +19,7 @@ import typer
 import dcreg
 from dcreg.names import (
     AUTO,
+    DEFAULT_REL_GAP,
     DEFAULT_TIME_LIMIT_S,
     MODEL_DIM,
     SCORES,
@@ -214,11 +215,13 @@ class Search:
         Lower bounding function: {bounds}; 'a+b' takes the maximum of two.
     start_box : NAME
         Box where the search starts: {start_boxes}. Both contain every optimum; radius is larger.
-    gap_tol : X
-        Absolute gap to close, in squared units of the target. Default: K * (0.03 * RMS radius of the
-        target)^2, with 0.003 instead of 0.03 for bounds in norm space.
+    rel_gap : X
+        Gap at which to stop, as a share of the upper bound.
+    abs_gap : X
+        Gap at which to stop in any case, in squared units of the target. Default: the rounding error of
+        the objective.
     tol : X
-        Gap as an RMS residual per pair, in units of the target: --tol 0.01 is --gap-tol K * 0.01^2.
+        The same as an RMS residual per pair, in units of the target: --tol 0.01 is --abs-gap K * 0.01^2.
     time_limit : S
         Seconds of search; inf: no limit.
     node_limit : N
@@ -240,7 +243,8 @@ class Search:
     mode: str | None = None
     bound: str | None = None
     start_box: str = START_BOXES[0]
-    gap_tol: float | None = None
+    rel_gap: float = DEFAULT_REL_GAP
+    abs_gap: float | None = None
     tol: float | None = None
     time_limit: float = DEFAULT_TIME_LIMIT_S
     node_limit: int | None = None
@@ -272,9 +276,11 @@ class MatchSearch:
         the surfaces of dense scans and gives no bounds.
     certify : switch
         Prove bounds by branch and bound. Default: only with --score correspondences.
-    gap_tol : X
-        Absolute gap to close, in squared units of the target. Default: D^2 / 10 for each match that the
-        initial pose selects.
+    rel_gap : X
+        Gap at which to stop, as a share of the upper bound.
+    abs_gap : X
+        Gap at which to stop in any case, in squared units of the target. Default: the rounding error of
+        the cost.
     time_limit : S
         Seconds of search; inf: no limit.
     node_limit : N
@@ -284,7 +290,8 @@ class MatchSearch:
     inlier_distance: float
     score: str = SCORES[0]
     certify: bool | None = None
-    gap_tol: float | None = None
+    rel_gap: float = DEFAULT_REL_GAP
+    abs_gap: float | None = None
     time_limit: float = DEFAULT_TIME_LIMIT_S
     node_limit: int | None = None
 

@@ -29,7 +29,7 @@ _GLANCE_S = 0.1  # between two checks for a signal
 _WAITING_S = 5.0  # between two plain lines without a search
 _HEADER = (
     f"  {'stage':<11}{'nodes':>9}{'open':>7}{'assign.':>9}"
-    f"{'lower bound':>12}{'upper bound':>12}{'gap':>10}{'time':>8}"
+    f"{'lower bound':>12}{'upper bound':>12}{'proven':>10}{'time':>8}"
 )
 
 
@@ -44,8 +44,6 @@ class Progress:
     ----------
     console : rich.console.Console
         Where to write; default: standard error.
-    gap_tol : float, optional
-        Shown in the header, as the value that the gap has to reach.
     interval_s : float
         Minimum time between two plain lines.
     quiet : bool
@@ -56,7 +54,6 @@ class Progress:
 
     console: Console = field(default_factory=partial(Console, stderr=True))
     _: KW_ONLY
-    gap_tol: float | None = None
     interval_s: float = 1.0
     quiet: bool = False
     step: str = "preparing the search"
@@ -163,9 +160,8 @@ class Progress:
         self._last_upper = min(self._last_upper, event.upper_bound)
 
     def _show_header(self) -> None:
-        tolerance = "" if self.gap_tol is None else f"; the search ends at gap {self.gap_tol:.4g}"
         self.console.print(
-            f"bounds and gap in squared units of the target{tolerance}\n"
+            "bounds in squared units of the target; proven: lower bound in % of the upper bound\n"
             "*: better pose since the last line; Ctrl-C stops the search and keeps the best pose",
             highlight=False,
             soft_wrap=True,
@@ -184,7 +180,7 @@ class Progress:
         return (
             f"{mark} {event.stage:<11}{event.n_nodes:>9}{event.n_open:>7}{event.n_assignments:>9}"
             f"{_number(event.lower_bound, 5):>12}{_number(event.upper_bound, 5):>12}"
-            f"{_number(event.gap, 4):>10}{event.time_s:>7.1f}s"
+            f"{_percent(event.bound_ratio):>10}{event.time_s:>7.1f}s"
             f"{'  ' + event.status if event.status else ''}"
         )
 
@@ -198,6 +194,10 @@ class _Messages(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._console.print(record.getMessage(), highlight=False, markup=False, soft_wrap=True)
+
+
+def _percent(share: float) -> str:
+    return f"{math.floor(1000.0 * share) / 10.0:.1f} %"  # only a closed gap is 100 %
 
 
 def _number(value: float, digits: int) -> str:

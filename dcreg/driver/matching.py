@@ -20,7 +20,6 @@ from dcreg.search import Budget, Trace
 from dcreg.status import Status
 
 MODE, BOUND = "matches", "nested"
-TOLERATED = 0.1  # gap per chosen match, in squared inlier distances
 SCOPE = "rigid pose over the given matches, at a cost of inlier_distance^2 per unselected match"
 
 
@@ -36,7 +35,7 @@ def register_match_problem(
     warm_up_matches()
     setup = time.perf_counter() - began
     with limits.budget(options, options.listener) as budget:
-        return _solved(problem, score, certify, limits.gap_tol, budget, setup)
+        return _solved(problem, score, certify, limits, budget, setup)
 
 
 def _certified(score: str, certify: bool | None) -> bool:
@@ -57,7 +56,7 @@ def _solved(
     problem: MatchProblem,
     score: str,
     certify: bool,
-    gap_tol: float | None,
+    limits: Limits,
     budget: Budget,
     setup: float,
 ) -> Result:
@@ -68,13 +67,12 @@ def _solved(
     best, pose = starts[0]
     value, chosen = problem.cost(pose)
     stages = [Stage("start", budget.elapsed(), n_assignments=len(starts))]
-    if gap_tol is None:
-        gap_tol = TOLERATED * problem.inlier_threshold**2 * max(1, len(chosen))
+    tolerance = limits.tolerance(problem.max_cardinality, problem.rounding)
     status = budget.ended_by if budget.is_over else Status.CONVERGED
     lower, events = 0.0, []
     if certify:
-        bound = MatchBound(problem, value, gap_tol)
-        found = bound.search(budget, gap_tol, (pose.ravel(), value))
+        bound = MatchBound(problem, value, tolerance)
+        found = bound.search(budget, (pose.ravel(), value))
         pose, status = found.theta.reshape(3, 4), found.status
         lower, events = found.lower_bound, found.events
         stages.append(Stage.of("rotation", found))
@@ -85,12 +83,13 @@ def _solved(
     threshold = problem.inlier_threshold
     others = [evidence for evidence, other in starts if not is_near(other, pose, threshold)]
     objective = float(problem.residuals(pose)[chosen].sum())
-    is_open = certify and status is not Status.OPTIMAL
+    is_open = certify and status not in (Status.OPTIMAL, Status.CONVERGED)
     T = problem.pose(pose)
     return Result(
         status=status, model="rigid3d", mode=MODE, bound=BOUND, T_target_source=T, T_certified=T,
         assignment=problem.pairs[chosen], n_inliers=len(chosen),
-        lower_bound=lower, upper_bound=value, gap_tol=gap_tol,
+        lower_bound=lower, upper_bound=value, gap_tol=tolerance.allowed(value),
+        is_exact=certify and tolerance.is_exact(value),
         certificate_scope=SCOPE, objective=objective, objective_certified=objective,
         n_nodes=sum(stage.n_nodes for stage in stages),
         n_assignments=sum(stage.n_assignments for stage in stages),

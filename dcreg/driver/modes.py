@@ -22,7 +22,6 @@ from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.names import AUTO, DEFAULT_BOUND, mode_names
 from dcreg.problem import InputError, Problem, suggestion
-from dcreg.problem.geometry import TOLERATED_NORM_RESIDUAL, TOLERATED_RESIDUAL
 from dcreg.search import Bound, Budget, Outcome, minimise
 from dcreg.status import Status
 
@@ -79,11 +78,6 @@ class Mode:
     in_norm_space: bool = False
     certifies: str = ""
     stage: str = "search"
-
-    @property
-    def tolerated(self) -> float:
-        """RMS residual per pair that the default tolerance allows, in RMS radii of the target."""
-        return TOLERATED_NORM_RESIDUAL if self.in_norm_space else TOLERATED_RESIDUAL
 
     @property
     def search_share(self) -> float:
@@ -144,7 +138,7 @@ class Mode:
         searching = budget if self.rotation is None else budget.sub_budget(self.search_share)
         found = minimise(
             space, bound, searching,
-            gap_tol=problem.gap_tol, stage=self.stage, keep_leaves=problem.keep_leaves,
+            tolerance=problem.tolerance, stage=self.stage, keep_leaves=problem.keep_leaves,
         )  # fmt: skip
         solution = Solution(
             np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,
@@ -170,8 +164,9 @@ class Mode:
         found = self.rotation(problem, problem.source + theta, budget)
         solution.add("rotation", found)
         solution.T = shifted_rotation(Rotation3D.matrix(found.theta), theta)
-        if solution.status is Status.OPTIMAL:  # no stage proves more than the weakest one
-            solution.status = found.status
+        finished = (Status.OPTIMAL, Status.CONVERGED)
+        if solution.status in finished and found.status is not Status.OPTIMAL:
+            solution.status = found.status  # no stage proves more than the weakest one
 
 
 def shifted_rotation(rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
@@ -187,12 +182,12 @@ def search_rotation(problem: NormalisedProblem, shifted: np.ndarray, budget: Bud
     if problem.candidates is None and large:
         return search_sampled_rotation(
             shifted, problem.target, problem.n_inliers,
-            gap_tol=problem.rotation_gap_tol, budget=budget,
+            tolerance=problem.tolerance, budget=budget,
         )  # fmt: skip
     space = Rotation3D(shifted, problem.target, problem.n_inliers, problem.candidates, budget.stop)
     return minimise(
         space, RotationBound(space, threads=problem.threads), budget.named("start of rotation"),
-        gap_tol=problem.rotation_gap_tol, stage="rotation",
+        tolerance=problem.tolerance, stage="rotation",
     )  # fmt: skip
 
 

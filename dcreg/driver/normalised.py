@@ -8,7 +8,7 @@ import numpy as np
 
 from dcreg.problem.geometry import Frame
 from dcreg.result import Stage
-from dcreg.search import Box, Budget, Event, Outcome
+from dcreg.search import Box, Budget, Event, Outcome, Tolerance
 from dcreg.status import Status
 
 
@@ -29,9 +29,8 @@ class NormalisedProblem:
         Name of the bounding function.
     stationary_box : bool
         Start from the translations that an optimum can have, or from the box of the radii.
-    gap_tol : float
-    rotation_gap_tol : float
-        Gap for rotation searches. Their residuals are larger than those of norms.
+    tolerance : Tolerance
+        Of all stages.
     threads : int
     budget : Budget
     keep_leaves : bool
@@ -46,8 +45,7 @@ class NormalisedProblem:
     frame: Frame
     bound: str
     stationary_box: bool
-    gap_tol: float
-    rotation_gap_tol: float
+    tolerance: Tolerance
     threads: int
     budget: Budget
     keep_leaves: bool = False

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dcreg.names import START_BOXES
-from dcreg.problem.geometry import gap_tol_of
+from dcreg.names import DEFAULT_REL_GAP, START_BOXES
+from dcreg.problem.geometry import EXACT
 from dcreg.problem.problem import InputError, suggestion
-from dcreg.search import Budget, Listener
+from dcreg.search import Budget, Listener, Tolerance
 
 MAX_THREADS = 1024
 SMALLEST = np.nextafter(0.0, 1.0)  # positive number
@@ -110,18 +110,20 @@ class SolveOptions:
 
 @dataclass(frozen=True)
 class Limits:
-    """Tolerance on the gap, and limits of a solve; None: default tolerance, no limit.
+    """Tolerances on the gap, and limits of a solve; None: default tolerance, no limit.
 
     Attributes
     ----------
-    gap_tol, tol : float, optional
+    rel_gap : float
+    abs_gap, tol : float, optional
         See `dcreg.register`.
     time_s : float, optional
     nodes : int, optional
     memory_mb : float, optional
     """
 
-    gap_tol: float | None = None
+    rel_gap: float = DEFAULT_REL_GAP
+    abs_gap: float | None = None
     tol: float | None = None
     time_s: float | None = None
     nodes: int | None = None
@@ -134,11 +136,45 @@ class Limits:
         ------
         InputError
         """
-        check_positive("gap_tol", gap_tol_of(self.tol, self.gap_tol, n_inliers), minimum=0.0)
+        check_positive("rel_gap", self.rel_gap, minimum=0.0, optional=False)
+        if self.rel_gap >= 1.0:
+            raise InputError(
+                f"rel_gap: {self.rel_gap} is not below 1; give a share of the upper bound, such as 0.01"
+            )
+        check_positive("abs_gap", self._abs_gap(n_inliers), minimum=0.0)
         if self.time_s != np.inf:
             check_positive("time_limit", self.time_s)
         check_positive("node_limit", self.nodes, such_as=10_000)
         check_positive("memory_limit_mb", self.memory_mb)
+
+    def tolerance(self, n_inliers: int, rounding: float) -> Tolerance:
+        """Return the tolerance of a search.
+
+        Parameters
+        ----------
+        n_inliers : int
+        rounding : float
+            Rounding error of the objective: the default of `abs_gap`, and its minimum.
+        """
+        abs_gap = max(self._abs_gap(n_inliers) or 0.0, rounding)
+        return Tolerance(self.rel_gap, abs_gap, EXACT * rounding)
+
+    def _abs_gap(self, n_inliers: int) -> float | None:
+        """Return the absolute tolerance, which may be given as a length per pair."""
+        tol = self.tol
+        if tol is None:
+            return self.abs_gap
+        if self.abs_gap is not None:
+            raise InputError(
+                f"tol: {tol}, and abs_gap: {self.abs_gap} as well; give one of them "
+                "(abs_gap = K * tol^2)"
+            )
+        is_number = isinstance(tol, int | float | np.number) and not isinstance(tol, bool)
+        if not (is_number and tol >= 0 and np.isfinite(n_inliers * tol * tol)):
+            raise InputError(
+                f"tol: {tol!r} is not a usable value; give a length in units of the target, such as 0.01"
+            )
+        return float(n_inliers * tol * tol)
 
     def budget(self, options: SolveOptions, listener: Listener | None) -> Budget:
         """Start the clock."""

@@ -20,10 +20,9 @@ from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.warm_up import special, warm_up_mode
 from dcreg.names import AUTO, START_BOXES
 from dcreg.problem import Problem
-from dcreg.problem.geometry import EXACT, Frame, default_gap_tol, gap_tol_of
+from dcreg.problem.geometry import Frame, rounding_error
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, Listener, Trace
-from dcreg.status import Status
 
 _LOGGER = logging.getLogger("dcreg")
 
@@ -125,15 +124,11 @@ class Setup:
         """Return the problem that is searched for ``problems[at]``."""
         problem, mode, options, frame = self.searched[at], self.mode, self.options, self.frame
         source, target, k = problem.source, problem.target, problem.n_inliers
-        gap_tol = rotation_gap_tol = gap_tol_of(self.limits.tol, self.limits.gap_tol, k)
-        if gap_tol is None or rotation_gap_tol is None:
-            gap_tol = default_gap_tol(source, target, k, mode.tolerated)
-            rotation_gap_tol = default_gap_tol(source, target, k)
+        tolerance = self.limits.tolerance(k, rounding_error(source, target, k))
         return NormalisedProblem(
             frame.source(source), frame.target(target), k, problem.scale_range, problem.candidates,
             frame, options.bound or mode.own_bound, options.start_box == START_BOXES[0],
-            gap_tol / frame.area, rotation_gap_tol / frame.area, options.threads, budget,
-            options.certificate,
+            tolerance.scaled(1.0 / frame.area), options.threads, budget, options.certificate,
         )  # fmt: skip
 
 
@@ -176,7 +171,7 @@ class Finish:
         problem, mode = self.setup.searched[self.at], self.setup.mode
         normalised, frame = self.normalised, self.normalised.frame
         certificate = self._certificate(solution)
-        solution = solution.to_input(frame)
+        solution, tolerance = solution.to_input(frame), normalised.tolerance.scaled(frame.area)
         before, greedy = self._matched(solution.T)
         # no descent may have ended; norms differ by no more than the points do
         upper_bound = before[0] if np.isinf(solution.upper_bound) else solution.upper_bound
@@ -194,10 +189,11 @@ class Finish:
             stages.append(Stage("pairs", 0.0, greedy_assignment=True))
         reached = final if mode.in_norm_space else min(final, upper_bound)
         return Result(
-            status=self._status(solution, upper_bound), model=problem.model, mode=mode.name,
+            status=solution.status, model=problem.model, mode=mode.name,
             bound=normalised.bound, T_target_source=T, T_certified=solution.T, assignment=pairs,
             n_inliers=problem.n_inliers, lower_bound=solution.lower_bound, upper_bound=upper_bound,
-            gap_tol=normalised.gap_tol * frame.area, certificate_scope=solution.scope,
+            gap_tol=tolerance.allowed(upper_bound), is_exact=tolerance.is_exact(upper_bound),
+            certificate_scope=solution.scope,
             objective=final, objective_certified=before[0],
             n_nodes=sum(stage.n_nodes for stage in solution.stages),
             n_assignments=sum(stage.n_assignments for stage in solution.stages),
@@ -225,25 +221,13 @@ class Finish:
         )
         return (value, T, pairs), greedy
 
-    def _status(self, solution: Solution, upper_bound: float) -> Status:
-        """Return `optimal` only if the bounds say more than that squares are not negative.
-
-        Norms can agree where points do not: in norm space an upper bound within the tolerance says
-        nothing about the pose, unless the norms agree exactly.
-        """
-        trivial = self.setup.mode.in_norm_space and solution.lower_bound <= 0.0
-        rounding = EXACT * self.normalised.n_inliers * self.normalised.frame.area
-        if solution.status is Status.OPTIMAL and trivial and upper_bound > rounding:
-            return Status.CONVERGED
-        return solution.status
-
     def _certificate(self, solution: Solution) -> Certificate | None:
         if not self.normalised.keep_leaves or solution.certified is None:
             return None
         root, found = solution.certified
         problem, mode, normalised = self.setup.searched[self.at], self.setup.mode, self.normalised
         return record(
-            found, root, problem, normalised.frame, normalised.gap_tol,
+            found, root, problem, normalised.frame, normalised.tolerance.allowed(found.upper_bound),
             model=mode.certifies, mode=mode.name, bound=normalised.bound,
         )  # fmt: skip
 

@@ -8,7 +8,7 @@ matching of k pairs. Hence
 
 A lower bound for k, multiplied by k' / k, is thus a lower bound for k' (*transfer*). A search for k that
 ends slightly below its own tolerance often proves a whole run of larger cardinalities. With their upper
-bounds U and tolerances eps it suffices that
+bounds U and the gaps eps that they allow it suffices that
 
     lower_bound_k >= (k / k') (U_k' - eps_k')   for every k' of the run.
 
@@ -39,7 +39,7 @@ from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Finish, Setup
 from dcreg.problem import InputError, Problem
 from dcreg.result import Result, Stage
-from dcreg.search import Budget, Event, Interrupted, minimise
+from dcreg.search import Budget, Event, Interrupted, Tolerance, minimise
 from dcreg.status import Status
 from dcreg.sweep_result import SweepResult
 
@@ -101,12 +101,13 @@ class Level:
         return self.normalised.n_inliers
 
     @property
-    def gap_tol(self) -> float:
-        return self.normalised.gap_tol
+    def tolerance(self) -> Tolerance:
+        return self.normalised.tolerance
 
     @property
-    def closed(self) -> bool:
-        return self.lower_bound >= self.upper_bound - self.gap_tol
+    def status(self) -> Status | None:
+        """The status if the gap is closed, else None."""
+        return self.tolerance.status(self.lower_bound, self.upper_bound)
 
     def take(self, theta: np.ndarray, value: float, spent: int = 0) -> None:
         """Keep the pose if it is better than the present one."""
@@ -122,7 +123,7 @@ class Level:
 
     def solution(self) -> Solution:
         """Return all that is known except the pose."""
-        status = Status.OPTIMAL if self.closed else self.stopped_by or Status.STOPPED
+        status = self.status or self.stopped_by or Status.STOPPED
         local = Stage("local searches", self.descending_s, n_assignments=self.n_descending)
         return Solution(
             np.empty(0), status, self.lower_bound, self.upper_bound, self.space.scope,
@@ -162,7 +163,7 @@ class _Sweep:
             began = self.budget.elapsed()
             own = starting.sub_budget(1.0 / (len(self.levels) - at))
             named = own.named(f"start of k={level.name}")
-            level.take(*level.space.start(named, level.gap_tol))
+            level.take(*level.space.start(named, level.tolerance.enough))
             level.descending_s += self.budget.elapsed() - began
         self._exchange()
 
@@ -195,32 +196,33 @@ class _Sweep:
         for at, level in enumerate(self.levels):
             if at:
                 level.inherit(self.levels[at - 1])
-            if level.closed:
+            if level.status is not None:
                 continue
             if self.searching.is_over:
                 level.stopped_by = self.searching.ended_by
                 continue
-            run, gap_tol = self._run(at)
-            n_open = sum(not other.closed for other in self.levels[at:])
-            self._search(level, gap_tol, self.searching.sub_budget(run / n_open))
+            run, tolerance = self._run(at)
+            n_open = sum(other.status is None for other in self.levels[at:])
+            self._search(level, tolerance, self.searching.sub_budget(run / n_open))
 
-    def _run(self, at: int) -> tuple[int, float]:
-        """Return how many levels from `at` on one search can prove, and the gap it needs."""
+    def _run(self, at: int) -> tuple[int, Tolerance]:
+        """Return how many levels from `at` on one search can prove, and the tolerance it needs."""
         level = self.levels[at]
-        count, gap_tol = 1, level.gap_tol
+        own = level.tolerance.allowed(level.upper_bound)
+        count, gap = 1, own
         for other in self.levels[at + 1 :]:
-            needed = level.k / other.k * (other.upper_bound - other.gap_tol)
+            needed = level.k / other.k * other.tolerance.cutoff(other.upper_bound)
             # rounding of the division must not prevent the transfer from closing the gap
-            wanted = min(gap_tol, (level.upper_bound - needed) * (1.0 - 1e-6))
-            if wanted < TIGHTEST_SHARE * level.gap_tol:
+            wanted = min(gap, (level.upper_bound - needed) * (1.0 - 1e-6))
+            if wanted < TIGHTEST_SHARE * own:
                 break
-            count, gap_tol = count + 1, wanted
-        return count, gap_tol
+            count, gap = count + 1, wanted
+        return count, level.tolerance.tightened(gap / own)
 
-    def _search(self, level: Level, gap_tol: float, budget: Budget) -> None:
+    def _search(self, level: Level, tolerance: Tolerance, budget: Budget) -> None:
         found = minimise(
             level.space, self.mode.bound(level.normalised, level.space), budget,
-            gap_tol=gap_tol, start=(level.theta, level.upper_bound), stage=f"k={level.name}",
+            tolerance=tolerance, start=(level.theta, level.upper_bound), stage=f"k={level.name}",
         )  # fmt: skip
         better = found.upper_bound < level.upper_bound
         level.take(found.theta, found.upper_bound)
@@ -228,7 +230,7 @@ class _Sweep:
             level.lower_bound, level.proven_by = found.lower_bound, level.name
         level.stopped_by = found.status
         level.events = found.events
-        level.searches.append(Stage.of("search", found, gap_tol))
+        level.searches.append(Stage.of("search", found, tolerance.allowed(found.upper_bound)))
         if better:
             self._exchange()
 
@@ -261,7 +263,7 @@ class _Sweep:
             self.mode.recover_pose(level.normalised, level.space, level.theta, budget, solution)
         else:
             solution.T = shifted_rotation(self.rotation, level.theta)
-            if solution.status is Status.OPTIMAL:
+            if solution.status in (Status.OPTIMAL, Status.CONVERGED):
                 solution.status = budget.ended_by
         if self.mode.rotation is not None:
             self.rotation = solution.T[:3, :3]

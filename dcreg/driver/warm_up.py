@@ -27,7 +27,7 @@ from dcreg.jit import forget_old_kernels, when_compiling
 from dcreg.names import BOUND_NAMES
 from dcreg.problem import Problem
 from dcreg.problem.geometry import Frame
-from dcreg.search import Boxes, Budget
+from dcreg.search import Boxes, Budget, Tolerance
 
 _LOGGER = logging.getLogger("dcreg")
 _MESSAGE = (
@@ -112,7 +112,7 @@ def warm_up_mode(
         mode.run(
             NormalisedProblem(
                 points, moved, 6, scale_range, candidates, Frame(np.zeros(dim), np.zeros(dim), 1.0),
-                bound or mode.own_bound, stationary_box=False, gap_tol=0.0, rotation_gap_tol=0.5,
+                bound or mode.own_bound, stationary_box=False, tolerance=Tolerance(),
                 threads=1, budget=Budget(nodes=8),
             )
         )  # fmt: skip
@@ -127,7 +127,7 @@ def warm_up_mode(
         if large:
             sparse_matching(points, moved, 6)
             if dim == 3:
-                search_sampled_rotation(points, moved, 6, gap_tol=0.0, budget=Budget())
+                search_sampled_rotation(points, moved, 6, tolerance=Tolerance(), budget=Budget())
 
 
 @functools.cache
@@ -140,8 +140,8 @@ def warm_up_matches() -> None:
         promising_poses(problem, Budget())
         surface_consistent_poses(problem, Budget())
         worst = problem.inlier_threshold**2 * problem.max_cardinality
-        bound = MatchBound(problem, worst, 0.0)
-        bound.search(Budget(nodes=8), 0.0, (np.eye(3, 4).ravel(), worst))
+        bound = MatchBound(problem, worst, Tolerance())
+        bound.search(Budget(nodes=8), (np.eye(3, 4).ravel(), worst))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dcreg.problem.problem import InputError, Problem
+from dcreg.problem.problem import Problem
 
 
 def scale_of(pose: np.ndarray) -> float:
@@ -169,10 +169,8 @@ def representative_points(points: np.ndarray, count: int) -> np.ndarray:
     return kept[farthest_points(points[kept], count)]
 
 
-TOLERATED_RESIDUAL = 0.03  # RMS residual per pair, in RMS radii of the target
-# The same of norms, which fit far better than points: as much as little noise leaves.
-TOLERATED_NORM_RESIDUAL = 0.003
-EXACT = 1e-9  # a squared residual this small, in squared RMS radii, is rounding
+_ROUNDING = 1e-14  # rounding error of a squared residual, in squared RMS radii of the target
+EXACT = 100.0  # a fit is exact if its objective is at most this many rounding errors
 
 
 def rms_radius(points: np.ndarray) -> float:
@@ -189,62 +187,15 @@ def unit_length(source: np.ndarray, target: np.ndarray) -> float:
     return rms_radius(target) or rms_radius(source)
 
 
-def default_gap_tol(
-    source: np.ndarray, target: np.ndarray, n_inliers: int, factor: float = TOLERATED_RESIDUAL
-) -> float:
-    """Return the default absolute tolerance on the gap of the objective.
+def rounding_error(source: np.ndarray, target: np.ndarray, n_inliers: int) -> float:
+    """Return the rounding error of the objective of `n_inliers` pairs, an upper estimate.
 
-    ``n_inliers * (factor * r)^2``, where r is the RMS radius of the target, or of the source where
-    the target has no extent.
-
-    Parameters
-    ----------
-    source, target : (n, d), (m, d) arrays
-    n_inliers : int
-    factor : float
-        Tolerated RMS residual per pair, in units of r.
-
-    Returns
-    -------
-    float
-        In squared units of the target.
+    Of each pair: the square of 1e-7 RMS radii of the target, plus that of a few last bits of the
+    coordinates.
     """
-    return float(n_inliers * (factor * unit_length(source, target)) ** 2)
-
-
-def gap_tol_of(tol: float | None, gap_tol: float | None, n_inliers: int) -> float | None:
-    """Return the absolute tolerance on the gap, which may be given as a length per pair.
-
-    Parameters
-    ----------
-    tol : float, optional
-        Tolerated RMS residual per pair, in units of the target.
-    gap_tol : float, optional
-        The tolerance itself.
-    n_inliers : int
-
-    Returns
-    -------
-    float or None
-        ``n_inliers * tol^2`` or `gap_tol`; None if neither is given.
-
-    Raises
-    ------
-    InputError
-        If both are given, or `tol` is not a finite length.
-    """
-    if tol is None:
-        return gap_tol
-    if gap_tol is not None:
-        raise InputError(
-            f"tol: {tol}, and gap_tol: {gap_tol} as well; give one of them (gap_tol = K * tol^2)"
-        )
-    is_number = isinstance(tol, int | float | np.number) and not isinstance(tol, bool)
-    if not (is_number and tol >= 0 and math.isfinite(n_inliers * tol * tol)):
-        raise InputError(
-            f"tol: {tol!r} is not a usable value; give a length in units of the target, such as 0.01"
-        )
-    return float(n_inliers * tol * tol)
+    unit = unit_length(source, target) or 1.0
+    last_bits = 16.0 * np.finfo(float).eps * max(np.abs(source).max(), np.abs(target).max())
+    return float(n_inliers * (_ROUNDING * unit**2 + last_bits**2))
 
 
 def fit_pose(

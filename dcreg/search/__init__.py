@@ -3,6 +3,7 @@
 from dcreg.search.boxes import Bound, Box, Boxes, Evaluation, Leaves, LongestEdge
 from dcreg.search.branch_and_bound import Outcome, branch_and_bound, minimise
 from dcreg.search.budget import Budget, Event, Interrupted, Listener, Trace
+from dcreg.search.tolerance import Tolerance, proven_share
 
 __all__ = [
     "Bound",
@@ -16,7 +17,9 @@ __all__ = [
     "Listener",
     "LongestEdge",
     "Outcome",
+    "Tolerance",
     "Trace",
     "branch_and_bound",
     "minimise",
+    "proven_share",
 ]

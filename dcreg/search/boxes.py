@@ -231,8 +231,9 @@ class OpenNodes:
 class Leaves:
     """The undivided boxes at the end of a search, a partition of the roots.
 
-    An infinite bound means that the box contains no admissible parameter. Other boxes were pruned, with a
-    bound of at least upper_bound - gap_tol, unless ``is_open``: then a limit ended the search first.
+    An infinite bound means that the box contains no admissible parameter. Other boxes were pruned,
+    with a bound within the tolerance of the upper bound, unless ``is_open``: then a limit ended the
+    search first.
     """
 
     def __init__(self) -> None:

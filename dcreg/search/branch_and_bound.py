@@ -2,7 +2,7 @@
 
 A bound maps boxes to lower bounds and offers candidate parameters with their objective. Each round
 divides the best open boxes, bounds the children and prunes those that cannot improve the incumbent by
-more than ``gap_tol``. The problem fixes the size of a round, and its boxes are independent. The result
+more than the tolerance. The problem fixes the size of a round, and its boxes are independent. The result
 therefore does not depend on the number of threads.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Evaluation, Leaves, LongestEdge, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted
+from dcreg.search.tolerance import Tolerance
 from dcreg.status import Status
 
 
@@ -53,6 +54,7 @@ class Outcome:
 # this factor for every round since. Local searches are frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
 
+_GRID = 1e-6  # step of rounded values, as a share of the gap allowed
 MIN_ROUND = 16  # minimum number of boxes divided in a round, if the bound allows it
 
 
@@ -75,13 +77,13 @@ def branch_and_bound(
     budget: Budget,
     *,
     branching: Branching,
-    gap_tol: float,
+    tolerance: Tolerance,
     refine: Refine | None = None,
     start: Sequence[Any] | None = None,
     stage: str = "search",
     keep_leaves: bool = False,
 ) -> Outcome:
-    """Minimise a function over boxes to within `gap_tol`, by Algorithm 1 of DC-Reg.
+    """Minimise a function over boxes to within a tolerance, by Algorithm 1 of DC-Reg.
 
     Parameters
     ----------
@@ -93,8 +95,8 @@ def branch_and_bound(
         Its listener receives an event for every round; the search ends when the budget is spent.
     branching : callable
         From boxes to their children, which inherit bounds and warm starts.
-    gap_tol : float
-        Stop when ``upper_bound - lower_bound <= gap_tol`` (the paper's epsilon).
+    tolerance : Tolerance
+        The gap at which to stop; ``Tolerance(abs=epsilon)`` is the paper's epsilon.
     refine : callable, optional
         Local search from the best candidate of a round.
     start : Start or (theta, value), optional
@@ -111,7 +113,7 @@ def branch_and_bound(
     """
     began = budget.elapsed()
     first = Start(bound.roots[0].centre) if start is None else Start(*start)
-    search = _Search(bound, budget, gap_tol, stage, Leaves() if keep_leaves else None, first)
+    search = _Search(bound, budget, tolerance, stage, Leaves() if keep_leaves else None, first)
     boxes = Boxes.of(bound.roots)  # sums of squares have the bound 0
     while search.status is None:
         try:
@@ -133,7 +135,7 @@ class _Search:
 
     bound: Bound
     budget: Budget
-    gap_tol: float
+    tolerance: Tolerance
     stage: str
     leaves: Leaves | None
     start: Start
@@ -152,7 +154,7 @@ class _Search:
     @property
     def cutoff(self) -> float:
         """Boxes with this bound or more cannot improve the incumbent by more than the tolerance."""
-        return self.upper_bound - self.gap_tol
+        return self.tolerance.cutoff(self.upper_bound)
 
     @property
     def lower_bound(self) -> float:
@@ -164,7 +166,7 @@ class _Search:
 
     def update_incumbent(self, found: Evaluation, refine: Refine | None) -> None:
         """Update the incumbent by the best candidate of the round and a local search from it."""
-        best = int(np.argmin(_settled(found.values, self.gap_tol)))
+        best = int(np.argmin(self._settled(found.values)))
         value = float(found.values[best])
         self._take(found.thetas[best], value)
         self.is_over = self.budget.is_over
@@ -185,7 +187,7 @@ class _Search:
 
     def prune(self, boxes: Boxes, found: Evaluation) -> None:
         """Keep the boxes that may contain a better parameter; no bound is below that of the parent."""
-        bounds = np.maximum(_settled(found.lower_bounds, self.gap_tol), boxes.bounds)
+        bounds = np.maximum(self._settled(found.lower_bounds), boxes.bounds)
         boxes = Boxes(boxes.lower, boxes.upper, bounds, found.warm_start)
         self.n_nodes += len(bounds)
         keep = bounds < self.cutoff
@@ -204,11 +206,10 @@ class _Search:
     def terminate(self) -> None:
         """Set the status if the search is over, and report the round."""
         budget = self.budget
-        if self.lower_bound >= self.cutoff:
-            self.status = Status.OPTIMAL
-        elif self.is_over:
+        self.status = self.tolerance.status(self.lower_bound, self.upper_bound)
+        if self.status is None and self.is_over:
             self.status = budget.ended_by
-        else:
+        elif self.status is None:
             self.status = budget.spent(
                 self.n_nodes, self.n_assignments + self.start.n_assignments, self.nodes.nbytes
             )
@@ -225,7 +226,7 @@ class _Search:
     def outcome(self, time_s: float) -> Outcome:
         lower_bound = self.lower_bound
         if self.leaves is not None and len(self.nodes):
-            is_open = self.status is not Status.OPTIMAL
+            is_open = lower_bound < self.cutoff
             self.leaves.add(self.nodes.pop(len(self.nodes), np.inf), is_open)
         assert self.status is not None
         spent = self.n_assignments + self.start.n_assignments
@@ -233,6 +234,15 @@ class _Search:
             self.status, self.theta, lower_bound, self.upper_bound, self.n_nodes, spent, time_s,
             self.events, self.leaves,
         )  # fmt: skip
+
+    def _settled(self, values: np.ndarray) -> np.ndarray:
+        """Return the values rounded down to a grid much finer than the gap allowed at present.
+
+        Boxes that share a vertex often have equal bounds up to rounding. On the grid they are equal. So
+        the order of the search, and with it every counter, does not depend on the last bits.
+        """
+        step = _GRID * self.tolerance.allowed(self.upper_bound)
+        return step * (np.round(values / step) - 1.0) if step > 0.0 else values
 
     def _report(self, kind: str) -> None:
         event = Event(
@@ -245,16 +255,6 @@ class _Search:
         else:
             self.events.append(event)
         self.budget.report(event)
-
-
-def _settled(values: np.ndarray, gap_tol: float) -> np.ndarray:
-    """Return the values rounded down to a grid much finer than the tolerance.
-
-    Boxes that share a vertex often have equal bounds up to rounding. On the grid they are equal. So the
-    order of the search, and with it every counter, does not depend on the last bits.
-    """
-    step = 1e-6 * gap_tol
-    return step * (np.round(values / step) - 1.0) if step > 0.0 else values
 
 
 def _same_bounds(a: Event, b: Event) -> bool:
@@ -280,11 +280,11 @@ def minimise(
     bound: Bound,
     budget: Budget,
     *,
-    gap_tol: float,
+    tolerance: Tolerance,
     start: Sequence[Any] | None = None,
     **settings: Any,
 ) -> Outcome:
-    """Minimise the objective of a space over the roots of `bound`, to within `gap_tol`.
+    """Minimise the objective of a space over the roots of `bound`, to within a tolerance.
 
     Parameters
     ----------
@@ -292,8 +292,8 @@ def minimise(
         Provides the first incumbent, the local searches, and the weights for dividing boxes.
     bound : Bound
     budget : Budget
-    gap_tol : float
-        Absolute, in the units of the objective.
+    tolerance : Tolerance
+        In the units of the objective.
     start : (theta, value), optional
         A known parameter and its objective; default: the result of ``space.start``.
     **settings
@@ -305,14 +305,14 @@ def minimise(
     """
     if start is None:
         began = budget.elapsed()
-        start = space.start(budget, gap_tol)
+        start = space.start(budget, tolerance.enough)
         start = Start(*start, budget.elapsed() - began)
     branching = LongestEdge(space.axis_weights)
     return branch_and_bound(
         bound,
         budget,
         branching=branching,
-        gap_tol=gap_tol,
+        tolerance=tolerance,
         refine=space.refine,
         start=start,
         **settings,

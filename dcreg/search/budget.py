@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 
 from dcreg.files import as_json, write_text
+from dcreg.search.tolerance import proven_share
 from dcreg.status import Status
 
 
@@ -48,6 +49,11 @@ class Event:
     def gap(self) -> float:
         """Absolute gap ``upper_bound - lower_bound``, never negative."""
         return max(0.0, self.upper_bound - self.lower_bound)
+
+    @property
+    def bound_ratio(self) -> float:
+        """Lower bound divided by upper bound."""
+        return proven_share(self.lower_bound, self.upper_bound)
 
     def scaled(self, factor: float) -> Event:
         """Return the same event with its bounds in other units."""

@@ -149,6 +149,7 @@ def _outcome(part: pd.DataFrame) -> dict[str, Any]:
         "runs": len(part),
         "success": float(part["success"].astype(float).mean()),
         "certified": float(part["status"].eq("optimal").mean()) if bounding else None,
+        "bound_ratio": float(part["bound_ratio"].median()) if bounding else None,
         "scopes": ", ".join(filter(None, part["certificate_scope"].unique())),
         "excess": float(part["rmse_excess"].fillna(np.inf).median()),
         "floor": float(part["rmse_floor"].median()),

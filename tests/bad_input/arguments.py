@@ -9,10 +9,16 @@ from tests.bad_input.case import Case, register, sweep
 Call = Callable[..., list[str]]
 
 NUMBERS = {  # options that both commands have: value, what the message shows, remedy
-    "gap_tol": {
-        "-1": ("--gap-tol: -1.0", "give a positive number"),
-        "nan": ("--gap-tol: nan", "give a positive number"),
-        "inf": ("--gap-tol: inf", "give a positive number"),
+    "rel_gap": {
+        "-1": ("--rel-gap: -1.0", "give a positive number"),
+        "nan": ("--rel-gap: nan", "give a positive number"),
+        "1": ("--rel-gap: 1.0 is not below 1", "give a share of the upper bound"),
+        "1%": ("'1%' is not a number", "give one such as"),
+    },
+    "abs_gap": {
+        "-1": ("--abs-gap: -1.0", "give a positive number"),
+        "nan": ("--abs-gap: nan", "give a positive number"),
+        "inf": ("--abs-gap: inf", "give a positive number"),
         "small": ("'small' is not a number", "give one such as"),
         "1,5": ("'1,5' is not a number", "give one such as"),
     },
@@ -150,8 +156,8 @@ def _arguments() -> Iterator[Case]:
     yield from _numbers("sweep", sweep)
     for text, words in RANGES.items():
         yield Case("arguments", f"sweep n_inliers {text}", sweep(n_inliers=text), words)
-    both = register("--tol", "0.1", "--gap-tol", "0.1")
-    yield Case("arguments", "two tolerances", both, ["--tol: 0.1", "gap_tol: 0.1", "give one"])
+    both = register("--tol", "0.1", "--abs-gap", "0.1")
+    yield Case("arguments", "two tolerances", both, ["--tol: 0.1", "abs_gap: 0.1", "give one"])
     for name, (options, *words) in IN_3D.items():
         yield Case("arguments", f"3D {name}", register(*options, dim=3), words)
     for name, (run, *words) in USAGE.items():

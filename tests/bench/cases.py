@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 import dcreg
+from baselines._shared.tolerance import absolute_tolerance
 from data.contract import RawInstance
 from data.registry import dataset
-from dcreg.problem import default_gap_tol, rms_radius
+from dcreg.problem import rms_radius
 from dcreg.result import Result
 from tests.problems import keywords
 from workflows.disturb import make_instance
@@ -43,7 +44,7 @@ class Subject:
     n_inliers_ratio : float
         Pairs asked for, as a share of the true ones.
     tau : float
-        Makes the tolerance, as in `dcreg.problem.default_gap_tol`, whose default it has.
+        Makes the tolerance: RMS residual per pair, in RMS radii of the target.
     """
 
     dataset: str
@@ -84,7 +85,8 @@ class Subject:
             "source": raw.source.round(6),
             "target": target,
             "n_inliers": n_inliers,
-            "gap_tol": default_gap_tol(raw.source, target, n_inliers, self.tau),
+            "rel_gap": 0.0,
+            "abs_gap": absolute_tolerance(target, n_inliers, self.tau),
             "model": "similarity2d" if two_d else "rigid3d",
         } | ({"scale_range": raw.scale_range} if two_d else {})
 
@@ -116,7 +118,8 @@ def _golden(name: str) -> dict[str, Any]:
             "target": target,
             "n_inliers": n_inliers,
             "model": "rigid3d",
-            "gap_tol": float(stored["mse_threshold"]) * n_inliers,
+            "rel_gap": 0.0,
+            "abs_gap": float(stored["mse_threshold"]) * n_inliers,
         }
 
 

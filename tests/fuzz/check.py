@@ -42,6 +42,8 @@ def check(problem: FuzzProblem, result: Result) -> Verdict:
             )
         if result.upper_bound - result.lower_bound > result.gap_tol + slack:
             faults.append("optimal claimed with an open gap")
+        if result.lower_bound <= 0.0 and not result.is_exact:
+            faults.append("optimal claimed with a lower bound of 0")
     attained = certified_value(problem, result.T_certified)
     if abs(attained - result.upper_bound) > slack:
         faults.append(f"upper bound {result.upper_bound:.9g}, but its pose has {attained:.9g}")

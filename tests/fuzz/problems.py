@@ -69,6 +69,8 @@ def problem(number: int, family: str | None = None) -> FuzzProblem:
     source, target = _clouds(rng, kind, n, m, dim)
     n_inliers = int(rng.integers(1, min(n, m) + 1))
     settings = _settings(rng, family, target, n_inliers)
+    if number % 3 == 0:  # the default tolerances
+        del settings["rel_gap"], settings["abs_gap"]
     allowed = np.ones((n, m), dtype=bool)
     if rng.random() < 0.15:
         allowed = rng.random((n, m)) < 0.6
@@ -85,7 +87,8 @@ def _settings(
     settings = {
         "model": "similarity2d" if family == "similarity2d" else "rigid3d",
         "mode": MODES[family],
-        "gap_tol": n_inliers * (tau * (extent or 1.0)) ** 2,
+        "rel_gap": 0.0,
+        "abs_gap": n_inliers * (tau * (extent or 1.0)) ** 2,
         "start_box": str(rng.choice(["stationary", "radius"])),
         "polish": bool(rng.random() < 0.2),
         "node_limit": NODE_LIMIT,

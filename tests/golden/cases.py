@@ -76,14 +76,15 @@ class Case:
             method = registry.load("rpm_htb", search="ours", bound=self.bound, polish=self.polish)
             problem = Problem(source, target, self.n_inliers, self.model, self.scale_range)
             limits = Limits(60.0, self.node_limit, threads=threads)
-            return method.result(problem, self.gap_tol, limits)
+            return method.result(problem, limits, 0.0, self.gap_tol)
         return dcreg.register(
             source,
             target,
             n_inliers=self.n_inliers,
             model=self.model,
             scale_range=self.scale_range,
-            gap_tol=self.gap_tol,
+            rel_gap=0.0,
+            abs_gap=self.gap_tol,
             node_limit=self.node_limit,
             options=dcreg.SolveOptions(
                 mode="paper",

@@ -86,8 +86,8 @@ def test_the_optimum_over_feasible_pairs_is_found(seed):
     optimum = cheapest_fit(
         x, y, k, lambda a, b: apply_pose(fit_pose(a, b, (0.5, 1.5)), a), allowed=mask
     )
-    found = dcreg.register(x, y, n_inliers=k, model="similarity2d", candidates=mask, gap_tol=0.05)
-    assert is_certified(found, optimum, 0.05)
+    found = dcreg.register(x, y, n_inliers=k, model="similarity2d", candidates=mask)
+    assert is_certified(found, optimum, found.gap_tol)
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
 
 
@@ -159,9 +159,9 @@ def test_rigid_vertex_bound_is_tight_where_only_forbidden_pairs_are_better():
 def test_mode_full_finds_the_rigid_optimum_over_feasible_pairs(seed, start_box):
     x, y, k, mask = feasible_problem(seed, 3)
     optimum = true_optimum(x, y, mask, k, 1.0, 1.0)
-    settings = {"mode": "full", "start_box": start_box, "gap_tol": 0.05}
+    settings = {"mode": "full", "start_box": start_box, "rel_gap": 0.1}
     found = register(x, y, n_inliers=k, model="rigid3d", candidates=mask, **settings)
-    assert is_certified(found, optimum, 0.05)
+    assert is_certified(found, optimum, found.gap_tol)
     assert found.certificate_scope == "rigid pose"
     assert optimum - 1e-9 <= found.objective <= found.objective_certified + 1e-9
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
@@ -185,7 +185,7 @@ def test_a_feasible_optimum_stays_the_optimum_and_a_forbidden_one_does_not(mode)
     generator = np.random.default_rng(4)
     x = generator.standard_normal((10, 3)) * [1.0, 0.7, 0.4]
     y = x[:, [1, 2, 0]] + [0.3, -0.2, 0.1] + 0.05 * generator.standard_normal((10, 3))
-    settings = {"n_inliers": 10, "model": "rigid3d", "mode": mode, "gap_tol": 0.05}
+    settings = {"n_inliers": 10, "model": "rigid3d", "mode": mode, "rel_gap": 0.0, "abs_gap": 0.05}
     free = register(x, y, **settings)
     i, j = free.assignment.T
     wide = generator.random((10, 10)) < 0.2
@@ -211,8 +211,7 @@ def test_candidates_lead_to_the_planted_pose(mode, clutter, noise):
     x, y = (np.concatenate([points, generator.random((clutter, 3))]) for points in (x, y))
     mask = generator.random((len(x), len(y))) < (0.1 if noise else 0.15)
     np.fill_diagonal(mask[:20, :20], True)
-    settings = {"gap_tol": 0.01, "candidates": mask, "mode": mode}
-    found = register(x, y, n_inliers=20, model="rigid3d", **settings)
+    found = register(x, y, n_inliers=20, model="rigid3d", candidates=mask, mode=mode)
     assert found.mode == {"auto": "full"}.get(mode, mode)
     assert found.status is dcreg.Status.OPTIMAL
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
@@ -267,7 +266,7 @@ def settings_of(dim):
 
 def certified(seed, dim, tmp_path):
     x, y, k, mask = feasible_problem(seed, dim, most=9)
-    limits = {"gap_tol": 1e-3 * k, "node_limit": 20_000}
+    limits = {"rel_gap": 0.0, "abs_gap": 1e-3 * k, "node_limit": 20_000}
     result = register(
         x, y, n_inliers=k, candidates=mask, certificate=True, **limits, **settings_of(dim)
     )
@@ -293,7 +292,9 @@ def test_a_certificate_does_not_hold_for_more_candidates(dim, tmp_path):
     for seed in range(15):
         x, y, mask, result, path = certified(seed, dim, tmp_path)
         k, gap_tol = result.n_inliers, result.gap_tol
-        free = register(x, y, n_inliers=k, gap_tol=gap_tol, polish=False, **settings_of(dim))
+        free = register(
+            x, y, n_inliers=k, rel_gap=0.0, abs_gap=gap_tol, polish=False, **settings_of(dim)
+        )
         every_pair = np.argwhere(np.ones_like(mask))
         forged = dataclasses.replace(result.certificate, candidates=every_pair)
         certificate.write(path, forged)

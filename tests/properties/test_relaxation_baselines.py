@@ -26,7 +26,7 @@ from dcreg.assignment.objective import objective
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import Problem
-from dcreg.search import Box, Budget, minimise
+from dcreg.search import Box, Budget, Tolerance, minimise
 from tests.oracles import kernels as reference
 from tests.oracles.matchings import optimal_rotation, optimal_similarity
 from tests.problems import (
@@ -181,7 +181,7 @@ def test_no_wrong_optimum_in_2d(name, options, nodes):
         method = registry.load(name, search="ours", polish=False, **options)
         problem = Problem(source, target, k, "similarity2d", (0.5, 1.5))
         limits = Limits(60.0, nodes[seed % 6 == 5])
-        solution = solution_of(method.result(problem, gap_tol, limits))
+        solution = solution_of(method.result(problem, limits, 0.0, gap_tol))
         n_positive += is_certified(solution, optimum, gap_tol) and solution.upper_bound > gap_tol
         reached, _ = objective(source, target, solution.T_target_source, k)
         assert reached == pytest.approx(solution.upper_bound, abs=1e-8)
@@ -213,7 +213,11 @@ def test_no_wrong_optimum_in_3d(space, make, nodes):
         roots = [around(best, seed)] if seed % 2 and reached <= optimum + 1e-9 else None
         start = best, np.inf
         found = minimise(
-            model, make(model, roots), Budget(nodes=nodes), gap_tol=gap_tol, start=start
+            model,
+            make(model, roots),
+            Budget(nodes=nodes),
+            tolerance=Tolerance(abs=gap_tol),
+            start=start,
         )
         if space is Translation3D:
             optimum = min(optimum, found.upper_bound)

@@ -35,7 +35,7 @@ from dcreg.families.rigid3d.kernels.vertices import vertex_pose
 from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.families.rotation3d.kernels.caps import cap_costs
-from dcreg.search import Box, Boxes, Budget, minimise
+from dcreg.search import Box, Boxes, Budget, Tolerance, minimise
 from tests.problems import SEEDS, cloud_pairs, facet_boxes, lower_bound
 
 
@@ -493,7 +493,9 @@ def test_a_bound_that_forgets_vertices_finds_the_same(rng, monkeypatch, threads)
 
     def search():
         budget = Budget(nodes=60_000)
-        return minimise(model, RigidBound(model, threads=threads), budget, gap_tol=0.3)
+        return minimise(
+            model, RigidBound(model, threads=threads), budget, tolerance=Tolerance(abs=0.3)
+        )
 
     whole = search()
     monkeypatch.setattr(vertex_values, "_REMEMBERED", 2**12)
@@ -519,7 +521,10 @@ def test_values_at_vertices_prune_boxes_that_nothing_else_prunes(rng, monkeypatc
 def test_the_strongest_of_two_bounds_is_searched_without_warm_starts(rng):
     model, _, _ = noisy_copy(rng, 8, 6, 0.05)
     one, both = RigidBound(model), Strongest([RigidBound(model), RigidBound(model)])
-    found = [minimise(model, each, Budget(nodes=3000), gap_tol=1e-6) for each in (one, both)]
+    found = [
+        minimise(model, each, Budget(nodes=3000), tolerance=Tolerance(abs=1e-6))
+        for each in (one, both)
+    ]
     assert found[0].upper_bound == pytest.approx(found[1].upper_bound)
     assert max(each.lower_bound for each in found) <= found[0].upper_bound
 

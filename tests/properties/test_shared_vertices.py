@@ -10,7 +10,7 @@ from dcreg.families.dc.kernels.lattice import Vertices
 from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.bound import boxes_of
 from dcreg.families.similarity2d.kernels.profiles import blend_duals
-from dcreg.search import Box, Budget, LongestEdge, branch_and_bound
+from dcreg.search import Box, Budget, LongestEdge, Tolerance, branch_and_bound
 from tests.problems import SEEDS, models
 
 
@@ -68,7 +68,7 @@ def test_a_small_cache_changes_no_certificate(model, name):
     bound.cache.max_vertices = 2**9
     branching = LongestEdge(model.axis_weights)
     found, full = (
-        branch_and_bound(b, Budget(), branching=branching, gap_tol=0.02)
+        branch_and_bound(b, Budget(), branching=branching, tolerance=Tolerance(abs=0.02))
         for b in (bound, make_bound(name, model, [box]))
     )
     assert found.status.value == full.status.value == "optimal"

@@ -59,7 +59,9 @@ def test_poses_are_tried_for_fewer_pairs_also_where_no_search_ended(seed):
     rng = np.random.default_rng(seed)
     source, target = cloud(rng, 7, 2, "general"), cloud(rng, 7, 2, "general")
     counts = [2, 3, 5, 6]
-    found = dcreg.sweep(source, target, counts, model="similarity2d", gap_tol=0.0, node_limit=1)
+    found = dcreg.sweep(
+        source, target, counts, model="similarity2d", rel_gap=0.0, abs_gap=0.0, node_limit=1
+    )
     per_pair = [result.upper_bound / result.n_inliers for result in found.results]
     assert (np.diff(per_pair) >= -1e-9 * (1.0 + per_pair[-1])).all()
     bounds = [result.lower_bound / result.n_inliers for result in found.results]

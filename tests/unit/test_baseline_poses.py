@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 from dataclasses import replace
 
@@ -101,10 +102,12 @@ def test_the_unit_is_that_of_the_library() -> None:
     assert unit(point, point) == 1.0
 
 
-def test_the_default_tolerance_is_the_library_s() -> None:
-    instance = instance_of("similarity2d")
-    expected = dcreg.default_gap_tol(instance.source, instance.target, instance.n_inliers)
-    assert registry.load("dcreg").gap_tol(instance) == pytest.approx(expected)
+def test_the_default_tolerances_are_the_library_s() -> None:
+    options = registry.load("dcreg").options
+    for solve in (dcreg.register, dcreg.register_matches):
+        parameters = inspect.signature(solve).parameters
+        for name in ("rel_gap", "abs_gap"):
+            assert options[name] == parameters[name].default
 
 
 @pytest.mark.parametrize(("model", "count"), [("similarity2d", 2 + 36), ("rigid3d", 2 + 24)])

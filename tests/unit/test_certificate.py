@@ -13,6 +13,7 @@ from dcreg.certificate import CertificateError, format, verification
 from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Proof, check_partition
 from dcreg.certificate.verification import check_samples, objective_of, verify
+from dcreg.status import Status
 from tests.certificates import DIM, certify, check, clouds, made_case, refused
 from tests.problems import register
 
@@ -77,7 +78,7 @@ def test_certificate_in_memory_is_checked_like_its_file(tmp_path, case):
 
 def test_result_is_verified_in_memory():
     source, target = clouds("similarity2d", n=8, extra=0)
-    asked = {"n_inliers": 8, "model": "similarity2d", "gap_tol": 0.5}
+    asked = {"n_inliers": 8, "model": "similarity2d", "rel_gap": 0.0, "abs_gap": 0.5}
     result = register(source, target, **asked, certificate=True)
     report = dcreg.verify(result.certificate, source, target)
     assert report.accepted, report.reason
@@ -393,12 +394,22 @@ def test_a_bound_of_zero_needs_no_proof(monkeypatch):
 def test_a_lower_bound_of_zero_is_trivial_in_2d_too(rng):
     source = rng.random((12, 2))
     target = source + 1e-3 * rng.standard_normal((12, 2))
-    found = register(source, target, n_inliers=12, model="similarity2d", certificate=True)
-    assert found.success
+    settings = {"n_inliers": 12, "model": "similarity2d", "certificate": True}
+    found = register(source, target, **settings, tol=0.01)
+    assert found.status is Status.CONVERGED
     assert found.lower_bound == 0 < found.upper_bound
     report = verify(found.certificate, source, target)
     assert report.accepted, report.reason
     assert report.is_trivial
+    forged = dataclasses.replace(found.certificate, status="optimal")
+    assert "status optimal does not follow: the lower bound is 0" in (
+        verify(forged, source, target).reason
+    )
+    exact = register(source, source, **settings)
+    assert exact.status is Status.OPTIMAL
+    report = verify(exact.certificate, source, source)
+    assert report.accepted, report.reason
+    assert not report.is_trivial
 
 
 def test_the_report_states_what_was_proven(case):

@@ -14,12 +14,12 @@ import dcreg
 from dcreg import Result, Stage, Status, SweepResult, Trace
 from dcreg.cli import output
 from dcreg.io import READERS
-from dcreg.names import DEFAULT_TIME_LIMIT_S, MODEL_DIM, START_BOXES
+from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, MODEL_DIM, START_BOXES
 from tests.results import event, made_result, made_sweep, run
 
 ISSUE_KEYS = {
     *("status", "T_target_source", "scale", "n_inliers", "bound", "mode", "lower_bound"),
-    *("upper_bound", "gap", "gap_tol", "n_nodes", "n_assignments", "time_solve_s"),
+    *("upper_bound", "gap", "gap_tol", "bound_ratio", "n_nodes", "n_assignments", "time_solve_s"),
     *("certificate_scope", "rmse_matched", "assignment"),
 }
 
@@ -61,7 +61,13 @@ def change(fake, **changes):
 # --- options --------------------------------------------------------------------------------------
 
 OPTIONS = {
-    **{"--scale-range": (0.9, 1.1), "--mode": "paper", "--bound": "interval", "--gap-tol": 0.25},
+    **{
+        "--scale-range": (0.9, 1.1),
+        "--mode": "paper",
+        "--bound": "interval",
+        "--abs-gap": 0.25,
+        "--rel-gap": 0.1,
+    },
     **{"--tol": 0.5, "--time-limit": 9.0, "--node-limit": 77, "--memory-limit-mb": 64.0},
     **{"--threads": 2, "--downsample": 50, "--start-box": "radius"},
 }
@@ -84,7 +90,8 @@ def test_defaults(call, fake):
     expected = vars(dcreg.SolveOptions()) | {"time_limit": DEFAULT_TIME_LIMIT_S}
     del expected["listener"]
     assert {name: fake.called[name] for name in expected} == expected
-    unset = ("scale_range", "gap_tol", "tol", "node_limit", "memory_limit_mb", "candidates")
+    assert fake.called["rel_gap"] == DEFAULT_REL_GAP
+    unset = ("scale_range", "abs_gap", "tol", "node_limit", "memory_limit_mb", "candidates")
     assert [fake.called[name] for name in unset] == 6 * [None]
 
 
@@ -213,7 +220,7 @@ def test_json_on_standard_output_is_its_only_content(call, fake):
 )
 def test_exit_code_by_status(call, tmp_path, fake, status, code):
     change(fake, status=status, lower_bound=0.0)
-    outcome = run(*call, "--gap-tol", "0.1", "--json", tmp_path / "o.json")
+    outcome = run(*call, "--abs-gap", "0.1", "--json", tmp_path / "o.json")
     assert outcome.exit_code == code
     assert json.loads((tmp_path / "o.json").read_text())["status"] == status.value
     assert status.value in outcome.stdout
@@ -284,5 +291,6 @@ def test_sweep_unwritable_output_exits_4(sweep_call, fake_sweep, tmp_path, monke
 
 
 def test_a_tolerance_of_zero_gives_a_warning(call, fake):
-    assert "--gap-tol 0: a gap hardly ever closes" in run(*call, "--gap-tol", "0").stderr
-    assert "hardly ever" not in run(*call, "--gap-tol", "0.1").stderr
+    assert "--rel-gap 0: a gap hardly ever closes" in run(*call, "--rel-gap", "0").stderr
+    assert "hardly ever" not in run(*call, "--rel-gap", "0", "--tol", "0.1").stderr
+    assert "hardly ever" not in run(*call, "--abs-gap", "0").stderr

@@ -28,7 +28,7 @@ def test_pose_and_files(call, tmp_path):
     options = [text for option, name in outputs.items() for text in (option, tmp_path / name)]
     outcome = run(*call, *options)
     assert outcome.exit_code == 0, outcome.stderr
-    assert "optimal: certified within the tolerance for the rigid pose over the given matches" in (
+    assert "optimal: certified for the rigid pose over the given matches" in (
         " ".join(outcome.stdout.split())
     )
     assert "rotation" in outcome.stderr  # the progress of the search
@@ -47,15 +47,21 @@ def test_options_reach_the_library(call, monkeypatch):
         raise dcreg.InputError("inlier_distance: 7.0")
 
     monkeypatch.setattr(dcreg, "register_matches", record)
-    options = {"--gap-tol": 0.5, "--time-limit": 3, "--node-limit": 9, "--inlier-distance": 7}
+    options = {
+        "--rel-gap": 0.1,
+        "--abs-gap": 0.5,
+        "--time-limit": 3,
+        "--node-limit": 9,
+        "--inlier-distance": 7,
+    }
     chosen = [text for pair in options.items() for text in pair]
     outcome = run(*call, "--no-certify", *chosen)
     assert outcome.exit_code == 2
     assert "error: --inlier-distance: 7.0" in outcome.stderr
     np.testing.assert_array_equal(given["matches"], [(i, i) for i in range(40)])
     assert given["certify"] is False
-    names = ("inlier_distance", "gap_tol", "time_limit", "node_limit")
-    assert [given[name] for name in names] == [7.0, 0.5, 3.0, 9]
+    names = ("inlier_distance", "rel_gap", "abs_gap", "time_limit", "node_limit")
+    assert [given[name] for name in names] == [7.0, 0.1, 0.5, 3.0, 9]
 
 
 def test_a_limit_has_its_exit_code(call):

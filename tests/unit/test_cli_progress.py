@@ -35,14 +35,14 @@ def show(events, *, terminal=False, **options):
 def test_plain_lines_are_few_aligned_and_end_with_the_last_event():
     events = [event(time_s=i / 100, n_nodes=i + 1, upper=9.0 - i % 2) for i in range(50)]
     events.append(event("end", time_s=0.5, n_nodes=99, upper=0.125, status="optimal"))
-    lines = show(events, gap_tol=0.5).splitlines()
-    assert "gap 0.5" in lines[0]
+    lines = show(events).splitlines()
+    assert "proven: lower bound in % of the upper bound" in lines[0]
     assert lines[1].startswith("*: better pose")
     header, first, last = lines[2:]
     assert first.startswith("* search")
     assert last.startswith("* search")
-    assert last.split()[2:] == ["99", "3", "1584", "0", "0.125", "0.125", "0.5s", "optimal"]
-    for column in ("nodes", "lower bound", "upper bound", "gap", "time"):
+    assert last.split()[2:] == ["99", "3", "1584", "0", "0.125", "0.0", "%", "0.5s", "optimal"]
+    for column in ("nodes", "lower bound", "upper bound", "proven", "time"):
         end = header.index(column) + len(column)
         assert first[end - 1] != " "
         assert first[end : end + 1] in ("", " ")
@@ -53,14 +53,14 @@ def test_infinite_bounds_and_new_stage_marks():
     events = [event(lower=-math.inf, upper=math.inf), event("end", upper=1.0)]
     events.append(event("end", stage="rotation", upper=5.0))
     first, second, third = show(events).splitlines()[3:]
-    assert first.split() == ["search", "1", "3", "16", "-", "-", "-", "0.0s"]
+    assert first.split() == ["search", "1", "3", "16", "-", "-", "0.0", "%", "0.0s"]
     assert second.startswith("*")
     assert third.startswith("* rotation")  # a larger value, but of another objective
 
 
 def test_the_last_event_is_shown_even_without_an_end():
     lines = show([event(n_nodes=1), event(n_nodes=2), event(n_nodes=3)]).splitlines()
-    assert [line.split()[-7] for line in lines[3:]] == ["1", "3"]
+    assert [line.split()[-8] for line in lines[3:]] == ["1", "3"]
 
 
 def test_terminal_shows_one_live_line():
@@ -236,7 +236,7 @@ def hard_case(folder):
         np.savetxt(folder / name, generator.random((60, 2)))
     return [
         *("register", folder / "a.txt", folder / "b.txt", "--model", "similarity2d"),
-        *("--n-inliers", "0.5", "--gap-tol", "0", "--time-limit", "120"),
+        *("--n-inliers", "0.5", "--rel-gap", "0", "--time-limit", "120"),
         *("--json", folder / "o.json"),
     ]
 

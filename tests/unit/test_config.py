@@ -360,7 +360,7 @@ def test_a_small_config_gets_the_documented_defaults(write):
         ("methods.0.n_inliers_ratio", float("nan"), "n_inliers_ratio: nan; input should be less"),
         ("methods.0.limits", {"time_s": True}, "methods[0]: limits.time_s is true; give"),
         ("methods.0.options", {"mode": "fast"}, "methods[0].options: dcreg: option mode = 'fast'"),
-        ("methods.0.options", {"gap_tol_factor": float("nan")}, "nan is not finite; give a number"),
+        ("methods.0.options", {"rel_gap": float("nan")}, "nan is not finite; give a number"),
     ],
 )
 def test_errors_name_the_file_the_key_and_a_remedy(write, place, value, expected):

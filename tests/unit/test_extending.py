@@ -25,7 +25,7 @@ from data.registry import dataset
 from dcreg.families.protocol import Space
 from dcreg.families.registry import make_bound
 from dcreg.families.rigid2d.space import Rigid2D
-from dcreg.search import Budget, minimise
+from dcreg.search import Budget, Tolerance, minimise
 from reports.figures import standalone
 from workflows.discovery import modules
 from workflows.disturb import make_instance
@@ -44,7 +44,7 @@ source = rng.standard_normal((8, 2))
 target = source @ [[0.0, 1.0], [-1.0, 0.0]] + 0.1 * rng.standard_normal((8, 2))
 space = Rigid2D(source - source.mean(axis=0), target - target.mean(axis=0), 8)
 for name in ("ball", "tight"):
-    found = minimise(space, make_bound(name, space), Budget(nodes=5000), gap_tol=0.05)
+    found = minimise(space, make_bound(name, space), Budget(nodes=5000), tolerance=Tolerance(abs=0.05))
     assert found.status == "optimal", (name, found.status)
     assert found.lower_bound <= found.upper_bound
 ball = dcreg.SolveOptions(bound="ball")

@@ -14,6 +14,7 @@ from dcreg.families.matches.kernels.bounds import rotation_bounds
 from dcreg.families.matches.kernels.compatible import caps
 from dcreg.families.matches.problem import MatchProblem
 from dcreg.families.matches.start import descend
+from dcreg.search import Tolerance
 from tests.problems import register
 
 REACH = 0.1
@@ -169,7 +170,7 @@ def test_optimum_chooses_among_the_cheapest_matchings_of_its_size():
     """With k chosen, no other k of these feasible pairs are cheaper: against the dense solver."""
     source, target, matches, _ = planted(8, 4, 2, noise=0.02)
     found = dcreg.register_matches(
-        source, target, matches, inlier_distance=0.3, gap_tol=2e-3, time_limit=60
+        source, target, matches, inlier_distance=0.3, rel_gap=0.0, abs_gap=2e-3, time_limit=60
     )
     mask = np.zeros((12, 12), bool)
     mask[tuple(matches.T)] = True
@@ -184,7 +185,7 @@ def test_optimum_chooses_among_the_cheapest_matchings_of_its_size():
 def test_useless_matches_are_left_out_of_the_bound():
     source, target, matches, _ = planted(60, 100, 1, noise=0.01)
     problem = MatchProblem.checked(source, target, matches, REACH)
-    bound = MatchBound(problem, (problem.max_cardinality - 55) * REACH**2, 0.0)
+    bound = MatchBound(problem, (problem.max_cardinality - 55) * REACH**2, Tolerance())
     assert 60 <= bound.n_left < 160
 
 
@@ -207,7 +208,7 @@ def test_without_certificate_nothing_is_claimed():
 
 def test_listener_receives_the_events_of_both_stages_and_can_stop():
     source, target, matches, _ = planted(20, 60, 1, noise=0.01)
-    given = {"inlier_distance": REACH, "gap_tol": 4e-3}
+    given = {"inlier_distance": REACH, "rel_gap": 0.0, "abs_gap": 4e-3}
     heard = []
     found = dcreg.register_matches(
         source, target, matches, **given, options=dcreg.SolveOptions(listener=heard.append)

@@ -5,7 +5,6 @@ import pytest
 
 from dcreg.families.protocol import Space
 from dcreg.families.similarity2d.space import Similarity2D
-from dcreg.problem.geometry import TOLERATED_RESIDUAL
 from dcreg.search import Budget
 
 SHAPES = range(12)
@@ -50,7 +49,7 @@ def test_half_of_the_pairs_fit_at_once_where_seeds_alone_mostly_miss(kind):
     values = [first_value(kind, 30, seed)[1] for seed in SHAPES]
     alone = [first_value(SeedsAlone, 30, seed)[1] for seed in SHAPES]
     assert (np.array(values) <= np.array(alone)).all()
-    tolerated = 30 * TOLERATED_RESIDUAL**2
+    tolerated = 30 * 0.03**2
     assert (np.array(values) <= tolerated).sum() >= 10 > (np.array(alone) <= tolerated).sum() + 4
 
 

@@ -129,7 +129,7 @@ def test_page_states_the_result_once(case, tmp_path):
         '<meta name="viewport" content="width=device-width',
         "time_limit: best pose so far, not certified",
         "<li>too &lt;far&gt;; take more</li>",
-        "<dt>gap</dt><dd>0.5 (tolerance 0.25)</dd>",
+        "<dt>gap</dt><dd>0.5 (tolerance 0.25); the lower bound is 50.0 % of the upper bound</dd>",
         "<dt>scope of bounds</dt><dd>translation in norm space</dd>",
     ):
         assert html.count(words) == 1

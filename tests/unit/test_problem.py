@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import dcreg
-from dcreg.problem import Problem, default_gap_tol
+from dcreg.problem import Problem, rounding_error
 from tests.problems import register
 
 GOOD = np.random.default_rng(0).random((6, 2))
@@ -70,9 +70,14 @@ def test_problem_copies_its_input():
     assert (problem.source != 0).all()
 
 
-def test_default_gap_tol_scales_with_the_square_of_the_target():
+def test_rounding_error_scales_with_the_square_of_the_target():
     source = np.zeros((5, 2))
-    tolerance = default_gap_tol(source, GOOD, 4)
-    assert default_gap_tol(source, 3 * GOOD, 4) == pytest.approx(9 * tolerance)
+    rounding = rounding_error(source, GOOD, 4)
+    assert rounding_error(source, 3 * GOOD, 4) == pytest.approx(9 * rounding)
     radius = np.sqrt(((GOOD - GOOD.mean(0)) ** 2).sum(1).mean())
-    assert tolerance == pytest.approx(4 * (0.03 * radius) ** 2)
+    assert rounding == pytest.approx(4 * (1e-7 * radius) ** 2)
+
+
+def test_rounding_error_far_from_the_origin_is_that_of_the_coordinates():
+    near, far = (rounding_error(GOOD + shift, GOOD + shift, 4) for shift in (0.0, 1e12))
+    assert far > 100 * near

@@ -22,14 +22,16 @@ def test_a_result_prints_everything_except_the_pairs():
     lines = str(result()).splitlines()
     status, _, verdict = lines[0].partition(" ")
     assert status == "status"
-    assert verdict.strip() == "optimal: certified within the tolerance for the similarity pose"
+    assert verdict.strip() == (
+        "optimal: certified for the similarity pose; the lower bound is 75.0 % of the upper bound"
+    )
     pose = [line[17:].split() for line in lines[1:4]]
     assert np.array(pose, dtype=float).tolist() == result().T_target_source.tolist()
     entries = {line[:17].strip(): line[17:] for line in lines}
     assert entries["scale"] == "2"
     assert entries["rotation"] == "90.0000 deg"
     assert entries["RMSE of pairs"] == "0.1 over 100 pairs"
-    assert entries["gap"] == "0.25 (tolerance 0.5)"
+    assert entries["gap"] == ("0.25 (tolerance 0.5); the lower bound is 75.0 % of the upper bound")
     assert entries["objective"] == "1 (before the polish 1.25)"
     assert entries["method"] == "similarity2d, mode paper, bound tight"
 
@@ -37,7 +39,16 @@ def test_a_result_prints_everything_except_the_pairs():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"status": dcreg.Status.CONVERGED}, "converged: the method finished; not certified"),
+        ({"upper_bound": 1e-20, "lower_bound": 0.0, "is_exact": True},
+         "; the fit is exact up to rounding"),
+        ({"status": dcreg.Status.CONVERGED},
+         "converged: certified for the similarity pose, but not in a later stage"),
+        ({"status": dcreg.Status.CONVERGED, "gap_tol": 0.1},
+         "converged: the method finished; not certified"),
+        ({"status": dcreg.Status.CONVERGED, "lower_bound": 0.0, "gap_tol": 2.0},
+         "converged: fits within the tolerance; not certified"),
+        ({"status": dcreg.Status.NODE_LIMIT, "lower_bound": 0.0, "gap_tol": 2.0},
+         "node_limit: best pose so far, not certified"),
         ({"status": dcreg.Status.NODE_LIMIT}, "a later stage did not finish"),
         ({"status": dcreg.Status.NODE_LIMIT, "lower_bound": 0.0},
          "node_limit: best pose so far, not certified"),
@@ -52,8 +63,8 @@ def test_stages_are_listed_if_several_have_bounds():
     turn = dcreg.Stage("rotation", 1.5, 7, 9, dcreg.Status.TIME_LIMIT, 2.0, 9.0)
     polish = dcreg.Stage("polish", 0.1, objective_before=2.0, objective_after=1.0)
     text = str(result(stages=[search, turn, polish]))
-    assert "search stage     optimal, bounds [0.5, 1], 5 nodes, 1.00 s" in text
-    assert "rotation stage   time_limit, bounds [2, 9], 7 nodes, 1.50 s" in text
+    assert "search stage     optimal, bounds [0.5, 1] (50.0 %), 5 nodes, 1.00 s" in text
+    assert "rotation stage   time_limit, bounds [2, 9] (22.2 %), 7 nodes, 1.50 s" in text
     assert "polish stage" not in text
     assert "search stage" not in str(result(stages=[search, polish]))
 
@@ -114,7 +125,8 @@ def test_a_sweep_prints_its_table_and_the_suggestion():
     assert heading.split()[:2] == ["pairs", "status"]
     assert [row.split()[0] for row in rows] == ["50", "*", "70"]
     assert "0.09487 to 0.1" in rows[0]
-    assert legend.startswith("bounds on: similarity pose; RMS: sqrt(bound / pairs)")
+    assert legend.startswith("bounds on: similarity pose; proven: lower bound in % of the upper")
+    assert "90.0 %" in rows[0]
     assert hint.startswith("suggestion (*), not proven: 60 pairs; beyond this number")
     assert "suggestion: none" in str(sweep(*2 * [dcreg.Status.OPTIMAL]))
     assert "RMSE of pose" not in heading

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcreg.search import Box, Boxes, Budget, Evaluation, LongestEdge, branch_and_bound
+from dcreg.search import Box, Boxes, Budget, Evaluation, LongestEdge, Tolerance, branch_and_bound
 from dcreg.status import Status
 
 ROOT = [Box(-np.ones(2), np.ones(2))]
@@ -32,7 +32,8 @@ class Ripples:
 
 def solve(round_size=16, keep_leaves=False, **limits):
     return branch_and_bound(
-        Ripples(round_size), Budget(**limits), gap_tol=1e-2, branching=LongestEdge(np.ones(2)),
+        Ripples(round_size), Budget(**limits), tolerance=Tolerance(abs=1e-2),
+        branching=LongestEdge(np.ones(2)),
         keep_leaves=keep_leaves,
     )  # fmt: skip
 
@@ -72,7 +73,9 @@ class Remembering(Ripples):
 
 def test_children_inherit_the_warm_start_of_their_parent():
     bound = Remembering()
-    found = branch_and_bound(bound, Budget(), gap_tol=1e-2, branching=LongestEdge(np.ones(2)))
+    found = branch_and_bound(
+        bound, Budget(), tolerance=Tolerance(abs=1e-2), branching=LongestEdge(np.ones(2))
+    )
     assert bound.n_warm == found.n_nodes - len(ROOT) > 0
     assert found.upper_bound == solve().upper_bound
     assert found.n_nodes == solve().n_nodes
@@ -143,7 +146,7 @@ def test_root_without_admissible_parameter_is_not_searched():
             return np.full(len(thetas), np.inf)
 
     found = branch_and_bound(
-        Nothing(), Budget(), branching=LongestEdge(np.ones(2)), gap_tol=0.1,
+        Nothing(), Budget(), branching=LongestEdge(np.ones(2)), tolerance=Tolerance(abs=0.1),
         start=(np.zeros(2), 1.0),
     )  # fmt: skip
     assert found.upper_bound == 1.0

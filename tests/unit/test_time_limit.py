@@ -18,7 +18,15 @@ from dcreg.families.translation3d.space import Translation3D
 from dcreg.jit import NEVER
 from dcreg.names import MODEL_DIM
 from dcreg.problem import Problem
-from dcreg.search import Box, Budget, Evaluation, Interrupted, LongestEdge, branch_and_bound
+from dcreg.search import (
+    Box,
+    Budget,
+    Evaluation,
+    Interrupted,
+    LongestEdge,
+    Tolerance,
+    branch_and_bound,
+)
 from dcreg.status import Status
 from tests.clocks import Stopwatch
 from tests.problems import register, sweep
@@ -44,7 +52,8 @@ def test_no_descent_starts_past_the_limit(time_s, descends):
         return theta, float((theta**2).sum()), 1
 
     found = branch_and_bound(
-        Parabola(), Budget(time_s, nodes=50), branching=LongestEdge(np.ones(1)), gap_tol=1e-3,
+        Parabola(), Budget(time_s, nodes=50), branching=LongestEdge(np.ones(1)),
+        tolerance=Tolerance(abs=1e-3),
         refine=refine,
     )  # fmt: skip
     assert bool(calls) == descends
@@ -98,7 +107,9 @@ def test_every_mode_keeps_the_limit_and_reports_progress(model, mode, bound, siz
     settings = {"n_inliers": 0.5, "model": model, "mode": mode, "bound": bound}
     # compile and load before the clock starts
     register(*(cloud[:40] for cloud in clouds), **settings, node_limit=100)
-    result = register(*clouds, **settings, gap_tol=1e-12, time_limit=limit, listener=watch)
+    result = register(
+        *clouds, **settings, rel_gap=0.0, abs_gap=1e-12, time_limit=limit, listener=watch
+    )
     assert result.time_solve_s <= 1.1 * limit + 1.0
     assert max(np.diff([*watch.heard[1:], time.process_time()])) <= 2.0
     assert result.status is Status.TIME_LIMIT
@@ -220,7 +231,14 @@ SHARES = [0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8]
 def test_a_sweep_of_large_clouds_ends_in_time(mode, stops, processor_clock):
     clouds, clock, limit = pair_of_clouds(33_000, 3), Stopwatch(stops=lambda event: stops), 1.0
     found = sweep(
-        *clouds, SHARES, model="rigid3d", gap_tol=0.0, time_limit=limit, mode=mode, listener=clock
+        *clouds,
+        SHARES,
+        model="rigid3d",
+        rel_gap=0.0,
+        abs_gap=0.0,
+        time_limit=limit,
+        mode=mode,
+        listener=clock,
     )
     assert clock.since_first() <= (2.0 if stops else 1.1 * limit + 1.0)
     assert found.status is (Status.STOPPED if stops else Status.TIME_LIMIT)

@@ -18,6 +18,8 @@ from typing import IO, Any
 from baselines import registry
 from baselines.contract import Instance
 from dcreg.files import whole_file
+from dcreg.problem import EXACT, rounding_error
+from dcreg.search import proven_share
 from dcreg.status import Status
 from workflows import provenance, records
 from workflows.config import Experiment, MethodSettings
@@ -120,7 +122,7 @@ def _rows(
                 yield row
                 continue
             started = sandbox.time_started_s
-            row = {**identity, **_plain(sandbox.solve(instance))}
+            row = {**identity, **_plain(sandbox.solve(instance), _exact_fit(instance))}
             waited = time.perf_counter() - since - (sandbox.time_started_s - started)
             if "peak_memory_mb" in row:  # the worker answered; it was not lost
                 row["time_overhead_s"] = waited - row["time_solve_s"]
@@ -133,8 +135,8 @@ def _rows(
         log.unlink()
 
 
-def _plain(answer: dict[str, Any]) -> dict[str, Any]:
-    """Return a worker's answer in the columns of `records.RAW`."""
+def _plain(answer: dict[str, Any], exact: float) -> dict[str, Any]:
+    """Return a worker's answer in the columns of `records.RAW`; `exact` is that of `bound_ratio`."""
     lower, upper = answer.get("lower_bound"), answer.get("upper_bound")
     pose = answer.get("T_target_source")
     return {
@@ -142,8 +144,32 @@ def _plain(answer: dict[str, Any]) -> dict[str, Any]:
         "status": Status(answer["status"]).value,
         "T_target_source": json.dumps(pose) if pose else "",
         "gap": max(0.0, upper - lower) if lower is not None and upper is not None else None,
+        "bound_ratio": bound_ratio(lower, upper, exact),
         "extra": json.dumps(answer.get("extra", {})),
     }
+
+
+def _exact_fit(instance: Instance) -> float:
+    """Return the objective up to which a fit counts as exact."""
+    return EXACT * rounding_error(instance.source, instance.target, instance.n_inliers)
+
+
+def bound_ratio(lower: float | None, upper: float | None, exact: float) -> float | None:
+    """Return the lower bound divided by the upper bound; 1 for an exact fit.
+
+    Other objectives than sums of squares can be negative; then only a closed gap has a ratio.
+
+    Parameters
+    ----------
+    lower, upper : float or None
+    exact : float
+        The upper bound up to which the fit counts as exact.
+    """
+    if lower is None or upper is None:
+        return None
+    if upper < 0.0:
+        return 1.0 if lower >= upper else None
+    return 1.0 if upper <= exact else proven_share(lower, upper)
 
 
 def _key(row: dict[str, Any]) -> tuple[str, str, str]:

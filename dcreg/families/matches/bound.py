@@ -9,10 +9,20 @@ from dcreg.families.matches.kernels.compatible import caps
 from dcreg.families.matches.problem import MatchProblem
 from dcreg.families.matches.start import descend
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.search import Box, Boxes, Budget, Evaluation, LongestEdge, Outcome, branch_and_bound
+from dcreg.search import (
+    Box,
+    Boxes,
+    Budget,
+    Evaluation,
+    LongestEdge,
+    Outcome,
+    Tolerance,
+    branch_and_bound,
+)
 
 ROUND_WORK = 200_000  # matches evaluated in a round
-MARGIN = 1e-5  # of a bound above the cutoff, in gap tolerances, so that rounding leaves no box open
+# Distance of bounds above the cutoff, as a share of the gap allowed: rounding then leaves no box open.
+MARGIN = 1e-5
 MAX_CAPPED = 6000  # matches up to which all pairs of them are compared again
 
 
@@ -31,8 +41,9 @@ class MatchBound:
 
     n_assignments = 0
 
-    def __init__(self, problem: MatchProblem, incumbent: float, gap_tol: float) -> None:
-        self._problem, self._margin = problem, MARGIN * gap_tol
+    def __init__(self, problem: MatchProblem, incumbent: float, tolerance: Tolerance) -> None:
+        self._problem, self._tolerance = problem, tolerance
+        self._margin = MARGIN * tolerance.allowed(incumbent)
         self.roots: list[Box] = Rotation3D.roots()
         self.axis_weights = np.ones(4)
         self._best = problem.score(incumbent)
@@ -69,9 +80,9 @@ class MatchBound:
         pose, value = descend(self._problem, theta.reshape(3, 4))
         return pose.ravel(), value, 0
 
-    def search(self, budget: Budget, gap_tol: float, start: tuple[np.ndarray, float]) -> Outcome:
+    def search(self, budget: Budget, start: tuple[np.ndarray, float]) -> Outcome:
         """Certify the pose `start`, or find a better one."""
         return branch_and_bound(
-            self, budget, branching=LongestEdge(self.axis_weights), gap_tol=gap_tol,
+            self, budget, branching=LongestEdge(self.axis_weights), tolerance=self._tolerance,
             refine=self.refine, start=start, stage="rotation",
         )  # fmt: skip

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 from dcreg.families.matches.kernels.lists import MatchList, scores
-from dcreg.problem import InputError
+from dcreg.problem import InputError, rounding_error
 from dcreg.problem.problem import check_points
 
 MIN_MATCHES = 3  # that determine a rigid pose
@@ -84,6 +84,13 @@ class MatchProblem:
     def max_cardinality(self) -> int:
         """Maximum number of matches in a one-to-one selection."""
         return min(self.list.n_rows, self.list.n_columns)
+
+    @property
+    def rounding(self) -> float:
+        """Rounding error of the cost; with a tiny threshold far less than the cost of no match."""
+        count = self.max_cardinality
+        none_selected = count * self.inlier_threshold**2
+        return min(rounding_error(self.source, self.target, count), 1e-8 * none_selected)
 
     def pose(self, centred: np.ndarray) -> np.ndarray:
         """Return the (4, 4) matrix of a (3, 4) pose of the centred source."""

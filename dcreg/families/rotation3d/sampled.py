@@ -18,7 +18,7 @@ from dcreg.assignment.sparse import nearest_pairs, sparse_matching
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.translation3d.kernels.line import match_on_line
-from dcreg.search import Budget, Event, Outcome
+from dcreg.search import Budget, Event, Outcome, Tolerance
 from dcreg.status import Status
 
 _CELLS_PER_AXIS = 7  # of the quaternion cube: about 25 degrees
@@ -35,7 +35,7 @@ def search_sampled_rotation(
     target: np.ndarray,
     n_inliers: int,
     *,
-    gap_tol: float,
+    tolerance: Tolerance,
     budget: Budget,
 ) -> Outcome:
     """Return a good rotation about the origin for clouds that are too large for a search.
@@ -45,7 +45,7 @@ def search_sampled_rotation(
     source_shifted, target : (n, 3), (m, 3) arrays
         The translation is already applied to the source; the clouds are not centred.
     n_inliers : int
-    gap_tol : float
+    tolerance : Tolerance
     budget : Budget
         Checked after each local search; at least one is always made.
 
@@ -83,13 +83,11 @@ def search_sampled_rotation(
     lower, _ = match_on_line(
         np.linalg.norm(source_shifted, axis=1), np.linalg.norm(target, axis=1), n_inliers
     )
-    status = Status.CONVERGED
-    if matching.value - lower <= gap_tol:
-        status = Status.OPTIMAL
-    elif budget.is_over:
-        status = budget.ended_by
     value, spent, now = matching.value, matching.n_assignments, budget.elapsed()
     lower = min(float(lower), value)
+    status = tolerance.status(lower, value)
+    if status is None:
+        status = budget.ended_by if budget.is_over else Status.CONVERGED
     budget.report(Event("end", "rotation", now, 0, spent, 0, lower, value, status.value))
     return Outcome(status, theta, lower, value, 0, spent, now - began)
 

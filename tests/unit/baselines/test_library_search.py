@@ -101,7 +101,7 @@ def test_a_method_with_its_own_bound_searches_all_points(monkeypatch):
     monkeypatch.setattr(table, "LARGE_SAMPLE", {2: 4, 3: 4})
     points = instance(2).source
     problem = Problem(points, points + 0.1, 6, "similarity2d", (0.5, 1.5))
-    result = registry.load("rpm_htb", search="ours").result(problem, 0.1, Limits(10.0, nodes=20))
+    result = registry.load("rpm_htb", search="ours").result(problem, Limits(10.0, nodes=20))
     assert result.downsampled is None
 
 
