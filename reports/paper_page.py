@@ -18,6 +18,7 @@ from reports import templating, theme
 from reports.figures import printing, standalone
 from reports.figures.figure import Figure
 from reports.tables import ReportError, Tables, limits_of
+from workflows import UserError
 from workflows.discovery import modules
 from workflows.outcomes import attempted
 
@@ -91,11 +92,16 @@ def _entry(
     paper = module.PAPER
     if not paper.experiment:
         return _drawn(Entry(name, module), module.build(None, {}), {}, out)
-    folder = folder or paper.find_tables(results)
+    given, folder = folder, folder or paper.find_tables(results)
     if folder is None:
         where = " or ".join(str(path) for path in results)
         return Entry(name, module, missing=f"{where} has no tables of {paper.experiment}.")
-    tables = Tables.load(folder)
+    try:
+        tables = Tables.load(folder)
+    except UserError as error:
+        if given:
+            raise
+        return Entry(name, module, missing=f"{error}.")  # the other figures are drawn all the same
     styles = theme.method_styles(tables)
     entry = Entry(name, module, facts=_facts(tables, module))
     figure = module.build(tables, styles)

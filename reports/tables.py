@@ -166,6 +166,7 @@ def row_names(runs: pd.DataFrame, most: int = 4) -> pd.Series:
     several = runs["dataset"].nunique() > 1
     crowded = runs.groupby("dataset")["shape"].transform("nunique") > most
     named = runs["dataset"] + " · " + runs["shape"] if several else runs["shape"]
+    named = named.mask(runs["dataset"] == runs["shape"], runs["shape"])  # not "horse · horse"
     return named.where(~crowded, runs["dataset"])
 
 

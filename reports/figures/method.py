@@ -25,7 +25,7 @@ from reports.figures.grid import Grid
 from workflows.disturb import make_instance
 
 SHAPE, TEST, LEVEL, POINTS = "pony", "noise", 0.03, 40
-BOXES = 60  # that Algorithm 1 bounds before the one that is drawn
+BOXES = 61  # that Algorithm 1 bounds; the last one is drawn
 STEPS = 201  # of a curve
 ROLES = ("convex", "concave", "objective", "bound", "fixed")
 INSTANCE = (
@@ -122,6 +122,7 @@ def section() -> Section:
         assert isinstance(space, Translation3D)
         recorder = _Recorder(space)
         algorithm_1(recorder, [problem.start_box("extent")], problem.epsilon(0.01), budget)
+        assert len(recorder.boxes) == BOXES
         box = recorder.boxes[-1]
         (bounded,) = recorder.evaluate([box])
     at = np.linspace(-1.0, 1.0, STEPS)

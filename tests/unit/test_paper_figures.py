@@ -25,6 +25,7 @@ from reports.figures.standalone import (
 from reports.tables import ReportError, Tables
 from tests.unit import report_fixture
 from workflows.discovery import modules
+from workflows.records import SchemaError
 
 MODULES = paper_page.paper_modules()
 # card, label of the made-up tables -> baseline, options, share of the pairs
@@ -129,6 +130,17 @@ def test_the_page_names_the_lines_of_the_paper_that_did_not_run(results, tmp_pat
     lacking = text.split("methods of the paper without runs")[1].split("</dd>")[0]
     assert "RPM-PA, RPM-CAV" in lacking
     assert "RPM-HTB" not in lacking
+
+
+def test_tables_of_another_version_cost_only_their_own_figures(results, tmp_path):
+    shutil.copytree(results / "paper2d-quick", tmp_path / "paper2d-quick")
+    path = tmp_path / "paper2d-quick" / "tables" / "runs.parquet"
+    pd.read_parquet(path).drop(columns="rmse").to_parquet(path)
+    text = paper_page.build(tmp_path / "out", [tmp_path]).read_text(encoding="utf-8")
+    assert "column &#39;rmse&#39; is missing" in text
+    assert text.count("<svg ") == 2 * 2
+    with pytest.raises(SchemaError):
+        paper_page.build(tmp_path / "out", names=["paper_2d"], tables=path.parent)
 
 
 def test_an_unknown_figure_is_an_error_that_names_the_others(tmp_path):

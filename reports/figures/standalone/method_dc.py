@@ -14,7 +14,7 @@ from reports.theme import Style
 POSITION = 1
 TITLE = "Paper: difference of convex functions"
 CAPTION = (
-    "From left to right: the convex part of the cost of one pair with its tangent at the centre of the "
+    "In order: the convex part of the cost of one pair with its tangent at the centre of the "
     "box; the concave part; the cost, and the tangent plus the concave part below it; the objective over "
     "all pairs, and the relaxed objective, whose minimum over the vertices of the box is the bound. "
     f"All are functions of the position on a diagonal of the box. {method.INSTANCE}"

@@ -15,8 +15,8 @@ from reports.theme import Style
 POSITION = 2
 TITLE = "Paper: minimum of concave functions"
 CAPTION = (
-    "Left: the relaxed objective with the matching fixed to the optimum at one of five positions "
-    "(dashed), and its minimum over all matchings (solid), on a diagonal of a box. Right: that minimum "
+    "First: the relaxed objective with the matching fixed to the optimum at one of five positions "
+    "(dashed), and its minimum over all matchings (solid), on a diagonal of a box. Second: that minimum "
     f"at the vertices of the box, in ascending order; the first is the bound. {method.INSTANCE}"
 )
 DRAWN = method.ROLES
