@@ -64,7 +64,7 @@ DASHES: dict[str, tuple[float, ...]] = {
 _SHADES = (("#000000", 0.0), ("#000000", 0.3), ("#ffffff", 0.3))
 # Words in the names of variants -> look, the same in every experiment.
 _VARIANTS = {
-    "half": 1, "given": 1, "exact": 1, "100": 1, "mutual": 1,
+    "half": 1, "given": 3, "exact": 1, "100": 1, "mutual": 1,
     "paper": 2, "dc": 2, "ours": 2, "oracle": 2, "200": 2,
     "full": 3, "nearest": 3, "tight": 4, "all": 4, "fpfh": 5,
     "several": 5, "multi": 6, "norm": 6,
