@@ -113,7 +113,8 @@ def made(**columns) -> Measured:
     same = {
         "model": "similarity2d", "bound": PUBLISHED, "n_inliers_ratio": 1.0, "status": "optimal",
         "certificate_scope": "similarity pose", "lower_bound": 0.5, "upper_bound": 1.0, "gap_tol": 0.6,
-        "n_nodes": 3.0, "time_solve_s": 0.1, "display_name": "DC", "test": "noise", "level": 0.1,
+        "bound_ratio": 0.5, "n_nodes": 3.0, "time_solve_s": 0.1, "display_name": "DC",
+        "test": "noise", "level": 0.1,
         "objective": 1.0, "objective_true": 2.0, "family": "f", "norm_translation_error": 0.2,
     }  # fmt: skip
     runs = pd.DataFrame(rows).assign(**same).assign(**columns)
