@@ -81,6 +81,7 @@ def render(folder: Path = FOLDER) -> str:
         facts=_facts(found.runs),
         threshold=SUCCESS_SHARE,
         no_pose=f"{measured.NO_POSE_ERROR:g}",
+        small=f"{100 * measured.SMALL:g} %",
         coverage=f"{100 * measured.COVERAGE:g} %",
     )
 

@@ -159,7 +159,7 @@ def test_an_instance_counts_once_among_wrong_certified_optima():
 def test_the_norm_stage_needs_a_bound_above_zero():
     norm = {"certificate_scope": "translation in norm space", "model": "rigid3d", "success": False}
     (row,) = measured.norm_stage(made(**norm)).rows
-    assert row[3:6] == ["16", "16", "100 % [81, 100]"]
+    assert row[3:7] == ["16", "16", "100 % [81, 100]", "100 % [81, 100]"]
     assert measured.norm_stage(made(**norm, lower_bound=0.0)) is None
     assert measured.norm_stage(made(**norm, gap_tol=0.4)) is None
 
