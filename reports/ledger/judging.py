@@ -254,7 +254,8 @@ def _tested(
         shapes = part["shape"].unique()
         named = ", ".join(map(str, shapes)) if len(shapes) <= 4 else f"{len(shapes)} shapes"
         tests = ", ".join(words(str(test)) for test in part["test"].unique())
-        points = f"{sizes.min():.0f} to {sizes.max():.0f} points"
+        least, most = int(sizes.min()), int(sizes.max())
+        points = f"{least} to {most} points" if most > least else f"{most} points"
         text += f" on {named} ({points}) in {tests}, {part['instance_id'].nunique()} instances"
         text += _machine(experiment, part) if _is_timed(claim) else ""
     return f"Tested: {text}{'; ' + without if without else ''}."
