@@ -128,9 +128,14 @@ def idle_options(name: str, options: dict[str, Any]) -> dict[str, str]:
         return {}
 
 
+def effective_options(name: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Return all options of a run: those given over the defaults of the card."""
+    return {**read_card(name).parameters, **options}
+
+
 def oracle_outliers(name: str, options: dict[str, Any]) -> float | None:
     """Return the share of random pairs that the front end ``oracle`` asks for; None for others."""
-    settings = {**read_card(name).parameters, **options}
+    settings = effective_options(name, options)
     return settings["oracle_outliers"] if settings.get("front_end") == "oracle" else None
 
 

@@ -104,7 +104,7 @@ def nothing_proven(case: Case) -> str | None:
     if result.lower_bound > 0.0 or result.is_exact:
         return None
     known = "the lower bound is 0, which holds for every sum of squares: nothing is proven"
-    if result.gap_tol >= result.upper_bound:
+    if result.status is Status.CONVERGED and result.gap_tol >= result.upper_bound:
         what = "norms fit" if case.in_norm_space else "pose fits"
         return (
             f"{known}. The search ended because the {what} within the tolerance "

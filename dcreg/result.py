@@ -140,12 +140,11 @@ class Stage:
 
     def summary(self) -> str:
         """Return one line about a stage that has bounds."""
-        assert self.lower_bound is not None and self.upper_bound is not None  # noqa: PT018
-        return (
-            f"{self.status}, bounds [{self.lower_bound:.5g}, {self.upper_bound:.5g}] "
-            f"({text.percent(proven_share(self.lower_bound, self.upper_bound))}), "
-            f"{text.count(self.n_nodes, 'node')}, {self.time_s:.2f} s"
-        )
+        low, high = self.lower_bound or 0.0, self.upper_bound or 0.0
+        is_exact = self.status is Status.OPTIMAL and low <= 0.0
+        share = "exact fit" if is_exact else text.percent(proven_share(low, high))
+        work = f"{text.count(self.n_nodes, 'node')}, {self.time_s:.2f} s"
+        return f"{self.status}, bounds [{low:.5g}, {high:.5g}] ({share}), {work}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, without the values that the stage lacks."""

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 import dcreg
 from baselines import registry
+from baselines._shared.tolerance import absolute_tolerance
 from baselines.contract import Limits
 from data.registry import dataset
 from dcreg.problem import apply_pose
@@ -40,14 +41,17 @@ def instance(n_points: int, level: float):
 
 
 def solve(problem, time_limit: float) -> dict[str, dcreg.Result]:
-    """Solve with each bound, to the default tolerance."""
+    """Solve with each bound, to a residual of 1 % of the RMS radius of the target per pair."""
     count = len(problem.pairs)
+    abs_gap = absolute_tolerance(problem.target, count, 0.01)
     results = {
         bound: dcreg.register(
             problem.source,
             problem.target,
             n_inliers=count,
             model="similarity2d",
+            rel_gap=0.0,
+            abs_gap=abs_gap,
             time_limit=time_limit,
             options=dcreg.SolveOptions(bound=bound),
         )
@@ -55,7 +59,7 @@ def solve(problem, time_limit: float) -> dict[str, dcreg.Result]:
     }
     posed = dcreg.Problem(problem.source, problem.target, count, "similarity2d")
     rpm_htb = registry.load("rpm_htb")
-    return results | {"termwise": rpm_htb.result(posed, Limits(time_limit))}
+    return results | {"termwise": rpm_htb.result(posed, Limits(time_limit), 0.0, abs_gap)}
 
 
 def table(results: dict[str, dcreg.Result]) -> str:

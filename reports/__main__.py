@@ -43,11 +43,14 @@ def claims(
     out: Annotated[Path, typer.Option(help="Folder for the table and the page.")] = Path(
         "results/claims"
     ),
+    before: Annotated[
+        Path | None, typer.Option(help="claims.csv of an earlier ledger: print what changed.")
+    ] = None,
 ) -> None:
     """Check the claims of the paper against the available results."""
     from reports.claims import check
 
-    check(results or [Path("results")], out)
+    check(results or [Path("results")], out, before)
 
 
 Folders = Annotated[

@@ -1,33 +1,44 @@
 """Verdicts on the claims of the paper, from the tables of several experiments.
 
-``python -m reports claims`` writes ``claims.csv`` and ``index.html``. Claims whose tables are missing get
-the verdict "not run".
+``python -m reports claims`` writes ``claims.html``, where every claim has the address ``claims.html#ID``,
+next to ``claims.csv``, ``comparisons.csv`` and the runs behind each verdict, ``data/ID.csv``. Claims
+whose tables are missing get the verdict "not run".
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
 from reports import templating
+from reports.ledger.book import APART, Ledger, ledger
 from reports.ledger.evidence import STUDY, Evidence
-from reports.ledger.judging import Judgement, Ledger, as_table, count, judge, ledger
+from reports.ledger.judging import Judgement, as_table, comparisons, count, judge
 from reports.tables import ReportError
 
 HERE = Path(__file__).parent
+PAGE = "claims.html"
 
 
 def write(book: Ledger, judgements: list[Judgement], evidence: Evidence, out: Path) -> Path:
-    """Write the table of verdicts and its page to the folder `out`; return the path of the page."""
-    out.mkdir(parents=True, exist_ok=True)
+    """Write tables, data and page to the folder `out`; return the path of the page."""
+    (out / "data").mkdir(parents=True, exist_ok=True)
     as_table(judgements).to_csv(out / "claims.csv", index=False)
-    page = out / "index.html"
+    comparisons(judgements).to_csv(out / "comparisons.csv", index=False)
+    for found in judgements:
+        path = out / "data" / f"{found.id}.csv"
+        path.unlink(missing_ok=True)
+        if len(found.data):
+            found.data.to_csv(path, index=False)
+    page = out / PAGE
     page.write_text(
         templating.environment()
-        .get_template("claims.html")
+        .get_template(PAGE)
         .render(
+            kinds=APART,
             css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
             judgements=judgements,
             counts=count(judgements),
@@ -52,10 +63,23 @@ def _print(judgements: list[Judgement]) -> None:
     console.print(", ".join(f"{number} {verdict}" for verdict, number in count(judgements)))
 
 
-def check(results: list[Path], out: Path) -> None:
+def _print_changes(judgements: list[Judgement], before: Path) -> None:
+    """Print the claims whose verdict differs from that in an earlier ``claims.csv``."""
+    if not before.is_file():
+        raise ReportError(f"{before}: no such file; give the claims.csv of an earlier ledger")
+    earlier = pd.read_csv(before).set_index("id")["verdict"]
+    table = Table("claim", "before", "now", "reason")
+    for found in judgements:
+        if (was := earlier.get(found.id, "absent")) != found.verdict:
+            table.add_row(found.id, was, found.verdict, found.because or found.reason)
+    Console().print(table, markup=False)
+
+
+def check(results: list[Path], out: Path, before: Path | None = None) -> None:
     """Judge all claims by the tables in `results`, print the verdicts and write the page to `out`.
 
-    `results` are folders of results, or folders that contain such folders.
+    `results` are folders of results, or folders that contain such folders. With `before`, the
+    ``claims.csv`` of an earlier ledger, print what changed.
     """
     for folder in results:
         if not folder.is_dir():
@@ -63,6 +87,8 @@ def check(results: list[Path], out: Path) -> None:
     book, evidence = ledger(), Evidence.of_folders(results)
     judgements = judge(book, evidence)
     _print(judgements)
+    if before:
+        _print_changes(judgements, before)
     for note in evidence.notes:
         print(f"note: {note}")
     print(f"page: {write(book, judgements, evidence, out)}")

@@ -133,7 +133,8 @@ def kind(card: Mapping[str, Any], model: str) -> tuple[str, str]:
         return (PUBLISHED if options.get("bound") == "dc" else "DC, tight"), OURS
     searches = {"own": AUTHORS, "ours": OURS}
     if options.get("search") in searches:
-        return name.split(",")[0].split("(")[0].strip(), searches[options["search"]]
+        bound = name.split(",")[0].split("(")[0].strip().removesuffix(" bound")
+        return bound, searches[options["search"]]
     return "", ""
 
 

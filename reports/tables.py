@@ -132,14 +132,15 @@ def count_outcomes(runs: pd.DataFrame) -> pd.DataFrame:
 def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Series:
     """Return the seconds of runs; one that hit a limit or failed counts `PENALTY` times the time limit.
 
-    Without a limit in the cards it counts `PENALTY` times its own time.
+    If a limit on work ended it, or without a limit in the cards, it counts `PENALTY` times its own time.
     """
     limits = {
         label: limit
         for label, card in cards.items()
         if (limit := card.get("limits", {}).get("time_s")) is not None
     }
-    limit = runs["method"].map(limits).astype(float).fillna(runs["time_solve_s"])
+    by_work = runs["status"].isin(("assignment_limit", "node_limit"))
+    limit = runs["method"].map(limits).astype(float).mask(by_work).fillna(runs["time_solve_s"])
     return runs["time_solve_s"].mask(runs["outcome"].isin(("limited", "failed")), PENALTY * limit)
 
 

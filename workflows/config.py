@@ -247,7 +247,8 @@ def _with_its_limits(settings: Experiment, method: MethodSettings) -> MethodSett
     if limits.assignments is None:
         return method
     own: dict[str, float | None] = {"assignments": None}
-    if registry.read_card(method.baseline).solves_assignments:
+    over_matches = method.options.get("front_end") is not None  # DC-Reg then solves none per box
+    if registry.read_card(method.baseline).solves_assignments and not over_matches:
         own = {} if limits.safety_s is None else {"time_s": limits.safety_s}
     return method.model_copy(update={"limits": {**method.limits, **own}})
 

@@ -40,6 +40,9 @@ PLAN: dict[str, Column] = {
     "method": Column(str, "name of the method in the experiment (one line of the figures)", True),
     "baseline": Column(str, "folder of baselines/ that implements it"),
     "options": Column(str, "JSON of the options that differ from the card's defaults"),
+    "options_effective": Column(
+        str, "JSON of all options of the run: the card's defaults and those given"
+    ),
     "instance_id": Column(
         str, "hash of dataset, shape, test, level, trial and number of points", True
     ),

@@ -15,7 +15,7 @@ from dcreg.problem import Frame, rms_radius
 from dcreg.search import Box
 
 UNITS = ("source", "target", "none")
-START_BOXES = ("extent", "radius", "stationary")
+START_BOXES = ("radius", "extent", "stationary")
 _INFLATION = 1.5  # of the bounding box of the source, in norm space
 
 
@@ -72,12 +72,14 @@ class Centred:
     def start_box(self, name: str) -> Box:
         """Return the start box.
 
-        - ``extent``: 2D: similarities of at most the maximum scale along each axis; translations up to
-          the largest coordinate of the target. 3D: the bounding box of the source, half as large again.
-          It need not contain the optimum.
-        - ``radius``: translations up to the sum of the radii of both clouds, the source at the
-          maximum admissible scale. It contains every optimum.
-        - ``stationary``: the start box of this library, which contains every optimum.
+        - ``radius``: in 2D similarities of at most the maximum admissible scale along each axis;
+          translations up to the sum of the radii of both clouds, the source at that scale.
+        - ``extent``: 2D: the same, with translations up to the largest coordinate of the target. 3D:
+          the bounding box of the source, half as large again. It need not contain the optimum: of
+          instances with many outliers or occlusion it excludes the true pose of some.
+        - ``stationary``: the start box of this library.
+
+        The first and the last one contain every optimum.
         """
         if name != "extent":
             (root,) = self.space(np.zeros(1, np.uint8), name == "stationary").roots()

@@ -81,17 +81,10 @@ class Found:
     epsilon: float
     stages: list[Outcome]
     T: np.ndarray
+    scope: str
 
-    def solution(self, certified: int = 0, scope: str | None = None) -> Solution:
-        """Return the result in the units of the instance.
-
-        Parameters
-        ----------
-        certified : int
-            The stage whose bounds are reported.
-        scope : str, optional
-            What they refer to; default: the parameters of the first stage.
-        """
+    def solution(self, certified: int = 0) -> Solution:
+        """Return the result in the units of the instance, with the bounds of one stage."""
         first, last, area = self.stages[0], self.stages[-1], self.problem.frame.area
         if not np.isfinite(first.upper_bound):
             return Solution(Status.FAILED, None, "the limit ended the search before its first box")
@@ -106,13 +99,17 @@ class Found:
         return Solution(
             status, self.problem.frame.pose(self.T), "boxes " + " + ".join(map(str, boxes)),
             lower_bound, upper_bound, area * self.epsilon,
-            scope or self.problem.space(np.zeros(1, np.uint8)).scope,
+            self.scope,
             {
                 "n_nodes": sum(boxes),
                 "n_assignments": sum(stage.n_assignments for stage in self.stages),
             },
             [vars(event.scaled(area)) for stage in self.stages for event in stage.events],
-            {f"n_nodes_{name}": float(count) for name, count in zip(names, boxes, strict=True)},
+            {
+                f"{number}_{name}": float(getattr(stage, number))
+                for name, stage in zip(names, self.stages, strict=True)
+                for number in ("n_nodes", "n_assignments", "time_s")
+            },
         )  # fmt: skip
 
 
@@ -142,9 +139,10 @@ def search_alone(
     with limits.budget() as budget:
         space = problem.space(budget.stop)
         roots = [problem.start_box(options["start_box"])]
+        scope = space.scope + (", in the start box" if options["start_box"] == "extent" else "")
         if instance.dim == 2:
             found = algorithm_1(make(space, threads), roots, epsilon, budget, raise_children=raised)
-            return Found(problem, epsilon, [found], space.pose(found.theta))
+            return Found(problem, epsilon, [found], space.pose(found.theta), scope)
         found = algorithm_1(
             make(space, threads), roots, epsilon, budget.sub_budget(TRANSLATION_SHARE),
             stage="translation", raise_children=raised,
@@ -157,7 +155,7 @@ def search_alone(
             stage="rotation", raise_children=raised,
         )  # fmt: skip
         T = shifted_rotation(Rotation3D.matrix(rotation.theta), found.theta)
-        return Found(problem, epsilon, [found, rotation], T)
+        return Found(problem, epsilon, [found, rotation], T, scope)
 
 
 class EitherSearch(OwnBound):

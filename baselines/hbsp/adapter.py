@@ -49,7 +49,8 @@ class Adapter(EitherSearch):
     def solve(self, instance: Instance, limits: Limits) -> Answer:
         if instance.dim == 2 or self.options["search"] == "ours":
             return super().solve(instance, limits)
-        return self.search_alone(instance, limits).solution(certified=1, scope=SCOPE_3D)
+        found = self.search_alone(instance, limits)
+        return replace(found, scope=SCOPE_3D).solution(certified=1)
 
     def mode(self, model: str) -> Mode:
         mode = super().mode(model)

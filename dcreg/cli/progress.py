@@ -180,7 +180,7 @@ class Progress:
         return (
             f"{mark} {event.stage:<11}{event.n_nodes:>9}{event.n_open:>7}{event.n_assignments:>9}"
             f"{_number(event.lower_bound, 5):>12}{_number(event.upper_bound, 5):>12}"
-            f"{_percent(event.bound_ratio):>10}{event.time_s:>7.1f}s"
+            f"{_proven(event):>10}{event.time_s:>7.1f}s"
             f"{'  ' + event.status if event.status else ''}"
         )
 
@@ -196,8 +196,10 @@ class _Messages(logging.Handler):
         self._console.print(record.getMessage(), highlight=False, markup=False, soft_wrap=True)
 
 
-def _percent(share: float) -> str:
-    return f"{math.floor(1000.0 * share) / 10.0:.1f} %"  # only a closed gap is 100 %
+def _proven(event: dcreg.Event) -> str:
+    if event.status == "optimal" and event.lower_bound <= 0.0:
+        return "exact fit"
+    return f"{math.floor(1000.0 * event.bound_ratio) / 10.0:.1f} %"  # only a closed gap is 100 %
 
 
 def _number(value: float, digits: int) -> str:

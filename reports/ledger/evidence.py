@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,20 +14,22 @@ import numpy as np
 import pandas as pd
 
 from dcreg.names import POSE_SCOPES
-from reports.tables import Tables, check_study, counted_time
+from reports.tables import Tables, check_study
 from workflows.outcomes import attempted
 
 STUDY = "bounds"  # has no planned runs: its tables are next to those of the experiments
 QUICK = "-quick"
-_ROUNDING = 1e-12
-MAX_ERROR = 1.0  # longest sides: larger errors, and those of runs without a pose, count as this
+_TIER = re.compile(rf"-(\d+)(?:{QUICK})?$")  # experiments with another number of points
+NO_POSE = 1.0  # error of a run without a pose, in longest sides
 MIN_ERROR = 1e-3  # smaller errors count as equal
-UNLIMITED = 1e3  # factor of the time that a run at a limit may take without one
 
 
 @dataclass(frozen=True)
 class Role:
-    """A role of methods in claims, and how they are recognised in any experiment."""
+    """A role of methods in claims, and how they are recognised in any experiment.
+
+    `options` are compared with the effective options of a run: the card's defaults and those given.
+    """
 
     name: str
     title: str
@@ -38,18 +41,20 @@ class Role:
     without: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     every: bool = False  # all that fit take part; otherwise the best one
 
-    def fit(self, card: Mapping[str, Any]) -> tuple[int, ...] | None:
-        """Return the ranks of a method's baseline and options in this role; None if it does not fit."""
-        options, baseline = card.get("options", {}), card.get("baseline")
-        if baseline not in self.baseline or card.get("n_inliers_ratio", 1) != self.n_inliers_ratio:
+    def fit(
+        self, baseline: str, options: Mapping[str, Any], n_inliers_ratio: float = 1.0
+    ) -> tuple[int, ...] | None:
+        """Return the ranks of a run's baseline and effective options; None if it does not fit."""
+        if baseline not in self.baseline or n_inliers_ratio != self.n_inliers_ratio:
             return None
         if any(options.get(key) in values for key, values in self.without.items()):
             return None
-        if any(options.get(key) not in values for key, values in self.options.items()):
-            return None
-        ranks = [list(values).index(options.get(key)) for key, values in self.options.items()]
-        extra = len(set(options) - set(self.options))  # plain methods before tuned ones
-        return (self.baseline.index(baseline), *ranks, extra)
+        ranks = [self.baseline.index(baseline)]
+        for key, values in self.options.items():
+            if key not in options or options[key] not in values:
+                return None
+            ranks.append(list(values).index(options[key]))
+        return tuple(ranks)
 
 
 @dataclass(frozen=True)
@@ -63,71 +68,62 @@ class Experiment:
         """Whether this is the quick part of an experiment."""
         return self.tables.experiment.endswith(QUICK)
 
+    @property
+    def variables(self) -> str:
+        """The variables of make that choose this part of the experiment."""
+        tier = _TIER.search(self.tables.experiment)
+        points = f" POINTS={tier[1]}" if tier else ""
+        return points + " QUICK=1" * self.is_quick
+
     @cached_property
     def runs(self) -> pd.DataFrame:
-        """Attempted runs with the quantities of claims.
-
-        A run at a limit is ``settled`` if its pose is proven optimal within its tolerance: more time
-        would hardly change its error. This applies only to runs with bounds on the objective of the pose.
-        """
+        """Attempted runs with the quantities of claims."""
         runs = attempted(self.tables.runs)
         scale = np.array([_scale(text) for text in runs["T_reference"]])
-        sides = (runs["rmse_excess"] / scale).fillna(MAX_ERROR)
-        limited = runs["outcome"].eq("limited")
         violated = (runs["bound_violation"] > 0) | (
             runs["lower_bound"] > runs["objective_best"] * (1 + 1e-9) + 1e-12
         )
-        worst = runs["rmse"].max()
         of_pose = runs["certificate_scope"].isin(POSE_SCOPES)
+        upper = runs["upper_bound"].where(runs["upper_bound"] > 0)
         return runs.assign(
-            error=sides.clip(MIN_ERROR, MAX_ERROR),
-            rmse=runs["rmse"].fillna(worst),
-            rmse_max=worst,
-            time=counted_time(runs, self.tables.cards),
+            error=(runs["rmse"] / scale).fillna(NO_POSE).clip(lower=MIN_ERROR),
+            excess=(runs["rmse_excess"] / scale).fillna(NO_POSE).clip(lower=MIN_ERROR),
+            floor=(runs["rmse_floor"] / scale).fillna(0.0),
+            rmse=runs["rmse"].fillna(runs["rmse"].max()),
+            time=_time(runs, self.tables.cards),
             success=runs["success"].astype(float),
             wrong=~runs["success"].astype(bool),
             search_error=runs["verdict"].eq("search_error").astype(float),
-            certified=(runs["status"].eq("optimal") & of_pose),
+            certified=runs["status"].eq("optimal") & of_pose,
+            open_gap=((runs["gap"] / upper).clip(0.0, 1.0)).where(runs["gap"].notna()),
             violation=(violated & of_pose).astype(float),
-            limited=limited,
-            settled=limited & of_pose & (runs["regret_at_most"] <= runs["gap_tol"] + _ROUNDING),
+            limited=runs["outcome"].eq("limited"),
             source=runs["shape"].str.extract(r"^(sun3d|7-scenes|rgbd-scenes|bundlefusion|analysis)",
                                              expand=False).fillna(runs["dataset"]),
         )  # fmt: skip
 
     def methods_in(self, role: Role) -> list[str]:
         """Return the attempted methods of the experiment that fit `role`, best first."""
-        present = set(attempted(self.tables.runs)["method"])
+        first = attempted(self.tables.runs).drop_duplicates("method")
+        settings = zip(
+            first["method"], first["baseline"], first["options_effective"],
+            first["n_inliers_ratio"], strict=True,
+        )  # fmt: skip
         ranked = sorted(
-            (rank, label)
-            for label, card in self.tables.cards.items()
-            if label in present and (rank := role.fit({"baseline": label, **card})) is not None
+            (rank, place, label)
+            for place, (label, baseline, options, ratio) in enumerate(settings)
+            if (rank := role.fit(baseline, json.loads(options or "{}"), ratio)) is not None
         )
-        return [label for _, label in (ranked if role.every else ranked[:1])]
+        return [label for _, _, label in (ranked if role.every else ranked[:1])]
 
 
-def hypothetical(runs: pd.DataFrame, at_maximum: np.ndarray) -> pd.DataFrame:
-    """Return the runs with the extreme results that those at a limit could reach without it.
-
-    `at_maximum` selects the runs that reach the maximum; the others reach the minimum.
-    """
-    open_time = runs["limited"].to_numpy()
-    open_pose = open_time & ~runs["settled"].to_numpy()
-    ends: dict[str, tuple[Any, Any, np.ndarray]] = {
-        "error": (MIN_ERROR, MAX_ERROR, open_pose),
-        "rmse": (MIN_ERROR, runs["rmse_max"], open_pose),
-        "success": (0.0, 1.0, open_pose),
-        "search_error": (0.0, 1.0, open_pose),
-        "objective": (-np.inf, np.inf, open_pose),
-        "time": (runs["time_solve_s"], UNLIMITED * runs["time"], open_time),
-        "n_nodes": (runs["n_nodes"], UNLIMITED * runs["n_nodes"], open_time),
-    }
-    return runs.assign(
-        **{
-            name: runs[name].astype(float).mask(is_open, np.where(at_maximum, high, low))
-            for name, (low, high, is_open) in ends.items()
-        }
+def _time(runs: pd.DataFrame, cards: Mapping[str, Mapping[str, Any]]) -> pd.Series:
+    """Return the seconds of runs: a run at a limit took at least these, one without a pose its limit."""
+    limits = runs["method"].map(
+        {k: card.get("limits", {}).get("time_s") for k, card in cards.items()}
     )
+    failed = runs["outcome"].eq("failed")
+    return runs["time_solve_s"].mask(failed, limits.astype(float)).fillna(limits.astype(float))
 
 
 @dataclass(frozen=True)
@@ -152,7 +148,7 @@ class Evidence:
         """Return the tables below `folders`: results of experiments, or folders of such results.
 
         Of several tables of an experiment, those in the folder of its name are preferred, then the whole
-        experiment to its quick part.
+        experiment to its quick part, then all points to fewer.
         """
         found: dict[str, tuple[Path, Tables]] = {}
         study: dict[str, pd.DataFrame] = {}
@@ -176,17 +172,18 @@ class Evidence:
         return cls(experiments, study, tuple(notes))
 
 
-def _rank(place: Path, experiment: str) -> tuple[bool, bool]:
+def _rank(place: Path, experiment: str) -> tuple[bool, bool, bool]:
     """Sort key of folders with tables of one experiment: the preferred one first."""
-    return place.name != experiment, experiment.endswith(QUICK)
+    return place.name != experiment, experiment.endswith(QUICK), bool(_TIER.search(experiment))
 
 
 def _plain(name: str) -> str:
-    return name.removesuffix(QUICK)
+    """Return the name of an experiment without its number of points and its quick part."""
+    return _TIER.sub("", name).removesuffix(QUICK)
 
 
 def _read_study(folder: Path) -> dict[str, pd.DataFrame]:
-    paths = {name: folder / f"{name}.csv" for name in ("boxes", "orders", "searches")}
+    paths = {name: folder / f"{name}.csv" for name in ("boxes", "searches")}
     if not all(path.is_file() for path in paths.values()):
         return {}
     study = {name: pd.read_csv(path) for name, path in paths.items()}

@@ -1,83 +1,96 @@
-"""The result of a check of the ledger, and whether runs at a limit could change it.
+"""The result of a check of the ledger: comparisons with a figure each, and the runs behind them.
 
-A check takes the tables of one experiment and its parameters from the ledger. It returns a `Finding`:
-parts with a figure and an interval each, and the runs that they are based on. Parameters: ``tests``;
-``levels`` (a list, or ``top``, ``bottom`` of several, ``disturbed``: above 0; levels beyond the paper's
-axes only if a list names them); ``by`` (columns: a part per group); ``any`` (one part is enough); and
-``claimed``, the side on which a figure must lie.
+A check takes the tables of one experiment and its parameters from the ledger. It returns a `Finding`.
+Parameters: ``tests``; ``levels`` (a list, or ``top``, ``bottom`` of several, ``disturbed``: above 0;
+levels beyond the paper's axes only if a list names them); ``by`` (columns: a comparison per group);
+``quantity``; ``claimed``, the side on which a figure must lie; ``any`` (one comparison per claim is
+enough); and ``beside`` (shown, but not part of the verdict).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import product
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from reports.ledger import intervals
-from reports.ledger.evidence import QUICK, Evidence, Experiment, Role, hypothetical
-from reports.ledger.intervals import Interval
+from reports.ledger.evidence import QUICK, Evidence, Experiment, Role
+from reports.ledger.intervals import Estimate
 from reports.theme import words
 
 Parameters = Mapping[str, Any]
-LIMITED, SETTLED = "limited", "settled"  # settled: at a limit, but proven optimal
-BEST_FIRST = (intervals.REPRODUCED, intervals.OPEN, intervals.NOT)
+GROUPING = ("test", "level")  # the default of ``by``
+# Quantities of which a run at a limit shows only the minimum.
+WORK = ("time", "n_nodes", "n_assignments")
+# Quantity -> the one shown in the second column.
+SECOND = {"error": "excess", "time": "n_assignments"}
+WITH_SECOND = ("ratio", "value", "rise", "slope", "scatter", "race")  # kinds with a quantity
+UNITS = {
+    "error": "raw RMSE (longest sides)",
+    "excess": "error above the floor (longest sides)",
+    "time": "time (s)",
+    "rmse": "raw RMSE (m)",
+    "n_nodes": "boxes",
+    "n_assignments": "assignments",
+    "open_gap": "relative gap at the end",
+}
+
+
+def titled(quantity: str, *, unit: bool = True) -> str:
+    """Return a quantity in words."""
+    text = UNITS.get(quantity, words(quantity))
+    return text if unit else text.partition(" (")[0]
 
 
 @dataclass(frozen=True)
 class Part:
     """One comparison of a check."""
 
-    where: str
-    interval: Interval
-    verdict: str
-    margin: float
-    depends: bool = False  # open because runs at a limit could change it
+    subject: str
+    rival: str  # empty: against a threshold
+    group: str  # test, source or width: with the rival, the row of the verdict
+    where: str  # within the group, such as the level
+    estimate: Estimate
+    claimed: Parameters
+    rises: bool = False  # runs at a limit could increase the figure
+    falls: bool = False  # ... or decrease it
+    runs: Mapping[str, bool] = field(default_factory=dict)  # run_id -> whether it ended at a limit
+    beside: bool = False
 
 
 @dataclass
 class Finding:
-    """The result of a check: its parts, the runs they are based on, and what is missing."""
+    """The result of a check: its comparisons, the methods it used, and what is missing."""
 
     figure: str  # what the numbers are
     parts: list[Part] = field(default_factory=list)
-    runs: dict[str, str] = field(default_factory=dict)  # run_id -> outcome
     methods: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
+    rows: list[pd.DataFrame] = field(default_factory=list)  # of the study of bounds
+    of_any: bool = False
 
-    def add(self, where: str, interval: Interval, claimed: Parameters) -> None:
-        verdict = intervals.judge(interval, claimed)
-        self.parts.append(Part(where, interval, verdict, intervals.distance(interval, claimed)))
-
-    def use(self, *tables: pd.DataFrame) -> None:
+    def add(
+        self,
+        names: tuple[str, str],
+        place: tuple[str, str],
+        estimate: Estimate,
+        claimed: Parameters,
+        *tables: pd.DataFrame,
+        rises: bool = False,
+        falls: bool = False,
+    ) -> None:
+        """Add a comparison of ``names`` (subject, rival) at ``place`` (group, where) over runs."""
+        runs: dict[str, bool] = {}
         for table in tables:
-            ends = table["outcome"].mask(table["settled"], SETTLED)
-            self.runs.update(zip(table["run_id"], ends, strict=True))
+            runs.update(zip(table["run_id"], table["limited"].astype(bool), strict=True))
             self.methods += [m for m in table["method"].unique() if m not in self.methods]
+        self.parts.append(Part(*names, *place, estimate, claimed, rises, falls, runs))
 
-
-# A scenario of runs at a limit, by their levels: each reaches its minimum (False) or maximum (True).
-Scenario = Callable[[pd.Series], pd.Series]
-
-
-def none(levels: pd.Series) -> pd.Series:
-    return levels > np.inf
-
-
-def top(levels: pd.Series) -> pd.Series:
-    return levels == levels.max()
-
-
-def upper(levels: pd.Series) -> pd.Series:
-    return levels > levels.unique().mean()
-
-
-def both_ways(scenario: Scenario) -> tuple[Scenario, Scenario]:
-    """Return a scenario and its opposite."""
-    return scenario, lambda levels: ~scenario(levels)
+    def miss(self, what: str) -> None:
+        if what not in self.missing:
+            self.missing.append(what)
 
 
 @dataclass(frozen=True)
@@ -88,7 +101,6 @@ class Source:
     experiment: Experiment | None
     roles: Mapping[str, Role]
     axes: Mapping[str, float] = field(default_factory=dict)  # test -> last level the paper shows
-    scenarios: tuple[Scenario, Scenario] | None = None  # of the subject and of the rivals
 
     def runs(
         self, role: str, p: Parameters, finding: Finding
@@ -99,36 +111,37 @@ class Source:
         tried = self.experiment.runs
         if not isinstance(p.get("levels"), list):
             tried = tried[tried["level"] <= tried["test"].map(self.axes).fillna(np.inf)]
-        finding.missing += [what for what in _absent(tried, p) if what not in finding.missing]
+        for what in _absent(tried, p):
+            finding.miss(what)
         chosen = [(label, select(tried, label, p)) for label in labels]
         filled = [(label, runs) for label, runs in chosen if len(runs)]
         title = self.roles[role].title
-        what = f"{title} in these tests and levels" if labels else title
-        if not filled and what not in finding.missing:
-            finding.missing.append(what)
+        if not filled:
+            finding.miss(f"{title} in these tests and levels" if labels else title)
         names = self.experiment.runs.drop_duplicates("method").set_index("method")["display_name"]
         for label, runs in filled:
-            if self.scenarios:
-                scenario = self.scenarios[role in p.get("rivals", ())]
-                at_maximum = runs.groupby("test")["level"].transform(scenario).to_numpy()
-                runs = hypothetical(runs, at_maximum)
             yield names[label], runs
+
+    def pairs(
+        self, p: Parameters, finding: Finding
+    ) -> Iterator[tuple[str, pd.DataFrame, str, pd.DataFrame]]:
+        """Yield every subject with every rival."""
+        for name, runs in self.runs(p["subject"], p, finding):
+            for role in p["rivals"]:
+                for rival, theirs in self.runs(role, p, finding):
+                    yield name, runs, rival, theirs
 
 
 Check = Callable[[Source, Parameters], Finding]
 CHECKS: dict[str, Check] = {}
 STUDY_CHECKS: set[str] = set()  # checks of the study of bounds
-# Scenarios whose combinations contain the extremes of a kind of check; empty: unknown.
-SCENARIOS: dict[str, tuple[Scenario, ...]] = {}
 
 
-def check(
-    name: str, *, of_study: bool = False, scenarios: tuple[Scenario, ...] = both_ways(none)
-) -> Callable[[Check], Check]:
-    """Register a kind of check; with the default scenarios, its figure is monotone in every run."""
+def check(name: str, *, of_study: bool = False) -> Callable[[Check], Check]:
+    """Register a kind of check."""
 
     def register(function: Check) -> Check:
-        CHECKS[name], SCENARIOS[name] = function, scenarios
+        CHECKS[name] = function
         if of_study:
             STUDY_CHECKS.add(name)
         return function
@@ -136,55 +149,26 @@ def check(
     return register
 
 
-def found(source: Source, p: Parameters, *, limits_decide: bool = False) -> Finding:
-    """Run a check; a part is inconclusive if runs at a limit could change its verdict.
-
-    With ``any``, one part on the claimed side is enough: only the parts with the best verdict count.
-    """
+def find(source: Source, p: Parameters) -> Finding:
+    """Run a check."""
     finding = CHECKS[p["kind"]](source, p)
-    if not limits_decide and (LIMITED in finding.runs.values() or _of_work(p, finding)):
-        _open_dependent(finding, source, p)
-    if p.get("any"):
-        best = min((BEST_FIRST.index(part.verdict) for part in finding.parts), default=0)
-        finding.parts = [part for part in finding.parts if BEST_FIRST.index(part.verdict) == best]
+    finding.of_any = bool(p.get("any"))
+    if p.get("beside"):
+        finding.parts = [Part(**{**vars(part), "beside": True}) for part in finding.parts]
+        finding.missing = []
     return finding
 
 
-def _open_dependent(finding: Finding, source: Source, p: Parameters) -> None:
-    """Make the parts inconclusive that runs at a limit could change."""
-    kind = p["kind"]
-    cases = [
-        CHECKS[kind](replace(source, scenarios=(mine, theirs)), p).parts
-        for mine, theirs in product(SCENARIOS[kind], repeat=2)
-    ]
-    finding.parts = [
-        part
-        if cases and _stands(part, [case[at] for case in cases], p["claimed"])
-        else replace(part, verdict=intervals.OPEN, depends=part.verdict != intervals.OPEN)
-        for at, part in enumerate(finding.parts)
-    ]
-
-
-def _stands(part: Part, extremes: Sequence[Part], claimed: Parameters) -> bool:
-    """Whether a verdict holds for all extremes and for the values between them."""
-    if any(other.verdict != part.verdict for other in extremes):
-        return False
-    # extremes on both sides of a claimed range contain the range
-    low = min(other.interval.low for other in extremes)
-    high = max(other.interval.high for other in extremes)
-    hull = replace(part.interval, low=low, high=high)
-    return part.verdict != intervals.NOT or intervals.judge(hull, claimed) == intervals.NOT
-
-
-def _of_work(p: Parameters, finding: Finding) -> bool:
-    """Whether a figure of time or boxes is based on runs at a limit, settled ones included.
-
-    A race also depends on searches that finished without a bound.
-    """
-    quantities = {p.get("quantity"), *p.get("quantities", ())}
-    if p["kind"] == "race":
-        return True
-    return bool(quantities & {"time", "n_nodes"}) and SETTLED in finding.runs.values()
+def second(source: Source, p: Parameters) -> tuple[str, Mapping[tuple[str, ...], Estimate]]:
+    """Return title and figures of the second column: the error above the floor, or the work."""
+    quantity = SECOND.get(p.get("quantity", "error"))
+    if p["kind"] not in WITH_SECOND or quantity is None:
+        return "", {}
+    found = CHECKS[p["kind"]](source, {**p, "quantity": quantity})
+    figures: dict[tuple[str, ...], Estimate] = {
+        (part.subject, part.rival, part.group, part.where): part.estimate for part in found.parts
+    }
+    return (titled(quantity, unit=False) if figures else "", figures)
 
 
 def _absent(runs: pd.DataFrame, p: Parameters) -> Iterator[str]:
@@ -223,20 +207,41 @@ def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
     return part
 
 
-def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield the parts of a table by the columns of ``by``, each with a name."""
-    by = p.get("by", ["test", "level"])
+def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[tuple[str, str], pd.DataFrame]]:
+    """Yield the parts of a table by the columns of ``by``, each with its place (group, where)."""
+    by = list(p.get("by", GROUPING))
     if not by:
         if len(table):
-            yield "all", table
+            yield ("all", ""), table
         return
     for _, part in table.groupby(by, sort=False):
-        key = part.iloc[0][by]
-        texts = [f"{value:g}" if isinstance(value, float) else words(str(value)) for value in key]
-        yield ", ".join(texts), part
+        first, *rest = part.iloc[0][by]
+        names = [f"{by[at + 1]} {value:g}" if isinstance(value, float) else words(str(value))
+                 for at, value in enumerate(rest)]  # fmt: skip
+        yield (words(str(first)), ", ".join(names)), part
 
 
-def paired(one: pd.DataFrame, other: pd.DataFrame, quantity: str) -> pd.DataFrame:
-    """Return both values on every common instance."""
-    both = one.merge(other[["instance_id", quantity]], on="instance_id", suffixes=("", "_rival"))
-    return both.dropna(subset=[quantity, f"{quantity}_rival"])
+def paired(one: pd.DataFrame, other: pd.DataFrame, *quantities: str) -> pd.DataFrame:
+    """Return the values of both on every common instance."""
+    columns = list(quantities)
+    both = one.merge(
+        other[["instance_id", "run_id", "limited", *columns]],
+        on="instance_id",
+        suffixes=("", "_rival"),
+    )
+    return both.dropna(subset=[*columns, *(f"{column}_rival" for column in columns)])
+
+
+def of_rival(both: pd.DataFrame, theirs: pd.DataFrame) -> pd.DataFrame:
+    """Return the rival's runs of a paired table."""
+    return theirs[theirs["run_id"].isin(set(both["run_id_rival"]))]
+
+
+def limits(quantity: str, above: pd.Series | None, below: pd.Series | None) -> dict[str, bool]:
+    """Return how runs at a limit could change a ratio of work with these runs above and below."""
+    if quantity not in WORK:
+        return {}
+    return {
+        "rises": above is not None and bool(above.any()),
+        "falls": below is not None and bool(below.any()),
+    }

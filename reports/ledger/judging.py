@@ -1,51 +1,40 @@
-"""From claims and tables to verdicts."""
+"""Judge claims by the available tables."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
-from functools import cache
-from pathlib import Path
+from dataclasses import dataclass, fields
 from typing import Any
 
 import pandas as pd
-import yaml
+from markupsafe import Markup
 
-from reports.ledger import checks  # noqa: F401 (registers the kinds)
-from reports.ledger.evidence import STUDY, Evidence, Experiment, Role
-from reports.ledger.finding import (
-    CHECKS,
-    LIMITED,
-    SETTLED,
-    STUDY_CHECKS,
-    Finding,
-    Part,
-    Source,
-    found,
-)
-from reports.ledger.intervals import MIN_INSTANCES, NOT, NOT_RUN, OPEN, REPRODUCED, VERDICTS
-from reports.tables import ReportError
+from reports.ledger.book import APART as KINDS
+from reports.ledger.book import Claim, Ledger, ledger
+from reports.ledger.drawing import strips
+from reports.ledger.evidence import STUDY, Evidence, Experiment
+from reports.ledger.finding import Finding, Source, find, second
+from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED, VERDICTS
+from reports.ledger.verdicts import Row, decide, of_all, of_any, rows
+from reports.tables import limits_of
+from reports.theme import words
 
-LEDGER = Path(__file__).parents[1] / "claims.yaml"
+__all__ = ["Judgement", "Ledger", "as_table", "count", "judge", "judge_claim", "ledger"]
 
-
-@dataclass(frozen=True)
-class Claim:
-    """One claim of the paper, and how this project checks it."""
-
-    id: str
-    quote: str
-    test: str  # the check in words; its threshold is this project's
-    experiment: str
-    checks: tuple[dict[str, Any], ...]
-    note: str = ""
-    limits_decide: bool = False  # the claim is about runs at their limit
-    reconstruction: str = ""  # in addition to the cards of the deciding methods
+APART = "apart"
+# Columns of the runs behind a verdict, as offered for download.
+DATA = [
+    "run_id", "instance_id", "experiment", "method", "display_name", "baseline", "options_effective",
+    "n_inliers_ratio", "dataset", "shape", "test", "level", "trial", "n_inliers", "status", "outcome",
+    "success", "rmse", "rmse_floor", "error", "excess", "objective", "lower_bound", "upper_bound",
+    "gap_tol", "certified", "verdict", "violation", "time_solve_s", "n_nodes", "n_assignments",
+    "machine_id",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """A verdict with the deciding figure, the reason, and the command that makes the tables."""
+    """A verdict with the rows behind it, the reason, and the command that makes the tables."""
 
     id: str
     verdict: str
@@ -53,58 +42,31 @@ class Judgement:
     test: str
     evidence: str
     reason: str
+    tested: str  # what was and what was not tested
     reconstruction: str  # reconstructed methods that the verdict relies on
-    runs: int
+    runs: int  # of the deciding rows
     limited: int
     command: str
     note: str
+    apart: str
+    because: str
+    rows: tuple[Row, ...]
+    data: pd.DataFrame  # the runs, or boxes, behind the verdict
 
+    @property
+    def kind(self) -> str:
+        """Why the claim has no verdict; empty if it has one."""
+        return KINDS.get(self.apart, "")
 
-@dataclass(frozen=True)
-class Ledger:
-    claims: tuple[Claim, ...]
-    roles: dict[str, Role]
-    axes: dict[str, float]  # test -> highest level in the paper
-    commands: dict[str, str]
-    facts: tuple[str, ...]
-
-    @classmethod
-    def read(cls, path: Path = LEDGER) -> Ledger:
-        """Read the ledger; raise ReportError for a claim that names an unknown check, role or command."""
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        roles = {name: Role(name, **role) for name, role in content["roles"].items()}
-        claims = tuple(
-            Claim(**{**entry, "checks": tuple(entry["checks"])}) for entry in content["claims"]
-        )
-        ledger = cls(claims, roles, content["axes"], content["commands"], tuple(content["facts"]))
-        for claim in claims:
-            ledger._check(claim, path)
-        return ledger
-
-    def _check(self, claim: Claim, path: Path) -> None:
-        for entry in claim.checks:
-            if entry.get("kind") not in CHECKS:
-                raise ReportError(
-                    f"{path}: {claim.id}: no check {entry.get('kind')!r}; known: {', '.join(CHECKS)}"
-                )
-            if entry["kind"] in STUDY_CHECKS:
-                continue
-            named = [entry.get(key, []) for key in ("subject", "reference", "methods", "rivals")]
-            for role in (
-                r for names in named for r in ([names] if isinstance(names, str) else names)
-            ):
-                if role not in self.roles:
-                    raise ReportError(f"{path}: {claim.id}: no role {role!r}; add it to roles")
-        if claim.experiment not in self.commands:
-            raise ReportError(
-                f"{path}: {claim.id}: no command makes {claim.experiment!r}; add it to commands"
-            )
-
-
-@cache
-def ledger() -> Ledger:
-    """Return the ledger of this project."""
-    return Ledger.read()
+    @property
+    def tables(self) -> list[tuple[str, list[tuple[Row, Markup]]]]:
+        """The figure of evidence: rows with their strips, by what the figures are."""
+        grouped: dict[str, list[Row]] = {}
+        for row in self.rows:
+            grouped.setdefault(row.figure, []).append(row)
+        return [
+            (figure, list(zip(rows, strips(rows), strict=True))) for figure, rows in grouped.items()
+        ]
 
 
 def judge(book: Ledger, evidence: Evidence, experiments: set[str] | None = None) -> list[Judgement]:
@@ -120,56 +82,110 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     """Return the verdict of one claim."""
     experiment = evidence.experiments.get(claim.experiment)
     findings: list[Finding] = []
+    found: list[list[Row]] = []
     if (claim.experiment == STUDY and evidence.study) or experiment is not None:
         source = Source(evidence, experiment, book.roles, book.axes)
-        findings = [
-            found(source, entry, limits_decide=claim.limits_decide) for entry in claim.checks
+        findings = [find(source, entry) for entry in claim.checks]
+        quick = experiment is not None and experiment.is_quick
+        found = [
+            rows(finding, decided, *second(source, entry))
+            for finding, decided, entry in zip(
+                findings, decide(findings, quick=quick), claim.checks, strict=True
+            )
         ]
-    runs = {run: outcome for finding in findings for run, outcome in finding.runs.items()}
-    limited = sum(outcome in (LIMITED, SETTLED) for outcome in runs.values())
-    verdict, reason = _verdict(claim, findings)
+    verdict, reason = _verdict(claim, findings, found)
+    every = [row for each in found for row in each]
+    deciding = [row for row in every if not row.beside and (verdict != NOT or row.verdict == NOT)]
+    runs = {run: late for row in deciding for run, late in row.runs.items()}
+    limited = sum(runs.values())
+    if runs and experiment is not None:
+        reason += f". {_limits(experiment, findings, len(runs), limited)}"
     command = book.commands[claim.experiment]
-    quick = experiment is not None and experiment.is_quick
+    command += experiment.variables if experiment is not None else ""
     if verdict == NOT_RUN:
-        reason += f"; {'run the whole experiment' if quick else 'make the tables'} with {command}"
-    elif quick:
-        command += " QUICK=1"
+        whole = book.commands[claim.experiment]
+        is_part = experiment is not None and bool(experiment.variables)
+        reason += f"; {'run the whole experiment' if is_part else 'make the tables'} with {whole}"
+        command = whole
     return Judgement(
         id=claim.id,
-        verdict=verdict,
+        verdict=APART if claim.apart else verdict,
         quote=claim.quote,
         test=claim.test,
-        evidence=_shown(findings, verdict),
+        evidence=_evidence(deciding, verdict),
         reason=reason,
+        tested=_tested(book, claim, experiment, findings, every),
         reconstruction=_reconstructed(claim, findings, experiment),
         runs=len(runs),
         limited=limited,
         command=command,
         note=claim.note,
+        apart=claim.apart,
+        because=claim.because,
+        rows=tuple(every),
+        data=_data(findings, every, experiment),
     )
 
 
 def count(judgements: list[Judgement]) -> list[tuple[str, int]]:
-    """Count the claims per verdict."""
+    """Count the claims per verdict, those that stand apart last."""
     counts = Counter(judgement.verdict for judgement in judgements)
-    return [(verdict, counts[verdict]) for verdict in VERDICTS]
+    return [
+        (verdict, counts[verdict])
+        for verdict in (*VERDICTS, APART)
+        if verdict != APART or counts[APART]
+    ]
 
 
 def as_table(judgements: list[Judgement]) -> pd.DataFrame:
     """Return a table with a row per claim."""
-    return pd.DataFrame([asdict(judgement) for judgement in judgements])
+    columns = [field.name for field in fields(Judgement) if field.name not in ("rows", "data")]
+    return pd.DataFrame(
+        [{name: getattr(found, name) for name in columns} for found in judgements], columns=columns
+    )
 
 
-def _verdict(claim: Claim, findings: list[Finding]) -> tuple[str, str]:
-    parts = [part for finding in findings for part in finding.parts]
+def comparisons(judgements: list[Judgement]) -> pd.DataFrame:
+    """Return a table with a row per comparison, with its figure, interval and decision."""
+    table = []
+    for found in judgements:
+        for row in found.rows:
+            for each in row.decided:
+                (side, threshold), (low, high) = *each.part.claimed.items(), each.interval
+                table.append(
+                    {
+                        "claim": found.id, "figure": row.figure, "subject": row.subject,
+                        "rival": row.rival, "group": row.group, "where": each.part.where,
+                        "verdict": each.verdict, "value": each.part.estimate.value, "low": low,
+                        "high": high, "coverage": 1 - each.level, "side": side,
+                        "threshold": threshold, "instances": each.part.estimate.n,
+                        "runs": len(each.part.runs), "limited": sum(each.part.runs.values()),
+                        "beside": row.beside, "open_because": each.why,
+                    }
+                )  # fmt: skip
+    return pd.DataFrame(table)
+
+
+def _verdict(claim: Claim, findings: list[Finding], found: list[list[Row]]) -> tuple[str, str]:
     missing = list(dict.fromkeys(name for finding in findings for name in finding.missing))
     if not findings:
         return NOT_RUN, f"no tables of {claim.experiment}"
-    if not parts:
+    deciding = [
+        (finding, [row for row in each if not row.beside])
+        for finding, each, entry in zip(findings, found, claim.checks, strict=True)
+        if not entry.get("beside")
+    ]
+    every = [row for _, each in deciding for row in each]
+    if not every:
         lacking = missing or list(dict.fromkeys(f.figure for f in findings))
         return NOT_RUN, f"not in the tables: {'; '.join(lacking)}"
-    verdict, reason = _of_parts(parts)
-    lacking = [f.figure for f in findings if not f.parts]
+    verdict = of_all(
+        (of_any if finding.of_any else of_all)(row.verdict for row in each)
+        for finding, each in deciding
+        if each
+    )
+    reason = _counted(every)
+    lacking = [f.figure for f, each in deciding if not each]
     if verdict == REPRODUCED and (missing or lacking):
         what = ", ".join(missing or lacking)
         return OPEN, f"the available part agrees with the claim; not in the tables: {what}"
@@ -178,55 +194,94 @@ def _verdict(claim: Claim, findings: list[Finding]) -> tuple[str, str]:
     return verdict, reason
 
 
-def _of_parts(parts: list[Part]) -> tuple[str, str]:
-    """All parts must be on the claimed side; a single part on the other side refutes the claim."""
-    count = {name: sum(p.verdict == name for p in parts) for name in (REPRODUCED, NOT, OPEN)}
-    verdict = NOT if count[NOT] else OPEN if count[OPEN] else REPRODUCED
-    if len(parts) == 1:
-        n = parts[0].interval.n
+def _counted(every: list[Row]) -> str:
+    """Count the rows per verdict, and state what the open ones need."""
+    counts = Counter(row.verdict for row in every)
+    if len(every) == 1:
+        (row,) = every
         texts = {
-            REPRODUCED: "the interval lies on the claimed side",
-            NOT: "the interval lies on the other side",
-            OPEN: "runs at a limit could change the verdict"
-            if parts[0].depends
-            else f"the interval overlaps both sides (n = {n})",
+            REPRODUCED: "the figure lies on the claimed side",
+            NOT: "the figure lies on the other side",
+            OPEN: row.instances,
         }
-        return verdict, texts[verdict]
-    shown = [
-        f"{count[name]} {text}"
-        for name, text in (
-            (REPRODUCED, "as claimed"),
-            (NOT, "against the claim"),
-            (OPEN, "inconclusive"),
-        )
-        if count[name]
-    ]
-    few = sum(p.verdict == OPEN and p.interval.n < MIN_INSTANCES for p in parts)
-    depends = sum(p.depends for p in parts)
-    why = [
-        f"{number} {text}"
-        for number, text in (
-            (depends, "because of runs at a limit that could change them"),
-            (few, f"with fewer than {MIN_INSTANCES} instances"),
-        )
-        if number
-    ]
-    shown[-1] += f" ({', '.join(why)})" if why else ""
-    return verdict, f"of {len(parts)} comparisons {', '.join(shown)}"
+        return texts[row.verdict]
+    shown = [f"{counts[name]} {name}" for name in (REPRODUCED, NOT, OPEN) if counts[name]]
+    text = f"of {len(every)} comparisons with a rival or threshold, {', '.join(shown)}"
+    needs = list(dict.fromkeys(row.instances for row in every if row.instances))
+    return text + (f" ({needs[0]}{'; others: see the table' * (len(needs) > 1)})" if needs else "")
 
 
-def _shown(findings: list[Finding], verdict: str) -> str:
-    """Return the deciding figure of each check: the one farthest from the claimed side."""
-    texts = []
-    for finding in findings:
-        parts = [p for p in finding.parts if p.verdict == verdict] or finding.parts
-        if parts:
-            part = min(parts, key=lambda p: p.margin)
-            count = (
-                f", the least favourable of {len(finding.parts)}" if len(finding.parts) > 1 else ""
-            )
-            texts.append(f"{finding.figure} {part.interval} ({part.where}{count})")
-    return "; ".join(texts)
+def _limits(experiment: Experiment, findings: list[Finding], runs: int, limited: int) -> str:
+    methods = dict.fromkeys(method for finding in findings for method in finding.methods)
+    cards = [experiment.tables.cards.get(method, {}) for method in methods]
+    texts = dict.fromkeys(text for card in cards for text in limits_of(card).values())
+    stated = f" ({', '.join(texts)})" if texts else ""
+    share = f"{limited} of {runs} deciding runs" if limited else f"None of the {runs} deciding runs"
+    how = "" if experiment.is_quick or not limited else "; their answers at the limit count"
+    return f"{share} hit a limit{stated}{how}"
+
+
+def _evidence(deciding: list[Row], verdict: str) -> str:
+    """Return the figure of each check that is farthest from the claimed side."""
+    texts: dict[str, str] = {}
+    for row in sorted(deciding, key=lambda row: row.shown.margin):
+        if row.verdict == verdict:
+            where = ", ".join(filter(None, (row.names, row.group, row.shown.part.where)))
+            texts.setdefault(row.figure, f"{row.figure} {row.value} ({where})")
+    return "; ".join(texts.values())
+
+
+def _tested(
+    book: Ledger,
+    claim: Claim,
+    experiment: Experiment | None,
+    findings: list[Finding],
+    every: list[Row],
+) -> str:
+    """State in one sentence what was tested and what was not."""
+    missing = list(dict.fromkeys(name for finding in findings for name in finding.missing))
+    outside = [*missing, *filter(None, (claim.untested, book.untested.get(claim.experiment, "")))]
+    without = f"not tested: {'; '.join(outside)}" if outside else ""
+    if not every:
+        return f"Nothing was tested; {without}." if without else "Nothing was tested."
+    subjects = _listed(row.subject for row in every)
+    rivals = _listed(row.rival for row in every if row.rival)
+    text = subjects + (f" against {rivals}" if rivals else "")
+    if experiment is not None:
+        ids = {run for row in every for run in row.runs}
+        part = experiment.runs[experiment.runs["run_id"].isin(ids)]
+        sizes = part[["n_source", "n_target"]].to_numpy()
+        shapes = part["shape"].unique()
+        named = ", ".join(map(str, shapes)) if len(shapes) <= 4 else f"{len(shapes)} shapes"
+        tests = ", ".join(words(str(test)) for test in part["test"].unique())
+        least, most = int(sizes.min()), int(sizes.max())
+        points = f"{least} to {most} points" if most > least else f"{most} points"
+        text += f" on {named} ({points}) in {tests}, {part['instance_id'].nunique()} instances"
+        text += _machine(experiment, part) if _is_timed(claim) else ""
+    return f"Tested: {text}{'; ' + without if without else ''}."
+
+
+def _machine(experiment: Experiment, part: pd.DataFrame) -> str:
+    """Return machine and languages of a comparison of times."""
+    cpu = experiment.tables.provenance.get("machine", {}).get("cpu", "an unknown machine")
+    names = part.drop_duplicates("method").set_index("method")["display_name"]
+    languages = [
+        f"{name}: {language}"
+        for method, name in names.items()
+        if (language := experiment.tables.cards.get(str(method), {}).get("language"))
+    ]
+    return f", on {cpu}" + (f" ({', '.join(languages)})" if languages else "")
+
+
+def _is_timed(claim: Claim) -> bool:
+    return any(
+        "time" in (entry.get("quantity"), *entry.get("quantities", ())) or entry["kind"] == "race"
+        for entry in claim.checks
+    )
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(dict.fromkeys(names))
 
 
 def _reconstructed(claim: Claim, findings: list[Finding], experiment: Experiment | None) -> str:
@@ -239,4 +294,14 @@ def _reconstructed(claim: Claim, findings: list[Finding], experiment: Experiment
             for method in used
             if cards.get(method, {}).get("provenance") == "reconstruction"
         ]
-    return ", ".join(names)
+    return ", ".join(dict.fromkeys(names))
+
+
+def _data(findings: list[Finding], every: list[Row], experiment: Experiment | None) -> pd.DataFrame:
+    """Return the rows of the tables that the comparisons are based on."""
+    if experiment is None:
+        tables = [table for finding in findings for table in finding.rows]
+        return pd.concat(tables).drop_duplicates() if tables else pd.DataFrame()
+    ids = {run for row in every for run in row.runs}
+    runs = experiment.runs
+    return runs.loc[runs["run_id"].isin(ids), [name for name in DATA if name in runs]]

@@ -89,7 +89,7 @@ def test_no_wrong_optimum_over_a_start_box_that_contains_it(name, options) -> No
         )
         gap_tol = max(0.9 * highest, 1e-3) if seed % 5 else 0.1 * k
         factor = float(np.sqrt(gap_tol / k) / rms_radius(target))
-        method = registry.load(name, epsilon_factor=factor, start_box="radius", **options)
+        method = registry.load(name, epsilon_factor=factor, **options)
         found = method.solve(problem, Limits(60.0, nodes=1500 if name == "rpm_htb" else 300))
         slack = 1e-8 * (1 + highest)
         assert found.lower_bound <= highest + slack
@@ -189,7 +189,7 @@ def test_clouds_too_large_for_the_rotation_search_are_refused(monkeypatch) -> No
     ("options", "said"),
     [
         ({"search": "theirs"}, "option search = 'theirs'; choose one of own, ours"),
-        ({"start_box": "small"}, "choose one of extent, radius, stationary"),
+        ({"start_box": "small"}, "choose one of radius, extent, stationary"),
         ({"incumbents": "all"}, "choose one of fit, pose"),
         ({"polish": False}, "has no effect with search: own"),
         ({"search": "ours", "epsilon_factor": 0.1}, "has no effect with search: ours"),

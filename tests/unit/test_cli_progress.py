@@ -34,14 +34,14 @@ def show(events, *, terminal=False, **options):
 
 def test_plain_lines_are_few_aligned_and_end_with_the_last_event():
     events = [event(time_s=i / 100, n_nodes=i + 1, upper=9.0 - i % 2) for i in range(50)]
-    events.append(event("end", time_s=0.5, n_nodes=99, upper=0.125, status="optimal"))
+    events.append(event("end", time_s=0.5, n_nodes=99, lower=0.1, upper=0.125, status="optimal"))
     lines = show(events).splitlines()
     assert "proven: lower bound in % of the upper bound" in lines[0]
     assert lines[1].startswith("*: better pose")
     header, first, last = lines[2:]
     assert first.startswith("* search")
     assert last.startswith("* search")
-    assert last.split()[2:] == ["99", "3", "1584", "0", "0.125", "0.0", "%", "0.5s", "optimal"]
+    assert last.split()[2:] == ["99", "3", "1584", "0.1", "0.125", "80.0", "%", "0.5s", "optimal"]
     for column in ("nodes", "lower bound", "upper bound", "proven", "time"):
         end = header.index(column) + len(column)
         assert first[end - 1] != " "
@@ -61,6 +61,11 @@ def test_infinite_bounds_and_new_stage_marks():
 def test_the_last_event_is_shown_even_without_an_end():
     lines = show([event(n_nodes=1), event(n_nodes=2), event(n_nodes=3)]).splitlines()
     assert [line.split()[-8] for line in lines[3:]] == ["1", "3"]
+
+
+def test_an_exact_fit_is_called_so():
+    last = show([event("end", upper=1e-20, status="optimal")]).splitlines()[-1]
+    assert last.split()[-4:] == ["exact", "fit", "0.0s", "optimal"]
 
 
 def test_terminal_shows_one_live_line():

@@ -43,6 +43,8 @@ def test_a_tolerance_above_the_upper_bound():
     assert result.status is Status.CONVERGED
     assert "converged: fits within the tolerance; not certified" in str(result)
     assert result.to_dict()["warnings"] == result.warnings
+    late = diagnostics.nothing_proven(case(result, *clouds(), status=Status.TIME_LIMIT))
+    assert "Allow more time" in late  # the tolerance did not end this search
 
 
 def test_in_norm_space_a_bound_of_zero_is_not_optimal():

@@ -26,7 +26,7 @@ from reports.figures.figure import Figure
 from reports.ledger.judging import ledger
 from reports.sections import figures, outcome
 from reports.sections.parameters import parameters
-from reports.tables import ReportError, Tables, row_names, thin_trace
+from reports.tables import PENALTY, ReportError, Tables, counted_time, row_names, thin_trace
 from tests.unit import report_fixture
 from workflows.attribution import VERDICTS
 from workflows.config import CONFIGS, load
@@ -294,6 +294,31 @@ def test_levels_are_named_with_their_unit(flat):
     assert titles == {
         "deformation, in longest sides", "noise σ, in longest sides", "outliers per inlier, each set",
     }  # fmt: skip
+
+
+def test_outcome_states_language_work_and_the_share_of_excluded_truths(tables):
+    cards = {name: {**card, "language": "C++"} for name, card in tables.cards.items()}
+    runs = tables.runs.assign(n_assignments=7.0, truth_in_cube=np.nan)
+    of_icp = runs.index[runs["method"] == "icp"]
+    runs.loc[of_icp, "truth_in_cube"] = 1.0
+    runs.loc[of_icp[: len(of_icp) // 2], "truth_in_cube"] = 0.0
+    changed = dataclasses.replace(tables, runs=runs, provenance={"methods": cards})
+    rows = outcome.outcomes(changed)
+    assert {(row["language"], row["assignments"]) for row in rows} == {("C++", 7.0)}
+    shares = {
+        row["method"]: row["truth_excluded"] for row in rows if row["model"] == "similarity2d"
+    }
+    assert shares["icp"] > 0
+    assert np.isnan(shares["dcreg-full"])
+
+
+def test_times_of_unfinished_runs_count_as_twice_the_limit_or_the_time_of_their_work(tables):
+    runs = tables.runs.head(4).assign(time_solve_s=3.0, outcome="finished", status="optimal")
+    runs.loc[1, ["outcome", "status"]] = "limited", "time_limit"
+    runs.loc[2, ["outcome", "status"]] = "limited", "assignment_limit"
+    runs.loc[3, ["outcome", "status", "time_solve_s"]] = "failed", "failed", np.nan
+    times = counted_time(runs, tables.cards)
+    assert list(times) == [3.0, PENALTY * 10, PENALTY * 3.0, PENALTY * 10]
 
 
 def test_outcome_counts_limits_and_missing_poses(tables):

@@ -66,6 +66,8 @@ def test_stages_are_listed_if_several_have_bounds():
     assert "search stage     optimal, bounds [0.5, 1] (50.0 %), 5 nodes, 1.00 s" in text
     assert "rotation stage   time_limit, bounds [2, 9] (22.2 %), 7 nodes, 1.50 s" in text
     assert "polish stage" not in text
+    exact = replace(search, lower_bound=0.0, upper_bound=1e-20)
+    assert "optimal, bounds [0, 1e-20] (exact fit), 5 nodes" in exact.summary()
     assert "search stage" not in str(result(stages=[search, polish]))
 
 

@@ -16,6 +16,7 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from baselines import registry as methods
 from data import registry
 from dcreg.problem import suggestion
 from workflows import records
@@ -163,6 +164,12 @@ def expand(experiment: Experiment, selection: Selection | None = None, config: s
 
 def plan_table(plan: Plan) -> pd.DataFrame:
     """Return the plan as a table with one row per planned run."""
+    effective = {
+        method.name: json.dumps(
+            methods.effective_options(method.baseline, method.options), sort_keys=True
+        )
+        for method in plan.methods
+    }
     rows = [
         {
             "run_id": run.run_id,
@@ -170,6 +177,7 @@ def plan_table(plan: Plan) -> pd.DataFrame:
             "method": run.method.name,
             "baseline": run.method.baseline,
             "options": json.dumps(run.method.options, sort_keys=True),
+            "options_effective": effective[run.method.name],
             "instance_id": run.instance.instance_id,
             **{axis: getattr(run.instance, axis) for axis in ("dataset", "shape", "test")},
             **{axis: getattr(run.instance, axis) for axis in ("level", "trial", "model")},

@@ -1,0 +1,177 @@
+"""The kinds of checks over time, work and proof.
+
+A run at a limit took at least its time and its boxes. Each check states how such runs could change its
+figure (`Part.rises`, `Part.falls`); a figure that could rise is never shown to be small.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from reports.ledger import intervals
+from reports.ledger.finding import (
+    Finding,
+    Parameters,
+    Source,
+    check,
+    groups,
+    of_rival,
+    paired,
+    titled,
+)
+
+# Relative gap of a search with no lower bound above 0.
+NO_BOUND = 1.0 - 1e-9
+
+
+@check("trend")
+def trend(source: Source, p: Parameters) -> Finding:
+    """Spearman's rank correlation of work with the level; a run at a limit counts with its limit."""
+    finding = Finding("rank correlation with the level")
+    for role in p["methods"]:
+        for name, runs in source.runs(role, p, finding):
+            for quantity in p["quantities"]:
+                for (test, _), part in groups(runs.dropna(subset=quantity), {"by": ["test"]}):
+                    if part["level"].nunique() < 2:
+                        finding.miss(f"a second level of {test}")
+                        continue
+                    ranks = part[["level", quantity]].rank().to_numpy()
+                    x, y = (ranks - ranks.mean(axis=0)).T
+                    found = intervals.of_means(
+                        _correlation, np.column_stack([x, y, x * y, x**2, y**2])
+                    )
+                    place = test, titled(quantity, unit=False)
+                    finding.add((name, ""), place, found, p["claimed"], part)
+    return finding
+
+
+def _correlation(means: np.ndarray) -> np.ndarray:
+    x, y, xy, xx, yy = means.T
+    below = np.sqrt(np.maximum((xx - x**2) * (yy - y**2), 0.0))
+    return np.divide(xy - x * y, below, out=np.zeros_like(xy), where=below > 0)
+
+
+@check("race")
+def race(source: Source, p: Parameters) -> Finding:
+    """Ratio of time, or assignments, to the smallest relative gap that both searches reached.
+
+    If only one search has a bound above 0, the comparison uses its smallest gap, and the other search
+    counts with its whole time: it needed at least that.
+    """
+    counter = {"time": "time_s"}.get(p.get("quantity", "time"), "n_assignments")
+    finding = Finding(
+        f"ratio of mean {titled(p.get('quantity', 'time'), unit=False)} to an equal gap"
+    )
+    assert source.experiment is not None
+    traces = source.experiment.tables.traces
+    histories = _histories(traces[traces["upper_bound"] > 0], counter)
+    for name, runs, rival, theirs in source.pairs(p, finding):
+        both = paired(runs, theirs)
+        met = [
+            _work_to_equal_gap(histories.get(mine), histories.get(other))
+            for mine, other in zip(both["run_id"], both["run_id_rival"], strict=True)
+        ]
+        columns = ["mine", "other", "mine_open", "other_open"]
+        both[columns] = np.array([each or (np.nan,) * 4 for each in met]).reshape(-1, 4)
+        both = both.dropna(subset=columns)
+        if both.empty:
+            finding.miss(f"bound histories of {rival}")
+        for place, part in groups(both, {"by": p.get("by", ["test"])}):
+            found = intervals.ratio(part["mine"].to_numpy(), part["other"].to_numpy())
+            finding.add(
+                (name, rival), place, found, p["claimed"], part, of_rival(part, theirs),
+                rises=bool(part["mine_open"].any()), falls=bool(part["other_open"].any()),
+            )  # fmt: skip
+    return finding
+
+
+def _histories(traces: pd.DataFrame, counter: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return relative gaps, at most 1, and the work spent until then, by run."""
+    gaps = ((traces["upper_bound"] - traces["lower_bound"]) / traces["upper_bound"]).clip(upper=1.0)
+    gap, spent = gaps.to_numpy(), traces[counter].to_numpy(dtype=float)
+    places = traces.groupby("run_id", sort=False).indices
+    return {str(run): (gap[rows], spent[rows]) for run, rows in places.items()}
+
+
+def _work_to_equal_gap(
+    one: tuple[np.ndarray, np.ndarray] | None, other: tuple[np.ndarray, np.ndarray] | None
+) -> tuple[float, ...] | None:
+    """Return the work of two searches to the gap at which they are compared, and who did not reach it.
+
+    None if neither has a bound.
+    """
+    if one is None or other is None:
+        return None
+    smallest = [one[0].min(), other[0].min()]
+    reached = max(smallest) if max(smallest) < NO_BOUND else min(smallest)
+    if reached >= NO_BOUND:
+        return None
+    work, late = [], []
+    for (gap, spent), minimum in zip((one, other), smallest, strict=True):
+        late.append(float(minimum > reached))
+        at = len(gap) - 1 if late[-1] else int((gap <= reached).argmax())
+        work.append(max(float(spent[at]), 1e-6))
+    return (*work, *late)
+
+
+@check("regret")
+def regret(source: Source, p: Parameters) -> Finding:
+    """Share of the instances certified by a reference whose optimum the subject reaches.
+
+    More time could turn a miss at a limit into a hit, but no hit into a miss.
+    """
+    finding = Finding("share within the tolerance")
+    for name, runs in source.runs(p["subject"], p, finding):
+        for against, theirs in source.runs(p["reference"], p, finding):
+            both = paired(runs, theirs[theirs["certified"]], "objective", "gap_tol")
+            within = both["objective"] - both["objective_rival"] <= both["gap_tol_rival"] * (
+                1 + 1e-9
+            )
+            both = both.assign(within=within.astype(float))
+            if both.empty:
+                finding.miss(f"runs that {against} certified")
+            for place, part in groups(both, {"by": p.get("by", ["test"])}):
+                missed = part["limited"].astype(bool) & (part["within"] == 0)
+                finding.add(
+                    (name, against), place, intervals.share(part["within"].to_numpy()),
+                    p["claimed"], part, rises=bool(missed.any()),
+                )  # fmt: skip
+    return finding
+
+
+@check("sensitivity")
+def sensitivity(source: Source, p: Parameters) -> Finding:
+    """Factor by which the cost changes between two priors, over the same factor of a rival.
+
+    ``subject`` and ``rival`` are pairs of roles, with the one and with the other prior. A factor of 2 and
+    one of 1/2 count the same. Time-outs hide how much a cost changes, so they decide nothing.
+    """
+    finding = Finding("factor between the costs under both n_p / the rival's factor")
+    found = [next(source.runs(role, p, finding), None) for role in (*p["subject"], *p["rival"])]
+    played = [each for each in found if each is not None]
+    if len(played) < len(found):
+        return finding
+    names = played[0][0], played[2][0]
+    for quantity in p["quantities"]:
+        tables = [runs.dropna(subset=quantity) for _, runs in played]
+        common = set.intersection(*(set(table["instance_id"]) for table in tables))
+        tables = [t[t["instance_id"].isin(common)].sort_values("instance_id") for t in tables]
+        for (test, _), _part in groups(tables[0], {"by": ["test"]}):
+            parts = [
+                table[table["test"].map(str).str.replace("_", " ") == test] for table in tables
+            ]
+            factor = intervals.of_means(
+                _factors, np.column_stack([part[quantity].to_numpy(dtype=float) for part in parts])
+            )
+            limited = any(part["limited"].any() for part in parts)
+            finding.add(
+                names, (test, titled(quantity, unit=False)), factor, p["claimed"],
+                *parts, rises=limited, falls=limited,
+            )  # fmt: skip
+    return finding
+
+
+def _factors(means: np.ndarray) -> np.ndarray:
+    mine, other = (np.abs(np.log(means[:, a] / means[:, b])) for a, b in ((0, 1), (2, 3)))
+    return np.exp(mine - other)

@@ -1,0 +1,196 @@
+"""From comparisons to verdicts: one per rival and test, and one per claim.
+
+A row is decided by its comparisons: one on the other side refutes it, all on the claimed side reproduce
+it. A claim is decided by its rows in the same way. In the quick part of an experiment a comparison with a
+run at a limit stays open; in a full experiment the answer at the limit counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from reports.ledger import intervals
+from reports.ledger.finding import Finding, Part
+from reports.ledger.intervals import LEVEL, MIN_INSTANCES, NOT, OPEN, REPRODUCED
+
+FEW, QUICK_LIMIT, TIME_OUTS, WIDE = "few", "limit", "time-outs", "wide"
+
+
+@dataclass(frozen=True)
+class Decided:
+    """A comparison with its decision."""
+
+    part: Part
+    verdict: str
+    level: float
+    why: str = ""  # why it is open
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        return self.part.estimate.interval(self.level)
+
+    @property
+    def margin(self) -> float:
+        return intervals.distance(self.part.estimate, self.part.claimed)
+
+    @property
+    def needed(self) -> int | None:
+        return intervals.needed(self.part.estimate, self.part.claimed, self.level)
+
+
+@dataclass(frozen=True)
+class Row:
+    """The verdict for one rival and one test."""
+
+    figure: str
+    subject: str
+    rival: str
+    group: str
+    verdict: str
+    decided: tuple[Decided, ...]
+    beside: bool = False
+    second_title: str = ""
+    second: Mapping[tuple[str, ...], intervals.Estimate] = field(default_factory=dict)
+
+    @property
+    def shown(self) -> Decided:
+        """The comparison farthest from the claimed side, of those with the row's verdict."""
+        return min((d for d in self.decided if d.verdict == self.verdict), key=lambda d: d.margin)
+
+    @property
+    def names(self) -> str:
+        against = f" against {self.rival}" if self.rival else ""
+        return f"{self.subject}{against}"
+
+    @property
+    def runs(self) -> dict[str, bool]:
+        """The runs behind the row, each with whether it ended at a limit."""
+        return {run: late for d in self.decided for run, late in d.part.runs.items()}
+
+    @property
+    def limited(self) -> int:
+        return sum(self.runs.values())
+
+    @property
+    def value(self) -> str:
+        """The figure and its interval."""
+        return _shown(self.shown.part.estimate, self.shown.level)
+
+    @property
+    def second_value(self) -> str:
+        """The error above the floor, or the work, of the shown comparison; empty if there is none."""
+        part = self.shown.part
+        found = self.second.get((part.subject, part.rival, part.group, part.where))
+        return _shown(found, self.shown.level) if found else ""
+
+    @property
+    def claimed(self) -> str:
+        """The claimed side and its threshold in words."""
+        ((side, threshold),) = self.shown.part.claimed.items()
+        if side == "within":
+            return "{:g} to {:g}".format(*threshold)
+        return f"{side.replace('_', ' ')} {threshold:g}"
+
+    @property
+    def limited_share(self) -> str:
+        """How many runs behind the row ended at a limit."""
+        return f"{self.limited} of {len(self.runs)}" if self.runs else ""
+
+    @property
+    def instances(self) -> str:
+        """Why the row is open, and how many instances a decision needs; empty if it is decided."""
+        reasons = [d for d in self.decided if d.verdict == OPEN]
+        if self.verdict != OPEN:
+            return ""
+        texts = []
+        if any(d.why == QUICK_LIMIT for d in reasons):
+            texts.append("runs at a limit: needs the full experiment")
+        if any(d.why == TIME_OUTS for d in reasons):
+            texts.append("time-outs: needs a longer limit")
+        lacking = [d for d in reasons if d.why in (FEW, WIDE)]
+        if lacking:
+            least = min(d.part.estimate.n for d in lacking)
+            texts.append(f"has {least} instances, needs {_most([d.needed for d in lacking])}")
+        return "; ".join(texts)
+
+
+def decide(findings: Sequence[Finding], *, quick: bool) -> list[list[Decided]]:
+    """Decide the comparisons of a claim, with Holm's correction over those of its verdict."""
+    parts = [part for finding in findings for part in finding.parts]
+    barred = [_barred(part, quick=quick) for part in parts]
+    p_of = [
+        intervals.p_values(part.estimate, part.claimed, rises=part.rises, falls=part.falls)
+        for part in parts
+    ]
+    family = [at for at, part in enumerate(parts) if not barred[at] and not part.beside]
+    count = max(1, sum(not part.beside for part in parts))
+    levels = [LEVEL if part.beside else LEVEL / count for part in parts]
+    for at, level in zip(family, intervals.holm([min(p_of[at]) for at in family]), strict=True):
+        levels[at] = level
+    decided = []
+    for part, why, p, level in zip(parts, barred, p_of, levels, strict=True):
+        verdict = OPEN if why else intervals.decide(*p, level)
+        if verdict == OPEN and not why:
+            would = intervals.p_values(part.estimate, part.claimed)
+            is_censored = intervals.decide(*would, level) != OPEN
+            why = TIME_OUTS if is_censored else WIDE
+        decided.append(Decided(part, verdict, level, why))
+    ends = iter(decided)
+    return [[next(ends) for _ in finding.parts] for finding in findings]
+
+
+def _barred(part: Part, *, quick: bool) -> str:
+    if quick and any(part.runs.values()):
+        return QUICK_LIMIT
+    return FEW if part.estimate.n < MIN_INSTANCES else ""
+
+
+def rows(
+    finding: Finding,
+    decided: Sequence[Decided],
+    second_title: str = "",
+    second: Mapping[tuple[str, ...], Any] | None = None,
+) -> list[Row]:
+    """Group the comparisons of a finding by subject, rival and test."""
+    grouped: dict[tuple[str, str, str], list[Decided]] = {}
+    for each in decided:
+        key = each.part.subject, each.part.rival, each.part.group
+        grouped.setdefault(key, []).append(each)
+    return [
+        Row(
+            finding.figure, *key, of_all(d.verdict for d in members), tuple(members),
+            beside=members[0].part.beside, second_title=second_title, second=second or {},
+        )
+        for key, members in grouped.items()
+    ]  # fmt: skip
+
+
+def of_all(verdicts: Iterable[str]) -> str:
+    """Return the joint verdict if every one must be reproduced."""
+    found = set(verdicts)
+    return NOT if NOT in found else OPEN if OPEN in found else REPRODUCED
+
+
+def of_any(verdicts: Iterable[str]) -> str:
+    """Return the joint verdict if one reproduced is enough."""
+    found = set(verdicts)
+    return REPRODUCED if REPRODUCED in found else OPEN if OPEN in found else NOT
+
+
+def _shown(estimate: intervals.Estimate, level: float) -> str:
+    low, high = estimate.interval(level)
+    if isinstance(estimate, intervals.Exact):
+        return f"{estimate.value:.3g}"
+    return f"{estimate.value:.3g} [{low:.3g}, {high:.3g}]"
+
+
+def _most(numbers: Sequence[int | None]) -> str:
+    """Return the maximum number of instances in words."""
+    if None in numbers:
+        return f"an unknown number, at least {MIN_INSTANCES}"
+    most = max(number for number in numbers if number is not None)
+    if most >= intervals.MOST_NEEDED:
+        return f"more than {intervals.MOST_NEEDED:,}".replace(",", "\u202f")
+    return f"about {most:,}".replace(",", "\u202f") if most > MIN_INSTANCES else f"{most}"

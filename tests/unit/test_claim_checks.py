@@ -1,0 +1,313 @@
+"""Every kind of check of the ledger can say all three verdicts, and takes the right runs."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from claim_fixture import (
+    LEVELS,
+    LOW,
+    RACE,
+    RATIO,
+    REGRET,
+    RISE,
+    SCATTER,
+    SENSITIVITY,
+    SLOPE,
+    TREND,
+    TRIALS,
+    VALUE,
+    error,
+    evidence,
+    figures,
+    history,
+    judged,
+    limited,
+    noisy,
+    runs_of,
+    spread_over,
+)
+from typer.testing import CliRunner
+
+from reports.__main__ import app
+from reports.ledger.evidence import Evidence
+from reports.ledger.finding import CHECKS, STUDY_CHECKS, Source, select
+from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED
+
+# --- every kind of check ---------------------------------------------------------------------------
+
+CASES = [
+    (RATIO, [("paper", {}), ("rival", {"rmse": error(0.1)})], REPRODUCED),
+    (RATIO, [("paper", {"rmse": error(0.1)}), ("rival", {})], NOT),
+    (RATIO, [("paper", {}), ("rival", {})], NOT),  # a tie is not below
+    (RATIO, [("paper", {"rmse": error(0.05)}), ("rival", {"rmse": error(0.05)})], OPEN),
+    (VALUE, [("paper", {"rmse": error(0.05)})], REPRODUCED),
+    (VALUE, [("paper", {"rmse": error(0.07)})], NOT),
+    (VALUE, [("paper", {"rmse": lambda level, draw: 1.2 * (draw - 1)})], OPEN),
+    (LOW, [("paper", {"rmse": error(0.05)})], REPRODUCED),
+    (LOW, [("paper", {"rmse": 0.3, "rmse_excess": 0.01})], REPRODUCED),
+    (LOW, [("paper", {"rmse": 0.07, "rmse_excess": 0.05})], NOT),
+    (LOW, [("paper", {"rmse": 0.3, "rmse_excess": lambda level, draw: 0.4 * (draw - 1)})], OPEN),
+    (RISE, [("rival", {"rmse": lambda level, draw: draw * 10 ** (10 * level - 2)})], REPRODUCED),
+    (RISE, [("rival", {"rmse": error(0.1)})], NOT),
+    (RISE, [("rival", {"rmse": lambda level, draw: (0.01, 0.03)[level > 0.1] * draw**9})], OPEN),
+    (SCATTER, [("paper", {"rmse": spread_over(0.1)}), ("rival", {"rmse": spread_over(0.5)})], REPRODUCED),
+    (SCATTER, [("paper", {"rmse": spread_over(0.5)}), ("rival", {"rmse": spread_over(0.1)})], NOT),
+    (SCATTER, [("paper", {"rmse": spread_over(0.1)}), ("rival", {"rmse": spread_over(0.1)})], OPEN),
+    (SLOPE, [("paper", {}), ("rival", {"rmse": lambda level, draw: draw * level})], REPRODUCED),
+    (SLOPE, [("paper", {"rmse": lambda level, draw: draw * level}), ("rival", {})], NOT),
+    (SLOPE, [("paper", {"rmse": noisy}), ("rival", {"rmse": noisy})], OPEN),
+    (TREND, [("paper", {"time_solve_s": lambda level, draw: draw + 10 * level})], REPRODUCED),
+    (TREND, [("paper", {"time_solve_s": lambda level, draw: draw - level})], NOT),
+    (TREND, [("paper", {"time_solve_s": lambda level, draw: draw})], OPEN),
+    (REGRET, [("ours", {}), ("paper", {"objective": 1.05})], REPRODUCED),
+    (REGRET, [("ours", {}), ("paper", {"objective": 1.2})], NOT),
+    (REGRET, [("ours", {}), ("paper", {"objective": lambda level, draw: 2.0 if draw > 1.09 else 1.05})],
+     OPEN),
+    (SENSITIVITY, [("half", {}), ("paper", {}), ("pa", {"n_nodes": 500.0}), ("rival", {})], REPRODUCED),
+    (SENSITIVITY, [("half", {"n_nodes": 20.0}), ("paper", {}), ("pa", {}), ("rival", {})], NOT),
+    (SENSITIVITY, [("half", {}), ("paper", {}), ("pa", {"n_nodes": lambda level, draw: 100 * draw**13}),
+                   ("rival", {})], OPEN),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("check", "methods", "verdict"), CASES)
+def test_every_check_over_runs_can_say_all_three(check, methods, verdict):
+    tables = [runs_of(name, **columns) for name, columns in methods]
+    found = judged(evidence(*tables), check)
+    assert found.verdict == verdict, (found.reason, found.evidence)
+    assert found.evidence
+    assert found.reason
+
+
+@pytest.mark.parametrize(
+    ("mine", "theirs", "verdict"), [(0.1, 1.0, REPRODUCED), (1.0, 0.1, NOT), (0.5, 1.0, NOT)]
+)
+def test_race_compares_times_to_the_same_gap(mine, theirs, verdict):
+    ends = [history(m, (0.0, 0.0), (s, 1.0)) for m, s in (("paper", mine), ("rival", theirs))]
+    found = judged(evidence(runs_of("paper"), runs_of("rival"), traces=pd.concat(ends)), RACE)
+    assert found.verdict == verdict
+    assert f"{mine / theirs:.3g}" in found.evidence
+    assert found.rows[0].second_title == "assignments"
+    assert found.rows[0].second_value.startswith(f"{mine / theirs:.3g}")
+
+
+def _boxes(sign: int) -> pd.DataFrame:
+    return pd.DataFrame(
+        [
+            {"instance": "i", "place": "p", "draw": d, "width": 1.0, "bound": b, "value": v}
+            for d in range(100)
+            for b, v in (("dc", 2.0), ("termwise-r1", 2.0 - (sign if sign else d % 10 - 0.5)))
+        ]
+    )
+
+
+def _orders(sign: int) -> pd.DataFrame:
+    return pd.DataFrame(
+        [
+            {
+                "instance": "i", "place": "holding", "draw": draw, "width": width, "bound": "dc",
+                "minimum": 1.0, "n_assignments": 1,
+                "value": 1.0 - width ** (1.8 + 0.1 * (sign or draw % 4 - 1.5)),
+            }
+            for draw in range(40)
+            for width in (0.1, 0.2, 0.4)
+        ]
+    )  # fmt: skip
+
+
+def _searches(sign: int) -> pd.DataFrame:
+    return pd.DataFrame(
+        [
+            {"instance": i, "bound": b, "n_assignments": n, "gap": g if n else 100.0}
+            for i in range(24)
+            for n in (0, 10)
+            for b, g in (("dc", 2.0 - (sign if sign else i % 2 - 0.5)), ("interval", 2.0))
+        ]
+    )
+
+
+STUDY = [
+    ({"kind": "boxes", "subject": "dc", "rivals": ["termwise-r1"], "claimed": {"at_least": 0.9}},
+     "boxes", _boxes),
+    ({"kind": "orders", "bounds": {"dc": {"at_least": 1.8}}}, "boxes", _orders),
+    ({"kind": "work", "subject": "dc", "rivals": ["interval"], "claimed": {"below": 1.0}},
+     "searches", _searches),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("check", "table", "make"), STUDY)
+def test_every_check_over_the_study_can_say_all_three(check, table, make):
+    for sign, verdict in ((1, REPRODUCED), (-1, NOT), (0, OPEN)):
+        found = judged(Evidence({}, {table: make(sign)}), check, experiment="bounds")
+        assert found.verdict == verdict, (sign, found.evidence)
+
+
+def test_every_kind_of_check_is_tried_here():
+    tried = {check["kind"] for check, *_ in (*CASES, *STUDY)} | {"race"}
+    assert tried == set(CHECKS)
+    assert {check["kind"] for check, *_ in STUDY} == STUDY_CHECKS
+
+
+def test_boxes_count_values_below_zero_as_zero_and_can_be_of_some_instances_only():
+    check, _, make = STUDY[0]
+    table = pd.concat([make(1).assign(instance="2D fish"), make(-1).assign(instance="3D horse")])
+    for shift, shares in ((0.0, [(1.0, 100), (0.0, 100)]), (-9.0, [(1.0, 100), (1.0, 100)])):
+        shifted = {"boxes": table.assign(value=table["value"] + shift)}
+        source = Source(Evidence({}, shifted), None, {})
+        parts = [CHECKS["boxes"](source, check | {"instances": d}).parts[0] for d in ("2D", "3D")]
+        assert [(part.estimate.value, part.estimate.n) for part in parts] == shares
+
+
+def test_the_centre_has_the_least_maximum_error_over_the_vertices():
+    """The proof of claim `centre`, on random boxes and maps."""
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        dim = int(rng.integers(2, 5))
+        centre, half, J = rng.normal(size=dim), rng.random(dim), rng.normal(size=(dim + 1, dim))
+        signs = np.array(np.meshgrid(*[[-1, 1]] * dim)).reshape(dim, -1).T
+        vertices = centre + signs * half
+
+        def worst(at, vertices=vertices, J=J):
+            return (((vertices - at) @ J.T) ** 2).sum(axis=1).max()
+
+        others = centre + rng.uniform(-1, 1, (50, dim)) * half
+        assert worst(centre) <= min(map(worst, others)) + 1e-12
+
+
+# --- choice and values of runs ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("chosen", "levels", "trials"),
+    [
+        ({}, LEVELS, TRIALS),
+        ({"levels": "top"}, [0.2], TRIALS),
+        ({"levels": "bottom"}, [0.0], TRIALS),
+        ({"levels": "disturbed"}, [0.1, 0.2], TRIALS),
+        ({"levels": [0.0, 0.1]}, [0.0, 0.1], TRIALS),
+        ({"tests": ["noise"], "where": {"trial": 3}}, LEVELS, 1),
+        ({"tests": ["deformation"]}, [], 0),
+    ],
+)
+def test_runs_are_chosen_by_test_level_and_column(chosen, levels, trials):
+    runs = select(pd.concat([runs_of("paper"), runs_of("rival")]), "paper", chosen)
+    assert list(runs["level"].unique()) == list(levels)
+    assert len(runs) == len(levels) * trials
+
+
+def test_checks_of_closed_searches_leave_the_others_out():
+    late = runs_of("rival", rmse=0.1)
+    late.loc[late["trial"] < 10, ["status", "rmse"]] = "time_limit", 0.5
+    closed = {**RATIO, "closed": True, "by": []}
+    assert figures(closed, runs_of("paper"), late) == [(pytest.approx(0.5), 60)]
+    ours = runs_of("ours")
+    ours.loc[ours["trial"] < 10, ["status", "objective"]] = "time_limit", 0.1
+    of_all = {**REGRET, "by": ["model"]}
+    assert figures(of_all, ours, runs_of("paper", objective=1.05)) == [(1.0, 60)]
+
+
+def test_optima_below_the_tolerance_do_not_count_for_bounds():
+    closed = {**RATIO, "closed": True, "by": []}
+    trivial = runs_of("paper", objective=lambda level, draw: 0.1 if level else 1.0)
+    assert figures(closed, trivial, runs_of("rival")) == [(pytest.approx(1.0), TRIALS)]
+    found = judged(evidence(runs_of("paper", objective=0.1), runs_of("rival")), closed)
+    assert found.verdict == NOT_RUN
+    assert "instances that paper and rival certify" in found.reason
+
+
+def test_levels_without_common_trials_are_compared_unpaired():
+    alone = runs_of("paper", rmse=lambda level, draw: 0.1 + level)
+    check = {**SLOPE, "rivals": []}
+    assert figures(check, alone) == [(pytest.approx(1.0), TRIALS)]
+    assert figures({**check, "paired_levels": False}, alone) == [(pytest.approx(1.0), 90)]
+    alone["shape"] = alone["instance_id"]
+    assert figures(check, alone) == []
+
+
+def test_race_ends_at_the_gap_that_both_reached():
+    ours = history("paper", (0.0, 0.0), (1.0, 0.5), (5.0, 1.0))
+    traces = pd.concat([ours, history("rival", (0.0, 0.0), (4.0, 0.5))])
+    both = runs_of("paper"), runs_of("rival")
+    assert figures(RACE, *both, traces=traces) == [(pytest.approx(0.25), 90)]
+
+
+@pytest.mark.parametrize(("seconds", "verdict"), [(1.0, REPRODUCED), (6.0, OPEN)])
+def test_a_search_without_any_bound_is_no_tie_in_a_race(seconds, verdict):
+    """It took 10 s and might have needed longer; without any bound there is no gap to compare."""
+    idle = history("rival", (0.0, 0.0), (10.0, 0.0))
+    traces = pd.concat([history("paper", (0.0, -3.0), (seconds, 1.0)), idle])
+    found = judged(evidence(runs_of("paper"), runs_of("rival"), traces=traces), RACE)
+    assert found.verdict == verdict
+    assert f"{seconds / 10:.3g}" in found.evidence
+    neither = pd.concat([history("paper", (seconds, -1.0)), idle])
+    found = judged(evidence(runs_of("paper"), runs_of("rival"), traces=neither), RACE)
+    assert found.verdict == NOT_RUN
+    assert "bound histories of rival" in found.reason
+
+
+def test_a_cost_that_doubles_is_as_sensitive_as_one_that_halves():
+    tables = [("half", 50.0), ("paper", 100.0), ("pa", 400.0), ("rival", 100.0)]
+    runs = [runs_of(name, n_nodes=value) for name, value in tables]
+    assert figures(SENSITIVITY, *runs) == [(pytest.approx(0.5), 90)]
+    assert judged(evidence(*runs[:3], limited(runs[3], 1)), SENSITIVITY).verdict == OPEN
+
+
+def test_the_raw_error_is_judged_and_the_error_above_the_floor_stands_beside():
+    """A difference of 2 % of the raw RMSE is a factor of 3 above the floor."""
+    ours = runs_of("paper", rmse=0.051, rmse_excess=0.03)
+    rival = runs_of("rival", rmse=0.050, rmse_excess=0.01)
+    found = judged(evidence(ours, rival), {**RATIO, "claimed": {"at_most": 1.25}})
+    assert found.verdict == REPRODUCED
+    assert found.rows[0].value.startswith("1.02")
+    assert found.rows[0].second_title == "error above the floor"
+    assert found.rows[0].second_value.startswith("3")
+
+
+def test_no_pose_counts_as_a_longest_side_and_lengths_as_sides_of_the_source():
+    pose = json.dumps([[0.0, -2.0, 5.0], [2.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    runs = runs_of("paper", rmse=0.1, rmse_excess=0.06, T_reference=pose)
+    runs.loc[0, ["rmse", "rmse_excess"]] = np.nan
+    known = evidence(runs).experiments["paper2d"].runs
+    assert known["error"].iloc[0] == known["excess"].iloc[0] == 1.0
+    np.testing.assert_allclose(known["error"].iloc[1:], 0.05)
+    np.testing.assert_allclose(known["excess"].iloc[1:], 0.03)
+
+
+def test_wrong_poses_search_errors_and_certificates_are_distinguished():
+    runs = runs_of("paper")
+    runs.loc[0, ["success", "verdict", "rmse"]] = False, "search_error", np.nan
+    runs.loc[1, ["success", "verdict", "rmse"]] = False, "model_error", 3.0
+    runs.loc[2, "certificate_scope"] = "translation in norm space"
+    runs.loc[3, "status"] = "time_limit"
+    known = evidence(runs).experiments["paper2d"].runs.head(5)
+    assert list(known["wrong"]) == [True, True, False, False, False]
+    assert list(known["search_error"]) == [1, 0, 0, 0, 0]
+    assert list(known["certified"]) == [True, True, False, False, True]
+    assert list(known["rmse"]) == [3.0, 3.0, 0.05, 0.05, 0.05]  # no pose: the worst of all
+
+
+def test_a_run_at_a_limit_counts_its_own_time_and_one_without_a_pose_its_limit():
+    runs = runs_of("paper", time_solve_s=3.0)
+    runs.loc[0, "outcome"], runs.loc[1, ["outcome", "time_solve_s"]] = "limited", ["failed", np.nan]
+    assert list(evidence(runs).experiments["paper2d"].runs["time"][:3]) == [3.0, 10.0, 3.0]
+
+
+def test_instances_are_paired():
+    ours = runs_of("paper", rmse=error(0.05))
+    rival = runs_of("rival", rmse=error(0.1))
+    unmatched = rival.assign(instance_id="other", run_id="other", rmse=0.001)
+    found = judged(evidence(ours, rival, unmatched), RATIO)
+    assert (found.verdict, found.runs) == (REPRODUCED, 180)
+    assert "other" not in set(found.data["run_id"])
+
+
+def test_a_study_of_an_earlier_version_is_refused_with_its_command(tmp_path):
+    for _, name, make in STUDY:
+        make(1).replace({"bound": {"dc": "paper"}}).to_csv(tmp_path / f"{name}.csv", index=False)
+    answer = CliRunner().invoke(app, ["claims", str(tmp_path), "--out", str(tmp_path)])
+    assert answer.exit_code == 2
+    assert "make them again with `make bounds`" in answer.output

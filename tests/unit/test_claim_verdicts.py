@@ -1,0 +1,195 @@
+"""How comparisons, limits and missing methods make the verdict of a claim."""
+
+from __future__ import annotations
+
+import pytest
+from claim_fixture import (
+    LOW,
+    RACE,
+    RATIO,
+    REGRET,
+    RISE,
+    SCATTER,
+    SLOPE,
+    TIME,
+    TREND,
+    TRIALS,
+    VALUE,
+    error,
+    evidence,
+    figures,
+    judged,
+    limited,
+    runs_of,
+)
+
+from reports.ledger.book import ledger
+from reports.ledger.evidence import Evidence
+from reports.ledger.intervals import MIN_INSTANCES, NOT, NOT_RUN, OPEN, REPRODUCED
+from reports.ledger.judging import judge_claim
+
+# --- verdicts --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("check", [RATIO, VALUE, LOW, RISE, SCATTER, SLOPE, TREND, RACE, REGRET])
+def test_without_the_method_a_claim_is_not_run(check):
+    found = judged(evidence(runs_of("pa")), check)
+    assert found.verdict == NOT_RUN
+    assert "not in the tables" in found.reason
+    assert judged(Evidence({}, {}), check).verdict == NOT_RUN
+
+
+def test_a_method_that_never_ran_is_not_in_the_tables():
+    absent = runs_of("rival", outcome="unavailable", status="unavailable")
+    found = judged(evidence(runs_of("paper"), absent), RATIO)
+    reason = "not in the tables: RPM-HTB; make the tables with make paper-2d"
+    assert (found.verdict, found.reason) == (NOT_RUN, reason)
+
+
+def test_every_rival_and_test_has_a_verdict_of_its_own():
+    worse, better = runs_of("rival", rmse=error(0.1)), runs_of("pa", rmse=error(0.02))
+    check = {**RATIO, "rivals": ["rpm_htb", "rpm_pa", "rpm_cav"]}
+    found = judged(evidence(runs_of("paper"), worse, better), check)
+    rows = {row.rival: (row.group, row.verdict) for row in found.rows}
+    assert rows == {"rival": ("noise", REPRODUCED), "pa": ("noise", NOT)}
+    assert found.verdict == NOT
+    assert found.reason.startswith(
+        "of 2 comparisons with a rival or threshold, 1 reproduced, 1 not"
+    )
+    assert "RPM-CAV" in found.reason
+    assert "RPM-CAV" in found.tested.partition("not tested: ")[2]
+    assert found.runs == 180  # of the row that decides
+
+
+def test_holding_against_some_rivals_or_at_some_levels_only_is_open():
+    both = evidence(runs_of("paper"), runs_of("rival", rmse=0.1))
+    found = judged(both, {**RATIO, "rivals": ["rpm_htb", "rpm_pa"]})
+    assert found.verdict == OPEN
+    assert "RPM-PA" in found.reason
+    assert judged(both, {**VALUE, "levels": [0.1, 0.2]}).verdict == REPRODUCED
+    found = judged(both, {**VALUE, "levels": [0.2, 0.3]})
+    assert found.verdict == OPEN
+    assert "agrees with the claim; not in the tables: level 0.3" in found.reason
+    found = judged(both, {**VALUE, "tests": ["noise", "deformation"]})
+    assert found.verdict == OPEN
+    assert "deformation" in found.reason
+
+
+def test_levels_beyond_the_axes_of_the_paper_count_only_where_they_are_listed():
+    runs = runs_of("paper", rmse=lambda level, draw: 0.5 if level > 0.1 else 0.05 * draw)
+    runs = runs.assign(test="mixed_outliers", level=5 * runs["level"])  # 0, 0.5, 1
+    assert judged(evidence(runs), VALUE).verdict == REPRODUCED
+    top = {**VALUE, "levels": "top"}
+    assert figures({**top, "levels": [1.0]}, runs) == [(0.5, TRIALS)]
+    assert "mixed outliers, level 0.5" in judged(evidence(runs), top).evidence
+
+
+def test_the_only_level_of_a_test_is_not_its_bottom():
+    found = judged(evidence(runs_of("paper").query("level == 0.2")), {**VALUE, "levels": "bottom"})
+    assert found.verdict == NOT_RUN
+    assert "DC-Reg as published in these tests and levels" in found.reason
+
+
+def test_a_check_without_a_comparison_leaves_the_claim_open():
+    rising = {**RISE, "methods": ["dcreg_paper"], "levels": [0.1]}
+    found = judged(evidence(runs_of("paper")), VALUE, rising)
+    assert found.verdict == OPEN
+    assert "a second level of noise" in found.reason
+
+
+def test_one_level_against_refutes_and_is_the_evidence():
+    ours = runs_of("paper", rmse=lambda level, draw: draw * (0.3 if level == 0.1 else 0.05))
+    found = judged(evidence(ours, runs_of("rival", rmse=error(0.1))), RATIO)
+    assert found.verdict == NOT
+    assert "noise, level 0.1" in found.evidence
+    (row,) = found.rows
+    assert [each.verdict for each in row.decided] == [REPRODUCED, NOT, REPRODUCED]
+
+
+@pytest.mark.parametrize(("least", "verdict"), [(0.1, REPRODUCED), (0.5, NOT)])
+def test_one_comparison_is_enough_for_a_claim_with_any(least, verdict):
+    ours = runs_of("paper", rmse=lambda level, draw: draw * (least if level == 0.1 else 0.9))
+    check = {**RATIO, "by": ["level"], "any": True}
+    assert judged(evidence(ours, runs_of("rival", rmse=0.2)), check).verdict == verdict
+
+
+def test_what_stands_beside_decides_nothing():
+    beside = {**RATIO, "beside": True}
+    found = judged(evidence(runs_of("paper"), runs_of("rival", rmse=0.01)), VALUE, beside)
+    assert found.verdict == REPRODUCED
+    assert [row.beside for row in found.rows] == [False, True]
+    assert "RPM-HTB" not in judged(evidence(runs_of("paper")), VALUE, beside).reason
+
+
+def test_answers_at_the_limit_count_in_full_experiments_and_the_limit_is_named():
+    rival = limited(runs_of("rival", rmse=0.1), 5)
+    found = judged(evidence(runs_of("paper"), rival), RATIO)
+    assert (found.verdict, found.limited, found.runs) == (REPRODUCED, 15, 180)
+    assert "15 of 180 deciding runs hit a limit (10 s); their answers at the limit" in found.reason
+    quick = judged(evidence(runs_of("paper"), rival, name="paper2d-quick"), RATIO)
+    assert quick.verdict == OPEN
+    assert "full experiment" in quick.rows[0].instances
+    assert quick.command == "make paper-2d QUICK=1"
+
+
+@pytest.mark.parametrize(("side", "verdict"), [("above", REPRODUCED), ("below", NOT)])
+def test_a_run_at_a_limit_took_at_least_its_time(side, verdict):
+    slow = limited(runs_of("paper", time_solve_s=5.0), TRIALS)
+    check = {**TIME, "claimed": {side: 1.0}}
+    assert judged(evidence(slow, runs_of("rival")), check).verdict == verdict
+
+
+@pytest.mark.parametrize("claimed", [{"above": 1.0}, {"below": 1.0}, {"within": [0.8, 1.25]}])
+def test_time_outs_leave_claims_about_time_open_where_they_could_change_them(claimed):
+    slow = runs_of("paper", time_solve_s=5.0)
+    found = judged(evidence(slow, limited(runs_of("rival"), 1)), {**TIME, "claimed": claimed})
+    assert found.verdict == OPEN
+    assert "time-outs: needs a longer limit" in found.reason
+
+
+@pytest.mark.parametrize(("count", "verdict"), [(3, REPRODUCED), (15, OPEN)])
+def test_few_time_outs_do_not_change_a_median(count, verdict):
+    check = {**VALUE, "quantity": "time", "statistic": "median", "claimed": {"at_most": 10}}
+    runs = limited(runs_of("paper", time_solve_s=error(2.0)), count, time_solve_s=9.0)
+    assert judged(evidence(runs), check).verdict == verdict
+
+
+def test_a_miss_at_the_limit_could_become_a_hit():
+    late = limited(runs_of("paper", objective=1.05), 5, objective=2.0)
+    assert judged(evidence(runs_of("ours"), late), REGRET).verdict == OPEN
+    reached = limited(runs_of("paper", objective=1.05), 5)
+    assert judged(evidence(runs_of("ours"), reached), REGRET).verdict == REPRODUCED
+
+
+def test_few_instances_decide_nothing_and_the_needed_number_is_stated():
+    few = [runs.query("trial < 19") for runs in (runs_of("paper"), runs_of("rival", rmse=0.5))]
+    found = judged(evidence(*few), RATIO)
+    assert found.verdict == OPEN
+    assert found.reason.startswith(f"has 19 instances, needs {MIN_INSTANCES}")
+    enough = [runs.query("trial < 20") for runs in (runs_of("paper"), runs_of("rival", rmse=0.5))]
+    assert judged(evidence(*enough), RATIO).verdict == REPRODUCED
+
+
+def test_one_wrong_certificate_refutes_that_there_are_none():
+    (claim,) = (claim for claim in ledger().claims if claim.id == "eps-min")
+    right = [runs_of(name) for name in ("paper", "half", "ours")]
+    assert judge_claim(ledger(), claim, evidence(*right)).verdict == REPRODUCED
+    for column in ("bound_violation", "lower_bound"):
+        wrong = [right[0].copy(), *right[1:]]
+        wrong[0].loc[7, [column, "status", "outcome"]] = 1.1, "time_limit", "limited"
+        assert judge_claim(ledger(), claim, evidence(*wrong)).verdict == NOT
+
+
+def test_a_verdict_names_the_reconstructions_that_it_relies_on():
+    both = evidence(runs_of("paper"), runs_of("rival", rmse=0.1))
+    assert judged(both, RATIO).reconstruction == "RPM-HTB"
+    assert judged(both, VALUE).reconstruction == ""
+
+
+def test_the_sentence_of_a_verdict_states_data_and_machine():
+    both = evidence(runs_of("paper"), runs_of("rival"))
+    found = judged(both, RATIO).tested
+    assert found.startswith("Tested: paper against rival on fish (98 points) in noise, 90 inst")
+    assert "processor" not in found
+    assert "paper: Python" in judged(both, TIME).tested
+    assert "a processor" in judged(both, TIME).tested

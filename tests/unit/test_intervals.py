@@ -1,0 +1,154 @@
+"""Estimates, intervals, p-values and Holm's correction of the ledger of claims."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from reports.ledger import intervals
+from reports.ledger.intervals import LEVEL, MIN_INSTANCES, MOST_NEEDED, NOT, OPEN, REPRODUCED
+
+RNG = np.random.default_rng(5)
+NORMAL = RNG.normal(1.0, 1.0, 60)
+
+
+def decided(estimate, claimed, level=LEVEL):
+    return intervals.decide(*intervals.p_values(estimate, claimed), level)
+
+
+def test_statistics_have_the_values_of_their_names():
+    values = np.array([0.0, 1.0, 2.0, 3.0, 94.0])
+    for name, value in (("mean", 20.0), ("median", 2.0), ("maximum", 94.0)):
+        assert getattr(intervals, name)(values).value == value
+    assert intervals.ratio(values, np.full(5, 10.0)).value == 2.0
+    assert intervals.share(np.array([1.0, 0.0, 1.0, 1.0])).value == 0.75
+
+
+def test_interval_has_its_nominal_coverage_of_the_mean():
+    rng = np.random.default_rng(1)
+    inside = []
+    for _ in range(200):
+        low, high = intervals.mean(rng.normal(1.0, 1.0, 40)).interval(LEVEL)
+        inside.append(low <= 1.0 <= high)
+    assert 0.88 <= np.mean(inside) <= 0.99
+
+
+def test_bootstrap_of_the_median_covers_it_and_keeps_to_observed_values():
+    found = intervals.median(NORMAL)
+    low, high = found.interval(LEVEL)
+    assert low < 1.0 < high
+    assert set(found.draws) <= set(NORMAL)
+
+
+ESTIMATES = {
+    "mean": intervals.mean(NORMAL),
+    "ratio": intervals.ratio(NORMAL + 5, np.roll(NORMAL, 1) + 5),
+    "share": intervals.share((NORMAL > 0.5).astype(float)),
+    "tie": intervals.mean(np.ones(30)),
+}
+
+
+@pytest.mark.parametrize("name", ESTIMATES)
+@pytest.mark.parametrize("side", ["below", "above", "at_most", "at_least"])
+@pytest.mark.parametrize("level", [0.05, 0.01, 0.002])
+def test_p_values_and_intervals_agree(name, side, level):
+    """A p-value is within a level exactly if the interval of that level lies on the side."""
+    estimate = ESTIMATES[name]
+    low, high = estimate.interval(level)
+    most = 0.95 if name == "share" else 1.7
+    for threshold in np.linspace(0.3, most, 57):
+        on_it, on_the_other = intervals.p_values(estimate, {side: threshold})
+        sides = {
+            "below": (high < threshold, low >= threshold),
+            "at_most": (high <= threshold, low > threshold),
+            "above": (low > threshold, high <= threshold),
+            "at_least": (low >= threshold, high < threshold),
+        }
+        assert (on_it <= level, on_the_other <= level) == sides[side], threshold
+
+
+@pytest.mark.parametrize(
+    ("value", "verdict"), [(1.0, REPRODUCED), (0.8, REPRODUCED), (1.3, NOT), (0.7, NOT)]
+)
+def test_a_range_is_claimed_from_both_sides(value, verdict):
+    assert decided(intervals.mean(np.full(30, value)), {"within": [0.8, 1.25]}) == verdict
+    wide = intervals.mean(value + 3 * (NORMAL - NORMAL.mean()))
+    assert decided(wide, {"within": [0.8, 1.25]}) == OPEN
+
+
+def test_runs_at_a_limit_forbid_the_side_that_they_could_leave():
+    low, high = intervals.mean(np.full(30, 0.5)), intervals.mean(np.full(30, 2.0))
+    cases = {("below", "rises"): low, ("above", "falls"): high}
+    for (side, flag), estimate in cases.items():
+        assert intervals.p_values(estimate, {side: 1.0}, **{flag: True})[0] == 1.0
+        other = "falls" if flag == "rises" else "rises"
+        assert intervals.p_values(estimate, {side: 1.0}, **{other: True})[0] < LEVEL
+    claimed = {"within": [0.8, 1.25]}
+    assert intervals.p_values(low, claimed, rises=True)[1] == 1.0
+    assert intervals.p_values(low, claimed, falls=True)[1] < LEVEL
+    inside = intervals.mean(np.ones(30))
+    for flag in ("rises", "falls"):
+        assert intervals.p_values(inside, claimed, **{flag: True})[0] == 1.0
+
+
+def test_holm_decides_the_smallest_first_and_stops_at_the_first_open_one():
+    levels = intervals.holm([0.04, 0.001, 0.013, 0.5])
+    assert levels == pytest.approx([LEVEL / 2, LEVEL / 4, LEVEL / 3, LEVEL / 2])
+    p = [0.04, 0.001, 0.013, 0.5]
+    assert [a <= b for a, b in zip(p, levels, strict=True)] == [False, True, True, False]
+    assert intervals.holm([]) == []
+    # none after the first open one is decided, however much its own level would allow
+    p = [0.02, 0.03, 0.04]
+    assert not any(a <= b for a, b in zip(p, intervals.holm(p), strict=True))
+
+
+def test_holm_keeps_the_probability_of_a_wrong_decision():
+    """Ten true ties: without the correction, four in ten claims would have a wrong decision."""
+    rng = np.random.default_rng(3)
+    wrong, uncorrected = 0, 0
+    for _ in range(150):
+        p = [
+            min(intervals.p_values(intervals.mean(rng.normal(0, 1, 60)), {"below": 0.0}))
+            for _ in range(10)
+        ]
+        uncorrected += min(p) <= LEVEL
+        wrong += any(a <= b for a, b in zip(p, intervals.holm(p), strict=True))
+    assert wrong <= 0.1 * 150 < 0.25 * 150 <= uncorrected
+
+
+def test_few_successes_do_not_show_a_share():
+    claimed = {"at_least": 0.9}
+    assert decided(intervals.share(np.ones(6)), claimed) == OPEN
+    assert decided(intervals.share(np.ones(40)), claimed) == REPRODUCED
+    assert decided(intervals.share(np.zeros(6)), claimed) == NOT
+
+
+def test_a_maximum_is_decided_by_one_counterexample():
+    none, one = intervals.maximum(np.zeros(30)), intervals.maximum(np.eye(30)[0])
+    assert decided(none, {"at_most": 0}) == REPRODUCED
+    assert decided(one, {"at_most": 0}) == NOT
+
+
+def test_the_needed_number_decides_about_as_often_as_stated():
+    rng = np.random.default_rng(8)
+    pilot = rng.normal(0.3, 1.0, 30)
+    pilot += 0.3 - pilot.mean()
+    count = intervals.needed(intervals.mean(pilot), {"above": 0.0}, LEVEL)
+    expected = (2.8 * pilot.std() / 0.3) ** 2
+    assert count == pytest.approx(expected, rel=0.1)
+    hits = [
+        decided(intervals.mean(rng.normal(0.3, pilot.std(), count)), {"above": 0.0}) == REPRODUCED
+        for _ in range(100)
+    ]
+    assert 0.65 <= np.mean(hits) <= 0.95
+
+
+def test_the_needed_number_is_honest_about_what_is_not_known():
+    assert intervals.needed(intervals.mean(NORMAL[:4]), {"above": 0.0}, LEVEL) is None
+    assert intervals.needed(intervals.maximum(np.zeros(9)), {"at_most": 0}, LEVEL) is None
+    exact = intervals.mean(NORMAL)
+    assert intervals.needed(exact, {"above": exact.value}, LEVEL) == MOST_NEEDED
+    clear = intervals.mean(np.full(10, 5.0))
+    assert intervals.needed(clear, {"above": 1.0}, LEVEL) == MIN_INSTANCES
+    ones = intervals.share(np.ones(6))
+    assert intervals.needed(ones, {"at_least": 0.9}, LEVEL) == 35
