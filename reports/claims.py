@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from reports import templating
-from reports.ledger.book import APART, Ledger, ledger
+from reports.ledger.book import UNJUDGED, Ledger, ledger
 from reports.ledger.evidence import STUDY, Evidence
 from reports.ledger.judging import Judgement, as_table, comparisons, count, judge
 from reports.tables import ReportError
@@ -38,7 +38,7 @@ def write(book: Ledger, judgements: list[Judgement], evidence: Evidence, out: Pa
         templating.environment()
         .get_template(PAGE)
         .render(
-            kinds=APART,
+            kinds=UNJUDGED,
             css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
             judgements=judgements,
             counts=count(judgements),

@@ -16,9 +16,9 @@ from reports.ledger.finding import CHECKS, STUDY_CHECKS
 from reports.tables import ReportError
 
 LEDGER = Path(__file__).parents[1] / "claims.yaml"
-APART = {
+UNJUDGED = {
     "proof": "a statement that is proven, not measured",
-    "data": "its data cannot be had; a substitute is measured",
+    "data": "its data are not available; a substitute is measured",
 }
 _ROLES = ("subject", "reference", "methods", "rivals", "rival")
 
@@ -34,8 +34,8 @@ class Claim:
     checks: tuple[dict[str, Any], ...]
     note: str = ""
     reconstruction: str = ""  # in addition to the cards of the deciding methods
-    apart: str = ""  # one of `APART`: the claim has no verdict
-    because: str = ""  # why it stands apart
+    unjudged: str = ""  # one of `UNJUDGED`: the claim has no verdict
+    because: str = ""  # why it has no verdict
     untested: str = ""  # in addition to what the experiment does not test
 
 
@@ -77,9 +77,9 @@ class Ledger:
             raise ReportError(
                 f"{path}: {claim.id}: no command makes {claim.experiment!r}; add it to commands"
             )
-        if claim.apart and claim.apart not in APART:
+        if claim.unjudged and claim.unjudged not in UNJUDGED:
             raise ReportError(
-                f"{path}: {claim.id}: apart is {claim.apart!r}; give one of {', '.join(APART)}"
+                f"{path}: {claim.id}: unjudged is {claim.unjudged!r}; give one of {', '.join(UNJUDGED)}"
             )
 
 

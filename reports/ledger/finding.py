@@ -4,7 +4,7 @@ A check takes the tables of one experiment and its parameters from the ledger. I
 Parameters: ``tests``; ``levels`` (a list, or ``top``, ``bottom`` of several, ``disturbed``: above 0;
 levels beyond the paper's axes only if a list names them); ``by`` (columns: a comparison per group);
 ``quantity``; ``claimed``, the side on which a figure must lie; ``any`` (one comparison per claim is
-enough); and ``beside`` (shown, but not part of the verdict).
+enough); and ``shown_only`` (shown, but not part of the verdict).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Part:
     rises: bool = False  # runs at a limit could increase the figure
     falls: bool = False  # ... or decrease it
     runs: Mapping[str, bool] = field(default_factory=dict)  # run_id -> whether it ended at a limit
-    beside: bool = False
+    shown_only: bool = False
 
 
 @dataclass
@@ -153,8 +153,8 @@ def find(source: Source, p: Parameters) -> Finding:
     """Run a check."""
     finding = CHECKS[p["kind"]](source, p)
     finding.of_any = bool(p.get("any"))
-    if p.get("beside"):
-        finding.parts = [Part(**{**vars(part), "beside": True}) for part in finding.parts]
+    if p.get("shown_only"):
+        finding.parts = [Part(**{**vars(part), "shown_only": True}) for part in finding.parts]
         finding.missing = []
     return finding
 

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 from markupsafe import Markup
 
-from reports.ledger.book import APART as KINDS
+from reports.ledger.book import UNJUDGED as KINDS
 from reports.ledger.book import Claim, Ledger, ledger
 from reports.ledger.drawing import strips
 from reports.ledger.evidence import STUDY, Evidence, Experiment
@@ -21,7 +21,7 @@ from reports.theme import words
 
 __all__ = ["Judgement", "Ledger", "as_table", "count", "judge", "judge_claim", "ledger"]
 
-APART = "apart"
+NO_VERDICT = "no verdict"
 # Columns of the runs behind a verdict, as offered for download.
 DATA = [
     "run_id", "instance_id", "experiment", "method", "display_name", "baseline", "options_effective",
@@ -48,7 +48,7 @@ class Judgement:
     limited: int
     command: str
     note: str
-    apart: str
+    unjudged: str
     because: str
     rows: tuple[Row, ...]
     data: pd.DataFrame  # the runs, or boxes, behind the verdict
@@ -56,7 +56,7 @@ class Judgement:
     @property
     def kind(self) -> str:
         """Why the claim has no verdict; empty if it has one."""
-        return KINDS.get(self.apart, "")
+        return KINDS.get(self.unjudged, "")
 
     @property
     def tables(self) -> list[tuple[str, list[tuple[Row, Markup]]]]:
@@ -95,7 +95,9 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
         ]
     verdict, reason = _verdict(claim, findings, found)
     every = [row for each in found for row in each]
-    deciding = [row for row in every if not row.beside and (verdict != NOT or row.verdict == NOT)]
+    deciding = [
+        row for row in every if not row.shown_only and (verdict != NOT or row.verdict == NOT)
+    ]
     runs = {run: late for row in deciding for run, late in row.runs.items()}
     limited = sum(runs.values())
     if runs and experiment is not None:
@@ -109,7 +111,7 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
         command = whole
     return Judgement(
         id=claim.id,
-        verdict=APART if claim.apart else verdict,
+        verdict=NO_VERDICT if claim.unjudged else verdict,
         quote=claim.quote,
         test=claim.test,
         evidence=_evidence(deciding, verdict),
@@ -120,7 +122,7 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
         limited=limited,
         command=command,
         note=claim.note,
-        apart=claim.apart,
+        unjudged=claim.unjudged,
         because=claim.because,
         rows=tuple(every),
         data=_data(findings, every, experiment),
@@ -128,12 +130,12 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
 
 
 def count(judgements: list[Judgement]) -> list[tuple[str, int]]:
-    """Count the claims per verdict, those that stand apart last."""
+    """Count the claims per verdict, those without a verdict last."""
     counts = Counter(judgement.verdict for judgement in judgements)
     return [
         (verdict, counts[verdict])
-        for verdict in (*VERDICTS, APART)
-        if verdict != APART or counts[APART]
+        for verdict in (*VERDICTS, NO_VERDICT)
+        if verdict != NO_VERDICT or counts[NO_VERDICT]
     ]
 
 
@@ -160,7 +162,7 @@ def comparisons(judgements: list[Judgement]) -> pd.DataFrame:
                         "high": high, "coverage": 1 - each.level, "side": side,
                         "threshold": threshold, "instances": each.part.estimate.n,
                         "runs": len(each.part.runs), "limited": sum(each.part.runs.values()),
-                        "beside": row.beside, "open_because": each.why,
+                        "shown_only": row.shown_only, "open_because": each.why,
                     }
                 )  # fmt: skip
     return pd.DataFrame(table)
@@ -171,9 +173,9 @@ def _verdict(claim: Claim, findings: list[Finding], found: list[list[Row]]) -> t
     if not findings:
         return NOT_RUN, f"no tables of {claim.experiment}"
     deciding = [
-        (finding, [row for row in each if not row.beside])
+        (finding, [row for row in each if not row.shown_only])
         for finding, each, entry in zip(findings, found, claim.checks, strict=True)
-        if not entry.get("beside")
+        if not entry.get("shown_only")
     ]
     every = [row for _, each in deciding for row in each]
     if not every:
@@ -200,13 +202,13 @@ def _counted(every: list[Row]) -> str:
     if len(every) == 1:
         (row,) = every
         texts = {
-            REPRODUCED: "the figure lies on the claimed side",
-            NOT: "the figure lies on the other side",
+            REPRODUCED: "value and interval lie on the claimed side",
+            NOT: "value and interval lie on the other side",
             OPEN: row.instances,
         }
         return texts[row.verdict]
     shown = [f"{counts[name]} {name}" for name in (REPRODUCED, NOT, OPEN) if counts[name]]
-    text = f"of {len(every)} comparisons with a rival or threshold, {', '.join(shown)}"
+    text = f"{len(every)} comparisons with a rival or threshold: {', '.join(shown)}"
     needs = list(dict.fromkeys(row.instances for row in every if row.instances))
     return text + (f" ({needs[0]}{'; others: see the table' * (len(needs) > 1)})" if needs else "")
 
@@ -217,7 +219,7 @@ def _limits(experiment: Experiment, findings: list[Finding], runs: int, limited:
     texts = dict.fromkeys(text for card in cards for text in limits_of(card).values())
     stated = f" ({', '.join(texts)})" if texts else ""
     share = f"{limited} of {runs} deciding runs" if limited else f"None of the {runs} deciding runs"
-    how = "" if experiment.is_quick or not limited else "; their answers at the limit count"
+    how = "" if experiment.is_quick or not limited else "; the poses that they returned count"
     return f"{share} hit a limit{stated}{how}"
 
 

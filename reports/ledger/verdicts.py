@@ -50,7 +50,7 @@ class Row:
     group: str
     verdict: str
     decided: tuple[Decided, ...]
-    beside: bool = False
+    shown_only: bool = False
     second_title: str = ""
     second: Mapping[tuple[str, ...], intervals.Estimate] = field(default_factory=dict)
 
@@ -106,9 +106,9 @@ class Row:
             return ""
         texts = []
         if any(d.why == QUICK_LIMIT for d in reasons):
-            texts.append("runs at a limit: needs the full experiment")
+            texts.append("runs hit a limit: run the full experiment")
         if any(d.why == TIME_OUTS for d in reasons):
-            texts.append("time-outs: needs a longer limit")
+            texts.append("time-outs could change the verdict: use a longer limit")
         lacking = [d for d in reasons if d.why in (FEW, WIDE)]
         if lacking:
             least = min(d.part.estimate.n for d in lacking)
@@ -124,9 +124,9 @@ def decide(findings: Sequence[Finding], *, quick: bool) -> list[list[Decided]]:
         intervals.p_values(part.estimate, part.claimed, rises=part.rises, falls=part.falls)
         for part in parts
     ]
-    family = [at for at, part in enumerate(parts) if not barred[at] and not part.beside]
-    count = max(1, sum(not part.beside for part in parts))
-    levels = [LEVEL if part.beside else LEVEL / count for part in parts]
+    family = [at for at, part in enumerate(parts) if not barred[at] and not part.shown_only]
+    count = max(1, sum(not part.shown_only for part in parts))
+    levels = [LEVEL if part.shown_only else LEVEL / count for part in parts]
     for at, level in zip(family, intervals.holm([min(p_of[at]) for at in family]), strict=True):
         levels[at] = level
     decided = []
@@ -161,7 +161,7 @@ def rows(
     return [
         Row(
             finding.figure, *key, of_all(d.verdict for d in members), tuple(members),
-            beside=members[0].part.beside, second_title=second_title, second=second or {},
+            shown_only=members[0].part.shown_only, second_title=second_title, second=second or {},
         )
         for key, members in grouped.items()
     ]  # fmt: skip

@@ -37,7 +37,7 @@ CARDS = {
         "limits": {"time_s": 10.0},
     },
 }
-JUDGED = [claim for claim in ledger().claims if not claim.apart]
+JUDGED = [claim for claim in ledger().claims if not claim.unjudged]
 
 
 def runs_of(method: str, **columns) -> pd.DataFrame:

@@ -53,9 +53,7 @@ def test_every_rival_and_test_has_a_verdict_of_its_own():
     rows = {row.rival: (row.group, row.verdict) for row in found.rows}
     assert rows == {"rival": ("noise", REPRODUCED), "pa": ("noise", NOT)}
     assert found.verdict == NOT
-    assert found.reason.startswith(
-        "of 2 comparisons with a rival or threshold, 1 reproduced, 1 not"
-    )
+    assert found.reason.startswith("2 comparisons with a rival or threshold: 1 reproduced, 1 not")
     assert "RPM-CAV" in found.reason
     assert "RPM-CAV" in found.tested.partition("not tested: ")[2]
     assert found.runs == 180  # of the row that decides
@@ -114,10 +112,10 @@ def test_one_comparison_is_enough_for_a_claim_with_any(least, verdict):
 
 
 def test_what_stands_beside_decides_nothing():
-    beside = {**RATIO, "beside": True}
+    beside = {**RATIO, "shown_only": True}
     found = judged(evidence(runs_of("paper"), runs_of("rival", rmse=0.01)), VALUE, beside)
     assert found.verdict == REPRODUCED
-    assert [row.beside for row in found.rows] == [False, True]
+    assert [row.shown_only for row in found.rows] == [False, True]
     assert "RPM-HTB" not in judged(evidence(runs_of("paper")), VALUE, beside).reason
 
 
@@ -125,7 +123,9 @@ def test_answers_at_the_limit_count_in_full_experiments_and_the_limit_is_named()
     rival = limited(runs_of("rival", rmse=0.1), 5)
     found = judged(evidence(runs_of("paper"), rival), RATIO)
     assert (found.verdict, found.limited, found.runs) == (REPRODUCED, 15, 180)
-    assert "15 of 180 deciding runs hit a limit (10 s); their answers at the limit" in found.reason
+    assert (
+        "15 of 180 deciding runs hit a limit (10 s); the poses that they returned" in found.reason
+    )
     quick = judged(evidence(runs_of("paper"), rival, name="paper2d-quick"), RATIO)
     assert quick.verdict == OPEN
     assert "full experiment" in quick.rows[0].instances
@@ -144,7 +144,7 @@ def test_time_outs_leave_claims_about_time_open_where_they_could_change_them(cla
     slow = runs_of("paper", time_solve_s=5.0)
     found = judged(evidence(slow, limited(runs_of("rival"), 1)), {**TIME, "claimed": claimed})
     assert found.verdict == OPEN
-    assert "time-outs: needs a longer limit" in found.reason
+    assert "time-outs could change the verdict: use a longer limit" in found.reason
 
 
 @pytest.mark.parametrize(("count", "verdict"), [(3, REPRODUCED), (15, OPEN)])

@@ -29,7 +29,7 @@ from reports.claims import PAGE
 from reports.ledger.book import LEDGER, Claim, Ledger, ledger, roles_of
 from reports.ledger.evidence import Evidence
 from reports.ledger.intervals import MIN_INSTANCES, NOT, NOT_RUN, OPEN, REPRODUCED
-from reports.ledger.judging import APART, count, judge, judge_claim
+from reports.ledger.judging import NO_VERDICT, count, judge, judge_claim
 from reports.tables import ReportError, Tables
 from workflows.config import load
 from workflows.stages.plan import expand, plan_table
@@ -50,12 +50,12 @@ def test_every_claim_can_be_reproduced_and_can_fail(claim, true, tmp_path):
 
 
 def test_claims_without_oracle_stand_apart_with_a_reason():
-    apart = [claim for claim in ledger().claims if claim.apart]
+    unjudged = [claim for claim in ledger().claims if claim.unjudged]
     assert len(ledger().claims) == 37
-    assert len(apart) <= 4
-    for claim in apart:
+    assert len(unjudged) <= 4
+    for claim in unjudged:
         assert claim.because
-        assert all(entry["beside"] for entry in claim.checks)
+        assert all(entry["shown_only"] for entry in claim.checks)
 
 
 @pytest.mark.parametrize("claim", JUDGED, ids=lambda claim: claim.id)
@@ -101,7 +101,7 @@ def test_ledger_holds_the_claims_with_command_and_check():
         ("kind: boxes", "kind: boxen", "no check 'boxen'"),
         ("subject: dcreg_paper_half", "subject: dcreg_third", "no role 'dcreg_third'"),
         ("experiment: bounds", "experiment: bonds", "no command makes 'bonds'"),
-        ("apart: proof", "apart: prof", "apart is 'prof'"),
+        ("unjudged: proof", "unjudged: prof", "unjudged is 'prof'"),
     ],
 )
 def test_ledger_that_names_what_is_not_there_is_refused(tmp_path, old, new, message):
@@ -180,7 +180,7 @@ def test_claims_about_dc_reg_are_about_the_published_method():
         for entry in claim.checks:
             named = {role for role in roles_of(entry) if role.startswith("dcreg")}
             ours = {role for role in named if not role.startswith("dcreg_paper")}
-            assert entry.get("beside") or ours <= allowed.get(claim.id, set()), claim.id
+            assert entry.get("shown_only") or ours <= allowed.get(claim.id, set()), claim.id
 
 
 # --- folders and pages -----------------------------------------------------------------------------
@@ -239,7 +239,7 @@ def test_command_writes_page_data_and_tables(written):
     out = written
     table = pd.read_csv(out / "claims.csv").set_index("id")
     assert len(table) == len(ledger().claims)
-    wanted = {"half-2d": REPRODUCED, "low-3d": NOT, "tight-laps": REPRODUCED, "centre": APART}
+    wanted = {"half-2d": REPRODUCED, "low-3d": NOT, "tight-laps": REPRODUCED, "centre": NO_VERDICT}
     assert {name: table.loc[name, "verdict"] for name in wanted} == wanted
     for row in table[table["verdict"] == NOT_RUN].itertuples():
         assert row.reason.endswith(f"with {row.command}")
