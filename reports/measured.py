@@ -28,7 +28,7 @@ COVERAGE = 0.95
 DRAWS = 4000
 SMALL = 0.02  # relative: searches stop at about the same limit on assignments
 SEED = 20260326
-NO_POSE_ERROR = 1.0  # longest sides: the error that a run without a pose counts
+NO_POSE_ERROR = 1.0  # error of a run without a pose, in longest sides
 OURS, AUTHORS = "ours", "its authors'"
 PUBLISHED = "DC, published"
 # Columns of `Measured.runs`, besides those added by `Measured.of_tables`.
