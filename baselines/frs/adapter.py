@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from baselines._shared import rotation_search
 from baselines._shared.consensus import Consensus
 from baselines._shared.cubes import Incumbent, search_cubes, with_bounds
+from baselines._shared.poses import homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.frs.search import TranslationCubes, matching_translations
 from dcreg.search import Trace
@@ -26,14 +29,14 @@ class Adapter(Baseline):
         budget = limits.budget()
         radius = self.inlier_distance(instance)
         problem = Consensus(instance, radius)
-        incumbent = Incumbent()
-        for pose, count in problem.starts(self.options["start_rotations"], budget):
-            incumbent.offer(-count, pose)
+        centre, half = matching_translations(problem.source, problem.target, radius)
+        incumbent, first = Incumbent(), homogeneous(1.0, np.eye(3), centre)
+        incumbent.offer(-problem.count(first), first)  # a pose, even without time for a search
         slack = int(self.options["rotation_slack"] * len(problem.source))
         cubes = TranslationCubes(problem, incumbent, slack, budget)
         found = search_cubes(
-            cubes.bound, matching_translations(problem.source, problem.target, radius), incumbent,
-            budget, gap_tol=0.0, floor=-float(len(problem.source)),
+            cubes.bound, (centre, half), incumbent, budget,
+            gap_tol=0.0, floor=-float(len(problem.source)),
         )  # fmt: skip
         found = with_bounds(found, lambda value: radius**2 * (instance.n_inliers + value))
         polished = problem.polish(incumbent.pose) if self.options["polish"] else incumbent.pose

@@ -3,7 +3,8 @@
 The search maximises the number of source points that R x + t moves within ``radius`` of a target
 point. In a cube of translations with half-diagonal rho and centre t0, R x + t lies within the radius
 of y for some t only if R x lies within radius + rho of y - t0. The rotation search then bounds the
-count over all rotations. Objective values are minus the counts, since the search minimises.
+count over all rotations. With the radius itself it finds the best rotation at t0: the incumbents are
+these poses, and there are no others. Objective values are minus the counts, since the search minimises.
 """
 
 from __future__ import annotations
@@ -42,10 +43,14 @@ class TranslationCubes:
             self.budget,
         )
         self.n_rotation_cubes += found.n_cubes
-        if found.count > known:
-            pose = homogeneous(1.0, found.rotation, centre)
-            pose, count = problem.ascend(pose, problem.radius + rho)
-            self.incumbent.offer(-count, pose)
+        if found.upper_bound > known:
+            at_centre = most_matches(
+                problem.source, problem.target - centre, problem.radius, known, 0, self.budget
+            )
+            self.n_rotation_cubes += at_centre.n_cubes
+            if at_centre.count > known:
+                pose = homogeneous(1.0, at_centre.rotation, centre)
+                self.incumbent.offer(-problem.count(pose), pose)
         return -float(found.upper_bound), None
 
 

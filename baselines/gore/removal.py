@@ -56,7 +56,6 @@ def remove_outliers(
     bound: float,
     budget: Budget,
     rotation_search: bool = True,
-    start: np.ndarray | None = None,
 ) -> Removal:
     """Drop correspondences until none can be dropped or the budget is over.
 
@@ -69,12 +68,8 @@ def remove_outliers(
     budget : Budget
     rotation_search : bool
         Search all rotations about the correspondences that the intervals of angles do not remove.
-    start : (4, 4) array, optional
-        A known pose; a larger consensus set removes others sooner.
     """
     state = _Removing(source, target, bound, budget)
-    if start is not None:
-        state.take(start)
     try:
         state.settle(state.arcs)
         # Removals and better poses by the search let the cheaper intervals remove more.

@@ -150,19 +150,6 @@ def test_both_reaches_are_no_less_than_the_planted_consensus(problem: tuple, cut
             np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
 
 
-def test_a_known_pose_is_taken_and_lets_more_be_removed() -> None:
-    source, target, bound, n_inliers = sparse(1, 80, 10, 0.07)
-    weights = np.where(np.arange(80) < n_inliers, 1.0, 0.0)
-    start = fit_pose(source, target, (1.0, 1.0), weights)
-    # as out of time before anything was found
-    without = remove_outliers(source, target, bound, Budget(time_s=0.0))
-    with_it = remove_outliers(source, target, bound, Budget(time_s=0.0), start=start)
-    assert with_it.consensus >= n_inliers - 2 > without.consensus
-    ended = remove_outliers(source, target, bound, Budget(), start=start)
-    assert ended.finished
-    assert not loses_a_set_of_triples(ended, source, target, bound, seed=0)
-
-
 def test_search_removes_and_finds_what_intervals_do_not() -> None:
     tighter = larger = 0
     for seed in range(20):

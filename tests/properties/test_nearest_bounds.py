@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from baselines._shared.closest_point import ClosestPoint, spread_poses
 from baselines._shared.consensus import Consensus
 from baselines._shared.cubes import OCTANTS, Incumbent, OutOfTimeError, search_cubes
 from baselines._shared.poses import homogeneous
@@ -200,7 +201,9 @@ class TestFRS:
         problem = Consensus(instance, 0.05)
         incumbent = Incumbent(-problem.count(np.eye(4)), np.eye(4))
         cubes = frs.TranslationCubes(problem, incumbent, 0, never())
-        fitted, count = max(problem.starts(8, never()), key=lambda start: start[1])
+        local = ClosestPoint(problem.source, problem.target, problem.n_inliers)
+        fitted = max(local.descend(spread_poses(8, 0, np.zeros(3)), 0.0)[0], key=problem.count)
+        count = problem.count(fitted)
         centre = fitted[:3, 3] + half * generator.uniform(-1, 1, 3)  # a cube that matters
         bound, _ = cubes.bound(centre, half)
         assert bound <= -count

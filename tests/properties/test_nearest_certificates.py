@@ -102,7 +102,7 @@ def attainable(instance: Instance, size: int, radius: float) -> bool:
 @pytest.mark.parametrize("seed", range(COUNT))
 def test_frs(seed: int) -> None:
     instance = small_instance(seed, 5, 5, 0.03)
-    method = registry.load("frs", noise_factor=1.5, start_rotations=1, polish=False)
+    method = registry.load("frs", noise_factor=1.5, polish=False)
     solution = method.solve(instance, LIMITS)
     radius = 1.5 * instance.noise_bound
     most = instance.n_inliers - solution.lower_bound / radius**2

@@ -20,6 +20,7 @@ from baselines._shared.ransac import ransac
 from baselines._shared.robust import gnc_pose
 from baselines.clipper.dense import dense_clique
 from baselines.contract import Instance, Limits
+from baselines.gore import adapter as gore
 from baselines.mac.adapter import compatibility
 from baselines.mac.enumerate import HeaviestCliques
 from baselines.sc2_pcr_pp.adapter import candidate_closeness
@@ -310,3 +311,25 @@ def test_ransac_ends_early_when_sure_and_repeats_itself() -> None:
     )
     assert first[1] < 2000
     np.testing.assert_array_equal(first[0], second[0])
+
+
+def test_gore_samples_only_what_its_removal_keeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pose by RANSAC precedes the removal, as in the published method."""
+    kept: list[int] = []
+    remove, sample = gore.remove_outliers, gore.ransac
+
+    def removing(*arguments, **settings):
+        removal = remove(*arguments, **settings)
+        kept.append(len(removal.kept))
+        return removal
+
+    def sampling(source, *arguments, **settings):
+        kept.append(len(source))
+        return sample(source, *arguments, **settings)
+
+    monkeypatch.setattr(gore, "remove_outliers", removing)
+    monkeypatch.setattr(gore, "ransac", sampling)
+    instance, _ = planted("rigid3d", 60, 0.5)
+    registry.load("gore").estimate(instance, rows_as_pairs(60), Budget(20.0))
+    assert len(kept) == 2
+    assert kept[0] == kept[1] < 60

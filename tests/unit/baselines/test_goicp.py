@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from baselines import registry
 from baselines._shared.closest_point import ClosestPoint
 from baselines._shared.consensus import Consensus
-from baselines._shared.cubes import OutOfTimeError
+from baselines._shared.cubes import Incumbent, OutOfTimeError
 from baselines._shared.poses import homogeneous
 from baselines.contract import Instance, Limits
+from baselines.frs.search import matching_translations
 from baselines.goicp.adapter import contains_translation
 from baselines.gots import adapter as gots
 from data.registry import dataset
@@ -131,6 +132,35 @@ def test_goicp_by_default_refines_only_the_identity_before_its_search(monkeypatc
     np.testing.assert_array_equal(begun[0], np.eye(4)[None])
 
 
+def test_frs_keeps_its_own_incumbents_and_refines_only_its_answer(monkeypatch) -> None:
+    """Incumbents are rotations at centres of cubes, exact there; ICP begins at the best of them."""
+    offered, refined = [], []
+    offer, descend = Incumbent.offer, ClosestPoint.descend
+
+    def recorded(self, value, pose):
+        offered.append((value, pose))
+        return offer(self, value, pose)
+
+    def descending(self, poses, *settings):
+        refined.append(poses.copy())
+        return descend(self, poses, *settings)
+
+    monkeypatch.setattr(Incumbent, "offer", recorded)
+    monkeypatch.setattr(ClosestPoint, "descend", descending)
+    instance, _ = planted()
+    solution = registry.load("frs").solve(instance, Limits(time_s=20.0, nodes=300))
+    problem = Consensus(instance, instance.noise_bound)
+    centre, half = matching_translations(problem.source, problem.target, problem.radius)
+    for value, pose in offered:
+        assert value == -problem.count(pose)
+        lattice = (pose[:3, 3] - centre) / half * 2**20  # centres of octants, and nothing else
+        np.testing.assert_allclose(lattice, np.round(lattice), atol=1e-3)
+    best = min(offered, key=lambda entry: entry[0])
+    assert solution.extra["matched"] == -best[0]
+    assert len(refined) == 1
+    np.testing.assert_array_equal(refined[0], best[1][None])
+
+
 def test_gots_refuses_clouds_with_too_many_pairs() -> None:
     instance, _ = planted()
     assert registry.load("gots").supports(instance) is None
@@ -142,8 +172,6 @@ def test_gots_searches_without_initial_poses(monkeypatch: pytest.MonkeyPatch) ->
     def refuse(*_: object) -> None:
         raise AssertionError("GoTS refined a pose before its search")
 
-    monkeypatch.setattr(Consensus, "starts", refuse)
-    monkeypatch.setattr(Consensus, "ascend", refuse)
     monkeypatch.setattr(ClosestPoint, "descend", refuse)
     instance, truth = planted()
     solution = registry.load("gots", polish=False).solve(instance, Limits(time_s=20.0))
