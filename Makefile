@@ -43,7 +43,7 @@ coverage: dev
 run: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART)
 
-## paper-2d: run the paper's 2D tests (this and the next five: QUICK=1 for at most 15 minutes on 2 cores; POINTS=40: 40 points per shape)
+## paper-2d: run the paper's 2D tests (POINTS=40: 40 points per shape). QUICK=1 limits this and the next five to 15 minutes on 2 cores
 ## paper-2d-cr: run on the public point sets of Chui and Rangarajan
 ## paper-2d-images: run on edges and manually marked points of photographs
 ## paper-3d: run the paper's 3D tests (POINTS=40: 40 points per shape)
@@ -65,7 +65,7 @@ claims: setup
 paper-figures: setup
 	@$(BIN)/python -m reports figures
 
-## findings: run the experiment behind docs/findings.md and write the page (TRIALS=0,1: a part, minutes)
+## findings: run the experiment behind docs/findings.md and write the page (TRIALS=0,1: a part that takes minutes)
 .PHONY: findings
 findings: setup
 	@$(BIN)/python -m workflows run findings --cores $(CORES) $(if $(TRIALS),--trials $(TRIALS))
@@ -86,7 +86,7 @@ baselines: setup
 new-baseline: setup
 	@$(BIN)/python -m workflows new-baseline $(NAME)
 
-## bench: measure the solver against its performance targets, tables in results/bench (QUICK=1: a few seconds)
+## bench: compare the solver with its performance targets, tables in results/bench (QUICK=1: a few seconds)
 .PHONY: bench
 bench: dev
 	@mkdir -p results/bench
@@ -94,7 +94,7 @@ bench: dev
 	  --benchmark-json=results/bench/raw.json $(if $(QUICK),--quick) $(if $(CASES),-k "$(CASES)")
 	@$(BIN)/python -m tests.bench.tables results/bench/raw.json results/bench
 
-## modes: measure success rate and time of each 3D mode, tables in results/modes (ARGS="--points 300 --limit 5")
+## modes: measure the success rate and time of each 3D mode, tables in results/modes (ARGS="--points 300 --limit 5")
 .PHONY: modes
 modes: setup
 	@$(BIN)/python -m workflows.studies.modes results/modes $(ARGS)
@@ -104,7 +104,7 @@ modes: setup
 walk: setup
 	@$(BIN)/python -m workflows.studies.walk results/walk $(ARGS)
 
-## first-call: compare the CPU time of a first call with that of an older checkout, OLD=folder
+## first-call: compare the CPU time of the first call in a process with that of an older checkout, OLD=folder
 .PHONY: first-call
 first-call: dev
 	@$(BIN)/python -m tests.bench.first_call $(OLD)

@@ -44,7 +44,10 @@ def claims(
         "results/claims"
     ),
     before: Annotated[
-        Path | None, typer.Option(help="claims.csv of an earlier ledger: print what changed.")
+        Path | None,
+        typer.Option(
+            help="claims.csv of an earlier check; the command prints the verdicts that changed."
+        ),
     ] = None,
 ) -> None:
     """Check the claims of the paper against the available results."""
@@ -66,7 +69,7 @@ def figures(
         "results/figures"
     ),
 ) -> None:
-    """Draw all figures of the paper for print, and their page."""
+    """Draw all figures of the paper for print, and write a page that shows them."""
     from reports.paper_page import build
 
     say(f"figures   {build(out, results or [Path('results')])}")
@@ -75,7 +78,10 @@ def figures(
 @app.command()
 @user_errors
 def figure(
-    name: Annotated[str, typer.Argument(help="A module of reports/figures/standalone.")],
+    name: Annotated[
+        str,
+        typer.Argument(help="Name of a module of reports/figures/standalone, such as paper_2d."),
+    ],
     tables: Annotated[
         Path | None, typer.Option(help="Folder with tables; default: those found in results/.")
     ] = None,
@@ -95,11 +101,11 @@ def findings(
     tables: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Folders with tables to store in docs/measured; default: those stored."
+            help="Folders with new tables to store in docs/measured; default: use the stored tables."
         ),
     ] = None,
 ) -> None:
-    """Write docs/findings.md from stored tables, or store new ones first."""
+    """Write docs/findings.md from the tables in docs/measured; store the given tables there first."""
     from reports import findings as page
 
     if tables:

@@ -207,10 +207,10 @@ class Search:
         Admissible scales (2D only; default 0.5 1.5). Equal numbers fix the scale: 1 1 searches rotation
         and translation only.
     candidates_path : FILE
-        Feasible pairs: two columns, source row and target row, from 0. Default: all pairs.
+        Feasible pairs: two columns, source row and target row, counted from 0. Default: all pairs.
     mode : NAME
         Search mode. In 2D: {modes_2d}. In 3D: {modes_3d}. Default: {auto}, which in 3D selects full, or
-        paper if a bound or a certificate is requested or over 4 million point pairs are searched.
+        paper if a bound or a certificate is requested or more than 4 million point pairs are searched.
     bound : NAME
         Lower bounding function: {bounds}; 'a+b' takes the maximum of two.
     start_box : NAME
@@ -218,10 +218,11 @@ class Search:
     rel_gap : X
         Gap at which to stop, as a share of the upper bound.
     abs_gap : X
-        Gap at which to stop in any case, in squared units of the target. Default: the rounding error of
-        the objective.
+        Absolute gap, in squared units of the target; the search stops at the larger of both gaps.
+        Default: the rounding error of the objective.
     tol : X
-        The same as an RMS residual per pair, in units of the target: --tol 0.01 is --abs-gap K * 0.01^2.
+        Absolute gap as an RMS residual per pair, in units of the target: --tol 0.01 is --abs-gap
+        K * 0.01^2.
     time_limit : S
         Seconds of search; inf: no limit.
     node_limit : N
@@ -279,8 +280,8 @@ class MatchSearch:
     rel_gap : X
         Gap at which to stop, as a share of the upper bound.
     abs_gap : X
-        Gap at which to stop in any case, in squared units of the target. Default: the rounding error of
-        the cost.
+        Absolute gap, in squared units of the target; the search stops at the larger of both gaps.
+        Default: the rounding error of the cost.
     time_limit : S
         Seconds of search; inf: no limit.
     node_limit : N

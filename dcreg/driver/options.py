@@ -110,7 +110,7 @@ class SolveOptions:
 
 @dataclass(frozen=True)
 class Limits:
-    """Tolerances on the gap, and limits of a solve; None: default tolerance, no limit.
+    """Tolerances and limits of a solve; None is the default tolerance, or no limit.
 
     Attributes
     ----------

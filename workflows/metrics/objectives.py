@@ -11,7 +11,7 @@ from workflows.metrics.case import Case, metric
 @metric("target unit²", "lower", np.inf, recorded=True)
 def objective(case: Case) -> float:
     """Minimum sum of squared residuals of n_inliers one-to-one pairs at the pose; empty for large
-    clouds, and where the method received fewer points."""
+    clouds, and for methods that received fewer points."""
     return case.objective
 
 

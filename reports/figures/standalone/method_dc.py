@@ -26,8 +26,8 @@ PAPER = PaperFigure(
     differs=(
         "The curves are computed by the code of the method dcreg_paper on a generated instance, along "
         "a diagonal of a box that its search bounded. The paper's drawing is schematic.",
-        "It shows norm space in 3D. In 2D the cost of a pair has no concave part, and its "
-        "bound is affine.",
+        "It shows norm space in 3D. In 2D the concave part of the cost of a pair is affine, and so is "
+        "its lower bound.",
     ),
 )
 AXIS = "position on the diagonal"

@@ -23,7 +23,7 @@ PAPER = PaperFigure(
         "The paper states neither its levels nor its number of points, time limits, tolerances and start "
         "boxes; ours are in the protocol.",
         "DC-Reg (ours) is added. RPM-HTB, RPM-PA and RPM-CAV are reconstructions from their papers.",
-        "The time is that of our programs on the machine named below, not that of MATLAB.",
+        "Times are those of our programs on the machine named below; the paper used MATLAB.",
         "The dashed floor and the bands are added.",
     ),
     experiment="paper2d",

@@ -13,12 +13,12 @@ TITLE = "Paper: 3D tests"
 CAPTION = paper_2d.CAPTION
 DRAWN = paper_2d.DRAWN
 PAPER = PaperFigure(
-    caption="As the figure of the 2D tests, for two shapes in 3D and five other methods.",
+    caption="The same as the figure of the 2D tests, for two shapes in 3D and five other methods.",
     differs=(
         "The paper states neither its levels nor its number of points, time limits, tolerances and start "
         "boxes; ours are in the protocol.",
-        "The rotation for the translation found is searched by our reconstruction of HBSP. RPM-HTB and "
-        "FRS are reconstructions too.",
+        "Our reconstruction of HBSP searches the rotation for the translation found. RPM-HTB is a "
+        "reconstruction too, and FRS is our own implementation.",
         "The paper does not state the correspondences of GORE and TEASER++. Ours come from norm "
         "signatures, or from FPFH where the name says so.",
         "DC-Reg (ours), the dashed floor and the bands are added.",

@@ -13,14 +13,14 @@ POSITION = 25
 TITLE = "Paper: 2D examples"
 CAPTION = (
     "One instance per test: both clouds, then the source (red circles) at the pose of each method over "
-    "the target (blue crosses). The instance is the median run of the first method. An error is wrong if "
-    "it exceeds the floor by more than 0.05 of the longest side."
+    "the target (blue crosses). The instance is the median run of the first method. A pose is marked as "
+    "wrong if its error above the floor is at least 0.05 of the longest side."
 )
 DRAWN = clouds.DRAWN
 PAPER = PaperFigure(
     caption="Examples of the tests, with the alignment that each method finds.",
     differs=(
-        "The paper chooses its examples. Ours follow a rule: the run of median error.",
+        "The paper chose its examples. We show the run of median error.",
         "DC-Reg (ours) and the errors are added.",
     ),
     experiment="paper2d",

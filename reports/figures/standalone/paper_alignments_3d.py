@@ -14,7 +14,7 @@ TITLE = "Paper: 3D examples"
 CAPTION = paper_alignments_2d.CAPTION
 DRAWN = paper_alignments_2d.DRAWN
 PAPER = PaperFigure(
-    caption="As the figure of the 2D examples, for the two shapes in 3D.",
+    caption="The same as the figure of the 2D examples, for the two shapes in 3D.",
     differs=(
         *paper_alignments_2d.PAPER.differs,
         "All clouds are seen from one direction, which hides errors along it; the printed "
