@@ -67,7 +67,8 @@ def register(
         ``abs_gap = n_inliers * tol^2``. Only one of the two can be given.
     time_limit : float, optional
         Seconds for the solve, 60 by default; None or inf: no limit. At the limit the best pose is
-        returned with status ``time_limit``, at most a tenth of the limit and a second later.
+        returned with status ``time_limit``, at most a tenth of the limit and a second later, or several
+        seconds later if the clouds have tens of thousands of points.
     node_limit : int, optional
         Maximum number of boxes bounded per stage. A round of up to a thousand boxes is completed.
     memory_limit_mb : float, optional

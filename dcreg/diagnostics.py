@@ -176,12 +176,11 @@ def undetermined(case: Case) -> str | None:
     extent = max(rms_radius(case.problem.source), rms_radius(case.problem.target))
     if spread[case.problem.dim - 2] > 1e-9 * extent > 0.0:
         return None
+    k = case.result.n_inliers
     is_point = case.problem.dim == 2 or spread[0] <= 1e-9 * extent
     where = "coincide" if is_point else "lie on one line"
-    return (
-        f"the {case.result.n_inliers} matched source points {where} and do not determine the pose. "
-        "Match more pairs (n_inliers), of distinct points"
-    )
+    what = "one pair does" if k == 1 else f"the {k} matched source points {where} and do"
+    return f"{what} not determine the pose. Match more pairs (n_inliers), of distinct points"
 
 
 def other_size(case: Case) -> str | None:
@@ -218,9 +217,9 @@ def ambiguous(case: Case) -> str | None:
     more = f"only {percent:.2g} % higher" if percent >= 0.1 else "no higher"
     return (
         f"the objective of another pose, {other.difference} relative to this one, is {more}: "
-        f"{case.result.n_inliers} pairs hardly distinguish the two. The shape may be symmetric, the "
-        "noise large, or the number of pairs wrong (`dcreg sweep` tries several). Look at both poses "
-        "(`runner_up` of the result)"
+        "the matched pairs hardly distinguish the two. The shape may be symmetric, the noise large, or "
+        "the number of pairs wrong (`dcreg sweep` tries several). Look at both poses (`runner_up` of the "
+        "result)"
     )
 
 

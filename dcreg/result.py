@@ -97,7 +97,8 @@ class Stage:
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid``, ``polish``, ``all points`` or, in sweeps, ``local searches``.
+        ``search``, ``rotation``, ``rigid``, ``polish``, ``pairs``, ``all points``; in sweeps also
+        ``local searches``; in `dcreg.register_matches` ``start`` and ``rotation``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional

@@ -137,7 +137,7 @@ class SweepResult:
                 row["status"],
                 f"{row['lower_bound']:.5g}",
                 f"{row['upper_bound']:.5g}",
-                text.percent(row["bound_ratio"]),
+                "exact fit" if result.is_exact else text.percent(row["bound_ratio"]),
                 f"{row['rms_lower']:.4g} to {row['rms']:.4g}",
                 "" if row["marginal_cost"] is None else f"{row['marginal_cost']:.4g}",
                 "" if row["proven_by"] is None else f"k={row['proven_by']}",
@@ -145,7 +145,7 @@ class SweepResult:
                 str(row["n_nodes"]),
                 f"{row['time_s']:.2f} s",
             ]
-            for row in self.rows()
+            for row, result in zip(self.rows(), self.results, strict=True)
         ]
         return headings, rows
 

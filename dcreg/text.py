@@ -6,15 +6,15 @@ import math
 from collections.abc import Sequence
 
 
-def count(number: int, thing: str) -> str:
-    """Return a number and its noun.
+def count(number: int, thing: str, things: str | None = None) -> str:
+    """Return a number and its noun, of which the plural may be irregular.
 
     Examples
     --------
-    >>> count(1, "node"), count(2, "node")
-    ('1 node', '2 nodes')
+    >>> count(1, "node"), count(2, "node"), count(2, "box", "boxes")
+    ('1 node', '2 nodes', '2 boxes')
     """
-    return f"{number} {thing}{'' if number == 1 else 's'}"
+    return f"{number} {thing if number == 1 else things or thing + 's'}"
 
 
 def percent(share: float) -> str:

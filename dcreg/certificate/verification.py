@@ -17,6 +17,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
+from dcreg import text
 from dcreg.certificate.format import (
     PRUNED,
     Certificate,
@@ -130,13 +131,12 @@ def verify(
             )
         if isinstance(certificate, Certificate):
             check_shapes(certificate)
-            report.checks.append(f"complete: {len(certificate.leaf_bounds)} leaves")
+            n_leaves = text.count(len(certificate.leaf_bounds), "leaf", "leaves")
+            report.checks.append(f"complete: {n_leaves}")
         else:
             certificate = read(certificate)
-            n_leaves = len(certificate.leaf_bounds)
-            report.checks.append(
-                f"complete and unchanged: {n_leaves} leaves, with the right checksum"
-            )
+            n_leaves = text.count(len(certificate.leaf_bounds), "leaf", "leaves")
+            report.checks.append(f"complete and unchanged: {n_leaves}, with the right checksum")
         _check(
             report, certificate, np.asarray(source, dtype=np.float64),
             np.asarray(target, dtype=np.float64), max_boxes, n_samples, progress,
@@ -188,7 +188,7 @@ def _check(
         report.n_assignments = objective.n_assignments
     report.checks.append(
         f"on every leaf the objective is at least {report.lower_bound:.9g}, "
-        f"proven on {report.n_boxes} boxes"
+        f"proven on {text.count(report.n_boxes, 'box', 'boxes')}"
     )
     among = f" among {len(c.candidates)} candidates" if len(c.candidates) else ""
     report.statement = (

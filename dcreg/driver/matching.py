@@ -83,7 +83,10 @@ def _solved(
     threshold = problem.inlier_threshold
     others = [evidence for evidence, other in starts if not is_near(other, pose, threshold)]
     objective = float(problem.residuals(pose)[chosen].sum())
-    is_open = certify and status not in (Status.OPTIMAL, Status.CONVERGED)
+    unproven = scores if certify and status is not Status.OPTIMAL else None
+    warnings = warnings_of(
+        problem, chosen, score, [best, *others], unproven, status is Status.CONVERGED
+    )
     T = problem.pose(pose)
     return Result(
         status=status, model="rigid3d", mode=MODE, bound=BOUND, T_target_source=T, T_certified=T,
@@ -95,5 +98,5 @@ def _solved(
         n_assignments=sum(stage.n_assignments for stage in stages),
         time_setup_s=setup, time_solve_s=budget.elapsed(), stages=stages,
         trace=Trace(events), score=scores,
-        warnings=warnings_of(problem, chosen, score, [best, *others], scores if is_open else None),
+        warnings=warnings,
     )  # fmt: skip

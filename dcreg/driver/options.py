@@ -208,10 +208,11 @@ def check_positive(
     if optional and value is None:
         return
     kinds = int | float | np.number if such_as is None else int | np.integer
+    remedy = "give 0 or a positive number" if minimum == 0.0 else "give a positive number"
     if isinstance(value, bool) or not isinstance(value, kinds):
-        needed = "a number; give a positive number"
+        needed = f"a number; {remedy}"
         if such_as is not None:
             needed = f"a whole number; give one such as {such_as}"
         raise InputError(f"{name}: {value!r} is not {needed}")
     if not minimum <= value < np.inf:
-        raise InputError(f"{name}: {value} is not a usable value; give a positive number")
+        raise InputError(f"{name}: {value} is not a usable value; {remedy}")

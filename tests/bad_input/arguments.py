@@ -10,15 +10,15 @@ Call = Callable[..., list[str]]
 
 NUMBERS = {  # options that both commands have: value, what the message shows, remedy
     "rel_gap": {
-        "-1": ("--rel-gap: -1.0", "give a positive number"),
-        "nan": ("--rel-gap: nan", "give a positive number"),
+        "-1": ("--rel-gap: -1.0", "give 0 or a positive number"),
+        "nan": ("--rel-gap: nan", "give 0 or a positive number"),
         "1": ("--rel-gap: 1.0 is not below 1", "give a share of the upper bound"),
         "1%": ("'1%' is not a number", "give one such as"),
     },
     "abs_gap": {
-        "-1": ("--abs-gap: -1.0", "give a positive number"),
-        "nan": ("--abs-gap: nan", "give a positive number"),
-        "inf": ("--abs-gap: inf", "give a positive number"),
+        "-1": ("--abs-gap: -1.0", "give 0 or a positive number"),
+        "nan": ("--abs-gap: nan", "give 0 or a positive number"),
+        "inf": ("--abs-gap: inf", "give 0 or a positive number"),
         "small": ("'small' is not a number", "give one such as"),
         "1,5": ("'1,5' is not a number", "give one such as"),
     },

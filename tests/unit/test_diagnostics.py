@@ -115,6 +115,8 @@ def test_a_target_ten_times_larger():
 def test_a_pose_that_the_pairs_do_not_determine(dim):
     source, target = clouds(dim, size=12)
     assert any("n_inliers" in line for line in solve(source, target, dim - 1).warnings)
+    one = solve(source, target, 1).warnings
+    assert any(line.startswith("one pair does not determine the pose") for line in one)
     equal = np.ones((6, dim))
     assert any("coincide and do not determine" in line for line in solve(equal, equal, 6).warnings)
     good = solve(source, target, 12)

@@ -269,6 +269,17 @@ def test_a_search_that_proves_nothing_gives_a_warning():
     assert any(expected in line and "more time" in line for line in found.warnings)
 
 
+def test_a_tolerance_above_the_cost_gives_a_warning():
+    source, target, matches, _ = planted(20, 20, 1, noise=0.01)
+    given = {"inlier_distance": REACH, "abs_gap": 10.0}
+    found = dcreg.register_matches(source, target, matches, **given)
+    assert found.status is dcreg.Status.CONVERGED
+    assert found.lower_bound == 0.0
+    assert any("within the tolerance" in line and "Omit abs_gap" in line for line in found.warnings)
+    given["certify"] = False
+    assert not dcreg.register_matches(source, target, matches, **given).warnings
+
+
 @pytest.mark.parametrize(("n", "reach", "seed"), [(60, 0.05, 0), (60, 0.2, 0), (200, 0.1, 0)])
 def test_an_agreement_by_chance_gives_a_warning(n, reach, seed):
     """In the first two cases no second pose is nearly as good as the best."""

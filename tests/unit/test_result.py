@@ -136,6 +136,15 @@ def test_a_sweep_prints_its_table_and_the_suggestion():
     assert "RMSE of pose" in str(sweep(**space))
 
 
+def test_a_sweep_calls_an_exact_fit_exact():
+    found = sweep()
+    first, *others = found.results
+    exact = replace(first, lower_bound=0.0, upper_bound=1e-30, is_exact=True)
+    row = str(replace(found, results=[exact, *others])).splitlines()[1]
+    assert "exact fit" in row
+    assert "100 %" not in row
+
+
 def warned(**lines):
     """A sweep over 50, 60 and 70 pairs with these warnings (by ``k50`` …)."""
     found = sweep()

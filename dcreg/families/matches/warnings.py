@@ -19,6 +19,7 @@ def warnings_of(
     score: str,
     evidence: list[float],
     unproven: tuple[float, float] | None,
+    within_tolerance: bool = False,
 ) -> list[str]:
     """Return the warnings, one line each.
 
@@ -32,16 +33,23 @@ def warnings_of(
         Scores of the pose and of distinct poses, best first; for surfaces, those of
         `surface_consistent_poses`.
     unproven : (float, float), optional
-        If bounds were requested and did not meet: the score of the pose, and the proven upper bound on
-        that of any pose.
+        If bounds were requested and prove no optimum: the score of the pose, and the proven upper bound
+        on that of any pose.
+    within_tolerance : bool
+        Whether the search ended because the cost is within the absolute tolerance.
     """
     best, other = [*evidence, 0.0][:2]
     by_chance = _few(chosen) if score == "surfaces" else _chance(best, other)
     lines = [_undetermined(problem, chosen), _runner_up(score, best, other) or by_chance]
     if unproven is not None:
+        why, remedy = (
+            ("because the cost is within the tolerance", "Omit abs_gap")
+            if within_tolerance
+            else ("early", "Allow more time, or give only the most likely matches")
+        )
         lines.append(
-            f"the search ended early: a pose with a score of up to {unproven[1]:.4g} is not ruled out, "
-            f"this one has {unproven[0]:.4g}. Allow more time, or give only the most likely matches"
+            f"the search ended {why}: a pose with a score of up to {unproven[1]:.4g} is not ruled out, "
+            f"this one has {unproven[0]:.4g}. {remedy}"
         )
     return [line for line in lines if line is not None]
 
