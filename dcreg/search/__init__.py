@@ -2,8 +2,15 @@
 
 from dcreg.search.boxes import Bound, Box, Boxes, Evaluation, Leaves, LongestEdge
 from dcreg.search.branch_and_bound import Outcome, branch_and_bound, minimise
-from dcreg.search.budget import Budget, Event, Interrupted, Listener, Trace
-from dcreg.search.tolerance import Tolerance, proven_share
+from dcreg.search.budget import (
+    Budget,
+    Event,
+    Interrupted,
+    Listener,
+    Tolerance,
+    Trace,
+    proven_share,
+)
 
 __all__ = [
     "Bound",

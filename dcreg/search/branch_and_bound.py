@@ -15,8 +15,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Evaluation, Leaves, LongestEdge, OpenNodes
-from dcreg.search.budget import Budget, Event, Interrupted
-from dcreg.search.tolerance import Tolerance
+from dcreg.search.budget import Budget, Event, Interrupted, Tolerance
 from dcreg.status import Status
 
 

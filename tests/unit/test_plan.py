@@ -147,7 +147,7 @@ def test_expected_times_are_medians_of_the_quick_part_with_limited_runs_at_the_l
     )  # fmt: skip
     folder = tmp_path / "paper2d_images"
     (before,) = outlook_of(whole, folder)
-    assert (before.seconds, before.known) == (10 * 60.0, False)
+    assert (before.seconds, before.known) == (10 * 100.0, False)
 
     part = expand(load("paper2d_images-quick"), parse_selection([f"methods={method}"]))
     times = {"canny": iter([0.5, 9, 0.5, 0.5, 9, 0.5, 0.5, 0.5]), "marked": iter([4.0] * 4)}
@@ -164,7 +164,7 @@ def test_expected_times_are_medians_of_the_quick_part_with_limited_runs_at_the_l
     journal.write_text("".join(f"{json.dumps(row)}\n" for row in rows))
     (after,) = outlook_of(whole, folder)
     assert (after.runs, after.finished, after.known) == (10, 0, True)
-    assert after.seconds == 5 * 0.5 + 5 * 60.0
+    assert after.seconds == 5 * 0.5 + 5 * 100.0
 
 
 def test_methods_that_cannot_run_here_are_expected_to_take_no_time(tmp_path, monkeypatch):
