@@ -114,13 +114,13 @@ class Card(BaseModel):
     # algorithm; reconstruction: our code for a paper whose body was not read, a member of the described
     # family; own: a new method, by its own author.
     provenance: Literal["official", "library", "port", "reconstruction", "own"]
-    # Of the code that takes the time, and whose it is; stated next to comparisons of time.
+    # Language and origin of the code that takes the time; reports state it next to times.
     language: str = Field(min_length=1)
     input: str = "raw point sets"  # e.g. "FPFH correspondences"
     provides_bounds: bool = False
     certifies: str = "nothing"  # scope of the certificate
     uses_n_inliers: bool = False
-    # Whether it counts exact assignments (`n_assignments`) and stops at ``limits.assignments``.
+    # Whether the method counts exact assignments (`n_assignments`) and stops at ``limits.assignments``.
     solves_assignments: bool = False
     one_to_one: bool = False
     needs_initial_pose: bool = False
@@ -198,7 +198,7 @@ class Limits:
     nodes: int | None = None  # boxes; for a multi-start method, initial poses
     memory_mb: int | None = None
     threads: int = 1
-    assignments: int | None = None  # exact ones, of each search; other methods ignore it
+    assignments: int | None = None  # exact ones of each search; ignored by methods that solve none
 
     def budget(self) -> Budget:
         """Return the budget of time, work and memory of a run that starts now."""

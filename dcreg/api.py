@@ -55,13 +55,14 @@ def register(
         The feasible pairs, e.g. from descriptors or a distance gate. All other pairs are excluded from
         the objective, the bounds and the assignment.
     rel_gap : float
-        A share of the upper bound, below 1. The search stops when
+        The relative tolerance, as a share of the upper bound, below 1. The search stops when
         ``upper_bound - lower_bound <= max(rel_gap * upper_bound, abs_gap)``.
     abs_gap : float, optional
         The absolute tolerance, in squared units of the target. Default and minimum: the rounding error of
         the objective, ``n_inliers * (1e-7 * RMS radius of the target)^2`` for moderate coordinates. A fit
-        with up to 100 times as much is exact. If the gap of another one closes only because `abs_gap`
-        exceeds the upper bound, while the lower bound is 0, the status is ``converged``.
+        is exact if its objective is at most 100 times this error. If a fit is not exact and the gap
+        closes only because `abs_gap` exceeds the upper bound while the lower bound is 0, the status is
+        ``converged``.
     tol : float, optional
         `abs_gap` as a length, the RMS residual per pair in units of the target:
         ``abs_gap = n_inliers * tol^2``. Only one of the two can be given.
@@ -221,8 +222,8 @@ def register_matches(
         False: the pose only, with lower bound 0 and status ``converged``. Default: True for
         ``correspondences``.
     rel_gap, abs_gap : optional
-        Tolerances on the gap of the cost, as in `dcreg.register`. They apply to the certificate only, as
-        does `node_limit`.
+        Tolerances on the gap of the cost, as in `dcreg.register`. Like `node_limit`, they affect only the
+        certificate.
     time_limit : float, optional
         Seconds for the solve, 60 by default; None or inf: no limit.
     node_limit : int, optional

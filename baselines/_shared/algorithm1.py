@@ -1,11 +1,11 @@
 """Algorithm 1 of DC-Reg (arXiv 2603.25442), step by step, and nothing else.
 
-One box at a time: the one with the lowest bound is bisected along its longest edge; both children are
-bounded; the candidate that each bound offers is the only incumbent. There are no initial poses and no
-local searches, and a bound may be negative.
+In each step, the box with the lowest bound is bisected along its longest edge, and both children are
+bounded. The only incumbents are the candidates that the bounds return. There are no initial poses and
+no local searches, and a bound may be negative.
 
-The other methods that divide boxes of poses run in the same loop when they search by themselves
-(`baselines._shared.own_search`), since their notes do not tell theirs.
+Other methods that divide boxes of poses have separate searches with the same loop
+(`baselines._shared.own_search`), because we do not know the loops of their authors.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dcreg.status import Status
 
 
 class Bounded(NamedTuple):
-    """The bound of one box, a candidate (for DC-Reg the minimising vertex), and the objective there."""
+    """The bound of one box, a candidate (for DC-Reg the minimising vertex), and its objective."""
 
     lower_bound: float
     theta: np.ndarray
@@ -32,13 +32,13 @@ class Bounded(NamedTuple):
 
 
 class Bounding(Protocol):
-    """Bounds boxes: see `baselines._shared.published`, `baselines._shared.relaxations`."""
+    """A bound of boxes, see `baselines._shared.published` and `baselines._shared.relaxations`."""
 
     @property
     def n_assignments(self) -> int: ...
 
     def evaluate(self, boxes: list[Box]) -> list[Bounded]:
-        """Bound each box; raises `Interrupted` if the time is over."""
+        """Bound each box; raise `Interrupted` if the time is over."""
         ...
 
 
@@ -64,7 +64,7 @@ def algorithm_1(
     stage : str
         Name of this search in its events.
     raise_children : bool
-        Raise the bound of a child to that of its parent. Not in the paper.
+        Raise the bound of a child to that of its parent, which the paper does not do.
 
     Returns
     -------
@@ -94,11 +94,11 @@ def algorithm_1(
 
 
 def bisected(box: Box) -> list[Box]:
-    """Divide a box at the middle of its longest edge."""
+    """Bisect a box along its longest edge."""
     axis = int(np.argmax(box.upper - box.lower))
-    middle = box.centre[axis]
+    centre = box.centre[axis]
     first, second = box.upper.copy(), box.lower.copy()
-    first[axis] = second[axis] = middle
+    first[axis] = second[axis] = centre
     return [Box(box.lower, first), Box(second, box.upper)]
 
 
@@ -151,7 +151,7 @@ class _Search:
         return lower_bound, box
 
     def terminate(self) -> None:
-        """Update the lower bound, set the status if the search is over, and report."""
+        """Update the lower bound, set the status if the search is over, and add an event."""
         budget = self.budget
         lowest_open = self.open[0][0] if self.open else np.inf
         lowest = min(lowest_open, self.pruned_bound, self.upper_bound)
@@ -166,7 +166,7 @@ class _Search:
         self._report("bound" if self.status is None else "end")
 
     def _report(self, kind: str) -> None:
-        """Keep an event for a new incumbent, a risen lower bound, and the end."""
+        """Add an event if there is a new incumbent or a higher lower bound, and at the end."""
         if kind == "bound" and self.events:
             last, rise = self.events[-1], 0.01 * self.epsilon
             if self.upper_bound == last.upper_bound and self.lower_bound < last.lower_bound + rise:

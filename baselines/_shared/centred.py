@@ -1,4 +1,4 @@
-"""What papers leave open about their problem: units, start boxes and the tolerance; ours."""
+"""Our choices of what the papers leave open: unit, start box and tolerance."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class Centred:
     def of(cls, instance: Instance, unit: str) -> Centred:
         """Centre both clouds and divide them by the RMS radius of one of them.
 
-        The unit decides how the edges of boxes compare: with that of the source, a unit step along each
-        axis of a similarity moves its points by the same RMS distance.
+        The unit decides which edge of a box is the longest. With the unit of the source, a unit step
+        along any axis of a similarity moves the source points by the same RMS distance.
         """
         source, target = (
             np.asarray(points, float) for points in (instance.source, instance.target)
@@ -56,7 +56,7 @@ class Centred:
         )  # fmt: skip
 
     def epsilon(self, factor: float) -> float:
-        """Return ``k (factor r)^2``, r the RMS radius of the target."""
+        """Return ``k (factor r)^2``, where r is the RMS radius of the target."""
         return absolute_tolerance(self.target, self.n_inliers, factor)
 
     def space(self, stop_flag: np.ndarray, stationary: bool = False) -> FeatureSpace:
@@ -72,14 +72,15 @@ class Centred:
     def start_box(self, name: str) -> Box:
         """Return the start box.
 
-        - ``radius``: in 2D similarities of at most the maximum admissible scale along each axis;
-          translations up to the sum of the radii of both clouds, the source at that scale.
-        - ``extent``: 2D: the same, with translations up to the largest coordinate of the target. 3D:
-          the bounding box of the source, half as large again. It need not contain the optimum: of
-          instances with many outliers or occlusion it excludes the true pose of some.
-        - ``stationary``: the start box of this library.
+        - ``radius``: the start box ``radius`` of this library. Each linear parameter is at most the
+          maximum scale; translations are at most the sum of the radii of both clouds, in 2D with the
+          source at the maximum scale.
+        - ``extent``: in 2D the same, with translations up to the largest coordinate of the target; in
+          3D the bounding box of the source, enlarged by half. It may not contain the optimum: it
+          excludes the true pose of some instances with many outliers or occlusion.
+        - ``stationary``: the default start box of this library.
 
-        The first and the last one contain every optimum.
+        ``radius`` and ``stationary`` contain every optimum.
         """
         if name != "extent":
             (root,) = self.space(np.zeros(1, np.uint8), name == "stationary").roots()

@@ -12,8 +12,8 @@ sum x^y)`` after centring, and the scale s in [low, high],
 
     f(u) = -|sum y|^2 / k + min over s of (V s^2 - 2 s r),
 
-finite for every u, also if no matching attains it (V may then be negative). A k-cardinality assignment
-minimises a linear function of (u, L) over all matchings exactly.
+which is finite for every u, even if no matching attains u (V may then be negative). A k-cardinality
+assignment minimises a linear function of (u, L) over all matchings exactly.
 """
 
 from __future__ import annotations
@@ -56,8 +56,9 @@ class Clouds(NamedTuple):
 class Incumbent:
     """The best matching among those that the search assigned: E(P) and the pose that attains it.
 
-    With `alternates`, a better matching is followed to a local minimum, by matchings that are best for
-    the pose of the last one. These are vertices that minimise a linear function above the concave one.
+    With `alternates`, a local search starts from each better matching. It alternates the best pose for a
+    matching and the best matching for a pose; the latter minimises a linear function above the concave
+    one.
     """
 
     clouds: Clouds

@@ -1,11 +1,11 @@
-"""Searches of methods that bound boxes of poses, by themselves: nothing of this library's search.
+"""Separate searches of methods that bound boxes of poses, without the search of this library.
 
 The loop is Algorithm 1 (`baselines._shared.algorithm1`), from one start box to an absolute tolerance. The
 only incumbents are candidates of the bounds. There are no initial poses, no pair hypotheses, no local
-searches, no polish, and no box is discarded for its scales. In 3D the translation is searched in norm
-space, then the rotation about it.
+searches and no polish, and no box is pruned for its scales. In 3D the translation is searched in norm
+space, and then the rotation for this translation.
 
-What the notes on a paper do not tell is one option here, the same for all methods (`OPTIONS`).
+Details that the papers leave open are options here, the same for all methods (`OPTIONS`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ MakeBounding = Callable[[Any, int], Bounding]
 
 
 def check_options(method: Baseline) -> None:
-    """Refuse unknown values of the options of an own search.
+    """Refuse unknown values of the options of a separate search.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def too_large(instance: Instance) -> str | None:
 
 @dataclass(frozen=True)
 class Found:
-    """The stages of one search by itself, in normalised units, and the normalised pose."""
+    """The stages of a separate search, in normalised units, and the normalised pose."""
 
     problem: Centred
     epsilon: float
@@ -120,7 +120,7 @@ def search_alone(
     make: MakeBounding,
     make_rotation: MakeBounding,
 ) -> Found:
-    """Search a similarity in 2D; in 3D the translation in norm space, then the rotation about it.
+    """Search a similarity in 2D; in 3D a translation in norm space, then the rotation for it.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def search_alone(
     options : mapping
         Values of `OPTIONS`.
     make : callable
-        From the space of the first stage to the bound of the method.
+        Returns the bound of the method over the space of the first stage.
     make_rotation : callable
         The same for the rotation in 3D.
     """
@@ -159,7 +159,7 @@ def search_alone(
 
 
 class EitherSearch(OwnBound):
-    """A bound over boxes of poses in a search by itself, or in the library's (option ``search``)."""
+    """A bound over boxes of poses, in a separate search or in that of the library (``search``)."""
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
@@ -185,7 +185,7 @@ class EitherSearch(OwnBound):
         return parts[0] if len(parts) == 1 else Strongest(parts)
 
     def bounding(self, space: Any, threads: int) -> Bounding:
-        """Return the bound as a search by itself takes it."""
+        """Return the bound in the form of the separate search."""
         fits = self.options["incumbents"] == "fit"
         return SingleBoxes(self.relaxations(space, threads=threads), fits)
 
@@ -203,5 +203,5 @@ class EitherSearch(OwnBound):
         return self.search_alone(instance, limits).solution()
 
     def search_alone(self, instance: Instance, limits: Limits) -> Found:
-        """Run the own search."""
+        """Run the separate search."""
         return search_alone(instance, limits, self.options, self.bounding, self.make_rotation)

@@ -23,7 +23,7 @@ S = TypeVar("S", bound=FeatureSpace)
 
 
 def vertices_of(box: Box) -> np.ndarray:
-    """Return the (2^d, d) vertices of a box; each differs from the last in one coordinate."""
+    """Return the (2^d, d) vertices of a box; each differs from the previous one in one coordinate."""
     dim = box.lower.size
     numbers = np.arange(2**dim)
     gray = numbers ^ (numbers >> 1)
@@ -32,7 +32,7 @@ def vertices_of(box: Box) -> np.ndarray:
 
 
 class PublishedBound(abc.ABC, Generic[S]):
-    """Bounds boxes over a space; with several threads, both children at once."""
+    """The published bound of boxes over a space; several threads bound both children at once."""
 
     def __init__(self, space: S, threads: int = 1) -> None:
         self.space = space
@@ -59,7 +59,7 @@ class PublishedBound(abc.ABC, Generic[S]):
 
     @abc.abstractmethod
     def _bounded(self, box: Box) -> tuple[Bounded, int]:
-        """Return the bound of a box, and the assignments solved."""
+        """Return the bound of a box, and the number of assignments solved."""
 
 
 class SimilarityBound(PublishedBound[Similarity2D]):

@@ -1,17 +1,16 @@
-"""Relaxations of matching and pose: their single boxes, and those of RPM-BP and HBSP in 2D.
+"""Relaxations that separate matching and pose: one box at a time, and in 2D for RPM-BP and HBSP.
 
-In 2D both linearise products.
-
-With phi1 = t1^2 + t2^2, phi2 = t1 t3 + t2 t4 and phi3 = t1 t4 - t2 t3 the products in the objective have
-two factors: an aggregate g_f = sum p_ij f_ij of the matching, and a component of theta or phi,
+In 2D both methods linearise products. Let phi1 = t1^2 + t2^2, phi2 = t1 t3 + t2 t4 and phi3 =
+t1 t4 - t2 t3. The products in the objective then have two factors, an aggregate g_f = sum p_ij f_ij of
+the matching and a component of theta or phi:
 
     E = g_xx phi1 + 2 g_x1 phi2 + 2 g_x2 phi3 - 2 (g_d t1 + g_w t2 + g_y1 t3 + g_y2 t4)
         + k (t3^2 + t4^2) + g_yy.
 
 Each product is replaced by the mean of its two active McCormick facets over the range of g_f (over all
-matchings) and of the other factor (over the box; exact, since the summands of each phi share no
-parameter). Then E is the sum of a constant, a linear function of the matching, minimised by a
-k-assignment, and
+matchings) and of the other factor (over the box). The latter range is exact, because the summands of
+each phi share no parameter. E is then the sum of a constant, a linear function of the matching, which a
+k-assignment minimises, and
 
     beta.theta + gamma.phi + k (t3^2 + t4^2),
 
@@ -60,19 +59,19 @@ class Relaxation(SpaceBound[S]):
     matchings: np.ndarray
 
     def relax(self, boxes: Boxes) -> Evaluation:
-        """Bound boxes with all their parameters, admissible or not."""
+        """Bound boxes over all their parameters, admissible or not."""
         found = self._evaluate(boxes, None)
         self.space.check()
         return found
 
     def no_matchings(self, count: int) -> np.ndarray:
-        """Return `matchings` of `count` boxes, to be filled."""
+        """Return empty `matchings` of `count` boxes, which the caller fills."""
         self.matchings = np.full((count, self.space.n_source), -1)
         return self.matchings
 
 
 class SingleBoxes:
-    """The strongest of several relaxations, box by box, in the form of `algorithm_1`.
+    """The maximum of several relaxations, box by box, in the form that `algorithm_1` needs.
 
     Candidates are the poses of the relaxations and, with `fits`, the least-squares fits to their
     matchings. Each costs one assignment.

@@ -1,4 +1,4 @@
-"""The absolute tolerance of methods that search by themselves, as their papers state it: an epsilon."""
+"""The absolute tolerance, or epsilon, of methods with a separate search."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dcreg.problem import rms_radius
 
 
 def absolute_tolerance(target: np.ndarray, n_inliers: int, factor: float) -> float:
-    """Return ``n_inliers * (factor * r)^2``, r the RMS radius of the target.
+    """Return ``n_inliers * (factor * r)^2``, where r is the RMS radius of the target.
 
     Parameters
     ----------

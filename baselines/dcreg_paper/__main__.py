@@ -35,11 +35,11 @@ class Case(NamedTuple):
     n_inliers : int
     source_centre, target_centre : (d,) arrays
     unit : float
-        Clouds are searched minus their centres, divided by it.
+        The search subtracts the centres from the clouds and divides them by this unit.
     lower, upper : (4,) or (3,) arrays
-        Start box: (s cos a, s sin a, t1, t2) in 2D; the translation of norm space in 3D.
+        Start box of (s cos a, s sin a, t1, t2) in 2D, or of the translation in norm space in 3D.
     eps : float
-        Tolerance, in squared units.
+        Tolerance, in squared units of the search.
     """
 
     source: np.ndarray

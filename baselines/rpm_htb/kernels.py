@@ -41,7 +41,7 @@ TRILINEAR = np.array(
 
 @jit
 def aggregated_bound(features, ranges, k, stop, lower, upper, bounds, thetas, matchings):
-    """R1: one assignment, written into `matchings`, and one separable box QP a box.
+    """R1: one assignment, written into `matchings`, and one separable QP per box.
 
     Returns the number of assignments.
     """

@@ -226,7 +226,7 @@ class Search:
     time_limit : S
         Seconds of search; inf: no limit.
     node_limit : N
-        Maximum number of boxes in each search; exceeded by less than one round.
+        Maximum number of boxes of each search; the last round of boxes may exceed it.
     memory_limit_mb : MB
         Maximum memory of the open boxes of a search. Default: no limit.
     threads : N
@@ -285,7 +285,7 @@ class MatchSearch:
     time_limit : S
         Seconds of search; inf: no limit.
     node_limit : N
-        Maximum number of boxes in each search; exceeded by less than one round.
+        Maximum number of boxes of each search; the last round of boxes may exceed it.
     """
 
     inlier_distance: float

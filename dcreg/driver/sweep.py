@@ -7,14 +7,14 @@ matching of k pairs. Hence
     E_k(theta) / k <= E_k'(theta) / k'   for every theta, and therefore for the minima over theta.
 
 A lower bound for k, multiplied by k' / k, is thus a lower bound for k' (*transfer*). A search for k that
-ends slightly below its own tolerance often proves a whole run of larger cardinalities. With their upper
-bounds U and the gaps eps that they allow it suffices that
+ends slightly below its own tolerance often proves a whole run of larger cardinalities. With the upper
+bounds U and the allowed gaps eps, this condition suffices:
 
     lower_bound_k >= (k / k') (U_k' - eps_k')   for every k' of the run.
 
 The search then needs a gap of U_k minus the maximum of the right sides. As long as the additional points
 fit as well as the others, the bounds per pair hardly change and one search serves many cardinalities.
-Once outliers enter, every cardinality needs its own search, over its own, smaller start box.
+Once outliers are added, every cardinality needs a separate search, over a separate, smaller start box.
 
 Poses are exchanged in both directions: the best pose for k is refined and tried for the neighbours of k;
 when the time is up it is tried without refinement. Results are completed from the largest cardinality

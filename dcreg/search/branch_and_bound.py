@@ -53,7 +53,7 @@ class Outcome:
 # this factor for every round since. Local searches are frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
 
-_GRID = 1e-6  # step of rounded values, as a share of the gap allowed
+_GRID = 1e-6  # step of rounded values, as a share of the allowed gap
 MIN_ROUND = 16  # minimum number of boxes divided in a round, if the bound allows it
 
 
@@ -235,10 +235,10 @@ class _Search:
         )  # fmt: skip
 
     def _settled(self, values: np.ndarray) -> np.ndarray:
-        """Return the values rounded down to a grid much finer than the gap allowed at present.
+        """Return the values rounded down to a grid much finer than the allowed gap.
 
-        Boxes that share a vertex often have equal bounds up to rounding. On the grid they are equal. So
-        the order of the search, and with it every counter, does not depend on the last bits.
+        Boxes that share a vertex often have equal bounds up to rounding. On the grid they are equal. The
+        order of the search, and with it every counter, then does not depend on the last bits.
         """
         step = _GRID * self.tolerance.allowed(self.upper_bound)
         return step * (np.round(values / step) - 1.0) if step > 0.0 else values

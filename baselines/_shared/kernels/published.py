@@ -1,4 +1,4 @@
-"""The published bound of DC-Reg: an assignment at each vertex, started from the duals of the last."""
+"""The published bound of DC-Reg, with an assignment at each vertex."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from dcreg.jit import jit
 def linearised_values(clouds, vertices, centre, values):
     """Write ``min_P sum p_ij (E_ij(v) - R_i(v - centre))`` at each vertex v of a box into `values`.
 
-    Vertices follow each other along edges of the box, so that their assignments are similar. The dual
-    variables of one are a start for the next; they save time and change no value.
+    Successive vertices are joined by an edge of the box, so their assignments are similar. Each
+    assignment starts from the dual variables of the previous one, which saves time and changes no value.
     """
     n, m = clouds.source.shape[1], clouds.target.shape[-1]
     missed, cost, duals = np.empty(n), np.empty((n, m)), np.empty(m)

@@ -21,7 +21,7 @@ from dcreg.search import (
 )
 
 ROUND_WORK = 200_000  # matches evaluated in a round
-# Distance of bounds above the cutoff, as a share of the gap allowed: rounding then leaves no box open.
+# Bounds aim above the cutoff by this share of the allowed gap, so that rounding leaves no box open.
 MARGIN = 1e-5
 MAX_CAPPED = 6000  # matches up to which all pairs of them are compared again
 
