@@ -25,8 +25,8 @@ from reports.figures.grid import Grid
 from workflows.disturb import make_instance
 
 SHAPE, TEST, LEVEL, POINTS = "pony", "noise", 0.03, 40
-BOXES = 61  # that Algorithm 1 bounds; the last one is drawn
-STEPS = 201  # of a curve
+BOXES = 61  # boxes that Algorithm 1 bounds; the last one is drawn
+STEPS = 201  # points of a curve
 ROLES = ("convex", "concave", "objective", "bound", "fixed")
 INSTANCE = (
     f"Shape {SHAPE}, {TEST} {LEVEL:g}, {POINTS} points; the box is number {BOXES} of Algorithm 1."

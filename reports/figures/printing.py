@@ -40,7 +40,7 @@ def style(surface: str | None = None, name: str = "") -> Iterator[None]:
         "font.size": 8,
         "axes.titlesize": 9,
         "svg.fonttype": "none",
-        "svg.hashsalt": f"dcreg-{surface}{name}",  # ids differ, as drawings may share a page
+        "svg.hashsalt": f"dcreg-{surface}{name}",  # ids differ, because drawings may share a page
         "figure.constrained_layout.use": True,
     }
     if surface:

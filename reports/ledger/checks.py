@@ -147,7 +147,7 @@ Statistic = Callable[[np.ndarray], np.ndarray]
 def slope(source: Source, p: Parameters) -> Finding:
     """Slope of the mean error over the level; with ``rivals``, minus theirs, paired by trial.
 
-    Without ``paired_levels`` the levels have instances of their own.
+    With ``paired_levels: false``, the levels do not share trials.
     """
     quantity = p.get("quantity", "error")
     finding = Finding(f"slope of mean {titled(quantity, unit=False)} over level")

@@ -1,7 +1,8 @@
 """The kinds of checks over time, work and proof.
 
-A run at a limit took at least its time and its boxes. Each check states how such runs could change its
-figure (`Part.rises`, `Part.falls`); a figure that could rise is never shown to be small.
+The time and boxes of a run at a limit are minima of what a finished run would take. Each check states
+how such runs could change its figure (`Part.rises`, `Part.falls`). A figure that could rise is never
+shown to be small.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from reports.ledger.finding import (
     titled,
 )
 
-# Relative gap of a search with no lower bound above 0.
+# Relative gap from which a search counts as having no lower bound above 0.
 NO_BOUND = 1.0 - 1e-9
 
 
 @check("trend")
 def trend(source: Source, p: Parameters) -> Finding:
-    """Spearman's rank correlation of work with the level; a run at a limit counts with its limit."""
+    """Spearman's rank correlation of work with the level; a run at a limit counts with what it took."""
     finding = Finding("rank correlation with the level")
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):

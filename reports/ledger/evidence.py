@@ -118,7 +118,7 @@ class Experiment:
 
 
 def _time(runs: pd.DataFrame, cards: Mapping[str, Mapping[str, Any]]) -> pd.Series:
-    """Return the seconds of runs: a run at a limit took at least these, one without a pose its limit."""
+    """Return the seconds of runs; a run without a pose counts with its time limit."""
     limits = runs["method"].map(
         {k: card.get("limits", {}).get("time_s") for k, card in cards.items()}
     )
@@ -147,8 +147,8 @@ class Evidence:
     def of_folders(cls, folders: Sequence[Path]) -> Evidence:
         """Return the tables below `folders`: results of experiments, or folders of such results.
 
-        Of several tables of an experiment, those in the folder of its name are preferred, then the whole
-        experiment to its quick part, then all points to fewer.
+        If an experiment has several tables, those in the folder of its name come first, then the whole
+        experiment before its quick part, then all points before fewer points.
         """
         found: dict[str, tuple[Path, Tables]] = {}
         study: dict[str, pd.DataFrame] = {}

@@ -1,10 +1,11 @@
 """The result of a check of the ledger: comparisons with a figure each, and the runs behind them.
 
 A check takes the tables of one experiment and its parameters from the ledger. It returns a `Finding`.
-Parameters: ``tests``; ``levels`` (a list, or ``top``, ``bottom`` of several, ``disturbed``: above 0;
-levels beyond the paper's axes only if a list names them); ``by`` (columns: a comparison per group);
-``quantity``; ``claimed``, the side on which a figure must lie; ``any`` (one comparison per claim is
-enough); and ``shown_only`` (shown, but not part of the verdict).
+Parameters: ``tests``; ``levels`` (a list, or ``top``, or ``bottom`` if there are several, or
+``disturbed``, the levels above 0; levels beyond the paper's axes take part only if a list names them);
+``by`` (columns; each group has a comparison); ``quantity``; ``claimed``, the side on which a figure
+must lie; ``any`` (one comparison on the claimed side is enough); and ``shown_only`` (shown, but not
+part of the verdict).
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """Estimates, their intervals and p-values, and the rule that turns them into decisions.
 
-The rule, the only one of the ledger:
+All verdicts follow from one rule:
 
-- A comparison has one figure. Its uncertainty is over instances: the bootstrap of percentiles, or
-  Wilson's interval for shares. The p-value of a side is the smallest level at which the interval lies
+- A comparison has one figure. Its interval is over instances: bootstrap percentiles, or Wilson's
+  interval for shares. The p-value of a side is the smallest level at which the interval lies
   entirely on that side, so that p-values and intervals always agree. A maximum over runs has no interval:
   one counterexample decides.
-- Within a claim, Holm's procedure holds the probability of any wrong decision below `LEVEL`. The
-  comparison with the i-th smallest p-value of m is decided at ``LEVEL / (m - i + 1)``, until the first
-  one that is not. Its interval is shown at the level that decided it.
+- Within a claim, Holm's procedure keeps the probability of any wrong decision below `LEVEL`. In the
+  order of their p-values, comparison i of m is decided at ``LEVEL / (m - i + 1)``; the procedure stops
+  at the first comparison that is not decided. Each interval is shown at the level that decides it.
 - Comparisons with fewer than `MIN_INSTANCES` instances are not decided and take no part in the
   correction.
 - `needed` estimates how many instances decide an open comparison, from the effect and the spread

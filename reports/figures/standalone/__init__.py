@@ -1,4 +1,4 @@
-"""Figures that are found by themselves: each module here is one figure.
+"""Figures that are discovered automatically: each module here is one figure.
 
 A module has ``POSITION`` (figures are shown in this order), ``CAPTION``, ``DRAWN`` (the roles of traces
 that are visible at first and in print) and ``build(tables, styles)``, which returns a
