@@ -108,7 +108,7 @@ def lines(*names: str) -> tuple[Line, ...]:
     return tuple(_LINES[name] for name in names)
 
 
-# The search of its authors, not ours; without the option there is only one.
+# The search of the method itself, not ours; without the option there is only one.
 _OWN: dict[str, Sequence[Any]] = {"search": ("own", None)}
 # The true pairs among random ones are never a front end of the paper.
 _FRONT: dict[str, Sequence[Any]] = {
@@ -135,7 +135,7 @@ _LINES = {
             # a cube of translations that contains every truth, before one that does not
             options={"translation_half_width": (None, 0.5)},
         ),
-        Line("FRS", ("frs",)),
+        Line("FRS", ("frs",), options={"threshold": _FRONT["threshold"]}),
         Line("GORE", ("gore",), options=_FRONT),
         Line("TEASER++", ("teaserpp", "teaser"), options=_FRONT),
     )

@@ -1,4 +1,4 @@
-"""Bound against search: each bound in the search of its authors, and in ours."""
+"""Bound against search: each bound in the search of its method, and in ours."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from reports import findings, measured
-from reports.measured import AUTHORS, OURS, PUBLISHED, Measured, Shown
+from reports.measured import OURS, PUBLISHED, RECONSTRUCTED, STATED, Measured, Shown
 from reports.sections import separation, stages
 from reports.tables import ReportError, Tables
 from tests.unit import report_fixture
@@ -85,13 +85,13 @@ def test_too_much_is_not_stored(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("card", "model", "expected"),
     [
-        ({"baseline": "dcreg_paper"}, "similarity2d", (PUBLISHED, AUTHORS)),
+        ({"baseline": "dcreg_paper"}, "similarity2d", (PUBLISHED, STATED)),
         ({"baseline": "dcreg", "options": {"bound": "dc"}}, "similarity2d", (PUBLISHED, OURS)),
         ({"baseline": "dcreg", "parameters": {"bound": None}}, "similarity2d", ("DC, tight", OURS)),
         ({"baseline": "dcreg", "options": {"bound": "dc"}}, "rigid3d", ("", "")),
         ({"baseline": "dcreg", "options": {"mode": "paper"}}, "rigid3d", ("DC, tight", OURS)),
         ({"baseline": "x", "parameters": {"search": "own"}, "display_name": "X (reconstructed)"},
-         "similarity2d", ("X", AUTHORS)),
+         "similarity2d", ("X", RECONSTRUCTED)),
         ({"baseline": "x", "parameters": {"search": "own"}, "options": {"search": "ours"},
           "display_name": "X"}, "similarity2d", ("X", OURS)),
         ({"baseline": "icp"}, "similarity2d", ("", "")),
@@ -107,7 +107,7 @@ def made(**columns) -> Measured:
         {"run_id": f"{search}{i}", "instance_id": str(i), "method": search, "search": search,
          "success": search == OURS or i < 2, "n_assignments": 10.0 if search == OURS else 40.0,
          "rmse_over_scale": 0.1 if search == OURS else 0.2 + 0.01 * i}
-        for search in (OURS, AUTHORS)
+        for search in (OURS, STATED)
         for i in range(8)
     ]  # fmt: skip
     same = {
@@ -128,17 +128,31 @@ def test_separation_compares_on_the_same_instances():
     found = made()
     shown = measured.separation(found, "similarity2d")
     assert [row[:3] for row in shown.rows] == [
-        [PUBLISHED, AUTHORS, "8"],
+        [PUBLISHED, STATED, "8"],
         [PUBLISHED, OURS, "8"],
     ]
     (row,) = measured.effects(found, "similarity2d").rows
-    assert row[0] == f"search {OURS} / {AUTHORS}; bound {PUBLISHED}"
+    assert row[0] == f"search {OURS} / {STATED}; bound {PUBLISHED}"
     assert row[2].startswith("+75 % [")
     assert row[4] == "0.25 [0.25, 0.25]"
     assert row[-2:] == ["lower", "lower"]
     fewer = found.runs[~(found.runs["method"].eq(OURS) & found.runs["instance_id"].eq("3"))]
     shown = measured.separation(dataclasses.replace(found, runs=fewer), "similarity2d")
     assert {row[2] for row in shown.rows} == {"7"}
+
+
+def test_bounds_are_not_compared_across_searches_that_differ():
+    """Algorithm 1 and a reconstructed search differ in more than their bound."""
+    found = made()
+    rival = found.runs[found.runs["method"].eq(STATED)]
+    rival = rival.assign(bound="X", search=RECONSTRUCTED, method="x", run_id="x" + rival["run_id"])
+    both = pd.concat([found.runs, rival, rival.assign(search=OURS, method="x-ours")])
+    rows = measured.effects(dataclasses.replace(found, runs=both), "similarity2d").rows
+    assert [row[0] for row in rows] == [
+        f"bound {PUBLISHED} / X; search {OURS}",
+        f"search {OURS} / {STATED}; bound {PUBLISHED}",
+        f"search {OURS} / {RECONSTRUCTED}; bound X",
+    ]
 
 
 def test_an_interval_that_contains_equality_decides_nothing():
