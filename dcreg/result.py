@@ -342,7 +342,8 @@ class Result:
 
     def entries(self) -> Iterator[tuple[str, str]]:
         """Yield names and values of the `summary`; every warning is an entry of that name."""
-        yield "status", self._verdict()
+        scope = self.certificate_scope + " of the sample" * (self.downsampled is not None)
+        yield "status", self._verdict(scope)
         rows = (" ".join(f"{x:>14.8g}" for x in row) for row in self.T_target_source)
         yield "T_target_source", "\n".join(rows)
         yield "scale", f"{self.scale:.6g}"
@@ -357,14 +358,14 @@ class Result:
         yield "lower bound", f"{self.lower_bound:.6g}"
         yield "upper bound", f"{self.upper_bound:.6g}"
         yield "gap", f"{self.gap:.4g} (tolerance {self.gap_tol:.4g}); {self._proven_share()}"
-        yield "scope of bounds", self.certificate_scope
+        yield "scope of bounds", scope
         bounding = [stage for stage in self.stages if stage.status is not None]
         for stage in bounding if len(bounding) > 1 else []:
             yield f"{stage.name} stage", stage.summary()
         before = f"(before the polish {self.objective_certified:.6g})"
         yield "objective", f"{self.objective:.6g} {before}"
-        nodes = text.count(self.n_nodes, "node")
-        yield "work", f"{nodes}, {text.count(self.n_assignments, 'assignment')}"
+        assignments = text.count(self.n_assignments, "assignment")
+        yield "work", f"{text.count(self.n_nodes, 'node')}, {assignments}"
         yield "time", f"{self.time_solve_s:.2f} s solving, {self.time_setup_s:.2f} s before"
         yield "method", f"{self.model}, mode {self.mode}, bound {self.bound}"
         if self.downsampled is not None:
@@ -379,15 +380,14 @@ class Result:
         for warning in self.warnings:
             yield "warning", warning
 
-    def _verdict(self) -> str:
-        status, scope = self.status, self.certificate_scope
+    def _verdict(self, scope: str) -> str:
+        status = self.status
         if status is Status.OPTIMAL:
             return f"optimal: certified for the {scope}; {self._proven_share()}"
         if status is not Status.CONVERGED:
             more = f"; certified for the {scope}, but a later stage did not finish"
-            return (
-                f"{status.value}: best pose so far{more if self.gap_closed else ', not certified'}"
-            )
+            more = more if self.gap_closed else ", not certified"
+            return f"{status.value}: best pose so far{more}"
         if self.gap_closed:
             return f"converged: certified for the {scope}, but not in a later stage"
         what = "fits within the tolerance" if self.gap <= self.gap_tol else "the method finished"
