@@ -44,11 +44,11 @@ run: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART)
 
 ## paper-2d: run the paper's 2D tests (POINTS=40: 40 points per shape). QUICK=1 limits this and the next five to 15 minutes on 2 cores
-## paper-2d-cr: run on the public point sets of Chui and Rangarajan
-## paper-2d-images: run on edges and manually marked points of photographs
+## paper-2d-cr: run the tests of the public point sets of Chui and Rangarajan
+## paper-2d-images: run the test on photographs, with edges and with manually marked points
 ## paper-3d: run the paper's 3D tests (POINTS=40: 40 points per shape)
-## sensitivity: run with wrong n_inliers and wrong noise bounds
-## threedmatch: run the official 3DMatch and 3DLoMatch lists, with recalls and a figure (NORMALS=oriented: better features)
+## sensitivity: run methods with wrong n_inliers and wrong noise bounds
+## threedmatch: run the official 3DMatch and 3DLoMatch lists; write recalls and a figure (NORMALS=oriented: better features)
 EXPERIMENT = $(subst -,_,$(subst paper-,paper,$@))$(if $(NORMALS),_$(NORMALS))$(if $(POINTS),-$(POINTS))$(if $(QUICK),-quick)
 .PHONY: paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch
 paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch: setup

@@ -17,8 +17,8 @@ from reports.tables import ReportError
 
 LEDGER = Path(__file__).parents[1] / "claims.yaml"
 UNJUDGED = {
-    "proof": "a statement that is proven, not measured",
-    "data": "its data are not available; a substitute is measured",
+    "proof": "the statement is proven, not measured",
+    "data": "the data are not available, so a substitute is measured",
 }
 _ROLES = ("subject", "reference", "methods", "rivals", "rival")
 

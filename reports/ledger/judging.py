@@ -107,7 +107,7 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     if verdict == NOT_RUN:
         whole = book.commands[claim.experiment]
         is_part = experiment is not None and bool(experiment.variables)
-        reason += f"; {'run the whole experiment' if is_part else 'make the tables'} with {whole}"
+        reason += f"; run the {'whole ' * is_part}experiment: {whole}"
         command = whole
     return Judgement(
         id=claim.id,
@@ -243,9 +243,9 @@ def _tested(
     """State in one sentence what was tested and what was not."""
     missing = list(dict.fromkeys(name for finding in findings for name in finding.missing))
     outside = [*missing, *filter(None, (claim.untested, book.untested.get(claim.experiment, "")))]
-    without = f"not tested: {'; '.join(outside)}" if outside else ""
+    without = "; ".join(outside)
     if not every:
-        return f"Nothing was tested; {without}." if without else "Nothing was tested."
+        return "Nothing was tested." + (f" Not covered in any case: {without}." if without else "")
     subjects = _listed(row.subject for row in every)
     rivals = _listed(row.rival for row in every if row.rival)
     text = subjects + (f" against {rivals}" if rivals else "")
@@ -260,7 +260,7 @@ def _tested(
         points = f"{least} to {most} points" if most > least else f"{most} points"
         text += f" on {named} ({points}) in {tests}, {part['instance_id'].nunique()} instances"
         text += _machine(experiment, part) if _is_timed(claim) else ""
-    return f"Tested: {text}{'; ' + without if without else ''}."
+    return f"Tested: {text}{'; not tested: ' + without if without else ''}."
 
 
 def _machine(experiment: Experiment, part: pd.DataFrame) -> str:

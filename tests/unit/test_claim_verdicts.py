@@ -42,7 +42,7 @@ def test_without_the_method_a_claim_is_not_run(check):
 def test_a_method_that_never_ran_is_not_in_the_tables():
     absent = runs_of("rival", outcome="unavailable", status="unavailable")
     found = judged(evidence(runs_of("paper"), absent), RATIO)
-    reason = "not in the tables: RPM-HTB; make the tables with make paper-2d"
+    reason = "not in the tables: RPM-HTB; run the experiment: make paper-2d"
     assert (found.verdict, found.reason) == (NOT_RUN, reason)
 
 
