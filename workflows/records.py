@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 # 2: without n_bound_evals, which always equalled n_nodes.
 # 3: success above the floor; errors and objective_true against the fit to the true pairs.
 # 4: bounds "dc" and "interval", formerly "paper" and "edges".
-SCHEMA_VERSION = 4
+# 5: status optimal needs a lower bound above 0 or an exact fit; gap_tol is the gap allowed at the end.
+SCHEMA_VERSION = 5
 RUN_AGAIN = "run the experiment again with `python -m workflows run EXPERIMENT`"
 
 

@@ -68,6 +68,11 @@ def test_units_of_the_files_scale_pose_and_bounds(planar, unit, rng):
         register(u * source, u * target, n_inliers=20, model="similarity2d", bound="dc")
         for u in (1.0, unit)
     )
+    default = dcreg.register(unit * source, unit * target, n_inliers=20, model="similarity2d")
+    assert default.status is Status.OPTIMAL
+    assert default.upper_bound == pytest.approx(other.upper_bound, rel=1e-6)
+    assert default.gap_tol == pytest.approx(other.gap_tol, rel=1e-6)
+    np.testing.assert_allclose(default.T_target_source, other.T_target_source, atol=1e-6 * unit)
     assert other.n_nodes == one.n_nodes
     for name in ("lower_bound", "upper_bound", "gap_tol", "objective"):
         assert getattr(other, name) == pytest.approx(unit**2 * getattr(one, name), rel=1e-6)
