@@ -229,7 +229,7 @@ def seconds(value: float | None) -> str:
 
 
 def integer(value: float) -> str:
-    return f"{value:,.0f}".replace(",", "\u202f")
+    return MISSING if math.isnan(value) else f"{value:,.0f}".replace(",", "\u202f")
 
 
 def sortable(value: float | None) -> str:

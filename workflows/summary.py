@@ -70,7 +70,7 @@ def print_summary(folder: Path, console: Console | None = None) -> None:
         console.print(_table(str(model), part))
     console.print(
         "[dim]RMSE over the true pairs, target units (∞: no pose); L/U: lower bound divided by upper "
-        "bound, also of open runs.[/dim]"
+        "bound, over all runs with bounds.[/dim]"
     )
     for outcome in ("unavailable", "unsupported", "failed"):
         these = runs[runs["outcome"] == outcome]
