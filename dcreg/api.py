@@ -58,10 +58,11 @@ def register(
         The relative tolerance, as a share of the upper bound, below 1. The search stops when
         ``upper_bound - lower_bound <= max(rel_gap * upper_bound, abs_gap)``.
     abs_gap : float, optional
-        The absolute tolerance, in squared units of the target. Default and minimum: the rounding error of
-        the objective, ``n_inliers * (1e-7 * RMS radius of the target)^2`` for moderate coordinates. A fit
-        is exact if its objective is at most 100 times this error. If a fit is not exact and the gap
-        closes only because `abs_gap` exceeds the upper bound while the lower bound is 0, the status is
+        The absolute tolerance, in squared units of the target. A search with a sample reduces it in
+        proportion to the number of pairs. Default and minimum: the rounding error of the objective,
+        ``n_inliers * (1e-7 * RMS radius of the target)^2`` for moderate coordinates. A fit is exact if
+        its objective is at most 100 times this error. If a fit is not exact and the gap closes only
+        because `abs_gap` exceeds the upper bound while the lower bound is 0, the status is
         ``converged``.
     tol : float, optional
         `abs_gap` as a length, the RMS residual per pair in units of the target:

@@ -147,16 +147,19 @@ class Limits:
         check_positive("node_limit", self.nodes, such_as=10_000)
         check_positive("memory_limit_mb", self.memory_mb)
 
-    def tolerance(self, n_inliers: int, rounding: float) -> Tolerance:
+    def tolerance(self, n_inliers: int, rounding: float, share: float = 1.0) -> Tolerance:
         """Return the tolerance of a search.
 
         Parameters
         ----------
         n_inliers : int
+            Pairs of the problem as given.
         rounding : float
             Rounding error of the objective: the default of `abs_gap`, and its minimum.
+        share : float
+            Share of these pairs that is searched. A sample gets this share of `abs_gap`.
         """
-        abs_gap = max(self._abs_gap(n_inliers) or 0.0, rounding)
+        abs_gap = max(share * (self._abs_gap(n_inliers) or 0.0), rounding)
         return Tolerance(self.rel_gap, abs_gap, EXACT * rounding)
 
     def _abs_gap(self, n_inliers: int) -> float | None:

@@ -124,7 +124,8 @@ class Setup:
         """Return the problem that is searched for ``problems[at]``."""
         problem, mode, options, frame = self.searched[at], self.mode, self.options, self.frame
         source, target, k = problem.source, problem.target, problem.n_inliers
-        tolerance = self.limits.tolerance(k, rounding_error(source, target, k))
+        given, rounding = self.problems[at].n_inliers, rounding_error(source, target, k)
+        tolerance = self.limits.tolerance(given, rounding, k / given)
         return NormalisedProblem(
             frame.source(source), frame.target(target), k, problem.scale_range, problem.candidates,
             frame, options.bound or mode.own_bound, options.start_box == START_BOXES[0],

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from dcreg.search import Budget, LongestEdge, Tolerance, branch_and_bound, proven_share
 from dcreg.status import Status
+from tests.problems import register
 from tests.unit.test_search import Ripples
 
 VALUES = st.floats(0.0, 1e6)
@@ -97,3 +98,14 @@ def test_a_search_stops_at_the_share_and_its_leaves_prove_it(rel):
     leaves = found.leaves.arrays()
     assert found.lower_bound == min(leaves["bounds"].min(), found.upper_bound)
     assert not leaves["is_open"].any()
+
+
+def test_a_sample_gets_its_share_of_the_absolute_gap(rng):
+    source = rng.random((60, 2))
+    target = source + 0.01 * rng.standard_normal(source.shape)
+    given = {"n_inliers": 60, "model": "similarity2d", "downsample": 20, "rel_gap": 0.0}
+    whole = register(source, target, **given, abs_gap=60 * 0.005**2)
+    per_pair = register(source, target, **given, tol=0.005)
+    assert whole.downsampled.n_inliers == 20
+    assert whole.gap_tol == pytest.approx(20 * 0.005**2)
+    assert per_pair.gap_tol == pytest.approx(whole.gap_tol)
