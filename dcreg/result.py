@@ -263,7 +263,7 @@ class Result:
 
     @property
     def success(self) -> bool:
-        """Whether the status is ``optimal``: the gap is closed, and proven so."""
+        """Whether the status is ``optimal``: bounds that prove the optimum close the gap."""
         return self.status is Status.OPTIMAL
 
     @property
@@ -366,7 +366,10 @@ class Result:
         yield "objective", f"{self.objective:.6g} {before}"
         assignments = text.count(self.n_assignments, "assignment")
         yield "work", f"{text.count(self.n_nodes, 'node')}, {assignments}"
-        yield "time", f"{self.time_solve_s:.2f} s solving, {self.time_setup_s:.2f} s before"
+        yield (
+            "time",
+            f"{self.time_solve_s:.2f} s for the solve, {self.time_setup_s:.2f} s for the preparation",
+        )
         yield "method", f"{self.model}, mode {self.mode}, bound {self.bound}"
         if self.downsampled is not None:
             sample = self.downsampled

@@ -8,7 +8,7 @@ import enum
 class Status(enum.StrEnum):
     """How a run ended: a string, which compares and prints as its value."""
 
-    #: The gap is closed, and not only because 0 is a lower bound: certified within the stated scope.
+    #: The gap is closed by bounds that prove the optimum within the stated scope.
     OPTIMAL = "optimal"
     #: The method finished; nothing is proven.
     CONVERGED = "converged"

@@ -216,7 +216,7 @@ def build(folder: Path) -> Path:
     for name, draw, title, caption in (
         ("boxes", draw_boxes, "Bound value against box width",
          "Means over the boxes of one width and place. The loss of a bound decreases with the width; a "
-         "steeper line means faster convergence. Exact bounds have no loss and are not in its plot."),
+         "steeper line means faster convergence. Exact bounds have no loss and are left out there."),
         ("searches", draw_searches, "Work to a given gap",
          "Best-first search with every bound, with the same root box, incumbent and branching. A search "
          "ends at a tenth of the tolerance or at the time limit; a marker shows its end."),
@@ -227,14 +227,14 @@ def build(folder: Path) -> Path:
         {"id": "losses", "title": "Loss relative to the published DC bound",
          "caption": "Mean loss (minimum objective found − bound), divided by the mean loss of the "
          "bound `dc`, for boxes of one width (in RMS radii) that contain the optimum or lie away from "
-         "it. A dash: the method has no bound for these boxes."} | losses_rows(tables["losses"]),
+         "it. A dash means that there is no bound for these boxes."} | losses_rows(tables["losses"]),
         {"id": "orders", "title": "Empirical order of convergence",
          "caption": "Slope of log loss over log width at the smallest widths with a loss above a "
          "thousandth of the optimum."} | orders_rows(tables["orders"]),
         {"id": "nodes", "title": "Nodes to a given gap",
-         "caption": "ε is the default tolerance; a dash: not reached within the time limit."}
+         "caption": "ε is the default tolerance. A dash means that the gap was not reached in time."}
         | searches_rows(tables["searches"], "n_nodes"),
-        {"id": "assignments", "title": "Assignments to a given gap", "caption": "As above."}
+        {"id": "assignments", "title": "Assignments to a given gap", "caption": "See the previous table."}
         | searches_rows(tables["searches"], "n_assignments"),
     ]  # fmt: skip
     page = folder / "index.html"

@@ -192,8 +192,8 @@ def _check(
     )
     among = f" among {len(c.candidates)} candidates" if len(c.candidates) else ""
     report.statement = (
-        f"{objective.scope}: the minimum sum over {c.n_inliers} one-to-one pairs{among} of squared "
-        f"residuals lies in [{report.lower_bound:.9g}, {report.upper_bound:.9g}]"
+        f"{objective.scope}: the minimum sum of squared residuals over {c.n_inliers} one-to-one "
+        f"pairs{among} lies in [{report.lower_bound:.9g}, {report.upper_bound:.9g}]"
     )
     report.is_trivial = c.lower_bound <= 0.0 and c.upper_bound > exact
 
