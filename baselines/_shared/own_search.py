@@ -109,6 +109,10 @@ class Found:
                 f"{number}_{name}": float(getattr(stage, number))
                 for name, stage in zip(names, self.stages, strict=True)
                 for number in ("n_nodes", "n_assignments", "time_s")
+            }
+            | {
+                f"is_optimal_{name}": float(stage.status is Status.OPTIMAL)
+                for name, stage in zip(names, self.stages, strict=True)
             },
         )  # fmt: skip
 

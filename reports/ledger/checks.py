@@ -15,6 +15,7 @@ import pandas as pd
 
 from reports.ledger import intervals
 from reports.ledger.finding import (
+    LEAST,
     WORK,
     Finding,
     Parameters,
@@ -28,6 +29,7 @@ from reports.ledger.finding import (
 )
 from reports.theme import words
 
+ROTATION = "depends on the rotation stage, which is a reconstruction"
 SHARES = ("success", "search_error")  # quantities of which a mean is a share
 SHARED = ["dataset", "shape", "trial"]  # identify the same trial at different levels
 # An error is low within this factor of the fit to the true pairs, or below this error above the floor.
@@ -55,10 +57,28 @@ def ratio(source: Source, p: Parameters) -> Finding:
                 part[quantity].to_numpy(dtype=float),
                 part[f"{quantity}_rival"].to_numpy(dtype=float),
             )
-            flags = limits(quantity, part["limited"], part["limited_rival"])
-            used = part, of_rival(part, theirs)
-            finding.add((name, rival), place, found, p["claimed"], *used, **flags)
+            used, flags = (part, of_rival(part, theirs)), limits(quantity, part)
+            finding.add(
+                (name, rival), place, found, p["claimed"], *used,
+                extremes=_extreme_ratios(part, quantity), **flags,
+            )  # fmt: skip
     return finding
+
+
+def _extreme_ratios(part: pd.DataFrame, quantity: str) -> intervals.Extremes | None:
+    """Return the ratios without the one and without the other rotation stage, which we reconstructed.
+
+    None if neither method has such a stage.
+    """
+    if quantity not in LEAST:
+        return None
+    names = quantity, LEAST[quantity], f"{quantity}_rival", f"{LEAST[quantity]}_rival"
+    mine, least, others, their_least = (part[name].to_numpy(dtype=float) for name in names)
+    if (least == mine).all() and (their_least == others).all():
+        return None
+    return intervals.Extremes(
+        intervals.ratio(least, others), intervals.ratio(mine, their_least), ROTATION
+    )
 
 
 @check("value")
@@ -78,8 +98,10 @@ def value(source: Source, p: Parameters) -> Finding:
                     found, flags = _censored_median(values, part["limited"].to_numpy())
                 else:
                     found = getattr(intervals, statistic)(values)
-                    flags = limits(quantity, part["limited"], None)
-                finding.add((name, ""), place, found, p["claimed"], part, **flags)
+                    flags = limits(quantity, part)
+                finding.add(
+                    (name, ""), place, found, p["claimed"], part, extremes=None, **flags,
+                )  # fmt: skip
     return finding
 
 
@@ -118,25 +140,34 @@ def _allowance(means: np.ndarray) -> np.ndarray:
 
 @check("rise")
 def rise(source: Source, p: Parameters) -> Finding:
-    """Error at a level over the error at a lower one, paired by trial: two levels, or the two highest."""
+    """Error at the highest level over the error at the lowest one, paired by trial.
+
+    ``steps``: the largest ratio between consecutive levels. An error may already be large at the last
+    level but one, so the last step alone does not show a rise.
+    """
     quantity = p.get("quantity", "error")
     finding = Finding(f"mean {titled(quantity, unit=False)} at the higher level / at the lower")
+    statistic = _steepest if p.get("steps") else _overall
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
             for test, part in runs.groupby("test", sort=False):
-                levels = sorted(part["level"].unique())[-2:]
-                if len(levels) < 2:
+                if part["level"].nunique() < 2:
                     finding.miss(f"a second level of {words(str(test))}")
                     continue
-                before, top = (part[part["level"] == level] for level in levels)
-                both = top.merge(before[[*SHARED, quantity]], on=SHARED, suffixes=("", "_low"))
-                if len(both):
-                    found = intervals.ratio(
-                        both[quantity].to_numpy(), both[f"{quantity}_low"].to_numpy()
-                    )
-                    place = words(str(test)), f"level {levels[1]:g} / {levels[0]:g}"
-                    finding.add((name, ""), place, found, p["claimed"], before, top)
+                if (table := _by_level(part, quantity)) is not None:
+                    found = intervals.of_means(statistic, table.to_numpy())
+                    ends = f"level {table.columns[-1]:g} / {table.columns[0]:g}"
+                    place = words(str(test)), "largest step" if p.get("steps") else ends
+                    finding.add((name, ""), place, found, p["claimed"], part)
     return finding
+
+
+def _overall(means: np.ndarray) -> np.ndarray:
+    return means[:, -1] / means[:, 0]
+
+
+def _steepest(means: np.ndarray) -> np.ndarray:
+    return (means[:, 1:] / means[:, :-1]).max(axis=1)
 
 
 # Statistic of the means of a table with a column per level.

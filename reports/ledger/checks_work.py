@@ -12,6 +12,7 @@ import pandas as pd
 
 from reports.ledger import intervals
 from reports.ledger.finding import (
+    CUT,
     Finding,
     Parameters,
     Source,
@@ -28,7 +29,11 @@ NO_BOUND = 1.0 - 1e-9
 
 @check("trend")
 def trend(source: Source, p: Parameters) -> Finding:
-    """Spearman's rank correlation of work with the level; a run at a limit counts with what it took."""
+    """Spearman's rank correlation of work with the level.
+
+    A run at a limit ranks above all that ended. How such runs rank among themselves is not known: the
+    correlation lies between those with the highest level first and last.
+    """
     finding = Finding("rank correlation with the level")
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
@@ -37,14 +42,26 @@ def trend(source: Source, p: Parameters) -> Finding:
                     if part["level"].nunique() < 2:
                         finding.miss(f"a second level of {test}")
                         continue
-                    ranks = part[["level", quantity]].rank().to_numpy()
-                    x, y = (ranks - ranks.mean(axis=0)).T
-                    found = intervals.of_means(
-                        _correlation, np.column_stack([x, y, x * y, x**2, y**2])
+                    cut = part[CUT.get(quantity, "limited")].astype(bool)
+                    level = part["level"]
+                    found, least, most = (
+                        _rank_correlation(level, part[quantity].mask(cut, np.inf), cut * order)
+                        for order in (0.0 * level, -level, level)
                     )
-                    place = test, titled(quantity, unit=False)
-                    finding.add((name, ""), place, found, p["claimed"], part)
+                    between = intervals.Extremes(least, most, intervals.TIME_OUTS)
+                    finding.add(
+                        (name, ""), (test, titled(quantity, unit=False)), found, p["claimed"], part,
+                        extremes=between if cut.any() else None,
+                    )  # fmt: skip
     return finding
+
+
+def _rank_correlation(level: pd.Series, work: pd.Series, then: pd.Series) -> intervals.Bootstrapped:
+    """Return the correlation of the ranks of the levels and of the work, ties ordered by `then`."""
+    order = pd.Series(list(zip(work, then, strict=True)), work.index)
+    y_ranks = order.map({key: at for at, key in enumerate(sorted(set(order)))}).rank()
+    x, y = (ranks.to_numpy() - ranks.mean() for ranks in (level.rank(), y_ranks))
+    return intervals.of_means(_correlation, np.column_stack([x, y, x * y, x**2, y**2]))
 
 
 def _correlation(means: np.ndarray) -> np.ndarray:
@@ -120,15 +137,15 @@ def _work_to_equal_gap(
 def regret(source: Source, p: Parameters) -> Finding:
     """Share of the instances certified by a reference whose optimum the subject reaches.
 
-    More time could turn a miss at a limit into a hit, but no hit into a miss.
+    It is reached within the tolerances of both. More time could turn a miss at a limit into a hit, but
+    no hit into a miss.
     """
     finding = Finding("share within the tolerance")
     for name, runs in source.runs(p["subject"], p, finding):
         for against, theirs in source.runs(p["reference"], p, finding):
-            both = paired(runs, theirs[theirs["certified"]], "objective", "gap_tol")
-            within = both["objective"] - both["objective_rival"] <= both["gap_tol_rival"] * (
-                1 + 1e-9
-            )
+            both = paired(runs, theirs[theirs["certified"]], "objective")
+            allowed = both["gap_tol"].fillna(0.0) + both["gap_tol_rival"]
+            within = both["objective"] - both["objective_rival"] <= allowed * (1 + 1e-9)
             both = both.assign(within=within.astype(float))
             if both.empty:
                 finding.miss(f"runs that {against} certified")
@@ -165,7 +182,7 @@ def sensitivity(source: Source, p: Parameters) -> Finding:
             factor = intervals.of_means(
                 _factors, np.column_stack([part[quantity].to_numpy(dtype=float) for part in parts])
             )
-            limited = any(part["limited"].any() for part in parts)
+            limited = any(part[CUT.get(quantity, "limited")].any() for part in parts)
             finding.add(
                 names, (test, titled(quantity, unit=False)), factor, p["claimed"],
                 *parts, rises=limited, falls=limited,

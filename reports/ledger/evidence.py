@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -40,6 +41,14 @@ class Role:
     )  # accepted values, best first
     without: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     every: bool = False  # all that fit take part; otherwise the best one
+    # Options of which the truth is not known: a method per accepted value takes part, and verdicts on
+    # which these do not agree stay open.
+    choices: Sequence[str] = ()
+
+    @property
+    def n_choices(self) -> int:
+        """Return the number of methods that must agree."""
+        return math.prod(len(self.options[name]) for name in self.choices)
 
     def fit(
         self, baseline: str, options: Mapping[str, Any], n_inliers_ratio: float = 1.0
@@ -98,6 +107,7 @@ class Experiment:
             open_gap=((runs["gap"] / upper).clip(0.0, 1.0)).where(runs["gap"].notna()),
             violation=(violated & of_pose).astype(float),
             limited=runs["outcome"].eq("limited"),
+            **_translation(runs, self.tables.cards),
             source=runs["shape"].str.extract(r"^(sun3d|7-scenes|rgbd-scenes|bundlefusion|analysis)",
                                              expand=False).fillna(runs["dataset"]),
         )  # fmt: skip
@@ -114,16 +124,45 @@ class Experiment:
             for place, (label, baseline, options, ratio) in enumerate(settings)
             if (rank := role.fit(baseline, json.loads(options or "{}"), ratio)) is not None
         )
-        return [label for _, _, label in (ranked if role.every else ranked[:1])]
+        if role.every:
+            return [label for _, _, label in ranked]
+        if not role.choices:
+            return [label for _, _, label in ranked[:1]]
+        best: dict[tuple[int, ...], str] = {}
+        for rank, _, label in ranked:
+            best.setdefault(rank, label)
+        return list(best.values())
 
 
 def _time(runs: pd.DataFrame, cards: Mapping[str, Mapping[str, Any]]) -> pd.Series:
-    """Return the seconds of runs; a run without a pose counts with its time limit."""
+    """Return the seconds of runs: a run at a limit took at least these, one of unknown time its limit."""
     limits = runs["method"].map(
         {k: card.get("limits", {}).get("time_s") for k, card in cards.items()}
     )
-    failed = runs["outcome"].eq("failed")
-    return runs["time_solve_s"].mask(failed, limits.astype(float)).fillna(limits.astype(float))
+    return runs["time_solve_s"].fillna(limits.astype(float))
+
+
+def _translation(
+    runs: pd.DataFrame, cards: Mapping[str, Mapping[str, Any]]
+) -> dict[str, pd.Series]:
+    """Return the work without the rotation stage of methods that end with our reconstruction of one.
+
+    Of other methods it is the whole work.
+    """
+    extra = [json.loads(text) if isinstance(text, str) and text else {} for text in runs["extra"]]
+
+    def stated(name: str) -> pd.Series:
+        return pd.Series([each.get(f"{name}_translation") for each in extra], runs.index, float)
+
+    limited = runs["outcome"].eq("limited")
+    return {
+        "translation_time": stated("time_s").fillna(_time(runs, cards)),
+        "translation_nodes": stated("n_nodes").fillna(runs["n_nodes"]),
+        "translation_limited": stated("is_optimal")
+        .map({0.0: True, 1.0: False})
+        .fillna(limited)
+        .astype(bool),
+    }
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ A check takes the tables of one experiment and its parameters from the ledger. I
 Parameters: ``tests``; ``levels`` (a list, or ``top``, or ``bottom`` if there are several, or
 ``disturbed``, the levels above 0; levels beyond the paper's axes take part only if a list names them);
 ``by`` (columns; each group has a comparison); ``quantity``; ``claimed``, the side on which a figure
-must lie; ``any`` (one comparison on the claimed side is enough); and ``shown_only`` (shown, but not
-part of the verdict).
+must lie; ``any`` (one comparison on the claimed side is enough); ``shown_only`` (shown, but not part
+of the verdict); and ``cannot_refute`` (why a figure on the other side leaves the comparison open).
 """
 
 from __future__ import annotations
@@ -18,21 +18,27 @@ import numpy as np
 import pandas as pd
 
 from reports.ledger.evidence import QUICK, Evidence, Experiment, Role
-from reports.ledger.intervals import Estimate
+from reports.ledger.intervals import Estimate, Extremes
 from reports.theme import words
 
 Parameters = Mapping[str, Any]
 GROUPING = ("test", "level")  # the default of ``by``
 # Quantities of which a run at a limit shows only the minimum.
-WORK = ("time", "n_nodes", "n_assignments")
+WORK = ("time", "n_nodes", "n_assignments", "translation_time", "translation_nodes")
+# Quantity -> the least that it can be (`Experiment.runs`), and whether a limit cut it.
+LEAST = {"time": "translation_time"}
+CUT = {"translation_time": "translation_limited", "translation_nodes": "translation_limited"}
+OF_RIVAL = ("limited", "gap_tol", "translation_limited", "translation_time")
 # Quantity -> the one shown in the second column.
-SECOND = {"error": "excess", "time": "n_assignments"}
+SECOND = {"error": "excess", "time": "n_assignments", "translation_time": "translation_nodes"}
 WITH_SECOND = ("ratio", "value", "rise", "slope", "scatter", "race")  # kinds with a quantity
 UNITS = {
     "error": "raw RMSE (longest sides)",
     "excess": "error above the floor (longest sides)",
     "time": "time (s)",
     "rmse": "raw RMSE (m)",
+    "translation_time": "time of the search, without the rotation stage (s)",
+    "translation_nodes": "boxes of the search, without the rotation stage",
     "n_nodes": "boxes",
     "n_assignments": "assignments",
     "open_gap": "relative gap at the end",
@@ -57,8 +63,10 @@ class Part:
     claimed: Parameters
     rises: bool = False  # runs at a limit could increase the figure
     falls: bool = False  # ... or decrease it
+    extremes: Extremes | None = None  # between which the figure lies, if more is not known
     runs: Mapping[str, bool] = field(default_factory=dict)  # run_id -> whether it ended at a limit
     shown_only: bool = False
+    cannot_refute: str = ""  # why the figure can reproduce a claim only
 
 
 @dataclass
@@ -71,6 +79,8 @@ class Finding:
     missing: list[str] = field(default_factory=list)
     rows: list[pd.DataFrame] = field(default_factory=list)  # of the study of bounds
     of_any: bool = False
+    # Roles with choices, and the methods that must agree.
+    choices: list[tuple[Role, list[str]]] = field(default_factory=list)
 
     def add(
         self,
@@ -81,13 +91,14 @@ class Finding:
         *tables: pd.DataFrame,
         rises: bool = False,
         falls: bool = False,
+        extremes: Extremes | None = None,
     ) -> None:
         """Add a comparison of ``names`` (subject, rival) at ``place`` (group, where) over runs."""
         runs: dict[str, bool] = {}
         for table in tables:
             runs.update(zip(table["run_id"], table["limited"].astype(bool), strict=True))
             self.methods += [m for m in table["method"].unique() if m not in self.methods]
-        self.parts.append(Part(*names, *place, estimate, claimed, rises, falls, runs))
+        self.parts.append(Part(*names, *place, estimate, claimed, rises, falls, extremes, runs))
 
     def miss(self, what: str) -> None:
         if what not in self.missing:
@@ -117,9 +128,13 @@ class Source:
         chosen = [(label, select(tried, label, p)) for label in labels]
         filled = [(label, runs) for label, runs in chosen if len(runs)]
         title = self.roles[role].title
+        if labels and len(labels) < self.roles[role].n_choices:
+            finding.miss(f"{title} with the other {' and '.join(self.roles[role].choices)}")
         if not filled:
             finding.miss(f"{title} in these tests and levels" if labels else title)
         names = self.experiment.runs.drop_duplicates("method").set_index("method")["display_name"]
+        if self.roles[role].choices:
+            finding.choices.append((self.roles[role], [names[label] for label in labels]))
         for label, runs in filled:
             yield names[label], runs
 
@@ -157,6 +172,8 @@ def find(source: Source, p: Parameters) -> Finding:
     if p.get("shown_only"):
         finding.parts = [Part(**{**vars(part), "shown_only": True}) for part in finding.parts]
         finding.missing = []
+    if reason := p.get("cannot_refute"):
+        finding.parts = [Part(**{**vars(part), "cannot_refute": reason}) for part in finding.parts]
     return finding
 
 
@@ -226,7 +243,7 @@ def paired(one: pd.DataFrame, other: pd.DataFrame, *quantities: str) -> pd.DataF
     """Return the values of both on every common instance."""
     columns = list(quantities)
     both = one.merge(
-        other[["instance_id", "run_id", "limited", *columns]],
+        other[["instance_id", "run_id", *dict.fromkeys([*OF_RIVAL, *columns])]],
         on="instance_id",
         suffixes=("", "_rival"),
     )
@@ -238,11 +255,12 @@ def of_rival(both: pd.DataFrame, theirs: pd.DataFrame) -> pd.DataFrame:
     return theirs[theirs["run_id"].isin(set(both["run_id_rival"]))]
 
 
-def limits(quantity: str, above: pd.Series | None, below: pd.Series | None) -> dict[str, bool]:
-    """Return how runs at a limit could change a ratio of work with these runs above and below."""
+def limits(quantity: str, table: pd.DataFrame) -> dict[str, bool]:
+    """Return how runs at a limit could change a mean of work, or a ratio if the table is paired."""
     if quantity not in WORK:
         return {}
-    return {
-        "rises": above is not None and bool(above.any()),
-        "falls": below is not None and bool(below.any()),
-    }
+    cut = CUT.get(quantity, "limited")
+    flags = {"rises": bool(table[cut].any())}
+    if f"{cut}_rival" in table:
+        flags["falls"] = bool(table[f"{cut}_rival"].any())
+    return flags

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.stats import norm
@@ -34,6 +34,7 @@ LEVEL = 0.05
 POWER = 0.8
 DECIMALS = 12  # removes slopes that are rounding only
 
+TIME_OUTS = "time-outs could change the verdict: use a longer limit"  # why a figure of work is open
 REPRODUCED, NOT, OPEN, NOT_RUN = "reproduced", "not reproduced", "open", "not run"
 VERDICTS = (REPRODUCED, NOT, OPEN, NOT_RUN)
 
@@ -129,6 +130,14 @@ class Exact:
         return np.nan, np.nan
 
 
+class Extremes(NamedTuple):
+    """The least and the greatest figure that the tables allow, and why they show no more."""
+
+    least: Estimate
+    most: Estimate
+    because: str
+
+
 @lru_cache(maxsize=6)
 def _weights(n: int) -> np.ndarray:
     """Return how often each of `n` instances is in each draw, as shares."""
@@ -178,24 +187,35 @@ _TIE_BELOW = {"below": False, "at_most": True, "above": True, "at_least": False}
 
 
 def p_values(
-    estimate: Estimate, claimed: Claimed, *, rises: bool = False, falls: bool = False
+    estimate: Estimate,
+    claimed: Claimed,
+    *,
+    rises: bool = False,
+    falls: bool = False,
+    extremes: Extremes | None = None,
 ) -> tuple[float, float]:
     """Return the p-values of lying on the claimed side, and on the other one.
 
     `rises` and `falls`: runs at a limit could increase or decrease the figure, so it cannot be shown to
-    lie below, or above, anything.
+    lie below, or above, anything. `extremes`: the least figure shows that it lies above a
+    threshold, the greatest one that it lies below.
     """
     ((side, threshold),) = claimed.items()
+    least, most = (extremes.least, extremes.most) if extremes else (estimate, estimate)
+
+    def tails(at: float, tie_below: bool) -> tuple[float, float]:
+        return least.tails(at, tie_below=tie_below)[0], most.tails(at, tie_below=tie_below)[1]
+
     if side == "within":
         low, high = threshold
-        above_low, below_low = estimate.tails(low, tie_below=False)
-        above_high, below_high = estimate.tails(high, tie_below=True)
+        above_low, below_low = tails(low, False)
+        above_high, below_high = tails(high, True)
         if rises:
             below_low = below_high = 1.0
         if falls:
             above_low = above_high = 1.0
         return max(above_low, below_high), min(below_low, above_high)
-    above, below = estimate.tails(threshold, tie_below=_TIE_BELOW[side])
+    above, below = tails(threshold, _TIE_BELOW[side])
     above, below = 1.0 if falls else above, 1.0 if rises else below
     return (below, above) if side in ("below", "at_most") else (above, below)
 

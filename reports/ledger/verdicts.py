@@ -8,14 +8,14 @@ run at a limit stays open; in a full experiment the answer at the limit counts.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from reports.ledger import intervals
 from reports.ledger.finding import Finding, Part
-from reports.ledger.intervals import LEVEL, MIN_INSTANCES, NOT, OPEN, REPRODUCED
+from reports.ledger.intervals import LEVEL, MIN_INSTANCES, NOT, OPEN, REPRODUCED, TIME_OUTS
 
-FEW, QUICK_LIMIT, TIME_OUTS, WIDE = "few", "limit", "time-outs", "wide"
+FEW, QUICK_LIMIT, WIDE = "few", "limit", "wide"
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,8 @@ class Row:
         texts = []
         if any(d.why == QUICK_LIMIT for d in reasons):
             texts.append("runs hit a limit: run the full experiment")
-        if any(d.why == TIME_OUTS for d in reasons):
-            texts.append("time-outs could change the verdict: use a longer limit")
+        known = (FEW, QUICK_LIMIT, WIDE)
+        texts += dict.fromkeys(d.why for d in reasons if d.why not in known)
         lacking = [d for d in reasons if d.why in (FEW, WIDE)]
         if lacking:
             least = min(d.part.estimate.n for d in lacking)
@@ -121,7 +121,9 @@ def decide(findings: Sequence[Finding], *, quick: bool) -> list[list[Decided]]:
     parts = [part for finding in findings for part in finding.parts]
     barred = [_barred(part, quick=quick) for part in parts]
     p_of = [
-        intervals.p_values(part.estimate, part.claimed, rises=part.rises, falls=part.falls)
+        intervals.p_values(
+            part.estimate, part.claimed, rises=part.rises, falls=part.falls, extremes=part.extremes
+        )
         for part in parts
     ]
     family = [at for at, part in enumerate(parts) if not barred[at] and not part.shown_only]
@@ -133,12 +135,44 @@ def decide(findings: Sequence[Finding], *, quick: bool) -> list[list[Decided]]:
     for part, why, p, level in zip(parts, barred, p_of, levels, strict=True):
         verdict = OPEN if why else intervals.decide(*p, level)
         if verdict == OPEN and not why:
-            would = intervals.p_values(part.estimate, part.claimed)
-            is_censored = intervals.decide(*would, level) != OPEN
-            why = TIME_OUTS if is_censored else WIDE
+            why = _why(part, level)
+        if verdict == NOT and part.cannot_refute:
+            verdict, why = OPEN, part.cannot_refute
         decided.append(Decided(part, verdict, level, why))
     ends = iter(decided)
-    return [[next(ends) for _ in finding.parts] for finding in findings]
+    return [agreed(finding, [next(ends) for _ in finding.parts]) for finding in findings]
+
+
+def agreed(finding: Finding, decided: Sequence[Decided]) -> list[Decided]:
+    """Open the comparisons on which methods that differ by a choice of ours do not agree."""
+    found = list(decided)
+    for role, names in finding.choices:
+        same: dict[tuple[str, ...], list[int]] = {}
+        for at, each in enumerate(found):
+            part = each.part
+            if part.rival in names or (not part.rival and part.subject in names):
+                place = (part.subject if part.rival else "", part.group, part.where)
+                same.setdefault(place, []).append(at)
+        for members in same.values():
+            verdicts = {found[at].verdict for at in members}
+            if len(verdicts) == 1 and len(members) == role.n_choices:
+                continue
+            why = f"depends on a choice of ours: {' and '.join(role.choices)} of {role.title}"
+            for at in members:
+                if found[at].verdict != OPEN:
+                    found[at] = replace(found[at], verdict=OPEN, why=why)
+    return found
+
+
+def _why(part: Part, level: float) -> str:
+    """Return why a comparison with enough instances is open."""
+    would = intervals.p_values(part.estimate, part.claimed)
+    if intervals.decide(*would, level) == OPEN:
+        return WIDE
+    known = intervals.p_values(part.estimate, part.claimed, rises=part.rises, falls=part.falls)
+    if part.extremes is None or intervals.decide(*known, level) == OPEN:
+        return TIME_OUTS
+    return part.extremes.because
 
 
 def _barred(part: Part, *, quick: bool) -> str:

@@ -176,6 +176,17 @@ def test_both_stages_end_at_the_number_of_assignments(name, options) -> None:
     boxes = [solution.extra[f"n_nodes_{stage}"] for stage in ends]
     assert boxes == [row["n_nodes"] for row in ends.values()]
     assert sum(boxes) == solution.counters["n_nodes"]
+    assert not any(solution.extra[f"is_optimal_{stage}"] for stage in ends)
+
+
+def test_a_translation_search_that_ended_says_so() -> None:
+    """Claims leave out a rotation at the limit."""
+    method = registry.load("dcreg_paper", epsilon_factor=0.3)
+    solution = method.solve(instance(3), Limits(4.0))
+    stages = [row for row in solution.trace if row["kind"] == "end"]
+    assert stages[0]["status"] == "optimal"
+    for row in stages:
+        assert solution.extra[f"is_optimal_{row['stage']}"] == (row["status"] == "optimal")
 
 
 def test_clouds_too_large_for_the_rotation_search_are_refused(monkeypatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import claim_tables
@@ -27,6 +28,7 @@ METHODS = {
     "half": ("dcreg_paper_half", "dcreg_paper", PAPER, 0.5),
     "ours": ("dcreg", "dcreg", '{"bound": null, "mode": null, "front_end": null}', 1.0),
     "rival": ("rpm_htb", "rpm_htb", HTB, 1.0),
+    "pose": ("rpm_htb", "rpm_htb", json.dumps(json.loads(HTB) | {"incumbents": "pose"}), 1.0),
     "pa": ("rpm_pa", "rpm_pa", PA, 1.0),
 }
 CARDS = {
@@ -58,7 +60,7 @@ def runs_of(method: str, **columns) -> pd.DataFrame:
                 "certificate_scope": "similarity pose", "verdict": "right", "n_nodes": 100.0,
                 "n_assignments": 1600.0, "objective": 1.0, "gap_tol": 0.1, "gap": 0.05,
                 "lower_bound": 0.95, "upper_bound": 1.0, "objective_best": 1.0,
-                "bound_violation": 0.0, "machine_id": "m",
+                "bound_violation": 0.0, "machine_id": "m", "extra": "{}",
             }  # fmt: skip
             draw = 1 + 0.1 * rng.random()
             for name, value in columns.items():
@@ -80,8 +82,12 @@ def evidence(*tables: pd.DataFrame, traces: pd.DataFrame | None = None, name="pa
 
 
 def judged(found: Evidence, *checks: dict, experiment: str = "paper2d", **fields):
-    claim = Claim("c", "q", "t", experiment, checks, **fields)
-    return judge_claim(ledger(), claim, found)
+    """Judge checks; of a role with choices, one method is enough unless `choices` is kept."""
+    book = ledger()
+    if not fields.pop("choices", False):
+        roles = {name: replace(role, choices=()) for name, role in book.roles.items()}
+        book = replace(book, roles=roles)
+    return judge_claim(book, Claim("c", "q", "t", experiment, checks, **fields), found)
 
 
 def figures(check: dict, *tables: pd.DataFrame, **given) -> list[tuple[float, int]]:

@@ -8,7 +8,7 @@ read as those of experiments.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -59,6 +59,7 @@ def write(
     runs = _runs(roles, claim, name, trials or MORE_TRIALS.get(claim.id, N_TRIALS))
     for entry in claim.checks:
         runs = _applied(runs, entry, book.axes, true=true)
+    runs = pd.concat([runs, *_other_choices(runs, roles)], ignore_index=True)
     runs["rmse_excess"] = np.sqrt(np.maximum(runs["rmse"] ** 2 - runs["rmse_floor"] ** 2, 0.0))
     return write_runs(root / name, runs, _cards(roles), trace=claim.id == "faster")
 
@@ -88,6 +89,19 @@ def _cards(roles: dict[str, Role]) -> dict:
             "limits": {"time_s": 100.0},
         }
     return cards
+
+
+def _other_choices(runs: pd.DataFrame, roles: dict[str, Role]) -> Iterator[pd.DataFrame]:
+    """Yield the same runs for the other choices of a role, which must agree with the first."""
+    for name, role in roles.items():
+        for values in list(product(*(role.options[choice] for choice in role.choices)))[1:]:
+            chosen = options_of(role) | dict(zip(role.choices, values, strict=True))
+            same = runs[runs["method"] == name]
+            yield same.assign(
+                method="-".join([name, *values]), options_effective=json.dumps(chosen),
+                display_name=f"{role.title} ({', '.join(values)})",
+                run_id="-".join(values) + same["run_id"],
+            )  # fmt: skip
 
 
 def options_of(role: Role) -> dict:
@@ -191,7 +205,7 @@ def _applied(runs: pd.DataFrame, p: dict, axes: Mapping[str, float], *, true: bo
         case "value", "time":
             if not true:
                 _multiply(runs, mine, 4 * threshold)
-        case _, "time" | "n_nodes":
+        case _, "time" | "n_nodes" | "translation_time" | "translation_nodes":
             _work(runs, mine, theirs, side, is_low == true)
         case _, "open_gap":
             _gaps(runs, *((mine, theirs) if true else (theirs, mine)))

@@ -193,3 +193,36 @@ def test_the_sentence_of_a_verdict_states_data_and_machine():
     assert "processor" not in found
     assert "paper: Python" in judged(both, TIME).tested
     assert "a processor" in judged(both, TIME).tested
+
+
+@pytest.mark.parametrize(
+    ("fits", "poses", "verdict"), [(0.1, 0.1, REPRODUCED), (0.02, 0.02, NOT), (0.02, 0.1, OPEN)]
+)
+def test_methods_that_differ_by_a_choice_of_ours_must_agree(fits, poses, verdict):
+    tables = [
+        runs_of("paper"),
+        runs_of("rival", rmse=error(fits)),
+        runs_of("pose", rmse=error(poses)),
+    ]
+    found = judged(evidence(*tables), RATIO, choices=True)
+    assert found.verdict == verdict
+    assert {row.rival for row in found.rows} == {"rival", "pose"}
+    needs = "depends on a choice of ours: incumbents of RPM-HTB"
+    assert all((needs in row.instances) == (verdict == OPEN) for row in found.rows)
+    of_rivals = {**VALUE, "methods": ["rpm_htb"], "claimed": {"above": 0.05}}
+    assert judged(evidence(*tables), of_rivals, choices=True).verdict == verdict
+
+
+def test_one_of_several_choices_decides_nothing():
+    found = judged(evidence(runs_of("paper"), runs_of("rival", rmse=0.01)), RATIO, choices=True)
+    assert found.verdict == OPEN
+    assert "RPM-HTB with the other incumbents" in found.reason
+
+
+def test_a_figure_that_cannot_refute_leaves_the_claim_open():
+    check = {**VALUE, "cannot_refute": "the paper's tolerance is not known"}
+    low, high = (evidence(runs_of("paper", rmse=rmse)) for rmse in (0.05, 0.1))
+    assert judged(low, check).verdict == REPRODUCED
+    found = judged(high, check)
+    assert (found.verdict, judged(high, VALUE).verdict) == (OPEN, NOT)
+    assert "the paper's tolerance is not known" in found.reason
