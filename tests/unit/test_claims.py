@@ -242,7 +242,7 @@ def test_command_writes_page_data_and_tables(written):
     wanted = {"half-2d": REPRODUCED, "low-3d": NOT, "tight-laps": REPRODUCED, "centre": NO_VERDICT}
     assert {name: table.loc[name, "verdict"] for name in wanted} == wanted
     for row in table[table["verdict"] == NOT_RUN].itertuples():
-        assert row.reason.endswith(f"with {row.command}")
+        assert row.reason.endswith(f": {row.command}")
     assert table[["command", "reason", "tested"]].notna().all(axis=None)
     page = (out / PAGE).read_text(encoding="utf-8")
     assert "Available tables: paper2d, paper3d, bounds." in page
