@@ -274,14 +274,12 @@ class Result:
     @property
     def rotation(self) -> np.ndarray:
         """(d, d) rotation matrix of the final pose."""
-        d = self.T_target_source.shape[0] - 1
-        return self.T_target_source[:d, :d] / self.scale
+        return self.T_target_source[:-1, :-1] / self.scale
 
     @property
     def translation(self) -> np.ndarray:
         """(d,) translation of the final pose, in units of the target."""
-        d = self.T_target_source.shape[0] - 1
-        return self.T_target_source[:d, d]
+        return self.T_target_source[:-1, -1]
 
     @property
     def rotation_deg(self) -> float:
@@ -362,14 +360,12 @@ class Result:
         bounding = [stage for stage in self.stages if stage.status is not None]
         for stage in bounding if len(bounding) > 1 else []:
             yield f"{stage.name} stage", stage.summary()
-        before = f"(before the polish {self.objective_certified:.6g})"
-        yield "objective", f"{self.objective:.6g} {before}"
+        before = self.objective_certified
+        yield "objective", f"{self.objective:.6g} (before the polish {before:.6g})"
         assignments = text.count(self.n_assignments, "assignment")
         yield "work", f"{text.count(self.n_nodes, 'node')}, {assignments}"
-        yield (
-            "time",
-            f"{self.time_solve_s:.2f} s for the solve, {self.time_setup_s:.2f} s for the preparation",
-        )
+        preparation = f"{self.time_setup_s:.2f} s for the preparation"
+        yield "time", f"{self.time_solve_s:.2f} s for the solve, {preparation}"
         yield "method", f"{self.model}, mode {self.mode}, bound {self.bound}"
         if self.downsampled is not None:
             sample = self.downsampled
@@ -388,9 +384,10 @@ class Result:
         if status is Status.OPTIMAL:
             return f"optimal: certified for the {scope}; {self._proven_share()}"
         if status is not Status.CONVERGED:
-            more = f"; certified for the {scope}, but a later stage did not finish"
-            more = more if self.gap_closed else ", not certified"
-            return f"{status.value}: best pose so far{more}"
+            later = f"; certified for the {scope}, but a later stage did not finish"
+            return (
+                f"{status.value}: best pose so far{later if self.gap_closed else ', not certified'}"
+            )
         if self.gap_closed:
             return f"converged: certified for the {scope}, but not in a later stage"
         what = "fits within the tolerance" if self.gap <= self.gap_tol else "the method finished"

@@ -66,7 +66,7 @@ _SHADES = (("#000000", 0.0), ("#000000", 0.3), ("#ffffff", 0.3))
 _VARIANTS = {
     "half": 1, "given": 3, "exact": 1, "100": 1, "mutual": 1,
     "paper": 2, "dc": 2, "ours": 2, "oracle": 2, "200": 2,
-    "full": 3, "nearest": 3, "tight": 4, "all": 4, "fpfh": 5,
+    "full": 3, "nearest": 3, "tight": 4, "all": 4, "fpfh": 5, "pose": 17,
     "several": 5, "multi": 6, "norm": 6,
 }  # fmt: skip
 _LOOKS = len(DASHES) * len(_SHADES)
