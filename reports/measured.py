@@ -17,7 +17,6 @@ from scipy.stats import binomtest, bootstrap
 
 from baselines import registry
 from dcreg.names import NORM_SCOPES, POSE_SCOPES
-from reports.figures.paper import options_of
 from reports.tables import Tables
 from reports.theme import MISSING, integer, number, words
 from workflows.hashing import digest
@@ -378,6 +377,11 @@ def boxes_per_stage(measured: Measured) -> Shown | None:
         "median lower / upper bound",
     )  # fmt: skip
     return Shown(head, rows)
+
+
+def options_of(card: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options in effect: the card's defaults and those given."""
+    return {**card.get("parameters", {}), **card.get("options", {})}
 
 
 def words_of(model: str) -> str:

@@ -135,7 +135,7 @@ def _facts(tables: Tables, module: ModuleType) -> tuple[tuple[str, str], ...]:
     limits = dict.fromkeys(
         ", ".join(limits_of(tables.cards.get(method, {})).values()) for method in shown.values()
     )
-    lacking = [line.name for line in module.PAPER.lines if line.name not in shown]
+    lacking = [line for line in module.PAPER.lines if line not in shown]
     facts = {
         "experiment": tables.experiment,
         "shapes": ", ".join(dict.fromkeys(runs["shape"])) if runs["shape"].nunique() < 9

@@ -137,6 +137,13 @@ class TestFolder:
         given = {key: value for key, value in card.parameters.items() if key not in idle}
         assert registry.load(name, **given).options == card.parameters
 
+    def test_its_code_reads_every_parameter(self, name: str) -> None:
+        folders = (registry.ROOT / name, registry.ROOT / "_shared")
+        files = [registry.ROOT / "contract.py", *(f for at in folders for f in at.rglob("*.py"))]
+        code = "".join(file.read_text(encoding="utf-8") for file in files)
+        for option in registry.read_card(name).parameters:
+            assert f'"{option}"' in code, option
+
     def test_every_number_has_a_range_that_its_default_lies_in(self, name: str) -> None:
         card = registry.read_card(name)
         for option, default in card.parameters.items():

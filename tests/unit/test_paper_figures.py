@@ -13,7 +13,7 @@ import pytest
 
 from reports import paper_page, theme
 from reports.figures import method, printing
-from reports.figures.paper import Line, PaperFigure, lines
+from reports.figures.paper import LINES, PaperFigure
 from reports.figures.standalone import (
     paper_2d,
     paper_3d,
@@ -22,19 +22,21 @@ from reports.figures.standalone import (
     paper_images,
     paper_scans,
 )
+from reports.ledger.book import ledger
 from reports.tables import ReportError, Tables
 from tests.unit import report_fixture
+from tests.unit.claim_tables import options_of
 from workflows.discovery import modules
 from workflows.records import SchemaError
 
 MODULES = paper_page.paper_modules()
-# card, label of the made-up tables -> baseline, options, share of the pairs
+# label of the made-up tables -> role of the ledger
 KINDS = {
-    "dcreg-full": ("dcreg_paper", {}, 1.0),
-    "dcreg-half": ("dcreg_paper", {}, 0.5),
-    "bilinear": ("rpm_htb", {"search": "own"}, 1.0),
-    "icp": ("dcreg", {}, 1.0),
-    "fgr": ("frs", {}, 1.0),
+    "dcreg-full": "dcreg_paper",
+    "dcreg-half": "dcreg_paper_half",
+    "bilinear": "rpm_htb",
+    "icp": "dcreg",
+    "fgr": "frs",
 }
 
 
@@ -52,13 +54,12 @@ def results(tmp_path_factory):
 
 def _rename(folder, experiment: str) -> None:
     """Turn the made-up tables into those of an experiment."""
-    path = folder / "provenance.json"
-    known = json.loads(path.read_text(encoding="utf-8"))
-    for label, (baseline, options, ratio) in KINDS.items():
-        known["methods"][label] |= {"baseline": baseline, "options": options,
-                                    "n_inliers_ratio": ratio, "parameters": {}}  # fmt: skip
-    path.write_text(json.dumps(known), encoding="utf-8")
     runs = pd.read_parquet(folder / "runs.parquet")
+    for label, name in KINDS.items():
+        role = ledger().roles[name]
+        columns = ["baseline", "options_effective", "n_inliers_ratio"]
+        values = role.baseline[0], json.dumps(options_of(role)), role.n_inliers_ratio
+        runs.loc[runs["method"] == label, columns] = values
     overlays = json.loads((folder / "overlays.json").read_text(encoding="utf-8"))
     poses = {item["run_id"]: json.dumps(item["T_target_source"]) for item in overlays}
     runs["T_target_source"] = runs["run_id"].map(poses).fillna("")
@@ -175,31 +176,20 @@ def test_preferred_tables_come_first(tmp_path):
     assert PaperFigure("", ()).find_tables([tmp_path]) is None
 
 
-@pytest.mark.parametrize(
-    ("card", "name"),
-    [
-        ({"baseline": "dcreg_paper"}, "DC-Reg, n_p × 1/1"),
-        ({"baseline": "dcreg_paper", "n_inliers_ratio": 0.5}, "DC-Reg, n_p × 1/2"),
-        ({"baseline": "dcreg", "parameters": {"bound": None}}, "DC-Reg (ours)"),
-        ({"baseline": "dcreg", "parameters": {"bound": None}, "options": {"bound": "dc"}}, None),
-        ({"baseline": "rpm_htb", "parameters": {"search": "own"}}, "RPM-HTB"),
-        ({"baseline": "rpm_htb", "parameters": {"search": "own"}, "options": {"search": "ours"}}, None),
-        ({"baseline": "teaserpp", "parameters": {"front_end": "oracle"}}, None),
-        ({"baseline": "icp"}, None),
-    ],
-)  # fmt: skip
-def test_lines_are_recognised_by_the_options_in_effect(card, name):
-    card = {"n_inliers_ratio": 1.0, **card}
-    figures = (paper_2d.PAPER, paper_3d.PAPER)
-    every = {line.name: line for figure in figures for line in figure.lines}
-    fitting = [line.name for line in every.values() if line.rank(card) is not None]
-    assert fitting == ([name] if name else [])
+def test_lines_are_roles_of_the_ledger():
+    assert {role for roles in LINES.values() for role in roles} <= set(ledger().roles)
+    assert {line for module in MODULES.values() for line in module.PAPER.lines} == set(LINES)
 
 
-def test_of_several_fitting_methods_the_plain_one_is_drawn(results):
+def test_a_method_with_other_options_in_effect_is_no_line_of_the_paper(results):
     tables = tables_of(results, "paper_2d")
-    figure = PaperFigure("", (), lines=(Line("any", ("dcreg_paper", "rpm_htb")), *lines("FRS")))
-    assert figure.methods(tables) == {"any": "dcreg-full", "FRS": "fgr"}
+    assert paper_2d.PAPER.methods(tables)["RPM-HTB"] == "bilinear"
+    other = json.dumps(options_of(ledger().roles["rpm_htb"]) | {"search": "ours"})
+    is_other = tables.runs["method"] == "bilinear"
+    runs = tables.runs.assign(
+        options_effective=tables.runs["options_effective"].mask(is_other, other)
+    )
+    assert "RPM-HTB" not in paper_2d.PAPER.methods(dataclasses.replace(tables, runs=runs))
 
 
 def test_statistics_show_both_shares_of_the_pairs_and_a_linear_error(results):

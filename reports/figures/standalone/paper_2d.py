@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from reports.figures import levels
 from reports.figures.figure import Figure
-from reports.figures.paper import PaperFigure, lines
+from reports.figures.paper import PaperFigure
 from reports.tables import Tables
 from reports.theme import Style
 from workflows.disturb import DISTURBANCES
@@ -30,8 +30,13 @@ PAPER = PaperFigure(
     ),
     experiment="paper2d",
     command="make paper-2d",
-    lines=lines(
-        "DC-Reg, n_p × 1/1", "DC-Reg, n_p × 1/2", "DC-Reg (ours)", "RPM-HTB", "RPM-PA", "RPM-CAV"
+    lines=(
+        "DC-Reg, n_p × 1/1",
+        "DC-Reg, n_p × 1/2",
+        "DC-Reg (ours)",
+        "RPM-HTB",
+        "RPM-PA",
+        "RPM-CAV",
     ),
 )
 

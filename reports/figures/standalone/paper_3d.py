@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from reports.figures.figure import Figure
-from reports.figures.paper import PaperFigure, lines
+from reports.figures.paper import PaperFigure
 from reports.figures.standalone import paper_2d
 from reports.tables import Tables
 from reports.theme import Style
@@ -30,7 +30,7 @@ PAPER = PaperFigure(
     ),
     experiment="paper3d",
     command="make paper-3d",
-    lines=lines(
+    lines=(
         "DC-Reg, n_p × 1/1", "DC-Reg, n_p × 1/2", "DC-Reg (ours)", "RPM-HTB", "Go-ICP", "FRS", "GORE",
         "TEASER++",
     ),

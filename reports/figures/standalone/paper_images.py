@@ -12,7 +12,7 @@ from data.contract import DataError, RecordedDataset
 from data.photographs import PICTURES, grey
 from reports.figures import alignments, clouds
 from reports.figures.figure import Figure
-from reports.figures.paper import PaperFigure, lines
+from reports.figures.paper import PaperFigure
 from reports.tables import Tables
 from reports.theme import Style
 
@@ -38,7 +38,7 @@ PAPER = PaperFigure(
     ),
     experiment="paper2d_images",
     command="make paper-2d-images",
-    lines=lines(
+    lines=(
         "DC-Reg, n_p × 1/1", "DC-Reg (ours)", "RPM-HTB", "RPM-PA", "RPM-CAV"
     ),
 )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from reports.figures import levels
 from reports.figures.figure import Figure
-from reports.figures.paper import PaperFigure, lines
+from reports.figures.paper import PaperFigure
 from reports.ledger.evidence import Experiment
 from reports.tables import Tables
 from reports.theme import Style
@@ -28,7 +28,7 @@ PAPER = PaperFigure(
     ),
     experiment="threedmatch",
     command="make threedmatch",
-    lines=lines(
+    lines=(
         "DC-Reg, n_p × 1/1", "DC-Reg (ours)", "RPM-HTB", "Go-ICP", "FRS", "GORE", "TEASER++"
     ),
 )  # fmt: skip
