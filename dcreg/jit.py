@@ -150,7 +150,7 @@ if HAS_CACHE:
         """Gives Numba the folder of `cache_folder`, whose name identifies the sources."""
 
         def __init__(self, py_func: Any, py_file: str) -> None:
-            self._folder = str(cache_folder(Path(py_file)))
+            self._py_file, self._folder = py_file, str(cache_folder(Path(py_file)))
 
         @classmethod
         def from_function(cls, py_func: Any, py_file: str) -> _Locator:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+_FAMILIES = Path(__file__).parent / "families"
+
 # Kind of pose: dimension of the points.
 MODEL_DIM = {"similarity2d": 2, "rigid3d": 3}
 
@@ -18,7 +20,6 @@ DEFAULT_TIME_LIMIT_S = 60.0
 DEFAULT_REL_GAP = 0.01
 
 AUTO = "auto"  # the library chooses the mode
-_MODES = {"similarity2d": ("paper",), "rigid3d": ("full", "paper")}
 
 BOUND_NAMES = ("tight", "shared", "dc", "interval")
 DEFAULT_BOUND = "tight"
@@ -43,9 +44,18 @@ FIGURE_PACKAGES = {
 SCORES = ("correspondences", "surfaces")
 
 
+def mode_files() -> dict[tuple[str, str], Path]:
+    """Return the files ``mode_MODEL_NAME.py`` of the families, by model and name of the mode."""
+    return {
+        (model, path.stem.removeprefix(f"mode_{model}_")): path
+        for model in MODEL_DIM
+        for path in sorted(_FAMILIES.glob(f"*/mode_{model}_*.py"), key=lambda path: path.stem)
+    }
+
+
 def mode_names(model: str) -> list[str]:
     """Return the modes of a model, without ``auto``."""
-    return list(_MODES[model])
+    return [name for of, name in mode_files() if of == model]
 
 
 def bound_names() -> list[str]:
@@ -53,6 +63,6 @@ def bound_names() -> list[str]:
 
     Their names are read from the source of the families' files ``bound*.py``, which is not imported.
     """
-    files = Path(__file__).parent.glob("families/*/bound*.py")
+    files = _FAMILIES.glob("*/bound*.py")
     found = {name for file in files for name in _NAME.findall(file.read_text("utf-8"))}
     return [*BOUND_NAMES, *sorted(found.difference(BOUND_NAMES, _BOUNDS_OF_MODES))]

@@ -11,9 +11,10 @@ import numpy as np
 from baselines._shared.single_boxes import bound_of_box, box_space
 from baselines.contract import Baseline, Instance, Limits, Solution, tiny
 from dcreg.driver import options
-from dcreg.driver.modes import Mode, find_mode
+from dcreg.driver.modes import find_mode
 from dcreg.driver.solve import register_problem
 from dcreg.families.dc.space import FeatureSpace
+from dcreg.families.mode import Mode
 from dcreg.names import DEFAULT_REL_GAP
 from dcreg.problem import Problem
 from dcreg.result import Result

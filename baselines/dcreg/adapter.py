@@ -8,9 +8,10 @@ from baselines._shared.front_ends import SHARED, FrontEndError, missing_matches,
 from baselines._shared.library_search import solution_of
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 from dcreg.api import register, register_matches
-from dcreg.driver.modes import MODES, find_mode
+from dcreg.driver.modes import check_bound, find_mode
 from dcreg.driver.options import SolveOptions
 from dcreg.driver.warm_up import warm_up_matches, warm_up_mode
+from dcreg.families.mode import all_modes
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, SCORES, mode_names
 from dcreg.problem import InputError, suggestion
@@ -41,13 +42,13 @@ class Adapter(Baseline):
 
     def _check_mode_and_bound(self) -> None:
         mode, bound = self.options["mode"], self.options["bound"]
-        known = {AUTO, *(entry.name for entry in MODES)}
+        known = {AUTO, *(entry.name for entry in all_modes())}
         if mode is not None and mode not in known:
             raise ValueError(f"option mode = {mode!r}{suggestion(str(mode), known)}")
         try:
-            for entry in MODES:
+            for entry in all_modes():
                 if entry.name == mode or (mode in (None, AUTO) and entry.name == "paper"):
-                    entry.check_bound(None if bound is None else str(bound))
+                    check_bound(entry, None if bound is None else str(bound))
         except InputError as error:
             raise ValueError(f"option {error}") from error
 

@@ -13,16 +13,14 @@ from baselines._shared.algorithm1 import Bounding
 from baselines._shared.own_search import EitherSearch
 from baselines._shared.published import NormBound
 from baselines._shared.relaxations import Relaxation
-from baselines.contract import Instance, Limits
-from baselines.contract import Solution as Answer
+from baselines.contract import Instance, Limits, Solution
 from baselines.hbsp.rotation import SemidefiniteRotationBound, rotation_alone
 from baselines.hbsp.similarity import SemidefiniteBound
-from dcreg.driver.modes import Mode
-from dcreg.driver.normalised import NormalisedProblem, Solution
+from dcreg.families.mode import Mode
 from dcreg.families.registry import make_bound
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.translation3d.space import Translation3D
-from dcreg.search import Box, Budget, Outcome, minimise
+from dcreg.search import Box, Budget, Outcome, Tolerance, minimise
 
 SCOPE_3D = "rotation about the translation found in norm space"
 
@@ -46,7 +44,7 @@ class Adapter(EitherSearch):
     def make_rotation(self, space: Rotation3D, threads: int) -> Bounding:
         return rotation_alone(space, threads, self.options["incumbents"] == "fit")
 
-    def solve(self, instance: Instance, limits: Limits) -> Answer:
+    def solve(self, instance: Instance, limits: Limits) -> Solution:
         if instance.dim == 2 or self.options["search"] == "ours":
             return super().solve(instance, limits)
         found = self.search_alone(instance, limits)
@@ -56,35 +54,28 @@ class Adapter(EitherSearch):
         mode = super().mode(model)
         if model == "similarity2d":
             return mode
-        parts = vars(mode) | {
-            "make_bound": partial(make_bound, "tight"),
-            "rotation": search_rotation,
-            "in_norm_space": False,
-        }
-        return TranslateThenRotate(**parts)
+        return replace(
+            mode, make_bound=partial(make_bound, "tight"), rotation=search_rotation,
+            rotation_scope=SCOPE_3D, in_norm_space=False,
+        )  # fmt: skip
 
     def box_bound(self, instance: Instance, lower: np.ndarray, upper: np.ndarray) -> float:
         """Return the bound over a box of theta in 2D; in 3D the method bounds no translations."""
         return super().box_bound(instance, lower, upper) if instance.dim == 2 else np.nan
 
 
-class TranslateThenRotate(Mode):
-    """Mode `paper` in 3D with another rotation search, which provides the bounds of the solution."""
-
-    def run(self, problem: NormalisedProblem) -> Solution:
-        solution = super().run(problem)
-        rotation = solution.stages[-1]
-        assert rotation.lower_bound is not None
-        assert rotation.upper_bound is not None
-        return replace(
-            solution, lower_bound=rotation.lower_bound, upper_bound=rotation.upper_bound,
-            scope=SCOPE_3D, certified=None,
-        )  # fmt: skip
-
-
-def search_rotation(problem: NormalisedProblem, shifted: np.ndarray, budget: Budget) -> Outcome:
-    """Find the best rotation of the shifted source by HBSP's bound."""
-    space = Rotation3D(shifted, problem.target, problem.n_inliers, stop_flag=budget.stop)
-    bound = SemidefiniteRotationBound(space, threads=problem.threads)
+def search_rotation(
+    source: np.ndarray,
+    target: np.ndarray,
+    n_inliers: int,
+    candidates: None,
+    *,
+    tolerance: Tolerance,
+    threads: int,
+    budget: Budget,
+) -> Outcome:
+    """Find the best rotation about the origin by HBSP's bound."""
+    space = Rotation3D(source, target, n_inliers, candidates, budget.stop)
+    bound = SemidefiniteRotationBound(space, threads=threads)
     budget = budget.named("start of rotation")
-    return minimise(space, bound, budget, tolerance=problem.tolerance, stage="rotation")
+    return minimise(space, bound, budget, tolerance=tolerance, stage="rotation")

@@ -9,15 +9,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dcreg.assignment.objective import Matched, objective, quick_objective
+from dcreg.assignment.objective import Matched, is_large, objective, quick_objective
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, find_runner_up, warnings_for
 from dcreg.driver.downsample import SEARCH_SHARE, Pose, refine_poses, refined, to_search
-from dcreg.driver.modes import Mode, choose_mode, find_mode
+from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
-from dcreg.driver.warm_up import special, warm_up_mode
+from dcreg.driver.warm_up import warm_up_mode
+from dcreg.families.mode import Mode
+from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, START_BOXES
 from dcreg.problem import Problem
 from dcreg.problem.geometry import Frame, rounding_error
@@ -35,7 +37,7 @@ def register_problem(
     with setup.budget() as budget:
         searching = budget.isolated_sub_budget(SEARCH_SHARE) if setup.is_sampled else budget
         normalised = setup.normalised(0, searching)
-        solution = setup.mode.run(normalised)
+        solution = run_mode(setup.mode, normalised)
         solution.events = budget.history
         result = Finish(setup, 0, normalised, budget, searching).result(solution)
         return replace(result, time_solve_s=budget.elapsed())
@@ -84,7 +86,7 @@ class Setup:
         limits : Limits
         options : SolveOptions
         mode : Mode, optional
-            A mode that is not in the table of modes; it compiles its own kernels.
+            A mode that no family offers; it compiles its own kernels.
 
         Raises
         ------
@@ -99,12 +101,12 @@ class Setup:
         if name is None:
             name = choose_mode(largest, bound, certificate)
         chosen = mode or find_mode(largest.model, name)
-        chosen.check(largest, bound, certificate)
+        check_mode(chosen, largest, bound, certificate)
         limits.check(largest.n_inliers)
         for line in advice(largest):
             _LOGGER.info(line)
         if mode is None:
-            warm_up_mode(chosen, bound, *special(searched[0]))
+            warm_up_mode(chosen, bound, *_special(searched[0]))
         frame = Frame.of(largest)
         time_s = time.perf_counter() - began
         return cls(problems, searched, frame, chosen, limits, options, time_s)
@@ -238,3 +240,9 @@ def in_input_units(listener: Listener | None, area: float) -> Listener | None:
     if listener is None:
         return None
     return lambda event: listener(event.scaled(area))
+
+
+def _special(problem: Problem) -> tuple[bool, bool, bool]:
+    """Return `restricted`, `many` and `large` of `warm_up_mode` for a problem."""
+    restricted, n, m = problem.candidates is not None, len(problem.source), len(problem.target)
+    return restricted, n * m > FEW_PAIRS, not restricted and is_large(n, m)

@@ -33,7 +33,13 @@ import numpy as np
 
 from dcreg.assignment.objective import Matched
 from dcreg.driver.downsample import SEARCH_SHARE
-from dcreg.driver.modes import shifted_rotation
+from dcreg.driver.modes import (
+    bound_of,
+    recover_pose,
+    search_share,
+    shifted_rotation,
+    space_of,
+)
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Finish, Setup
@@ -93,7 +99,7 @@ class Level:
         """Prepare the search for ``setup.problems[at]``."""
         normalised = setup.normalised(at, budget)
         name = setup.problems[at].n_inliers
-        return cls(at, name, normalised, setup.mode.space(normalised))
+        return cls(at, name, normalised, space_of(setup.mode, normalised))
 
     @property
     def k(self) -> int:
@@ -142,7 +148,7 @@ class _Sweep:
 
     def _searching_share(self) -> float:
         """Share of the time for the search; the rest is for recovering and matching the poses."""
-        share = self.mode.search_share
+        share = search_share(self.mode)
         if self.setup.is_sampled:
             share *= SEARCH_SHARE
         limit = self.budget.left()
@@ -221,7 +227,7 @@ class _Sweep:
 
     def _search(self, level: Level, tolerance: Tolerance, budget: Budget) -> None:
         found = minimise(
-            level.space, self.mode.bound(level.normalised, level.space), budget,
+            level.space, bound_of(self.mode, level.normalised, level.space), budget,
             tolerance=tolerance, start=(level.theta, level.upper_bound), stage=f"k={level.name}",
         )  # fmt: skip
         better = found.upper_bound < level.upper_bound
@@ -260,7 +266,7 @@ class _Sweep:
     def _recover_pose(self, level: Level, budget: Budget, solution: Solution) -> None:
         """Recover the pose; past the limit the rotation of another cardinality replaces a search."""
         if self.rotation is None or not budget.is_over:
-            self.mode.recover_pose(level.normalised, level.space, level.theta, budget, solution)
+            recover_pose(self.mode, level.normalised, level.space, level.theta, budget, solution)
         else:
             solution.T = shifted_rotation(self.rotation, level.theta)
             if solution.status in (Status.OPTIMAL, Status.CONVERGED):

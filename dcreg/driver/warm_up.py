@@ -12,13 +12,14 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from dcreg.assignment.descent import polish
-from dcreg.assignment.objective import is_large, objective
+from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import sparse_matching
-from dcreg.driver.modes import MODES, Mode
+from dcreg.driver.modes import run_mode
 from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.matches.bound import MatchBound
 from dcreg.families.matches.problem import MatchProblem
 from dcreg.families.matches.start import promising_poses, surface_consistent_poses
+from dcreg.families.mode import Mode, all_modes
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.families.rigid3d.space import Rigid3D
@@ -61,7 +62,7 @@ def warm_up(processes: int = 1) -> None:
 def _works() -> Iterator[functools.partial[None]]:
     """All there is to compile, in parts that have little in common."""
     yield functools.partial(warm_up_matches)
-    for mode in sorted(MODES, key=lambda mode: mode.name):  # the most expensive first
+    for mode in sorted(all_modes(), key=lambda mode: mode.name):  # the most expensive first
         yield functools.partial(_compile_mode, mode)
 
 
@@ -73,12 +74,6 @@ def _compile_mode(mode: Mode) -> None:
         for restricted in (False, True):
             warm_up_mode(mode, bound, restricted)
     warm_up_mode(mode, None, many=True, large=True)
-
-
-def special(problem: Problem) -> tuple[bool, bool, bool]:
-    """Return `restricted`, `many` and `large` of `warm_up_mode` for a problem."""
-    restricted, n, m = problem.candidates is not None, len(problem.source), len(problem.target)
-    return restricted, n * m > FEW_PAIRS, not restricted and is_large(n, m)
 
 
 @functools.cache
@@ -109,12 +104,13 @@ def warm_up_mode(
     moved = points[:, ::-1].copy()
     candidates = ~np.eye(8, dtype=bool) if restricted else None
     with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
-        mode.run(
+        run_mode(
+            mode,
             NormalisedProblem(
                 points, moved, 6, scale_range, candidates, Frame(np.zeros(dim), np.zeros(dim), 1.0),
                 bound or mode.own_bound, stationary_box=False, tolerance=Tolerance(),
                 threads=1, budget=Budget(nodes=8),
-            )
+            ),
         )  # fmt: skip
         polish(Problem(points, moved, 6, mode.model, candidates=candidates), np.eye(dim + 1))
         # what is met past the limit
@@ -145,4 +141,4 @@ def warm_up_matches() -> None:
 
 
 if __name__ == "__main__":
-    warm_up(processes=min(len(MODES), os.cpu_count() or 1))
+    warm_up(processes=min(len(all_modes()), os.cpu_count() or 1))

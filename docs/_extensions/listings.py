@@ -47,14 +47,14 @@ def options(command: str) -> str:
 
 
 def modes() -> str:
-    from dcreg.driver.modes import MODES
+    from dcreg.families.mode import all_modes
 
     def row(mode):
         bound = "its own" if mode.make_bound else f"any (default `{mode.own_bound}`)"
         return f"`{mode.model}`", f"`{mode.name}`", mode.summary, bound, mode.certifies and "yes"
 
     head = ("model", "mode", "search and certificate", "`bound`", "certificate file")
-    return table(head, map(row, MODES))
+    return table(head, map(row, all_modes()))
 
 
 def cards(folder: str) -> list[dict]:

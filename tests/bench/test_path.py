@@ -6,7 +6,7 @@ from numba import config
 from tests.bench.path import record
 
 # In 2D four files make initial poses, which a search to 1 % of the upper bound needs.
-MOST_FILES = {"2d": 32, "3d": 30}
+MOST_FILES = {"2d": 28, "3d": 30}
 MOST_DEPTH = 8
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from dcreg.families.dc.kernels.linearisation import best_linearisation
+from dcreg.families.dc.kernels import best_linearisation
 from dcreg.families.registry import make_bound
 from dcreg.families.translation3d.kernels.curvature import norm_curvature
 from dcreg.families.translation3d.space import Translation3D

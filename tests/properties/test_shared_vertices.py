@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcreg.families.dc.bounds import VertexCache
-from dcreg.families.dc.kernels.lattice import Vertices
+from dcreg.families.dc.kernels import Vertices
 from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.bound import boxes_of
-from dcreg.families.similarity2d.kernels.profiles import blend_duals
+from dcreg.families.similarity2d.kernels import blend_duals
 from dcreg.search import Box, Budget, LongestEdge, Tolerance, branch_and_bound
 from tests.problems import SEEDS, models
 

@@ -53,6 +53,14 @@ found = dcreg.register(
 )
 assert "ball" in dcreg.bound_names() and found.bound == "ball"
 
+rigid = dcreg.SolveOptions(mode="rigid")
+found = dcreg.register(
+    source, target, n_inliers=8, model="similarity2d", scale_range=(1, 1), options=rigid
+)
+assert dcreg.mode_names("similarity2d") == ["paper", "rigid"]
+assert (found.mode, found.status, found.certificate_scope) == ("rigid", "optimal", "rigid pose")
+assert abs(found.scale - 1.0) < 1e-9
+
 assert METRICS["median_error"].meaning.startswith("Median distance")
 assert "noise_only" in [module.__name__.rpartition(".")[2] for module in modules(standalone)]
 print("found all")
@@ -76,7 +84,7 @@ def project(tmp_path_factory):
 def test_page_shows_every_kind_of_addition():
     folders = {Path(name).parts[0] for name in FILES}
     assert folders == set(PACKAGES)
-    assert len(FILES) == 8
+    assert len(FILES) == 9
 
 
 @pytest.mark.parametrize("name", FILES)

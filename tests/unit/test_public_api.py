@@ -12,7 +12,7 @@ import pytest
 
 import dcreg
 from dcreg import names
-from dcreg.driver.modes import MODES
+from dcreg.families.mode import all_modes
 from dcreg.families.registry import bounds_of
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
@@ -139,7 +139,7 @@ def test_names_of_bounds_are_those_of_the_table():
 
 @pytest.mark.parametrize("model", names.MODEL_DIM)
 def test_names_of_modes_are_those_of_the_table(model):
-    assert [mode.name for mode in MODES if mode.model == model] == names.mode_names(model)
+    assert [mode.name for mode in all_modes() if mode.model == model] == names.mode_names(model)
 
 
 def test_formats_of_the_command_line_are_those_of_the_readers():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.assignment.kernels.dense import first_duals, improve_assignment
-from dcreg.families.dc.kernels.motion import curvature, pair_costs
+from dcreg.families.dc.kernels import curvature, pair_costs
 from dcreg.jit import jit
 
 

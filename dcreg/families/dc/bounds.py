@@ -17,8 +17,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dcreg.families.dc.kernels.bounds import dc_bound, interval_bound
-from dcreg.families.dc.kernels.lattice import Lattice, Vertices, find_or_add, rebuild
+from dcreg.families.dc.kernels import (
+    Lattice,
+    Vertices,
+    dc_bound,
+    find_or_add,
+    interval_bound,
+    rebuild,
+)
 from dcreg.families.dc.space import F, FeatureSpace
 from dcreg.families.protocol import SpaceBound
 from dcreg.search import Box, Boxes, Evaluation

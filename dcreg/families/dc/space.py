@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from dcreg.assignment.kernels.dense import cheapest_pairs
-from dcreg.families.dc.kernels.motion import pair_costs
+from dcreg.families.dc.kernels import pair_costs
 from dcreg.families.protocol import Space
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from dcreg.assignment.descent import alternate
 from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
-from dcreg.families.dc.kernels.bounds import objectives
+from dcreg.families.dc.kernels import objectives
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.protocol import means_of_subsets, radius
 from dcreg.families.similarity2d.starts import similar_poses

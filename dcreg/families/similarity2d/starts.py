@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.families.similarity2d.kernels import similar as kernels
+from dcreg.families.similarity2d import kernels
 from dcreg.families.starts import distinct, in_3d, nearness_field
 from dcreg.jit import NEVER
 from dcreg.problem import rms_radius

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from dcreg.assignment.kernels.sorting import COLUMNS
-from dcreg.families.dc.kernels.bounds import objectives
+from dcreg.families.dc.kernels import objectives
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.protocol import (
     mean_of_largest,

@@ -9,8 +9,7 @@ import math
 
 import numpy as np
 
-from dcreg.families.dc.kernels.boxes import n_vertices
-from dcreg.families.dc.kernels.linearisation import best_linearisation
+from dcreg.families.dc.kernels import best_linearisation, n_vertices
 from dcreg.families.translation3d.kernels.curvature import norm_curvature
 from dcreg.jit import jit
 

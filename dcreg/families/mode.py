@@ -1,0 +1,78 @@
+"""The modes that the families offer: what `dcreg.register` can search, and by which bounds.
+
+A file ``mode_MODEL_NAME.py`` in the folder of a family adds mode ``NAME`` to the model ``MODEL``. Its
+`MODE` states the space and the bound. Several models may have a mode of the same name.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from dcreg.names import DEFAULT_BOUND, mode_files
+from dcreg.search import Bound, Outcome
+
+# (source, target, n_inliers, candidates, tolerance=, threads=, budget=) -> the best rotation about the
+# origin
+RotationSearch = Callable[..., Outcome]
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A method to solve the problems of one model.
+
+    Attributes
+    ----------
+    summary : str
+        One line for help texts and manuals.
+    space : callable
+        The space of the certified search, from ``(source, target, n_inliers, *needs, candidates,
+        stop_flag, stationary_box)``.
+    needs : tuple of str
+        More fields of the problem that the space needs, such as ``scale_range``.
+    make_bound : callable, optional
+        The mode's own bound, from ``(space, threads=...)``. None: the user chooses it by name.
+    own_bound : str
+        Name of the bound if the user does not choose one.
+    rotation : callable, optional
+        The rotation search that follows a search over translations.
+    rotation_scope : str
+        If given, the bounds of the result are those of the rotation search, and this is their scope.
+    in_norm_space : bool
+        Whether the bounds refer to norms, not to the residuals of a pose.
+    certifies : str
+        Family of the certificate that the search can record (``dcreg.certificate.format.MODELS``), or
+        empty.
+    stage : str
+        Name of the certified search in events and stages.
+    name, model : str
+        Those of the file.
+    """
+
+    summary: str
+    space: Callable[..., Any]
+    needs: tuple[str, ...] = ()
+    make_bound: Callable[..., Bound] | None = None
+    own_bound: str = DEFAULT_BOUND
+    rotation: RotationSearch | None = None
+    rotation_scope: str = ""
+    in_norm_space: bool = False
+    certifies: str = ""
+    stage: str = "search"
+    name: str = ""
+    model: str = ""
+
+
+@functools.cache
+def all_modes() -> tuple[Mode, ...]:
+    """Return the modes of all families."""
+    return tuple(_find_modes())
+
+
+def _find_modes() -> Iterator[Mode]:
+    for (model, name), path in mode_files().items():
+        module = importlib.import_module(f"{__package__}.{path.parent.name}.{path.stem}")
+        yield replace(module.MODE, name=name, model=model)
