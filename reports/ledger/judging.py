@@ -101,7 +101,7 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     runs = {run: late for row in deciding for run, late in row.runs.items()}
     limited = sum(runs.values())
     if runs and experiment is not None:
-        reason += f". {_limits(experiment, findings, len(runs), limited)}"
+        reason += f". {_limits(experiment, runs)}"
     command = book.commands[claim.experiment]
     command += experiment.variables if experiment is not None else ""
     if verdict == NOT_RUN:
@@ -213,12 +213,19 @@ def _counted(every: list[Row]) -> str:
     return text + (f" ({needs[0]}{'; others: see the table' * (len(needs) > 1)})" if needs else "")
 
 
-def _limits(experiment: Experiment, findings: list[Finding], runs: int, limited: int) -> str:
-    methods = dict.fromkeys(method for finding in findings for method in finding.methods)
-    cards = [experiment.tables.cards.get(method, {}) for method in methods]
-    texts = dict.fromkeys(text for card in cards for text in limits_of(card).values())
+def _limits(experiment: Experiment, runs: dict[str, bool]) -> str:
+    """Return how many of the deciding runs hit which limits; `runs` tells for each whether it did."""
+    limited = sum(runs.values())
+    every = experiment.runs
+    late = every[every["run_id"].isin([run for run, is_late in runs.items() if is_late])]
+    hit = late.drop_duplicates(["method", "status"])[["method", "status"]].itertuples(index=False)
+    cards = experiment.tables.cards
+    texts = dict.fromkeys(
+        text for name, status in hit if (text := limits_of(cards.get(name, {})).get(status))
+    )
     stated = f" ({', '.join(texts)})" if texts else ""
-    share = f"{limited} of {runs} deciding runs" if limited else f"None of the {runs} deciding runs"
+    share = f"{limited} of {len(runs)} deciding runs"
+    share = share if limited else f"None of the {len(runs)} deciding runs"
     how = "" if experiment.is_quick or not limited else "; the poses that they returned count"
     return f"{share} hit a limit{stated}{how}"
 

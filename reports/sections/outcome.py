@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.ledger.evidence import STUDY, Evidence
+from reports.ledger.evidence import QUICK, STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
 from reports.tables import PENALTY, Tables, counted_time
@@ -26,12 +26,16 @@ def context(page: Page) -> dict[str, Any]:
     evidence = Evidence.of_tables(tables)
     about = set(evidence.experiments) | ({STUDY} if evidence.study else set())
     judgements = judge(ledger(), evidence, about)
+    rows = outcomes(tables)
     return {
         "facts": facts(tables),
         "judgements": judgements,
         "counts": count(judgements),
         "claims": len(ledger().claims),
-        "outcomes": outcomes(tables),
+        "outcomes": rows,
+        "models": list(dict.fromkeys(row["model"] for row in rows)),
+        "unfinished": sum(row["unfinished"] for row in rows),
+        "is_quick": tables.experiment.endswith(QUICK),
         "any_oracle": any(tables.is_oracle(method) for method in tables.methods),
         "penalty": PENALTY,
         "wrong_certificates": list(
@@ -158,5 +162,6 @@ def _outcome(part: pd.DataFrame) -> dict[str, Any]:
         "assignments": float(part["n_assignments"].median()),
         "truth_excluded": float(1 - part["truth_in_cube"].mean()),  # NaN without such a cube
         "limited": int(part["outcome"].eq("limited").sum()),
+        "unfinished": bool(part["outcome"].eq("limited").mean() > 0.5),
         "failed": int(part["outcome"].eq("failed").sum()),
     }
