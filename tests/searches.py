@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from dcreg.assignment.objective import pairs_of
-from dcreg.driver.modes import find_mode
+from dcreg.driver.modes import find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.rotation3d.bound import RotationBound
 from dcreg.families.rotation3d.space import Rotation3D
@@ -41,7 +41,7 @@ def search_rigid(source, target, k, **settings):
     """Mode `full` over the centred clouds, with the work of its one search."""
     x, y = source.mean(axis=0), target.mean(axis=0)
     problem = normalised(source - x, target - y, k, **settings)
-    solution = find_mode("rigid3d", "full").run(problem)
+    solution = run_mode(find_mode("rigid3d", "full"), problem)
     solution.T[:3, 3] += y - solution.T[:3, :3] @ x
     names = ("n_nodes", "n_assignments", "time_s")
     work = {name: sum(getattr(stage, name) for stage in solution.stages) for name in names}

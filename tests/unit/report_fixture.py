@@ -83,7 +83,7 @@ def _run(method, model, dataset, shape, test, level, trial):
         "run_id": f"{zlib.crc32(f'{instance}{method}'.encode()):08x}",
         "experiment": "made-up", "method": method, "baseline": method.split("-")[0],
         "display_name": CARDS[method][0], "provenance": CARDS[method][1], "options": "{}",
-        "options_effective": "{}",
+        "options_effective": json.dumps(dict.fromkeys(("bound", "mode", "front_end"))),
         "instance_id": instance, "dataset": dataset, "shape": shape, "test": test,
         "level": level, "trial": trial, "model": model, "dim": 3 if model == "rigid3d" else 2,
         "n_source": 98, "n_target": 98, "n_inliers": n_inliers, "n_inliers_true": 98, "seed": 1,

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from data import registry
 from dcreg.assignment.objective import objective
-from dcreg.driver.modes import find_mode
+from dcreg.driver.modes import find_mode, run_mode
 from dcreg.families.rigid3d import vertex_values
 from dcreg.families.rigid3d.kernels.vertices import price_vertices
 from dcreg.families.rigid3d.space import Rigid3D
@@ -182,6 +182,6 @@ def test_vertex_values_see_the_stop_flag(rng, monkeypatch):
             untouched.append(np.isnan(known.values[requests.slots]).all())
 
     monkeypatch.setattr(vertex_values, "price_vertices", priced_after_stop)
-    find_mode("rigid3d", "full").run(given)
+    run_mode(find_mode("rigid3d", "full"), given)
     assert untouched
     assert all(untouched)
