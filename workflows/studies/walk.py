@@ -1,8 +1,8 @@
 """``dcreg register`` with default options on real clouds: ``python -m workflows.studies.walk OUT``.
 
-Every pair of clouds is written to files at several sizes and registered with nothing but the model, a
-share of pairs and a time limit. The study writes ``walk.csv``: pose error, status, time, warnings. It
-needs the data that `data/` fetches.
+Every pair of clouds is written to files at several sizes and registered with nothing but the model and a
+share of pairs. The study writes ``walk.csv``: pose error, status, time, warnings. It needs the data that
+`data/` fetches.
 """
 
 from __future__ import annotations
@@ -27,10 +27,19 @@ from data.registry import dataset
 from data.sampling import farthest_points
 from data.threedmatch.loader import fragment
 from dcreg.io import read_points
+from dcreg.names import DEFAULT_TIME_LIMIT_S
 from dcreg.problem import apply_pose, rotation_angle_deg
 
 SIZES = [100, 300, 1000, 5000, 0]
 KILLED_AFTER = 5.0  # time limits; a run that takes longer is killed and counts as a hang
+# Overlaps of the pairs of fragments, one per scene of 3DMatch.
+OVERLAPS = (0.55, 0.75, 0.4, 0.55, 0.4, 0.75, 0.55, 0.75)
+# Pairs of raw clouds, at full size, on which an answer should take seconds (`--only-raw`).
+RAW = (
+    "7-scenes-redkitchen", "sun3d-home_at", "sun3d-hotel_uc", "sun3d-hotel_umd-maryland_hotel1",
+    "sun3d-mit_lab", "bunny with missing ends", "bunny, half with clutter", "street",
+)  # fmt: skip
+CLUTTER = 0.3  # points of a cluttered target without a partner, per point with one
 
 
 @dataclass(frozen=True)
@@ -47,14 +56,16 @@ class CloudPair:
 def main(
     out: Annotated[Path, typer.Argument(help="folder for the table")],
     size: Annotated[list[int], typer.Option(help="points per cloud, 0: all")] = SIZES,
-    limit: Annotated[float, typer.Option(help="seconds per run")] = 10.0,
+    limit: Annotated[float, typer.Option(help="seconds per run")] = DEFAULT_TIME_LIMIT_S,
     only: Annotated[str, typer.Option(help="part of a pair's name")] = "",
+    only_raw: Annotated[bool, typer.Option(help="the pairs of `RAW`, at full size")] = False,
 ) -> None:
     """Register every pair at every size; print and store the table."""
     out.mkdir(parents=True, exist_ok=True)
     rows = []
+    size = [0] if only_raw else size
     for pair in cloud_pairs():
-        if only not in pair.name:
+        if only not in pair.name or (only_raw and not pair.name.startswith(RAW)):
             continue
         for n_points in size:
             rows.append(_walked(pair, n_points, limit, out))
@@ -62,6 +73,7 @@ def main(
     table = pd.DataFrame(rows)
     table.to_csv(out / "walk.csv", index=False)
     print(table.drop(columns="warnings").to_string(index=False))
+    print(_summary(table))
     print(f"tables: {out}")
 
 
@@ -75,8 +87,10 @@ def cloud_pairs() -> Iterator[CloudPair]:
         shapes = _prototypes(name)
         cloud = shapes.points(shapes.shapes()[0], 2_000)
         yield _turned(name, cloud, rng)
+    yield _turned("bunny", model, rng)
+    yield _cluttered("bunny", model, 16_000, rng)
     scenes = dataset("threedmatch").shapes()
-    for scene, level in zip(scenes[::3], (0.75, 0.75, 0.55), strict=True):
+    for scene, level in zip(scenes, OVERLAPS, strict=True):
         yield _scans("threedmatch", scene, "overlap", level)
     yield _scans("small_gicp", "street", "pair", 0.0)
 
@@ -98,6 +112,35 @@ def _turned(name: str, cloud: np.ndarray, rng: np.random.Generator) -> CloudPair
     extent = float(np.ptp(cloud, axis=0).max())
     moved = apply_pose(T, second) + 0.005 * extent * rng.standard_normal(second.shape)
     return CloudPair(f"{name} with missing ends", first, moved, 0.8, T)
+
+
+def _cluttered(name: str, cloud: np.ndarray, n_points: int, rng: np.random.Generator) -> CloudPair:
+    """Return two samples of one half of an object, the second one with noise and clutter, and moved."""
+    along = cloud @ rng.standard_normal(3)
+    half = cloud[along > np.median(along)]
+    first, second = (half[rng.permutation(len(half))[:n_points]] for _ in range(2))
+    low, high = half.min(axis=0), half.max(axis=0)
+    extent = float((high - low).max())
+    second = second + 0.005 * extent * rng.standard_normal(second.shape)
+    clutter = rng.uniform(low, high, (round(CLUTTER * n_points), 3))
+    T = np.eye(4)
+    T[:3, :3] = Rotation.random(random_state=5).as_matrix()
+    T[:3, 3] = rng.uniform(-1.0, 1.0, 3)
+    target = apply_pose(T, np.concatenate([second, clutter]))
+    return CloudPair(f"{name}, half with clutter", first, target, 0.9, T)
+
+
+def _summary(table: pd.DataFrame) -> str:
+    """Return the share of right poses, times, and how many wrong poses have no warning."""
+    known = table[table["right"].notna()]
+    wrong = known[~known["right"].astype(bool)]
+    silent = wrong[wrong["n_warnings"] == 0]
+    times = table["wall_s"]
+    return (
+        f"{len(known) - len(wrong)} of {len(known)} known poses right; wall time: median "
+        f"{times.median():.1f} s, 90 % within {times.quantile(0.9):.1f} s; wrong without a warning: "
+        f"{len(silent)}; wrong with status converged: {(wrong['status'] == 'converged').sum()}"
+    )
 
 
 def _scans(name: str, shape: str, test: str, level: float) -> CloudPair:
