@@ -110,6 +110,8 @@ def nothing_proven(case: Case) -> str | None:
             f"{known}. The search ended because the {what} within the tolerance "
             f"(upper_bound={result.upper_bound:.3g}, gap_tol={result.gap_tol:.3g}). Omit abs_gap and tol"
         )
+    if result.reason == "proof not expected within the limit":
+        return f"{known}, and no proof is expected in time. Set prove=True (--prove) to search on"
     return (
         f"{known}. Allow more time, use fewer points, or choose a mode that closes the gap (see the page "
         "Modes of the manual)"

@@ -252,6 +252,19 @@ class Result:
         return self.is_exact or (self.lower_bound > 0.0 and self.gap <= self.gap_tol)
 
     @property
+    def reason(self) -> str:
+        """Why the status is ``converged``; empty for another status."""
+        if self.status is not Status.CONVERGED:
+            return ""
+        if self.gap_closed:
+            return "a later stage is not certified"
+        if self.gap <= self.gap_tol:
+            return "fits within the tolerance"
+        search = next((stage for stage in self.stages if stage.status is not None), None)
+        gave_up = search is not None and search.status is Status.CONVERGED
+        return "proof not expected within the limit" if gave_up else "method's own end"
+
+    @property
     def n_bounded(self) -> int:
         """Number of pairs that the bounds refer to: `n_inliers` of the clouds or of the sample."""
         return self.n_inliers if self.downsampled is None else self.downsampled.n_inliers
@@ -294,7 +307,8 @@ class Result:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; an infinite bound becomes None. The manual lists all keys."""
         names = (
-            "status", "T_target_source", "T_certified", "scale", "model", "n_inliers", "bound", "mode",
+            "status", "reason", "T_target_source", "T_certified", "scale", "model", "n_inliers",
+            "bound", "mode",
             "lower_bound", "upper_bound", "gap", "gap_tol", "bound_ratio", "is_exact", "objective",
             "objective_certified", "n_nodes", "n_assignments", "time_setup_s", "time_solve_s",
             "certificate_scope", "rmse_matched", "assignment",
@@ -388,10 +402,8 @@ class Result:
             return (
                 f"{status.value}: best pose so far{later if self.gap_closed else ', not certified'}"
             )
-        if self.gap_closed:
-            return f"converged: certified for the {scope}, but not in a later stage"
-        what = "fits within the tolerance" if self.gap <= self.gap_tol else "the method finished"
-        return f"converged: {what}; not certified"
+        certified = f"certified for the {scope}" if self.gap_closed else "not certified"
+        return f"converged: {self.reason}; {certified}"
 
     def _proven_share(self) -> str:
         """Return what the lower bound proves, in words."""

@@ -233,6 +233,8 @@ class Search:
         Number of threads. They change the result only if the time limit ends the search.
     polish : switch
         Refine pose and pairs jointly after the certified search.
+    prove : switch
+        Search to the time limit even if no proof is expected within it.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.
@@ -252,11 +254,12 @@ class Search:
     memory_limit_mb: float | None = None
     threads: int = 1
     polish: bool = True
+    prove: bool = False
     downsample: int | None = None
 
     def settings(self, n_source: int) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return the keywords of the library's functions and those of `dcreg.SolveOptions`."""
-        names = ("mode", "bound", "start_box", "threads", "polish", "downsample")
+        names = ("mode", "bound", "start_box", "threads", "polish", "prove", "downsample")
         options = {name: getattr(self, name) for name in names}
         keywords = {name: value for name, value in vars(self).items() if name not in names}
         path = keywords.pop("candidates_path")

@@ -35,6 +35,8 @@ class NormalisedProblem:
     budget : Budget
     keep_leaves : bool
         Keep the leaf boxes of the certified search.
+    patience_s : float, optional
+        Seconds that a proof may take, if independent starts agree; None: to the limit.
     """
 
     source: np.ndarray
@@ -49,6 +51,7 @@ class NormalisedProblem:
     threads: int
     budget: Budget
     keep_leaves: bool = False
+    patience_s: float | None = None
 
     @property
     def dim(self) -> int:

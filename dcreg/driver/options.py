@@ -44,7 +44,12 @@ class SolveOptions:
         outlier removal, and refine the pose on all points. An integer `n_inliers` refers to the full
         clouds and is scaled down with them. By default, all points are searched, except for large clouds
         if neither mode, bound, certificate nor candidates are given: 300 points in 2D above 1,000,000
-        point pairs, and 1,000 points in 3D above 4,000,000 point pairs unless all points match.
+        point pairs, and 400 points in 3D above 1,000,000 point pairs unless all points match.
+    prove : bool
+        Search to the time limit for a proof. By default, a search in mode ``full`` ends with status
+        ``converged`` if independent initial poses agree, all others are clearly worse, and the proof is
+        not expected within the time limit, or, for a sample, within a second. Searches with a limit on
+        boxes or assignments and sweeps always go on.
     assignment_limit : int, optional
         Maximum number of exact assignments of each search after the initial poses. In contrast to a time
         limit it gives the same result on every machine.
@@ -67,6 +72,7 @@ class SolveOptions:
     polish: bool = True
     certificate: bool = False
     downsample: int | None = None
+    prove: bool = False
     assignment_limit: int | None = None
     listener: Listener | None = None
 
@@ -81,7 +87,7 @@ class SolveOptions:
                 f"threads: {self.threads} threads are too many; give at most {MAX_THREADS}"
             )
         check_positive("assignment_limit", self.assignment_limit, such_as=100_000)
-        for name in ("polish", "certificate"):
+        for name in ("polish", "certificate", "prove"):
             if not isinstance(value := getattr(self, name), bool | np.bool_):
                 raise InputError(f"{name}: {value!r} is not a bool; give True or False")
         if not (self.listener is None or callable(self.listener)):

@@ -27,6 +27,7 @@ from dcreg.result import Result, Stage
 from dcreg.search import Budget, Listener, Trace
 
 _LOGGER = logging.getLogger("dcreg")
+SAMPLE_PATIENCE_S = 1.0  # for a proof about a sample
 
 
 def register_problem(
@@ -122,6 +123,12 @@ class Setup:
             self.options, in_input_units(self.options.listener, self.frame.area)
         )
 
+    def _patience_s(self) -> float | None:
+        """Return how long a proof may take; about a sample it says little about all points."""
+        if self.options.prove:
+            return None
+        return SAMPLE_PATIENCE_S if self.is_sampled else np.inf
+
     def normalised(self, at: int, budget: Budget) -> NormalisedProblem:
         """Return the problem that is searched for ``problems[at]``."""
         problem, mode, options, frame = self.searched[at], self.mode, self.options, self.frame
@@ -132,6 +139,7 @@ class Setup:
             frame.source(source), frame.target(target), k, problem.scale_range, problem.candidates,
             frame, options.bound or mode.own_bound, options.start_box == START_BOXES[0],
             tolerance.scaled(1.0 / frame.area), options.threads, budget, options.certificate,
+            self._patience_s(),
         )  # fmt: skip
 
 

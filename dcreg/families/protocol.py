@@ -53,6 +53,8 @@ class Space(abc.ABC):
         Relative decrease of the objective below which a local search ends.
     ends : sequence of (theta, value)
         Where the local searches of the last `start` ended.
+    is_confirmed : bool
+        Whether independent starts of the last `start` agreed on the best parameter.
     """
 
     axis_weights: np.ndarray
@@ -61,6 +63,7 @@ class Space(abc.ABC):
     n_descents: int
     min_gain: float
     ends: Sequence[tuple[np.ndarray, float]] = ()
+    is_confirmed = False
 
     def __init__(
         self,

@@ -82,6 +82,10 @@ class Frame:
 _LOOKED_AT = 5000  # points, for the median distance to the next one
 _NEIGHBOURS = 3
 _ISOLATED = 6.0  # times the median distance to the third neighbour
+# Clutter has few points around it, and they fill a volume; those of a thin part of a surface do not.
+_AROUND = 12  # neighbours that show a volume
+_SPARSE = 2.0  # times the median distance to the eighth neighbour
+_VOLUME = 0.08  # least ratio of the smallest to the largest variance of the neighbours
 
 
 def median_spacing(points: np.ndarray, max_queries: int = _LOOKED_AT) -> float:
@@ -131,8 +135,9 @@ def farthest_point_order(points: np.ndarray, count: int, first: int) -> np.ndarr
 
 
 def isolated(points: np.ndarray) -> np.ndarray:
-    """Return a mask of the outliers, points far from all others; always fewer than half of the points.
+    """Return a mask of the outliers; always fewer than half of the points.
 
+    They are far from all others, or have few points around them, which fill a volume: clutter.
     Farthest-point sampling would select them first.
 
     Parameters
@@ -145,9 +150,20 @@ def isolated(points: np.ndarray) -> np.ndarray:
     """
     if len(points) <= _NEIGHBOURS:
         return np.zeros(len(points), dtype=bool)
-    reach = cKDTree(points).query(points, k=_NEIGHBOURS + 1)[0][:, -1]
-    usual = np.median(reach)
-    return np.asarray((reach > _ISOLATED * usual) & (usual > 0.0))
+    count = min(_AROUND, len(points) - 1)
+    reach, nearest = cKDTree(points).query(points, k=count + 1)
+    usual = np.median(reach[:, _NEIGHBOURS])
+    far = np.asarray((reach[:, _NEIGHBOURS] > _ISOLATED * usual) & (usual > 0.0))
+    if count < _AROUND:
+        return far
+    eighth, usual = reach[:, 8], np.median(reach[:, 8])
+    sparse = np.flatnonzero((eighth > _SPARSE * usual) & (usual > 0.0))
+    around = points[nearest[sparse]]
+    around -= around.mean(axis=1, keepdims=True)
+    variances = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", around, around))
+    clutter = far.copy()
+    clutter[sparse] |= variances[:, 0] > _VOLUME * variances[:, -1]
+    return clutter if 2 * clutter.sum() < len(points) else far
 
 
 def representative_points(points: np.ndarray, count: int) -> np.ndarray:

@@ -16,6 +16,7 @@ import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Evaluation, Leaves, LongestEdge, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted, Tolerance
+from dcreg.search.prospect import Prospect
 from dcreg.status import Status
 
 
@@ -81,6 +82,7 @@ def branch_and_bound(
     start: Sequence[Any] | None = None,
     stage: str = "search",
     keep_leaves: bool = False,
+    patience_s: float | None = None,
 ) -> Outcome:
     """Minimise a function over boxes to within a tolerance, by Algorithm 1 of DC-Reg.
 
@@ -104,6 +106,9 @@ def branch_and_bound(
         Name of this search in its events.
     keep_leaves : bool
         Keep the leaf boxes with their bounds, for a certificate.
+    patience_s : float, optional
+        End with status ``converged`` if the proof is expected to take longer (inf: than the budget), see
+        `dcreg.search.prospect`; default: search on.
 
     Returns
     -------
@@ -112,7 +117,9 @@ def branch_and_bound(
     """
     began = budget.elapsed()
     first = Start(bound.roots[0].centre) if start is None else Start(*start)
-    search = _Search(bound, budget, tolerance, stage, Leaves() if keep_leaves else None, first)
+    prospect = Prospect(bound, branching, budget, patience_s)
+    leaves = Leaves() if keep_leaves else None
+    search = _Search(bound, budget, tolerance, stage, leaves, first, prospect)
     boxes = Boxes.of(bound.roots)  # sums of squares have the bound 0
     while search.status is None:
         try:
@@ -123,6 +130,8 @@ def branch_and_bound(
         search.update_incumbent(found, refine)
         search.prune(boxes, found)
         search.terminate()
+        if search.status is None:
+            search.give_up()
         if search.status is None:
             boxes = branching(search.select())
     return search.outcome(first.time_s + budget.elapsed() - began)
@@ -138,6 +147,7 @@ class _Search:
     stage: str
     leaves: Leaves | None
     start: Start
+    prospect: Prospect
     n_nodes: int = 0
     n_refining: int = 0
     pruned_bound: float = np.inf  # minimum over the pruned boxes: part of the certificate
@@ -161,7 +171,7 @@ class _Search:
 
     @property
     def n_assignments(self) -> int:
-        return self.bound.n_assignments + self.n_refining
+        return self.bound.n_assignments + self.n_refining - self.prospect.n_assignments
 
     def update_incumbent(self, found: Evaluation, refine: Refine | None) -> None:
         """Update the incumbent by the best candidate of the round and a local search from it."""
@@ -217,6 +227,12 @@ class _Search:
             self.status = Status.STOPPED
             self._report("end")
 
+    def give_up(self) -> None:
+        """End the search if its proof is not expected in time."""
+        if self.prospect.is_poor(self.n_nodes, self.cutoff):
+            self.status = Status.CONVERGED
+            self._report("end")
+
     def select(self) -> Boxes:
         """Return the best open boxes, which are divided next."""
         count = min(self.bound.round_size, max(MIN_ROUND, len(self.nodes) // 4))
@@ -264,6 +280,7 @@ class Searchable(Protocol):
     """What a search needs from a parameter space."""
 
     axis_weights: np.ndarray
+    is_confirmed: bool  # whether independent starts agree on the first incumbent
 
     def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
         """Return a first incumbent: theta, objective, assignments spent; `enough` is good enough."""
@@ -281,6 +298,7 @@ def minimise(
     *,
     tolerance: Tolerance,
     start: Sequence[Any] | None = None,
+    patience_s: float | None = None,
     **settings: Any,
 ) -> Outcome:
     """Minimise the objective of a space over the roots of `bound`, to within a tolerance.
@@ -295,6 +313,8 @@ def minimise(
         In the units of the objective.
     start : (theta, value), optional
         A known parameter and its objective; default: the result of ``space.start``.
+    patience_s : float, optional
+        As in `branch_and_bound`, but only if independent starts agree on the first incumbent.
     **settings
         ``stage`` and ``keep_leaves`` of `branch_and_bound`.
 
@@ -314,5 +334,6 @@ def minimise(
         tolerance=tolerance,
         refine=space.refine,
         start=start,
+        patience_s=patience_s if space.is_confirmed else None,
         **settings,
     )

@@ -222,6 +222,7 @@ class Budget:
             self  # the budget that all parts derive from; it knows if the caller asked to stop
         )
         self._stopped = False
+        self._reports = True
         self._stage = "start"
         self._event = Event("heartbeat", "start", 0.0, 0, 0, 0, 0.0, np.inf)
         self._lock = threading.RLock()
@@ -324,8 +325,16 @@ class Budget:
         part._stage = stage
         return part
 
+    def silent(self) -> Budget:
+        """Return the same budget without reports of incumbents, for a search over other points."""
+        part = self.sub_budget(1.0)
+        part._reports = False
+        return part
+
     def report_incumbent(self, value: float) -> None:
         """Report the objective of a better pose found outside a search."""
+        if not self._reports:
+            return
         self.report(Event("bound", self._stage, self.elapsed(), 0, 0, 0, 0.0, value))
 
     def report(self, event: Event) -> None:

@@ -18,7 +18,7 @@ rotation is searched.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,17 +26,30 @@ import numpy as np
 from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.families.protocol import means_of_subsets, radius
 from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
-from dcreg.families.rigid3d.starts import SCALES, best_descents, congruent_poses, rounds_for
+from dcreg.families.rigid3d.starts import (
+    ENOUGH,
+    FAILURE,
+    SCALES,
+    SEPARATION,
+    best_descents,
+    congruent_poses,
+    is_confirmed,
+    rounds_for,
+)
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
+from dcreg.families.starts import distinct
 from dcreg.names import RIGID_POSE
-from dcreg.problem.geometry import apply_pose
+from dcreg.problem.geometry import apply_pose, representative_points
 from dcreg.search import Box, Budget
 
 _SCORED_PAIRS = 100_000_000  # pairs evaluated to score the seeds
 _ROUNDING = 1e-12
 _CONGRUENT_SHARE = 0.5  # maximum share of the time for the poses of congruent triples
 DENSE_DESCENTS = 40_000  # pairs beyond which local searches begin with nearest neighbours
+COARSE_PAIRS = 200_000  # beyond which the first local searches are on few points
+COARSE_POINTS = 300  # of each cloud
+MAX_FINE = 5  # poses of the few points that are refined on all
 
 
 def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> float:
@@ -138,29 +151,67 @@ class Rigid3D(CloudSpace):
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
         """Yield poses of congruent triples, then those of a regular grid.
 
-        If all points match, it yields only the grid: the centroids then match too, and only rotations
-        remain.
+        They end when independent triples agree on the best pose (`is_confirmed`). Large clouds start from
+        the poses that few of their points give. If all points match, there is only the grid: the
+        centroids then match too, and only rotations remain.
         """
         box = self.translations()
-        if (box.lower < box.upper).any():
-            for theta in self._congruent(budget.sub_budget(_CONGRUENT_SHARE)):
-                yield theta, 0
-        yield from super().starts(budget)
-
-    def _congruent(self, budget: Budget) -> Iterator[np.ndarray]:
-        """Yield the parameters of poses of congruent triples, scale by scale."""
-        source, target = self.clouds.source.T, self.clouds.target.T
-        for seed in range(rounds_for(self.n_source, self.n_inliers)):
-            for scale in SCALES:
-                if budget.is_over:
+        if (box.lower == box.upper).all():
+            yield from super().starts(budget)
+        elif self.n_pairs > COARSE_PAIRS and self.candidates is None:
+            yield from self._coarse_starts(budget)
+        else:
+            rounds: list[Sequence[tuple[np.ndarray, float]]] = []
+            starting = budget.sub_budget(_CONGRUENT_SHARE)
+            enough, most = (
+                rounds_for(self.n_source, self.n_inliers, failure) for failure in (ENOUGH, FAILURE)
+            )
+            for seed in range(len(SCALES) * most):
+                known = len(self.ends)
+                for theta in self._congruent(seed, starting):
+                    yield theta, 0
+                rounds.append([(self._vertices(theta), v) for theta, v in self.ends[known:]])
+                self.is_confirmed = len(rounds) >= enough and is_confirmed(rounds)
+                if self.is_confirmed:
                     return
-                poses = congruent_poses(
-                    source, target, self.n_inliers, scale, self.candidates, seed=seed,
-                    stop=self.stop_flag,
-                )  # fmt: skip
-                if self.n_pairs > DENSE_DESCENTS:
-                    poses = best_descents(poses, source, target, self.n_inliers)
-                yield from map(self._parameter, poses)
+            yield from super().starts(budget)
+
+    def _coarse_starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
+        """Yield the best distinct poses of the local searches on a sample of both clouds."""
+        clouds = [points.T for points in (self.clouds.source, self.clouds.target)]
+        some = [points[representative_points(points, COARSE_POINTS)] for points in clouds]
+        share = min(map(len, some)) / min(map(len, clouds))
+        k = max(1, round(share * self.n_inliers))
+        coarse = Rigid3D(some[0], some[1], k, None, self.stop_flag, self.stationary_box)
+        _, _, spent = coarse.start(budget.silent())
+        self.is_confirmed = coarse.is_confirmed
+        if not coarse.ends:
+            return
+        values = np.array([value for _, value in coarse.ends])
+        vertices = np.array([self._vertices(theta) for theta, _ in coarse.ends])
+        count = 1 if self.is_confirmed else MAX_FINE
+        for at in distinct(vertices, values.min() / values, SEPARATION, count):
+            yield coarse.ends[at][0], spent
+            spent = 0
+
+    def _congruent(self, seed: int, budget: Budget) -> Iterator[np.ndarray]:
+        """Yield the parameters of poses of a round of congruent triples; scales take turns."""
+        if budget.is_over:
+            return
+        source, target = self.clouds.source.T, self.clouds.target.T
+        poses = congruent_poses(
+            source, target, SCALES[seed % len(SCALES)], self.candidates, seed=seed,
+            stop=self.stop_flag,
+        )  # fmt: skip
+        if self.n_pairs > DENSE_DESCENTS:
+            poses = best_descents(poses, source, target, self.n_inliers)
+        yield from map(self._parameter, poses)
+
+    @staticmethod
+    def _vertices(theta: np.ndarray) -> np.ndarray:
+        """Return the (12,) coordinates of the moved vertices of a unit tetrahedron."""
+        R, t = rotation_matrix(np.asarray(theta[:4], dtype=np.float64)), theta[4:]
+        return np.concatenate([t, *(R.T + t)])
 
     def seeds(self) -> np.ndarray:
         """Return regular poses, as many as can be scored quickly; always with t at the box centre."""

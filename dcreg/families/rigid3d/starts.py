@@ -9,10 +9,13 @@ Mitra and Cohen-Or 2008); the details are this project's.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from dcreg.assignment.descent import follow_nearest
 from dcreg.families.rigid3d.kernels import congruent as kernels
@@ -24,13 +27,18 @@ MAX_TARGETS = 300  # target points that form triples
 MAX_LOOKED = 150  # source points used for the score
 # Accepted probability that no triple consists of true pairs; congruent clutter hides some.
 FAILURE = 1e-9
-MIN_TRIPLES, MAX_TRIPLES = 60, 200  # a round
-MAX_ROUNDS = 8
+ENOUGH = 1e-3  # ... before rounds that agree end the starts
+N_TRIPLES = 60  # a round
+MAX_ROUNDS = 80
 MAX_SAMPLE = 300  # source points that follow their nearest neighbours
 SHORTEST = 0.6  # side of a source triple, in RMS radii; short sides determine a rotation badly
 KEPT_PER_TRIPLE = 6
 MAX_POSES = 30  # returned by a round
 MAX_CELLS = 256  # of the nearness field along the longest side: about 150 MB
+AGREEING = 2  # rounds that must find the best pose
+ALIKE = 1.1  # ratio of objectives up to which two ends near each other count as one pose
+CLEARLY_WORSE = 1.25  # ratio of objectives from which another pose is no alternative
+APART = 0.5  # displacement of the same vertices from which two poses are alternatives
 SEPARATION = 0.15  # poses that move the vertices of a unit tetrahedron by less count as one
 
 
@@ -57,7 +65,6 @@ SCALES = (Scale(0.04, 0.06), Scale(0.06, 0.1), Scale(0.09, 0.2))
 def congruent_poses(
     source: np.ndarray,
     target: np.ndarray,
-    n_inliers: int,
     scale: Scale,
     candidates: np.ndarray | None = None,
     *,
@@ -69,7 +76,6 @@ def congruent_poses(
     Parameters
     ----------
     source, target : (n, 3), (m, 3) arrays
-    n_inliers : int
     scale : Scale
     candidates : (n, m) bool array, optional
         The feasible pairs.
@@ -87,7 +93,7 @@ def congruent_poses(
         return np.empty((0, 4, 4))
     rng = np.random.default_rng(seed)
     x, y = np.ascontiguousarray(source / unit), np.ascontiguousarray(target / unit)
-    triples = _long_triples(x, n_inliers, rng)
+    triples = _long_triples(x, rng)
     columns = np.sort(rng.permutation(len(y))[:MAX_TARGETS])
     feasible = np.empty((0, 0), np.bool_)
     if candidates is not None:
@@ -97,7 +103,9 @@ def congruent_poses(
     poses = np.zeros((len(triples), KEPT_PER_TRIPLE, 3, 4))
     scores = np.zeros((len(triples), KEPT_PER_TRIPLE))
     some = y[columns]
-    first, second, lengths = _pairs_by_length(some)
+    first, second, lengths, distances = _pairs_by_length(some)
+    order = np.argsort(distances, axis=1, kind="stable")
+    ascending = np.take_along_axis(distances, order, axis=1)
     sides = _sides(x, triples)
     # with a shorter side nearly every target triple would be congruent
     telling = sides.min(axis=1) > 2.0 * scale.tolerance
@@ -106,7 +114,8 @@ def congruent_poses(
         np.searchsorted(lengths, sides[:, 0] + by) for by in (-scale.tolerance, scale.tolerance)
     ]
     kernels.triple_poses(
-        triples, np.column_stack([sides[:, 1:], *ends]), (x, some), feasible, (first, second),
+        triples, np.column_stack([sides[:, 1:], *ends]), (x, some), feasible,
+        (first, second, distances, order, ascending),
         (scale.tolerance, looked, field, stop), poses, scores,
     )  # fmt: skip
     found = _distinct(poses.reshape(-1, 3, 4), scores.ravel(), MAX_POSES)
@@ -114,14 +123,46 @@ def congruent_poses(
     return found
 
 
-def rounds_for(n_source: int, n_inliers: int) -> int:
-    """Return the number of rounds of triples after which one of true pairs is among them."""
-    return int(np.clip(np.ceil(_triples_needed(n_source, n_inliers) / MAX_TRIPLES), 1, MAX_ROUNDS))
+def rounds_for(n_source: int, n_inliers: int, failure: float) -> int:
+    """Return the number of rounds after which one had a triple of true pairs, but for this probability.
 
-
-def _triples_needed(n_source: int, n_inliers: int) -> float:
+    At least `AGREEING`, so that they can agree, and at most `MAX_ROUNDS`.
+    """
     share = (n_inliers / n_source) ** 3
-    return float(np.log(FAILURE) / np.log1p(-share)) if share < 1.0 else 0.0
+    needed = np.log(failure) / np.log1p(-share) / N_TRIPLES if share < 1.0 else 0.0
+    return int(np.clip(np.ceil(needed), AGREEING, MAX_ROUNDS))
+
+
+def is_confirmed(rounds: Sequence[Sequence[tuple[np.ndarray, float]]]) -> bool:
+    """Tell whether independent rounds agree on the best pose, and no other pose is an alternative.
+
+    Near the best pose there are often others that are almost as good, because the clouds slide along each
+    other. They count as one alternative; the fit of all points chooses among them.
+
+    Parameters
+    ----------
+    rounds : sequence of sequences of ((12,) array, float)
+        For each round, where its local searches ended: the coordinates of the moved vertices of a unit
+        tetrahedron, and the objective.
+    """
+    ends = [end for each in rounds for end in each]
+    if len(rounds) < AGREEING or not ends:
+        return False
+    best, value = min(ends, key=itemgetter(1))
+
+    def displacement(vertices: np.ndarray) -> float:
+        return float(np.abs(vertices - best).max())
+
+    agreeing = sum(
+        any(
+            displacement(vertices) <= SEPARATION and other <= ALIKE * value
+            for vertices, other in each
+        )
+        for each in rounds
+    )
+    others = (other for vertices, other in ends if displacement(vertices) > APART)
+    runner_up = min(others, default=np.inf)
+    return agreeing >= AGREEING and runner_up >= CLEARLY_WORSE * value
 
 
 def best_descents(
@@ -146,16 +187,14 @@ def best_descents(
     return np.array([T for T, _ in ends[:count]]).reshape(-1, 4, 4)
 
 
-def _long_triples(points: np.ndarray, n_inliers: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw random triples with long sides, enough for one of true pairs."""
-    needed = _triples_needed(len(points), n_inliers)
-    count = int(np.clip(needed, MIN_TRIPLES, MAX_TRIPLES))
-    drawn = rng.integers(len(points), size=(20 * count, 3))
+def _long_triples(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw random triples with long sides."""
+    drawn = rng.integers(len(points), size=(20 * N_TRIPLES, 3))
     shortest = _sides(points, drawn).min(axis=1)
     long = np.flatnonzero(shortest >= SHORTEST)
-    if len(long) < count:  # a small or flat cloud: take the longest sides
+    if len(long) < N_TRIPLES:  # a small or flat cloud: take the longest sides
         long = np.argsort(-shortest, kind="stable")
-    return drawn[long[:count]]
+    return drawn[long[:N_TRIPLES]]
 
 
 def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
@@ -167,12 +206,13 @@ def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
     )
 
 
-def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the first and second points of all ordered pairs, and their distances, ascending."""
+def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return first and second points of all ordered pairs by length, the lengths, and all distances."""
+    distances = cdist(points, points)
     first, second = np.nonzero(~np.eye(len(points), dtype=bool))
-    lengths = np.linalg.norm(points[first] - points[second], axis=1)
+    lengths = distances[first, second]
     order = np.argsort(lengths, kind="stable")
-    return first[order], second[order], lengths[order]
+    return first[order], second[order], lengths[order], distances
 
 
 def _distinct(poses: np.ndarray, scores: np.ndarray, count: int) -> np.ndarray:

@@ -44,11 +44,16 @@ def frame(p, q, r, out):
 
 
 @jit
-def _in_shell(points, i, k, low, high):
-    """Whether the squared distance of two points lies between `low` and `high`."""
-    a, b, c = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
-    d = a * a + b * b + c * c
-    return low <= d <= high
+def _first_at_least(values, least):
+    """Return the index of the first of ascending values that is at least `least`."""
+    low, high = 0, values.size
+    while low < high:
+        middle = (low + high) // 2
+        if values[middle] < least:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 @jit
@@ -64,8 +69,9 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
     clouds : (source, target), (n, 3) and (m, 3) arrays
     feasible : (n, m) or (0, 0) bool array
         Feasible pairs; empty: all.
-    pairs : (first, second)
-        The ordered pairs of target points by length.
+    pairs : (first, second, distances, order, ascending)
+        The ordered pairs of target points by length. Then the (m, m) distances of target points, and for
+        every point the others by distance, and these distances.
     search : (tolerance, looked, field, stop)
         Tolerance of a distance, the source points used for the score, the `NearnessField` of the
         target, and the stop flag.
@@ -78,7 +84,7 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
         Target triples tried.
     """
     source, target = clouds
-    first, second = pairs
+    first, second, distances, order, ascending = pairs
     tolerance, looked, field, stop = search
     F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     tried = 0
@@ -87,18 +93,19 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
         p, q, r = source[u], source[v], source[w]
         if not frame(p, q, r, F):
             continue
-        near_pr, far_pr = max(0.0, sides[at, 0] - tolerance) ** 2, (sides[at, 0] + tolerance) ** 2
-        near_qr, far_qr = max(0.0, sides[at, 1] - tolerance) ** 2, (sides[at, 1] + tolerance) ** 2
+        near_pr, far_pr = sides[at, 0] - tolerance, sides[at, 0] + tolerance
+        near_qr, far_qr = sides[at, 1] - tolerance, sides[at, 1] + tolerance
         for pair in range(int(sides[at, 2]), int(sides[at, 3])):
             if stop[0]:
                 return tried
             i, j = first[pair], second[pair]
             if feasible.size > 0 and not (feasible[u, i] and feasible[v, j]):
                 continue
-            for k in range(target.shape[0]):
-                if not _in_shell(target, i, k, near_pr, far_pr):
-                    continue
-                if not _in_shell(target, j, k, near_qr, far_qr) or k in (i, j):
+            for place in range(_first_at_least(ascending[i], near_pr), target.shape[0]):
+                if ascending[i, place] > far_pr:
+                    break
+                k = order[i, place]
+                if not near_qr <= distances[j, k] <= far_qr or k in (i, j):
                     continue
                 if feasible.size > 0 and not feasible[w, k]:
                     continue
