@@ -19,6 +19,9 @@ _MAX_LARGE_ROUNDS = 10
 # Relative decrease of the objective below which a descent ends.
 _MIN_GAIN, _MIN_GAIN_LARGE, _MIN_GAIN_NEAREST = 1e-12, 1e-4, 1e-3
 
+_FEW = 4000  # points of the source that follow their nearest neighbours first, of a large cloud
+_HUGE = 100_000  # points of both clouds, of which one matching takes seconds
+
 M = TypeVar("M")  # a matching, in whatever form
 
 
@@ -64,7 +67,10 @@ def alternate(
 
 
 def polish(
-    problem: Problem, T_target_source: np.ndarray, budget: Budget | None = None
+    problem: Problem,
+    T_target_source: np.ndarray,
+    budget: Budget | None = None,
+    known: tuple[float, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, float, np.ndarray, int]:
     """Alternate matching and least-squares pose from `T_target_source` until neither changes.
 
@@ -74,6 +80,8 @@ def polish(
     T_target_source : (d+1, d+1) array
     budget : Budget, optional
         No further step begins when it is over.
+    known : (objective, pairs), optional
+        Those of `T_target_source`.
 
     Returns
     -------
@@ -94,23 +102,41 @@ def polish(
         if budget.is_over:
             return None
         if large and T is T_target_source:  # nearest neighbours first, which take no matching
-            return follow_nearest(source, cKDTree(target), T, n_inliers, scale_range, budget)[0]
+            return _near_fit(source, target, T, n_inliers, scale_range, budget)
         return fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], scale_range)
 
-    value, pairs = evaluate(T_target_source)
+    value, pairs = known or evaluate(T_target_source)
     min_gain, max_rounds = (
         (_MIN_GAIN_LARGE, _MAX_LARGE_ROUNDS) if large else (_MIN_GAIN, _MAX_ROUNDS)
     )
+    is_huge = len(source) + len(target) > _HUGE
+    max_rounds = 1 if is_huge else max_rounds
     T, value, pairs, spent = alternate(
         T_target_source, value, pairs, fit, evaluate, min_gain, max_rounds
     )
-    spent += 1
-    if large and not budget.is_over:
+    spent += known is None
+    if large and not is_huge and not budget.is_over:
         proved_value, proved_pairs = objective(source, target, T, n_inliers, stop=budget.hard_stop)
         spent += 1
         if proved_value < value:
             value, pairs = proved_value, proved_pairs
     return T, value, pairs, spent
+
+
+def _near_fit(
+    source: np.ndarray,
+    target: np.ndarray,
+    T: np.ndarray,
+    k: int,
+    scale_range: tuple[float, float],
+    budget: Budget,
+) -> np.ndarray:
+    """Return the pose at which few points, and then all, stop following their nearest neighbours."""
+    tree = cKDTree(target)
+    few = source[:: -(-len(source) // _FEW)]
+    share = max(3, round(k * len(few) / len(source)))
+    T, _ = follow_nearest(few, tree, T, share, scale_range, budget)
+    return follow_nearest(source, tree, T, k, scale_range, budget)[0]
 
 
 def follow_nearest(

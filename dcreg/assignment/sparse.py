@@ -20,6 +20,7 @@ DENSE_PAIRS = 4_000_000
 _FIRST_NEIGHBOURS = 16
 # If no time is left: so few neighbours, at most by this share farther than the nearest ones.
 _GREEDY_NEIGHBOURS, _GREEDY_SLACK = 8, 0.5
+_MANY_QUERIES = 5000
 _LEFTOVER_ROUNDS = 8  # of pairing near points that are still unmatched
 _MAX_PRICES = 16
 _ROUGH = 1.02  # relative size of a matching that may be cut to k if no proof is requested
@@ -98,7 +99,9 @@ def _near(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return `count` near points of the tree for each row, nearest first, and their costs."""
     count, slack = (min(count, _GREEDY_NEIGHBOURS), _GREEDY_SLACK) if stop[0] else (count, 0.0)
-    distances, columns = tree.query(points, k=np.arange(1, count + 1), eps=slack)
+    distances, columns = tree.query(
+        points, k=np.arange(1, count + 1), eps=slack, workers=_workers(points)
+    )
     return columns.astype(np.int64), distances**2
 
 
@@ -237,11 +240,16 @@ def _left_over(col_of: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(col_of < 0), np.flatnonzero(free)
 
 
+def _workers(points: np.ndarray) -> int:
+    """Return the threads of a query of a tree: all processors if it takes long enough."""
+    return -1 if len(points) > _MANY_QUERIES else 1
+
+
 def nearest_pairs(points: np.ndarray, tree: cKDTree, k: int) -> tuple[np.ndarray, float]:
     """Return the k points nearest to the target with their neighbours, and the sum of squares.
 
     The pairs are not one-to-one.
     """
-    distances, columns = tree.query(points)
+    distances, columns = tree.query(points, workers=_workers(points))
     rows = np.sort(np.argsort(distances, kind="stable")[:k])
     return np.stack([rows, columns[rows]], axis=1), float((distances[rows] ** 2).sum())

@@ -148,10 +148,10 @@ def refine_poses(problem: Problem, poses: Sequence[Pose], budget: Budget) -> tup
     n_assignments : int
     """
     refined, spent = sorted(poses, key=_value), 0
-    for at, (value, T, _) in enumerate(refined):
+    for at, (value, T, known) in enumerate(refined):
         if budget.is_over or value > HOPELESS * min(map(_value, refined)):
             break
-        T, better, pairs, more = polish(problem, T, budget)
+        T, better, pairs, more = polish(problem, T, budget, (value, known))
         spent += more
         if better < value:
             refined[at] = better, T, pairs

@@ -12,7 +12,7 @@ from dcreg.search.budget import Budget, Interrupted
 
 _LOGGER = logging.getLogger("dcreg")
 
-ASKED_AFTER_S = 0.5  # of a search: most end before
+ASKED_AFTER_S = 0.25  # of a search: most end before
 HOPELESS = 3.0  # estimated times, in times left, from which a proof is not expected
 N_DESCENTS = 128
 _MAX_DEPTH = 80  # divisions; a descent that goes on so long contains the minimiser
