@@ -123,11 +123,10 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     space = space_of(mode, problem)
     bound = bound_of(mode, problem, space)
     budget = problem.budget
-    searching = budget if mode.rotation is None else budget.sub_budget(search_share(mode))
+    searching = budget.sub_budget(search_share(mode)).with_patience(problem.patience_s)
     found = minimise(
         space, bound, searching,
         tolerance=problem.tolerance, stage=mode.stage, keep_leaves=problem.keep_leaves,
-        patience_s=problem.patience_s,
     )  # fmt: skip
     solution = Solution(
         np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,

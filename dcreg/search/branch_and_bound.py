@@ -16,7 +16,7 @@ import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Evaluation, Leaves, LongestEdge, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted, Tolerance
-from dcreg.search.prospect import Prospect
+from dcreg.search.prospect import ASKED_AFTER_S, Prospect
 from dcreg.status import Status
 
 
@@ -54,6 +54,7 @@ class Outcome:
 # this factor for every round since. Local searches are frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
 
+UNSURE = 5.0  # factor of the patience if independent starts do not agree
 _GRID = 1e-6  # step of rounded values, as a share of the allowed gap
 MIN_ROUND = 16  # minimum number of boxes divided in a round, if the bound allows it
 
@@ -82,7 +83,6 @@ def branch_and_bound(
     start: Sequence[Any] | None = None,
     stage: str = "search",
     keep_leaves: bool = False,
-    patience_s: float | None = None,
 ) -> Outcome:
     """Minimise a function over boxes to within a tolerance, by Algorithm 1 of DC-Reg.
 
@@ -93,7 +93,8 @@ def branch_and_bound(
         boxes, at most ``bound.round_size``, so that the search stays close to best-first while few boxes
         are open.
     budget : Budget
-        Its listener receives an event for every round; the search ends when the budget is spent.
+        Its listener receives an event for every round; the search ends when the budget is spent. With a
+        patience it ends as ``converged`` if the proof is expected to take longer.
     branching : callable
         From boxes to their children, which inherit bounds and warm starts.
     tolerance : Tolerance
@@ -106,9 +107,6 @@ def branch_and_bound(
         Name of this search in its events.
     keep_leaves : bool
         Keep the leaf boxes with their bounds, for a certificate.
-    patience_s : float, optional
-        End with status ``converged`` if the proof is expected to take longer (inf: than the budget), see
-        `dcreg.search.prospect`; default: search on.
 
     Returns
     -------
@@ -117,9 +115,8 @@ def branch_and_bound(
     """
     began = budget.elapsed()
     first = Start(bound.roots[0].centre) if start is None else Start(*start)
-    prospect = Prospect(bound, branching, budget, patience_s)
     leaves = Leaves() if keep_leaves else None
-    search = _Search(bound, budget, tolerance, stage, leaves, first, prospect)
+    search = _Search(bound, budget, branching, tolerance, stage, leaves, first, began)
     boxes = Boxes.of(bound.roots)  # sums of squares have the bound 0
     while search.status is None:
         try:
@@ -131,8 +128,6 @@ def branch_and_bound(
         search.prune(boxes, found)
         search.terminate()
         if search.status is None:
-            search.give_up()
-        if search.status is None:
             boxes = branching(search.select())
     return search.outcome(first.time_s + budget.elapsed() - began)
 
@@ -143,11 +138,13 @@ class _Search:
 
     bound: Bound
     budget: Budget
+    branching: Branching
     tolerance: Tolerance
     stage: str
     leaves: Leaves | None
     start: Start
-    prospect: Prospect
+    began: float
+    prospect: Prospect | None = None
     n_nodes: int = 0
     n_refining: int = 0
     pruned_bound: float = np.inf  # minimum over the pruned boxes: part of the certificate
@@ -171,7 +168,8 @@ class _Search:
 
     @property
     def n_assignments(self) -> int:
-        return self.bound.n_assignments + self.n_refining - self.prospect.n_assignments
+        asked = 0 if self.prospect is None else self.prospect.n_assignments
+        return self.bound.n_assignments + self.n_refining - asked
 
     def update_incumbent(self, found: Evaluation, refine: Refine | None) -> None:
         """Update the incumbent by the best candidate of the round and a local search from it."""
@@ -222,16 +220,21 @@ class _Search:
             self.status = budget.spent(
                 self.n_nodes, self.n_assignments + self.start.n_assignments, self.nodes.nbytes
             )
+        if self.status is None and self._has_no_prospect():
+            self.status = Status.CONVERGED
         self._report("bound" if self.status is None else "end")
         if budget.stopped and self.status is None:
             self.status = Status.STOPPED
             self._report("end")
 
-    def give_up(self) -> None:
-        """End the search if its proof is not expected in time."""
-        if self.prospect.is_poor(self.n_nodes, self.cutoff):
-            self.status = Status.CONVERGED
-            self._report("end")
+    def _has_no_prospect(self) -> bool:
+        """Tell whether no proof is expected within the patience, which few searches need to ask."""
+        spent = self.budget.elapsed() - self.began
+        if self.budget.patience_s is None or spent < ASKED_AFTER_S:
+            return False
+        if self.prospect is None:
+            self.prospect = Prospect.of(self.bound, self.branching, self.cutoff)
+        return self.prospect.is_poor(self.n_nodes, spent, self.budget)
 
     def select(self) -> Boxes:
         """Return the best open boxes, which are divided next."""
@@ -298,7 +301,6 @@ def minimise(
     *,
     tolerance: Tolerance,
     start: Sequence[Any] | None = None,
-    patience_s: float | None = None,
     **settings: Any,
 ) -> Outcome:
     """Minimise the objective of a space over the roots of `bound`, to within a tolerance.
@@ -309,12 +311,13 @@ def minimise(
         Provides the first incumbent, the local searches, and the weights for dividing boxes.
     bound : Bound
     budget : Budget
+        Its patience is for a first incumbent on which independent starts agree. If they do not, the
+        search may find a better one: a finite patience is then `UNSURE` times as long, and inf has no
+        effect.
     tolerance : Tolerance
         In the units of the objective.
     start : (theta, value), optional
         A known parameter and its objective; default: the result of ``space.start``.
-    patience_s : float, optional
-        As in `branch_and_bound`, but only if independent starts agree on the first incumbent.
     **settings
         ``stage`` and ``keep_leaves`` of `branch_and_bound`.
 
@@ -329,11 +332,15 @@ def minimise(
     branching = LongestEdge(space.axis_weights)
     return branch_and_bound(
         bound,
-        budget,
+        budget if space.is_confirmed else budget.with_patience(_unsure(budget.patience_s)),
         branching=branching,
         tolerance=tolerance,
         refine=space.refine,
         start=start,
-        patience_s=patience_s if space.is_confirmed else None,
         **settings,
     )
+
+
+def _unsure(patience_s: float | None) -> float | None:
+    """Return the patience for a search whose starts did not agree."""
+    return None if patience_s is None or patience_s == np.inf else UNSURE * patience_s

@@ -199,6 +199,9 @@ class Budget:
         The same for the steps that complete the result, which may take slightly longer.
     history : list of Event
         Events of all stages except heartbeats.
+    patience_s : float or None
+        Seconds that a search may take for a proof; inf: those of the budget; None: it goes on although
+        no proof is expected.
     """
 
     def __init__(
@@ -221,6 +224,7 @@ class Budget:
         self._root = (
             self  # the budget that all parts derive from; it knows if the caller asked to stop
         )
+        self.patience_s: float | None = None
         self._stopped = False
         self._reports = True
         self._stage = "start"
@@ -323,6 +327,12 @@ class Budget:
         """Return the same budget with another stage name for reported incumbents."""
         part = self.sub_budget(1.0)
         part._stage = stage
+        return part
+
+    def with_patience(self, patience_s: float | None) -> Budget:
+        """Return the same budget with another patience."""
+        part = self.sub_budget(1.0)
+        part.patience_s = patience_s
         return part
 
     def silent(self) -> Budget:

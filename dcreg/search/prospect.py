@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes
 from dcreg.search.budget import Budget, Interrupted
-
-_LOGGER = logging.getLogger("dcreg")
 
 ASKED_AFTER_S = 0.25  # of a search: most end before
 HOPELESS = 3.0  # estimated times, in times left, from which a proof is not expected
@@ -57,61 +55,38 @@ def expected_boxes(bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: fl
     return total / N_DESCENTS
 
 
+@dataclass(frozen=True)
 class Prospect:
-    """Whether a search is expected to end with a proof.
-
-    The number of boxes is estimated once, after `ASKED_AFTER_S`; the time for a box is that of the boxes
-    so far. A search with a limit on boxes or assignments always goes on, because its end must not depend
-    on the clock.
-
-    Parameters
-    ----------
-    bound : Bound
-    branching : callable
-    budget : Budget
-    patience_s : float, optional
-        Seconds that the search may take for a proof; inf: those of the budget; None: it always goes on.
+    """How many boxes a search is expected to bound until its proof.
 
     Attributes
     ----------
+    n_nodes : float
     n_assignments : int
         Solved for the estimate; they are not part of the search.
     """
 
-    n_assignments = 0
+    n_nodes: float
+    n_assignments: int
 
-    def __init__(
-        self,
-        bound: Bound,
-        branching: Callable[[Boxes], Boxes],
-        budget: Budget,
-        patience_s: float | None,
-    ) -> None:
-        is_counted = budget.nodes is not None or budget.assignments is not None
-        self._patience_s = None if is_counted else patience_s
-        self._bound, self._branching, self._budget = bound, branching, budget
-        self._began = budget.elapsed()
-        self._expected = 0.0  # boxes; 0: not estimated yet
+    @classmethod
+    def of(cls, bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: float) -> Prospect:
+        """Estimate by random descents; without time for them, no boxes are expected."""
+        before = bound.n_assignments
+        try:
+            expected = expected_boxes(bound, branching, cutoff)
+        except Interrupted:
+            expected = 0.0
+        return cls(expected, bound.n_assignments - before)
 
-    def is_poor(self, n_nodes: int, cutoff: float) -> bool:
-        """Tell whether a search that has bounded `n_nodes` boxes is not expected to end in time."""
-        spent = self._budget.elapsed() - self._began
-        if self._patience_s is None or spent < ASKED_AFTER_S:
+    def is_poor(self, n_nodes: int, spent_s: float, budget: Budget) -> bool:
+        """Tell whether the proof is not expected within the patience of the budget.
+
+        The time for a box is that of the boxes so far. A search with a limit on boxes or assignments
+        always goes on, because its end must not depend on the clock.
+        """
+        if budget.patience_s is None or budget.nodes is not None or budget.assignments is not None:
             return False
-        limit = self._budget.left()
-        left = min(self._patience_s - spent, np.inf if limit is None else limit)
-        if self._expected == 0.0:
-            try:
-                self._expected = self._estimate(cutoff)
-            except Interrupted:
-                return False
-            needed_s = self._expected * spent / n_nodes
-            if needed_s <= HOPELESS * left:
-                _LOGGER.info("proof expected after about %.2g s of search", needed_s)
-        return (self._expected - n_nodes) * spent / n_nodes > HOPELESS * left
-
-    def _estimate(self, cutoff: float) -> float:
-        before = self._bound.n_assignments
-        expected = expected_boxes(self._bound, self._branching, cutoff)
-        self.n_assignments = self._bound.n_assignments - before
-        return expected
+        left, patience = budget.left(), budget.patience_s - spent_s
+        left = patience if left is None else min(left, patience)
+        return (self.n_nodes - n_nodes) * spent_s / n_nodes > HOPELESS * left

@@ -7,7 +7,14 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from dcreg.families import starts
 from dcreg.families.rigid3d.space import Rigid3D
-from dcreg.families.rigid3d.starts import SCALES, best_descents, congruent_poses, rounds_for
+from dcreg.families.rigid3d.starts import (
+    AGREEING,
+    SCALES,
+    best_descents,
+    congruent_poses,
+    is_confirmed,
+    rounds_for,
+)
 from dcreg.search import Budget
 
 
@@ -32,7 +39,7 @@ def angle(T, truth):
 @pytest.mark.parametrize("seed", range(5))
 def test_some_pose_is_near_the_true_one(seed):
     source, target, truth = partial_overlap(seed)
-    poses = np.concatenate([congruent_poses(source, target, 30, scale) for scale in SCALES])
+    poses = np.concatenate([congruent_poses(source, target, scale) for scale in SCALES])
     assert all(np.linalg.det(T[:3, :3]) == pytest.approx(1.0) for T in poses)
     assert min(angle(T, truth) for T in poses) < 0.1
 
@@ -49,9 +56,9 @@ def test_only_feasible_triples_are_used():
     source, target, truth = partial_overlap(0)
     moved = source @ truth[:3, :3].T + truth[:3, 3]
     near = np.linalg.norm(moved[:, None] - target[None], axis=2) < 0.1
-    poses = congruent_poses(source, target, 30, SCALES[0], ~near)
+    poses = congruent_poses(source, target, SCALES[0], ~near)
     assert all(angle(T, truth) > 0.02 for T in poses)
-    poses = congruent_poses(source, target, 30, SCALES[1], near)
+    poses = congruent_poses(source, target, SCALES[1], near)
     assert angle(poses[0], truth) < 0.1
 
 
@@ -106,7 +113,7 @@ def test_triples_leave_half_of_the_time(monkeypatch):
     space = Rigid3D.between(source, target, 30)
     seen = []
     monkeypatch.setattr(
-        Rigid3D, "_congruent", lambda self, budget: seen.append(budget.left()) or iter(())
+        Rigid3D, "_congruent", lambda self, seed, budget: seen.append(budget.left()) or iter(())
     )
     with Budget(100.0) as budget:
         next(iter(space.starts(budget)))
@@ -114,13 +121,36 @@ def test_triples_leave_half_of_the_time(monkeypatch):
 
 
 def test_rounds_grow_with_the_outliers():
-    assert rounds_for(100, 100) == 1
-    assert rounds_for(100, 100) <= rounds_for(100, 50) < rounds_for(100, 30)
+    assert rounds_for(100, 100, 1e-9) == AGREEING
+    assert rounds_for(100, 100, 1e-9) <= rounds_for(100, 50, 1e-9) < rounds_for(100, 30, 1e-9)
+    assert rounds_for(100, 30, 1e-3) < rounds_for(100, 30, 1e-9)
+
+
+def _rounds(*rounds):
+    """Rounds whose ends are given as a shift of the tetrahedron and an objective."""
+    return [[(np.full(12, shift), value) for shift, value in each] for each in rounds]
+
+
+@pytest.mark.parametrize(
+    ("rounds", "confirmed"),
+    [
+        (_rounds([(0.0, 1.0)]), False),  # one round
+        (_rounds([(0.0, 1.0)], [(0.0, 1.05)]), True),
+        (_rounds([(0.0, 1.0)], [(0.0, 1.2)]), False),  # the second round found it less well
+        (_rounds([(0.0, 1.0)], [(2.0, 2.0)]), False),  # the second round did not find it
+        (_rounds([(0.0, 1.0), (2.0, 1.1)], [(0.0, 1.0)]), False),  # an alternative
+        (_rounds([(0.0, 1.0), (2.0, 1.5)], [(0.0, 1.0)]), True),
+        (_rounds([(0.0, 1.0), (0.3, 1.02)], [(0.0, 1.0)]), True),  # it slides
+        (_rounds([], []), False),
+    ],
+)
+def test_starts_are_confirmed_if_rounds_agree_and_no_other_pose_is_as_good(rounds, confirmed):
+    assert is_confirmed(rounds) == confirmed
 
 
 def test_starts_are_the_same_every_time():
     source, target, _ = partial_overlap(2)
-    first, second = (congruent_poses(source, target, 30, SCALES[0]) for _ in range(2))
+    first, second = (congruent_poses(source, target, SCALES[0]) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
@@ -135,5 +165,5 @@ def test_a_far_outlier_costs_no_memory(rng, monkeypatch):
     monkeypatch.setattr(starts, "fill_nearness", filled)
     points = rng.standard_normal((1000, 3))
     points[0] = 1e6
-    congruent_poses(points[:50], points, 40, SCALES[0])
+    congruent_poses(points[:50], points, SCALES[0])
     assert max(sizes) < 200e6

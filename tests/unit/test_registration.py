@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
+from dcreg.driver import modes
 from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE, choose_mode
 from dcreg.problem import Frame, Problem, apply_pose
 from dcreg.status import Status
@@ -274,6 +275,7 @@ def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit
         abs_gap=0.0,
         time_limit=2.0,
         downsample=60,
+        prove=True,
     )
     assert result.status is dcreg.Status.TIME_LIMIT
     last = result.stages[-1]
@@ -320,6 +322,7 @@ def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     """With all points the mode would be `paper`, whose norms mislead there."""
     monkeypatch.setitem(LARGE_PAIRS, 3, 900)
     monkeypatch.setitem(LARGE_SAMPLE, 3, 25)
+    monkeypatch.setattr(modes, "NORM_PAIRS", 900)
     generator = np.random.default_rng(0)
     source = generator.random((40, 3)) * [2.0, 1.0, 0.5]
     target = source[:, [1, 2, 0]] + 1.0

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.diagnostics import TOO_MANY_PAIRS
+from dcreg.driver import modes
 from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.problem import InputError, rms_radius
@@ -432,6 +433,7 @@ def test_warnings_are_given_before_the_search(caplog):
 def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     monkeypatch.setitem(LARGE_PAIRS, 3, 900)
     monkeypatch.setitem(LARGE_SAMPLE, 3, 25)
+    monkeypatch.setattr(modes, "NORM_PAIRS", 900)
     generator = np.random.default_rng(0)
     source = generator.random((40, 3)) * [2.0, 1.0, 0.5]
     target = source[:, [1, 2, 0]] + 1.0

@@ -207,7 +207,7 @@ def test_a_caller_can_stop_a_search_of_large_clouds(mode, size):
     result = register(*clouds, n_inliers=0.7, model="rigid3d", mode=mode, listener=clock)
     assert clock.since_first() <= 2.0
     assert result.status is Status.STOPPED
-    assert result.downsampled == ((1000, 1000, 700) if mode is None else None)
+    assert result.downsampled == ((400, 400, 280) if mode is None else None)
     assert len(result.assignment) == round(0.7 * size)
 
 
