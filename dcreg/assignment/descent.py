@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dcreg.assignment.objective import is_large, objective
-from dcreg.assignment.sparse import nearest_pairs
+from dcreg.assignment.sparse import nearest_pairs, tree_of
 from dcreg.problem import Problem
 from dcreg.problem.geometry import apply_pose, fit_pose
 from dcreg.search import Budget
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 _MAX_ROUNDS = 100
 _MAX_LARGE_ROUNDS = 10
@@ -132,7 +134,7 @@ def _near_fit(
     budget: Budget,
 ) -> np.ndarray:
     """Return the pose at which few points, and then all, stop following their nearest neighbours."""
-    tree = cKDTree(target)
+    tree = tree_of(target)
     few = source[:: -(-len(source) // _FEW)]
     share = max(3, round(k * len(few) / len(source)))
     T, _ = follow_nearest(few, tree, T, share, scale_range, budget)

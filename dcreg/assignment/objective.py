@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from dcreg.assignment import sparse
 from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.jit import NEVER
-from dcreg.problem import Problem
+from dcreg.problem import Problem, largest_matching
 from dcreg.problem.geometry import apply_pose
 
 # So few pairs are matched exactly in a quarter of a second, even after the time limit.
@@ -133,7 +131,7 @@ def match_at(
     if candidates is None:
         found = sparse.sparse_matching(moved, target, n_inliers, prove=False, stop=stop)
         return found.value, found.pairs, True
-    pairs = pairs_of(maximum_bipartite_matching(csr_array(candidates), perm_type="column"))
+    pairs = pairs_of(largest_matching(candidates))
     own = cost[pairs[:, 0], pairs[:, 1]]
     kept = np.sort(np.argsort(own, kind="stable")[:n_inliers])
     return float(own[kept].sum()), pairs[kept], True

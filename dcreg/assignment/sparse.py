@@ -7,13 +7,16 @@ pose, however, a point is matched with one of its neighbours.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dcreg.assignment.kernels.duals import assignment_duals
 from dcreg.assignment.kernels.sparse import greedy_matching, priced_matching
 from dcreg.jit import NEVER
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 # Maximum number of pairs in a dense matrix, and of neighbour pairs in a sparse one.
 DENSE_PAIRS = 4_000_000
@@ -74,7 +77,7 @@ def sparse_matching(
             found.value, pairs[np.argsort(pairs[:, 0])], found.exact, found.n_assignments
         )
     n, m = len(points), len(target)
-    tree = cKDTree(target)
+    tree = tree_of(target)
     neighbours, spent = min(_FIRST_NEIGHBOURS, m), 0
     best: Matching | None = None
     while True:
@@ -92,6 +95,13 @@ def sparse_matching(
         if exact or not prove or stop[0] or neighbours == m or 4 * neighbours * n > DENSE_PAIRS:
             return Matching(best.value, best.pairs, best.exact, spent)
         neighbours = min(4 * neighbours, m)
+
+
+def tree_of(points: np.ndarray) -> cKDTree:
+    """Return the search tree of the points. SciPy is loaded here: small problems do without it."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points)
 
 
 def _near(
@@ -217,7 +227,7 @@ def _completed(
             break
         rows, columns = _left_over(col_of, len(target))
         wanted = min(_FIRST_NEIGHBOURS, len(columns))
-        at, costs = _near(cKDTree(target[columns]), points[rows], wanted, stop)
+        at, costs = _near(tree_of(target[columns]), points[rows], wanted, stop)
         chosen = _greedy(at, costs, len(columns), missing)
         col_of[rows] = np.where(chosen >= 0, columns[chosen], -1)
     missing = k - int((col_of >= 0).sum())

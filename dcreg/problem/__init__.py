@@ -17,4 +17,4 @@ from dcreg.problem.geometry import (
     scale_of,
     unit_length,
 )
-from dcreg.problem.problem import Candidates, InputError, Problem, suggestion
+from dcreg.problem.problem import Candidates, InputError, Problem, largest_matching, suggestion

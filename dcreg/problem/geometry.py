@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dcreg.problem.problem import Problem
 
@@ -80,6 +79,7 @@ class Frame:
 
 
 _LOOKED_AT = 5000  # points, for the median distance to the next one
+_FEW_POINTS = 1000  # whose distances are compared one by one, without loading SciPy
 _NEIGHBOURS = 3
 _ISOLATED = 6.0  # times the median distance to the third neighbour
 # Clutter has few points around it, and they fill a volume; those of a thin part of a surface do not.
@@ -93,7 +93,19 @@ def median_spacing(points: np.ndarray, max_queries: int = _LOOKED_AT) -> float:
     if len(points) < 2:
         return 0.0
     some = points[:: -(-len(points) // max_queries)]
-    return float(np.median(cKDTree(points).query(some, k=2)[0][:, 1]))
+    return float(np.median(_second_nearest(points, some)))
+
+
+def _second_nearest(points: np.ndarray, some: np.ndarray) -> np.ndarray:
+    """Return the distance of each of `some` points to the second nearest point."""
+    if len(points) > _FEW_POINTS:
+        from scipy.spatial import cKDTree
+
+        return np.asarray(cKDTree(points).query(some, k=2)[0][:, 1])
+    squared = np.zeros((len(some), len(points)))
+    for axis in range(points.shape[1]):
+        squared += np.subtract.outer(some[:, axis], points[:, axis]) ** 2
+    return np.sqrt(np.partition(squared, 1, axis=1)[:, 1])
 
 
 def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
@@ -150,6 +162,8 @@ def isolated(points: np.ndarray) -> np.ndarray:
     """
     if len(points) <= _NEIGHBOURS:
         return np.zeros(len(points), dtype=bool)
+    from scipy.spatial import cKDTree
+
     count = min(_AROUND, len(points) - 1)
     reach, nearest = cKDTree(points).query(points, k=count + 1)
     usual = np.median(reach[:, _NEIGHBOURS])

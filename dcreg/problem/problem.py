@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from dcreg.names import MODEL_DIM
 
@@ -50,13 +48,23 @@ def check_candidates(candidates: Candidates, n: int, m: int, n_inliers: int) -> 
             )
     else:
         mask = _mask_of_lists(candidates, n, m)
-    most = int((maximum_bipartite_matching(csr_array(mask), perm_type="column") >= 0).sum())
+    most = int((largest_matching(mask) >= 0).sum())
     if most < n_inliers:
         raise InputError(
             f"candidates: at most {most} pairs can be matched one to one, fewer than n_inliers = "
             f"{n_inliers}; allow more pairs or lower n_inliers"
         )
     return None if mask.all() else mask
+
+
+def largest_matching(mask: np.ndarray) -> np.ndarray:
+    """Return the column matched to every row (-1: none) in a largest matching over feasible pairs."""
+    # loaded here: most problems have no infeasible pairs
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import maximum_bipartite_matching
+
+    matched: np.ndarray = maximum_bipartite_matching(csr_array(mask), perm_type="column")
+    return matched
 
 
 def _mask_of_lists(candidates: Candidates, n: int, m: int) -> np.ndarray:

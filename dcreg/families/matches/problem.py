@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 from dcreg.families.matches.kernels.lists import MatchList, scores
 from dcreg.problem import InputError, rounding_error
@@ -153,6 +151,9 @@ def _one_to_one(matches: MatchList, near: np.ndarray, square: np.ndarray) -> np.
     columns, column_of = np.unique(matches.columns[near], return_inverse=True)
     if len(rows) == len(near) and len(columns) == len(near):
         return np.arange(len(near))
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+
     n, m = len(rows), len(columns)
     price = matches.reach**2
     own = np.arange(n)  # a separate column for every row that stays unmatched

@@ -8,7 +8,6 @@ al. 2022). A pose is fitted to each set, and local searches start from the best 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dcreg.assignment.descent import alternate
 from dcreg.families.matches.kernels.compatible import closest_allies, compatible_matches
@@ -144,4 +143,6 @@ def is_near(a: np.ndarray, b: np.ndarray, reach: float) -> bool:
     """Tell whether two centred poses count as one."""
     if np.linalg.norm(a[:, 3] - b[:, 3]) >= MIN_SHIFT * reach:
         return False
+    from scipy.spatial.transform import Rotation
+
     return bool(Rotation.from_matrix(a[:, :3] @ b[:, :3].T).magnitude() < MIN_ROTATION)

@@ -8,7 +8,6 @@ have similar normals.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dcreg.families.matches.kernels.surfaces import (
     SurfaceGrid,
@@ -102,6 +101,8 @@ def _some(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def normals_of(points: np.ndarray, some: np.ndarray) -> np.ndarray:
     """Return unit normals, of either sign, at some of the points: of planes through neighbours."""
+    from scipy.spatial import cKDTree
+
     count = min(NEIGHBOURS, len(points))
     _, near = cKDTree(points).query(some, k=np.arange(1, count + 1))
     apart = points[near] - points[near].mean(axis=1, keepdims=True)

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from dcreg.assignment.descent import follow_nearest
 from dcreg.families.rigid3d.kernels import congruent as kernels
@@ -178,6 +176,8 @@ def best_descents(
     (P, 4, 4) array
         At most `count`, best first.
     """
+    from scipy.spatial import cKDTree
+
     rng = np.random.default_rng(0)
     sample = source[np.sort(rng.permutation(len(source))[:MAX_SAMPLE])]
     k = max(3, round(n_inliers * len(sample) / len(source)))
@@ -208,6 +208,8 @@ def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
 
 def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return first and second points of all ordered pairs by length, the lengths, and all distances."""
+    from scipy.spatial.distance import cdist
+
     distances = cdist(points, points)
     first, second = np.nonzero(~np.eye(len(points), dtype=bool))
     lengths = distances[first, second]

@@ -10,16 +10,20 @@ meet; otherwise it ends as ``converged``.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dcreg.assignment.descent import alternate
-from dcreg.assignment.sparse import nearest_pairs, sparse_matching
+from dcreg.assignment.sparse import nearest_pairs, sparse_matching, tree_of
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.translation3d.kernels.line import match_on_line
 from dcreg.search import Budget, Event, Outcome, Tolerance
 from dcreg.status import Status
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 _CELLS_PER_AXIS = 7  # of the quaternion cube: about 25 degrees
 _SAMPLE = 100
@@ -57,8 +61,8 @@ def search_sampled_rotation(
     """
     began = budget.elapsed()
     few, some = spread_rows(source_shifted, _SAMPLE), spread_rows(source_shifted, _DESCENT_SAMPLE)
-    tree = cKDTree(target)
-    sparse_tree = cKDTree(target[spread_rows(target, _SCORED_TARGETS)])
+    tree = tree_of(target)
+    sparse_tree = tree_of(target[spread_rows(target, _SCORED_TARGETS)])
     share = n_inliers / len(source_shifted)
     grid = Rotation3D.grid(_CELLS_PER_AXIS)
     scores = np.full(len(grid), np.inf)
@@ -144,5 +148,5 @@ def _two_sided(
     k_back = _part(share * len(source) / len(target), len(back))
     k = _part(share, len(sample))
     _, there = nearest_pairs(sample @ rotation.T, tree, k)
-    _, here = nearest_pairs(back, cKDTree(source @ rotation.T), k_back)
+    _, here = nearest_pairs(back, tree_of(source @ rotation.T), k_back)
     return max(there / k, here / k_back)
