@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import functools
 import inspect
-import platform
 from collections.abc import Callable
 from dataclasses import is_dataclass
 from functools import partial
-from importlib.metadata import version as package_version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_type_hints
 
@@ -291,6 +289,9 @@ def verify(*, certificate: Path, clouds: CloudFiles, quiet: Quiet = False) -> in
 @app.command()
 def version() -> None:
     """Print the versions of dcreg, Python, NumPy, SciPy and Numba."""
+    import platform
+    from importlib.metadata import version as package_version
+
     typer.echo(f"dcreg {dcreg.__version__}")
     packages = ("numpy", "scipy", "numba")
     listing = ", ".join(f"{name} {package_version(name)}" for name in packages)
