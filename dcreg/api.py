@@ -6,11 +6,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from dcreg.driver.matching import register_match_problem
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import register_problem
 from dcreg.driver.sweep import sweep_problems
-from dcreg.families.matches.problem import MatchProblem
 from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, SCORES
 from dcreg.problem import Candidates, InputError, Problem
 from dcreg.result import Result
@@ -255,6 +253,10 @@ def register_matches(
     >>> result.n_inliers, np.round(result.translation, 6).tolist()
     (20, [3.0, 3.0, 3.0])
     """
+    # the other functions do without these kernels
+    from dcreg.driver.matching import register_match_problem
+    from dcreg.families.matches.problem import MatchProblem
+
     problem = MatchProblem.checked(source, target, matches, inlier_distance)
     limits = Limits(rel_gap, abs_gap, None, time_limit, node_limit)
     return register_match_problem(problem, score, certify, limits, SolveOptions.of(options))

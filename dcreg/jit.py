@@ -48,25 +48,30 @@ _LLVM_LEVEL = 1
 _SETTINGS: Any = config  # of Numba, which sets them at run time
 # Importing `NEVER` compiles nothing: an edit of such a file leaves the compiled kernels valid.
 _IMPORTS_JIT = re.compile(
-    r"from dcreg\.jit import [^)]*?\bjit|import dcreg\.jit|from dcreg import jit"
+    rb"from dcreg\.jit import [^)]*?\bjit|import dcreg\.jit|from dcreg import jit"
 )
 
 
-def _kernels_in(package: Path) -> Iterator[Path]:
+def _kernels_in(package: Path) -> Iterator[tuple[Path, bytes]]:
     """Yield the files that compile functions, and those that their functions are made of."""
-    for path in package.rglob("*.py"):
-        text = path.read_text("utf-8")
-        if "kernels" in path.with_suffix("").parts or _IMPORTS_JIT.search(text):
-            yield path
+    for folder, subfolders, names in os.walk(package):
+        if "__pycache__" in subfolders:
+            subfolders.remove("__pycache__")
+        for path in (Path(folder, name) for name in names if name.endswith(".py")):
+            source = path.read_bytes()
+            if "kernels" in path.with_suffix("").parts or _IMPORTS_JIT.search(source):
+                yield path, source
 
 
 @functools.cache
 def digest_of(package: Path) -> str:
     """Return the digest of the library's kernels and of the files in `package` that compile others."""
-    sources = {Path(__file__), *(path for root in (HERE, package) for path in _kernels_in(root))}
+    sources = {Path(__file__): Path(__file__).read_bytes()}
+    for root in {HERE, package}:
+        sources.update(_kernels_in(root))
     digest = hashlib.sha256()
     for path in sorted(sources):
-        digest.update(path.read_bytes())
+        digest.update(sources[path])
     return digest.hexdigest()[:16]
 
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import functools
 import logging
-import multiprocessing
 import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
@@ -16,9 +14,6 @@ from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import sparse_matching
 from dcreg.driver.modes import run_mode
 from dcreg.driver.normalised import NormalisedProblem
-from dcreg.families.matches.bound import MatchBound
-from dcreg.families.matches.problem import MatchProblem
-from dcreg.families.matches.start import promising_poses, surface_consistent_poses
 from dcreg.families.mode import Mode, all_modes
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
@@ -53,6 +48,9 @@ def warm_up(processes: int = 1) -> None:
         for work in works:
             work()
         return
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, context) as pool:
         for done in [pool.submit(work) for work in works]:
@@ -129,6 +127,10 @@ def warm_up_mode(
 @functools.cache
 def warm_up_matches() -> None:
     """Compile (or load from cache) the kernels of `dcreg.register_matches`, once a process."""
+    from dcreg.families.matches.bound import MatchBound
+    from dcreg.families.matches.problem import MatchProblem
+    from dcreg.families.matches.start import promising_poses, surface_consistent_poses
+
     points = np.random.default_rng(0).standard_normal((8, 3))
     rows = np.arange(8)
     problem = MatchProblem(points, points, np.column_stack([rows, rows]), 0.5)
