@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import dcreg
@@ -20,6 +21,15 @@ from dcreg.io import READERS
 
 PACKAGE = Path(dcreg.__file__).parent
 HEAVY = {"numpy", "scipy", "numba", "plotly", "matplotlib"}
+# What a small registration does without: other libraries, and parts of SciPy and of this one.
+NOT_FOR_A_SOLVE = {
+    "jinja2", "matplotlib", "open3d", "pandas", "plotly", "pooch", "psutil", "seaborn", "skimage",
+    "sklearn", "snakemake", "scipy.optimize", "scipy.stats",
+    "dcreg.certificate.verification", "dcreg.driver.matching", "dcreg.plot",
+}  # fmt: skip
+# Maximum number of modules that a command loads: of this library, and in total. A tenth more than when
+# it was set; each module and each kernel in it delays the start.
+HELP_MODULES, SOLVE_MODULES = (9, 364), {"similarity2d": (123, 1117), "rigid3d": (106, 1201)}
 
 
 def python(code: str, *arguments: str) -> subprocess.CompletedProcess:
@@ -29,12 +39,24 @@ def python(code: str, *arguments: str) -> subprocess.CompletedProcess:
     )
 
 
-def loaded_by(code: str) -> set[str]:
-    """Top-level modules that a fresh interpreter has loaded after running `code`."""
-    code += "\nimport sys; print(*{name.split('.')[0] for name in sys.modules}, file=sys.stderr)"
-    finished = python(code)
+def modules_of(code: str) -> set[str]:
+    """All modules that a fresh interpreter has loaded after running `code`."""
+    finished = python(code + "\nimport sys; print(*sys.modules, file=sys.stderr)")
     assert finished.returncode == 0, finished.stderr
     return set(finished.stderr.split())
+
+
+def loaded_by(code: str) -> set[str]:
+    """Top-level modules that a fresh interpreter has loaded after running `code`."""
+    return {name.partition(".")[0] for name in modules_of(code)}
+
+
+def assert_few(modules: set[str], own: int, total: int) -> None:
+    """Fail if more modules than before delay the start; Numba loads Coverage where it is installed."""
+    named = {name for name in modules if name.partition(".")[0] == "dcreg"}
+    assert len(named) <= own, sorted(named)
+    counted = {name for name in modules if name.partition(".")[0] != "coverage"}
+    assert len(counted) <= total, sorted(counted)
 
 
 def command(*arguments: str) -> str:
@@ -69,6 +91,39 @@ def test_solving_needs_neither_command_line_nor_figures():
         "print(dcreg.register(p, p, n_inliers=5, model='similarity2d'))"
     )
     assert not loaded_by(code) & {"typer", "rich", "plotly", "matplotlib", "pandas"}
+
+
+def test_help_loads_few_modules():
+    assert_few(modules_of(command("--help")), *HELP_MODULES)
+
+
+@pytest.mark.parametrize("model", names.MODEL_DIM)
+def test_a_small_registration_loads_few_modules(model, tmp_path):
+    rng = np.random.default_rng(0)
+    points = rng.standard_normal((12, names.MODEL_DIM[model]))
+    moved = points + 0.01 * rng.standard_normal(points.shape)
+    files = [str(tmp_path / name) for name in ("a.npy", "b.npy")]
+    for file, cloud in zip(files, (points, moved), strict=True):
+        np.save(file, cloud)
+    dcreg.register(points, moved, n_inliers=0.8, model=model)  # compiling would load more modules
+    loaded = modules_of(
+        command("register", *files, "--model", model, "--n-inliers", "0.8", "--quiet")
+    )
+    assert not loaded & NOT_FOR_A_SOLVE
+    if model == "similarity2d":
+        assert not loaded & {"scipy.sparse", "scipy.spatial"}
+    else:
+        assert not [name for name in loaded if name.startswith("dcreg.families.matches")]
+    assert_few(loaded, *SOLVE_MODULES[model])
+
+
+@pytest.mark.parametrize(("given", "used"), [(None, "4"), ("20", "20")])
+def test_idle_threads_of_openblas_sleep_at_once_unless_the_user_decides(given, used, monkeypatch):
+    monkeypatch.delenv("OPENBLAS_THREAD_TIMEOUT", raising=False)
+    if given is not None:
+        monkeypatch.setenv("OPENBLAS_THREAD_TIMEOUT", given)
+    shown = "\nimport os; print(os.environ['OPENBLAS_THREAD_TIMEOUT'])"
+    assert python(command("--version") + shown).stdout.split()[-1] == used
 
 
 @pytest.mark.parametrize("package", ["typer", "rich"])

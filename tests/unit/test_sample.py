@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dcreg.driver.downsample import to_search
-from dcreg.problem import Problem, farthest_points, representative_points
+from dcreg.problem import Problem, farthest_points, geometry, median_spacing, representative_points
 from dcreg.problem.geometry import isolated
 
 
@@ -49,6 +49,17 @@ def test_degenerate_clouds_keep_all_points(kind, rng):
     assert len(representative_points(points, 10)) == min(
         10, len(np.unique(points, axis=0)), len(points)
     )
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("queries", [5, 1000])
+def test_the_spacing_of_few_points_is_that_of_the_search_tree(dim, queries, rng, monkeypatch):
+    points = 100.0 + rng.standard_normal((200, dim))
+    points[:20] = points[20:40]  # equal points
+    found = median_spacing(points, queries)
+    monkeypatch.setattr(geometry, "_FEW_POINTS", 0)
+    assert found == pytest.approx(median_spacing(points, queries), rel=1e-12)
+    assert found > 0.0
 
 
 def test_a_sample_keeps_model_and_scales(rng):
