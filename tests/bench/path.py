@@ -18,6 +18,8 @@ import numpy as np
 import dcreg
 
 LIBRARY = Path(dcreg.__file__).parent
+# By default a search that takes long, on a busy machine, asks for its prospect.
+PROVE = dcreg.SolveOptions(prove=True)
 MODELS = {"2d": "similarity2d", "3d": "rigid3d"}
 
 
@@ -64,7 +66,9 @@ def record(dimension: str) -> Recorder:
     for profile in (None, recorder):
         sys.setprofile(profile)
         try:
-            dcreg.register(source, target, n_inliers=24, model=MODELS[dimension], time_limit=10)
+            dcreg.register(
+                source, target, n_inliers=24, model=MODELS[dimension], time_limit=10, options=PROVE
+            )
         finally:
             sys.setprofile(None)
     return recorder

@@ -51,6 +51,7 @@ class CloudPair:
     target: np.ndarray
     share: float
     T_true: np.ndarray | None
+    at_random: bool = False  # samples; farthest points of a cluttered cloud are mostly clutter
 
 
 def main(
@@ -127,7 +128,7 @@ def _cluttered(name: str, cloud: np.ndarray, n_points: int, rng: np.random.Gener
     T[:3, :3] = Rotation.random(random_state=5).as_matrix()
     T[:3, 3] = rng.uniform(-1.0, 1.0, 3)
     target = apply_pose(T, np.concatenate([second, clutter]))
-    return CloudPair(f"{name}, half with clutter", first, target, 0.9, T)
+    return CloudPair(f"{name}, half with clutter", first, target, 0.9, T, at_random=True)
 
 
 def _summary(table: pd.DataFrame) -> str:
@@ -163,7 +164,12 @@ def _cloud(path: Path, number: float | str | None) -> np.ndarray:
 
 
 def _walked(pair: CloudPair, n_points: int, limit: float, out: Path) -> dict[str, object]:
-    clouds = [_sampled(cloud, n_points) for cloud in (pair.source, pair.target)]
+    least = min(len(pair.source), len(pair.target))
+    clouds = [
+        _sampled(cloud, round(n_points * len(cloud) / least) if pair.at_random else n_points,
+                 pair.at_random)
+        for cloud in (pair.source, pair.target)
+    ]  # fmt: skip
     paths = [out / "source.npy", out / "target.npy"]
     for path, cloud in zip(paths, clouds, strict=True):
         np.save(path, cloud)
@@ -210,11 +216,11 @@ def _errors(pair: CloudPair, T: np.ndarray) -> dict[str, object]:
     return errors
 
 
-def _sampled(cloud: np.ndarray, n_points: int) -> np.ndarray:
+def _sampled(cloud: np.ndarray, n_points: int, at_random: bool = False) -> np.ndarray:
     if n_points == 0 or n_points >= len(cloud):
         return cloud
     rng = np.random.default_rng(0)
-    some = cloud[rng.permutation(len(cloud))[: 20 * n_points]]
+    some = cloud[rng.permutation(len(cloud))[: (1 if at_random else 20) * n_points]]
     return some[farthest_points(some, n_points)]
 
 

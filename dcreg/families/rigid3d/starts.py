@@ -208,9 +208,7 @@ def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
 
 def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return first and second points of all ordered pairs by length, the lengths, and all distances."""
-    from scipy.spatial.distance import cdist
-
-    distances = cdist(points, points)
+    distances = np.sqrt(sum(np.subtract.outer(axis, axis) ** 2 for axis in points.T))
     first, second = np.nonzero(~np.eye(len(points), dtype=bool))
     lengths = distances[first, second]
     order = np.argsort(lengths, kind="stable")
