@@ -119,7 +119,10 @@ def history(method: str, *steps: tuple[float, float]) -> pd.DataFrame:
 def limited(runs: pd.DataFrame, count: int, **columns) -> pd.DataFrame:
     """The runs, the first ones of each level as ended at a limit."""
     at_limit = runs["trial"] < count
-    changed = runs.assign(outcome=runs["outcome"].mask(at_limit, "limited"))
+    changed = runs.assign(
+        outcome=runs["outcome"].mask(at_limit, "limited"),
+        status=runs["status"].mask(at_limit, "time_limit"),
+    )
     for name, value in columns.items():
         changed.loc[at_limit, name] = value
     return changed
