@@ -8,6 +8,7 @@ therefore does not depend on the number of threads.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Protocol
@@ -50,6 +51,7 @@ class Outcome:
     leaves: Leaves | None = None
 
 
+_LOGGER = logging.getLogger("dcreg")
 # A local search starts if the best value of the round is at most that at the start of the last one, times
 # this factor for every round since. Local searches are frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
@@ -234,6 +236,9 @@ class _Search:
             return False
         if self.prospect is None:
             self.prospect = Prospect.of(self.bound, self.branching, self.cutoff)
+            needed_s = self.prospect.n_nodes * spent / self.n_nodes
+            if not self.prospect.is_poor(self.n_nodes, spent, self.budget):
+                _LOGGER.info("a proof is expected after about %.0f s of search", needed_s)
         return self.prospect.is_poor(self.n_nodes, spent, self.budget)
 
     def select(self) -> Boxes:

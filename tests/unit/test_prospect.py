@@ -1,0 +1,92 @@
+"""The estimate of the boxes that a proof takes, and searches that end because it is hopeless."""
+
+import sys
+
+import numpy as np
+import pytest
+
+import dcreg
+from data.registry import dataset
+from dcreg.families.rigid3d.bound import RigidBound
+from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.problem import Frame, Problem
+from dcreg.search import Budget, LongestEdge, Tolerance, branch_and_bound
+from dcreg.search.prospect import HOPELESS, Prospect, expected_boxes
+from tests.unit.test_congruent import partial_overlap
+from workflows.disturb import make_instance
+
+
+@pytest.mark.parametrize(
+    ("shape", "test", "level"),
+    [("pony", "deformation", 0.03), ("pony", "separate_outliers", 0.2), ("saurian", "noise", 0.05)],
+)
+def test_the_estimate_is_near_the_number_of_boxes(shape, test, level):
+    raw = make_instance(dataset("embedded"), shape, test, level, trial=0, n_points=25)
+    k = len(raw.pairs)
+    frame = Frame.of(Problem(raw.source, raw.target, k, "rigid3d"))
+    space = Rigid3D.between(frame.source(raw.source), frame.target(raw.target), k)
+    start, branching = space.start(Budget())[:2], LongestEdge(space.axis_weights)
+    tolerance = Tolerance(rel=0.01)
+    found = branch_and_bound(
+        RigidBound(space), Budget(nodes=200_000), branching=branching, tolerance=tolerance, start=start
+    )  # fmt: skip
+    assert found.status == "optimal"
+    estimate = expected_boxes(RigidBound(space), branching, tolerance.cutoff(found.upper_bound))
+    assert found.n_nodes / 3 < estimate < 3 * found.n_nodes
+
+
+@pytest.mark.parametrize(
+    ("limits", "patience_s", "n_nodes", "poor"),
+    [
+        ({"time_s": 100.0}, np.inf, 1_000, False),  # 99 s for the other 99,000 boxes
+        ({"time_s": 100.0}, np.inf, 100, True),  # ten times as slow
+        ({"time_s": 100.0}, None, 100, False),  # to be proved
+        ({"time_s": None}, np.inf, 100, False),
+        ({"time_s": None}, 2.0, 1_000, True),
+        ({"time_s": 100.0}, 2.0, 60_000, False),
+        (
+            {"time_s": 100.0, "nodes": 500},
+            np.inf,
+            100,
+            False,
+        ),  # its end must not depend on the clock
+        ({"time_s": 100.0, "assignments": 500}, np.inf, 100, False),
+    ],
+)
+def test_a_search_is_hopeless_if_it_needs_several_times_what_is_left(
+    limits, patience_s, n_nodes, poor
+):
+    assert HOPELESS == 3.0
+    with Budget(**limits) as budget:
+        prospect = Prospect(n_nodes=100_000.0, n_assignments=0)
+        assert prospect.is_poor(n_nodes, 1.0, budget.with_patience(patience_s)) == poor
+
+
+def test_a_hopeless_search_ends_with_its_reason_unless_a_proof_is_requested():
+    source, target, _ = partial_overlap(0, n_common=60, n_clutter=120)
+    settings = {"n_inliers": 60, "model": "rigid3d"}
+    found = dcreg.register(source, target, **settings, time_limit=60.0)
+    assert (found.status, found.reason) == ("converged", "proof not expected within the limit")
+    assert str(found).splitlines()[0].endswith("not certified")
+    assert "no proof is expected in time" in found.warnings[0]
+    assert found.to_dict()["reason"] == found.reason
+    proved = dcreg.register(
+        source, target, **settings, time_limit=2.0, options=dcreg.SolveOptions(prove=True)
+    )
+    assert (proved.status, proved.reason) == ("time_limit", "")
+    assert proved.n_nodes > 0
+
+
+def test_the_estimate_is_no_work_of_the_search(monkeypatch, caplog):
+    """The counters of a search that ends with a proof must not depend on the clock."""
+    monkeypatch.setattr(sys.modules["dcreg.search.branch_and_bound"], "ASKED_AFTER_S", 0.0)
+    raw = make_instance(dataset("embedded"), "pony", "separate_outliers", 0.2, trial=0, n_points=25)
+    settings = {"n_inliers": len(raw.pairs), "model": "rigid3d"}
+    with caplog.at_level("INFO", logger="dcreg"):
+        asked = dcreg.register(raw.source, raw.target, **settings, time_limit=1e6)
+    assert any("a proof is expected after about" in line for line in caplog.messages)
+    never = dcreg.register(
+        raw.source, raw.target, **settings, options=dcreg.SolveOptions(prove=True)
+    )
+    assert asked.status == never.status == "optimal"
+    assert (asked.n_nodes, asked.n_assignments) == (never.n_nodes, never.n_assignments)
