@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from operator import itemgetter
@@ -17,6 +18,7 @@ from dcreg.result import Result, Sample, Stage
 from dcreg.search import Budget
 from dcreg.status import Status
 
+_LOGGER = logging.getLogger("dcreg")
 HOPELESS = 4.0  # poses with more than this many times the best objective are not refined
 # Share of the time for the search of a sample; the rest is for refining its pose on all points.
 SEARCH_SHARE = 0.8
@@ -105,6 +107,7 @@ def refined(
     The pose, the runner-up and the pose of the `known` pairs are refined, the best of them first. The
     runner-up of the result then refers to all points.
     """
+    _LOGGER.info("the search of the sample has ended; its pose is refined on all points")
     began = budget.elapsed()
     clouds, k = (problem.source, problem.target), problem.n_inliers
     T = result.T_target_source
