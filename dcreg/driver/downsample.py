@@ -12,8 +12,9 @@ import numpy as np
 from dcreg.assignment.descent import polish
 from dcreg.assignment.objective import Matched, objective, quick_objective
 from dcreg.diagnostics import find_runner_up
-from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE
+from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE, NORM_PAIRS
 from dcreg.problem import InputError, Problem, representative_points
+from dcreg.problem.geometry import sampled_pairs
 from dcreg.result import Result, Sample, Stage
 from dcreg.search import Budget
 from dcreg.status import Status
@@ -34,7 +35,7 @@ def to_search(
     """Return what is searched for each of several problems over the same clouds: itself, or a sample.
 
     A sample consists of farthest points of both clouds after outlier removal; the number of pairs is
-    scaled down with it.
+    scaled down with it (`sampled_pairs`).
 
     Parameters
     ----------
@@ -60,9 +61,11 @@ def to_search(
     target = first.target[representative_points(first.target, downsample)]
     if len(source) == len(first.source) and len(target) == len(first.target):
         return problems
-    share = min(len(source), len(target)) / min(len(first.source), len(first.target))
+    clouds, samples = (first.source, first.target), (source, target)
     sample = Problem(source, target, 1, first.model, first.scale_range)
-    return [sample.with_n_inliers(max(1, round(share * each.n_inliers))) for each in problems]
+    return [
+        sample.with_n_inliers(sampled_pairs(each.n_inliers, clouds, samples)) for each in problems
+    ]
 
 
 def _check(count: int, problem: Problem, certificate: bool) -> None:
@@ -85,7 +88,10 @@ def default_sample(problem: Problem, bound: str | None, certificate: bool) -> in
     n, m = len(problem.source), len(problem.target)
     free = bound is None and not certificate and problem.candidates is None
     by_norms = problem.dim == 3 and problem.n_inliers == n == m
-    if not free or by_norms or n * m <= LARGE_PAIRS[problem.dim]:
+    # a small cloud is not sampled to match a large one: that would leave it few partners
+    is_lopsided = problem.dim == 3 and n * m <= NORM_PAIRS
+    pairs = min(n, m) ** 2 if is_lopsided else n * m
+    if not free or by_norms or pairs <= LARGE_PAIRS[problem.dim]:
         return None
     return LARGE_SAMPLE[problem.dim]
 

@@ -313,6 +313,10 @@ class SpaceBound(abc.ABC, Generic[S]):
     def round_size(self) -> int:
         return int(np.clip(self.round_pairs // self.space.n_pairs, 1, self.max_round))
 
+    def fresh(self) -> Self:
+        """Return the same bound without what it has stored about the boxes so far."""
+        return type(self)(self.space, self.roots, self._n_helpers + 1)
+
     @abc.abstractmethod
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation: ...
 
@@ -373,6 +377,9 @@ class Strongest:
     @property
     def n_assignments(self) -> int:
         return sum(part.n_assignments for part in self.parts)
+
+    def fresh(self) -> Strongest:
+        return Strongest([part.fresh() for part in self.parts])
 
     def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         """Bound B boxes; see `dcreg.search.Bound`. There is no warm start: parts would need one each."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -178,6 +179,18 @@ def isolated(points: np.ndarray) -> np.ndarray:
     clutter = far.copy()
     clutter[sparse] |= variances[:, 0] > _VOLUME * variances[:, -1]
     return clutter if 2 * clutter.sum() < len(points) else far
+
+
+def sampled_pairs(
+    n_inliers: int, clouds: Sequence[np.ndarray], samples: Sequence[np.ndarray]
+) -> int:
+    """Return how many pairs samples of two clouds can have, at least one.
+
+    A point of the cloud of which the smaller share is taken has a partner in the other sample if it has
+    one at all, or nearly so; the others have none to take.
+    """
+    shares = (len(few) / len(all_) for few, all_ in zip(samples, clouds, strict=True))
+    return max(1, round(min(shares) * n_inliers))
 
 
 def representative_points(points: np.ndarray, count: int) -> np.ndarray:

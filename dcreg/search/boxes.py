@@ -153,6 +153,10 @@ class Bound(Protocol):
         """Number of exact assignments solved so far."""
         ...
 
+    def fresh(self) -> Bound:
+        """Return the same bound without what it has stored about the boxes so far."""
+        ...
+
     def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         """Bound B boxes, which may have the warm starts of their parents.
 

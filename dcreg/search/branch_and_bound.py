@@ -170,8 +170,7 @@ class _Search:
 
     @property
     def n_assignments(self) -> int:
-        asked = 0 if self.prospect is None else self.prospect.n_assignments
-        return self.bound.n_assignments + self.n_refining - asked
+        return self.bound.n_assignments + self.n_refining
 
     def update_incumbent(self, found: Evaluation, refine: Refine | None) -> None:
         """Update the incumbent by the best candidate of the round and a local search from it."""
@@ -235,7 +234,7 @@ class _Search:
         if self.budget.patience_s is None or spent < ASKED_AFTER_S:
             return False
         if self.prospect is None:
-            self.prospect = Prospect.of(self.bound, self.branching, self.cutoff)
+            self.prospect = Prospect.of(self.bound.fresh(), self.branching, self.cutoff)
             needed_s = self.prospect.n_nodes * spent / self.n_nodes
             if not self.prospect.is_poor(self.n_nodes, spent, self.budget):
                 _LOGGER.info("a proof is expected after about %.0f s of search", needed_s)

@@ -62,22 +62,20 @@ class Prospect:
     Attributes
     ----------
     n_nodes : float
-    n_assignments : int
-        Solved for the estimate; they are not part of the search.
     """
 
     n_nodes: float
-    n_assignments: int
 
     @classmethod
     def of(cls, bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: float) -> Prospect:
-        """Estimate by random descents; without time for them, no boxes are expected."""
-        before = bound.n_assignments
+        """Estimate by random descents; without time for them, no boxes are expected.
+
+        `bound` must not be that of the search: what it stores about boxes would change the search.
+        """
         try:
-            expected = expected_boxes(bound, branching, cutoff)
+            return cls(expected_boxes(bound, branching, cutoff))
         except Interrupted:
-            expected = 0.0
-        return cls(expected, bound.n_assignments - before)
+            return cls(0.0)
 
     def is_poor(self, n_nodes: int, spent_s: float, budget: Budget) -> bool:
         """Tell whether the proof is not expected within the patience of the budget.

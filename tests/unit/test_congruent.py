@@ -121,9 +121,16 @@ def test_triples_leave_half_of_the_time(monkeypatch):
 
 
 def test_rounds_grow_with_the_outliers():
-    assert rounds_for(100, 100, 1e-9) == AGREEING
-    assert rounds_for(100, 100, 1e-9) <= rounds_for(100, 50, 1e-9) < rounds_for(100, 30, 1e-9)
-    assert rounds_for(100, 30, 1e-3) < rounds_for(100, 30, 1e-9)
+    assert rounds_for(100, 100, 100, 1e-9) == AGREEING
+    assert (
+        rounds_for(100, 100, 100, 1e-9)
+        <= rounds_for(100, 100, 50, 1e-9)
+        < rounds_for(100, 100, 30, 1e-9)
+    )
+    assert rounds_for(100, 100, 30, 1e-3) < rounds_for(100, 100, 30, 1e-9)
+    assert rounds_for(100, 100, 90, 1e-9) < rounds_for(
+        100, 900, 90, 1e-9
+    )  # few of them form triples
 
 
 def _rounds(*rounds):

@@ -58,7 +58,7 @@ def test_a_search_is_hopeless_if_it_needs_several_times_what_is_left(
 ):
     assert HOPELESS == 3.0
     with Budget(**limits) as budget:
-        prospect = Prospect(n_nodes=100_000.0, n_assignments=0)
+        prospect = Prospect(n_nodes=100_000.0)
         assert prospect.is_poor(n_nodes, 1.0, budget.with_patience(patience_s)) == poor
 
 

@@ -60,6 +60,10 @@ class MatchBound:
         """Maximum number of boxes bounded between two readings of the clock."""
         return int(np.clip(ROUND_WORK // max(1, self.n_left), 16, 512))
 
+    def fresh(self) -> MatchBound:
+        """Return the bound itself, which stores nothing about boxes."""
+        return self
+
     def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         """Bound B boxes; only the value of the most promising pose is computed."""
         cutoff = np.inf if cutoff is None else cutoff

@@ -29,6 +29,7 @@ from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
 from dcreg.families.rigid3d.starts import (
     ENOUGH,
     FAILURE,
+    MIN_CONFIRMED,
     SCALES,
     SEPARATION,
     best_descents,
@@ -40,7 +41,7 @@ from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_m
 from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
 from dcreg.families.starts import distinct
 from dcreg.names import RIGID_POSE
-from dcreg.problem.geometry import apply_pose, representative_points
+from dcreg.problem.geometry import apply_pose, representative_points, sampled_pairs
 from dcreg.search import Box, Budget
 
 _SCORED_PAIRS = 100_000_000  # pairs evaluated to score the seeds
@@ -48,8 +49,15 @@ _ROUNDING = 1e-12
 _CONGRUENT_SHARE = 0.5  # maximum share of the time for the poses of congruent triples
 DENSE_DESCENTS = 40_000  # pairs beyond which local searches begin with nearest neighbours
 COARSE_PAIRS = 200_000  # beyond which the first local searches are on few points
-COARSE_POINTS = 300  # of each cloud
+COARSE_POINTS, MAX_COARSE = 300, 1200  # of the smaller and of the larger cloud
 MAX_FINE = 5  # poses of the few points that are refined on all
+MAX_CONFIRMED = 2  # ... if they are confirmed: the best one and a runner-up
+
+
+def coarse_sizes(n: int, m: int) -> tuple[int, int]:
+    """Return the points of clouds of n <= m points from which a search starts, as dense as each other."""
+    few = min(n, COARSE_POINTS)
+    return few, min(m, MAX_COARSE, round(few * m / n))
 
 
 def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> float:
@@ -158,30 +166,39 @@ class Rigid3D(CloudSpace):
         box = self.translations()
         if (box.lower == box.upper).all():
             yield from super().starts(budget)
-        elif self.n_pairs > COARSE_PAIRS and self.candidates is None:
+        elif self._is_dense and self.candidates is None:
             yield from self._coarse_starts(budget)
         else:
             rounds: list[Sequence[tuple[np.ndarray, float]]] = []
             starting = budget.sub_budget(_CONGRUENT_SHARE)
-            enough, most = (
-                rounds_for(self.n_source, self.n_inliers, failure) for failure in (ENOUGH, FAILURE)
-            )
+            sizes = self.n_source, self.n_target, self.n_inliers
+            enough, most = (rounds_for(*sizes, failure) for failure in (ENOUGH, FAILURE))
             for seed in range(len(SCALES) * most):
                 known = len(self.ends)
                 for theta in self._congruent(seed, starting):
                     yield theta, 0
                 rounds.append([(self._vertices(theta), v) for theta, v in self.ends[known:]])
-                self.is_confirmed = len(rounds) >= enough and is_confirmed(rounds)
+                are_enough = len(rounds) >= enough and self.n_inliers >= MIN_CONFIRMED
+                self.is_confirmed = are_enough and is_confirmed(rounds)
                 if self.is_confirmed:
                     return
             yield from super().starts(budget)
 
+    @property
+    def _is_dense(self) -> bool:
+        """Whether initial poses come from fewer points."""
+        sizes = self.n_source, self.n_target
+        return self.n_pairs > COARSE_PAIRS and coarse_sizes(*sizes) != sizes
+
     def _coarse_starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
         """Yield the best distinct poses of the local searches on a sample of both clouds."""
         clouds = [points.T for points in (self.clouds.source, self.clouds.target)]
-        some = [points[representative_points(points, COARSE_POINTS)] for points in clouds]
-        share = min(map(len, some)) / min(map(len, clouds))
-        k = max(1, round(share * self.n_inliers))
+        counts = coarse_sizes(self.n_source, self.n_target)
+        some = [
+            points[representative_points(points, count)]
+            for points, count in zip(clouds, counts, strict=True)
+        ]
+        k = sampled_pairs(self.n_inliers, clouds, some)
         coarse = Rigid3D(some[0], some[1], k, None, self.stop_flag, self.stationary_box)
         _, _, spent = coarse.start(budget.silent())
         self.is_confirmed = coarse.is_confirmed
@@ -189,7 +206,7 @@ class Rigid3D(CloudSpace):
             return
         values = np.array([value for _, value in coarse.ends])
         vertices = np.array([self._vertices(theta) for theta, _ in coarse.ends])
-        count = 1 if self.is_confirmed else MAX_FINE
+        count = MAX_CONFIRMED if self.is_confirmed else MAX_FINE
         for at in distinct(vertices, values.min() / values, SEPARATION, count):
             yield coarse.ends[at][0], spent
             spent = 0
@@ -204,7 +221,7 @@ class Rigid3D(CloudSpace):
             stop=self.stop_flag,
         )  # fmt: skip
         if self.n_pairs > DENSE_DESCENTS:
-            poses = best_descents(poses, source, target, self.n_inliers)
+            poses = best_descents(poses, source, target, self.n_inliers, seed=seed)
         yield from map(self._parameter, poses)
 
     @staticmethod

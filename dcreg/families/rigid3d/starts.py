@@ -22,6 +22,7 @@ from dcreg.jit import NEVER
 from dcreg.problem import rms_radius
 
 MAX_TARGETS = 300  # target points that form triples
+NEARLY_ALL = 400  # target points of which these have nearly all partners
 MAX_LOOKED = 150  # source points used for the score
 # Accepted probability that no triple consists of true pairs; congruent clutter hides some.
 FAILURE = 1e-9
@@ -33,6 +34,7 @@ SHORTEST = 0.6  # side of a source triple, in RMS radii; short sides determine a
 KEPT_PER_TRIPLE = 6
 MAX_POSES = 30  # returned by a round
 MAX_CELLS = 256  # of the nearness field along the longest side: about 150 MB
+MIN_CONFIRMED = 12  # pairs; fewer agree by chance
 AGREEING = 2  # rounds that must find the best pose
 ALIKE = 1.1  # ratio of objectives up to which two ends near each other count as one pose
 CLEARLY_WORSE = 1.25  # ratio of objectives from which another pose is no alternative
@@ -121,12 +123,13 @@ def congruent_poses(
     return found
 
 
-def rounds_for(n_source: int, n_inliers: int, failure: float) -> int:
+def rounds_for(n_source: int, n_target: int, n_inliers: int, failure: float) -> int:
     """Return the number of rounds after which one had a triple of true pairs, but for this probability.
 
-    At least `AGREEING`, so that they can agree, and at most `MAX_ROUNDS`.
+    All partners of a triple must be among the target points that form triples. At least `AGREEING`, so
+    that rounds can agree, and at most `MAX_ROUNDS`.
     """
-    share = (n_inliers / n_source) ** 3
+    share = (n_inliers / n_source * min(1.0, NEARLY_ALL / n_target)) ** 3
     needed = np.log(failure) / np.log1p(-share) / N_TRIPLES if share < 1.0 else 0.0
     return int(np.clip(np.ceil(needed), AGREEING, MAX_ROUNDS))
 
@@ -164,7 +167,13 @@ def is_confirmed(rounds: Sequence[Sequence[tuple[np.ndarray, float]]]) -> bool:
 
 
 def best_descents(
-    poses: np.ndarray, source: np.ndarray, target: np.ndarray, n_inliers: int, count: int = 3
+    poses: np.ndarray,
+    source: np.ndarray,
+    target: np.ndarray,
+    n_inliers: int,
+    count: int = 3,
+    *,
+    seed: int = 0,
 ) -> np.ndarray:
     """Refine poses by nearest neighbours of a sample of the source, and return the best ones.
 
@@ -178,7 +187,7 @@ def best_descents(
     """
     from scipy.spatial import cKDTree
 
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     sample = source[np.sort(rng.permutation(len(source))[:MAX_SAMPLE])]
     k = max(3, round(n_inliers * len(sample) / len(source)))
     tree = cKDTree(target)
