@@ -44,7 +44,7 @@ class SolveOptions:
         outlier removal, and refine the pose on all points. An integer `n_inliers` refers to the full
         clouds and is scaled down with them. By default, all points are searched, except for large clouds
         if neither mode, bound, certificate nor candidates are given: 300 points in 2D above 1,000,000
-        point pairs, and 400 points in 3D for two clouds of more than 1,000 points, or above 4,000,000 point
+        point pairs; 400 points in 3D if both clouds have more than 1,000 points, or above 4,000,000 point
         pairs, unless all points match.
     prove : bool
         Search to the time limit for a proof. By default, a search in mode ``full`` ends with status
