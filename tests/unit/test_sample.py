@@ -66,4 +66,4 @@ def test_a_sample_keeps_model_and_scales(rng):
     problem = Problem(rng.random((60, 2)), rng.random((50, 2)), 40, "similarity2d", (0.9, 1.1))
     (searched,) = to_search([problem], 20, None, None)
     assert (searched.model, searched.scale_range) == ("similarity2d", (0.9, 1.1))
-    assert (len(searched.source), len(searched.target), searched.n_inliers) == (20, 20, 16)
+    assert (len(searched.source), len(searched.target), searched.n_inliers) == (20, 20, 13)
