@@ -330,9 +330,13 @@ class Budget:
         return part
 
     def with_patience(self, patience_s: float | None) -> Budget:
-        """Return the same budget with another patience."""
+        """Return the same budget with another patience.
+
+        A limit on boxes or assignments allows none: the end of the search must not depend on the clock.
+        """
         part = self.sub_budget(1.0)
-        part.patience_s = patience_s
+        is_counted = self.nodes is not None or self.assignments is not None
+        part.patience_s = None if is_counted else patience_s
         return part
 
     def silent(self) -> Budget:

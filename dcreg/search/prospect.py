@@ -80,10 +80,9 @@ class Prospect:
     def is_poor(self, n_nodes: int, spent_s: float, budget: Budget) -> bool:
         """Tell whether the proof is not expected within the patience of the budget.
 
-        The time for a box is that of the boxes so far. A search with a limit on boxes or assignments
-        always goes on, because its end must not depend on the clock.
+        The time for a box is that of the boxes so far.
         """
-        if budget.patience_s is None or budget.nodes is not None or budget.assignments is not None:
+        if budget.patience_s is None:
             return False
         left, patience = budget.left(), budget.patience_s - spent_s
         left = patience if left is None else min(left, patience)

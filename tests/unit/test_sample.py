@@ -5,7 +5,7 @@ import pytest
 
 from dcreg.driver.downsample import to_search
 from dcreg.problem import Problem, farthest_points, geometry, median_spacing, representative_points
-from dcreg.problem.geometry import isolated
+from dcreg.problem.geometry import isolated, sampled_pairs
 
 
 def surface(rng, size):
@@ -67,3 +67,11 @@ def test_a_sample_keeps_model_and_scales(rng):
     (searched,) = to_search([problem], 20, None, None)
     assert (searched.model, searched.scale_range) == ("similarity2d", (0.9, 1.1))
     assert (len(searched.source), len(searched.target), searched.n_inliers) == (20, 20, 13)
+
+
+def test_samples_of_a_part_and_the_whole_have_the_pairs_of_the_smaller_share(rng):
+    whole = rng.random((900, 3))
+    clouds, samples = [whole[:300], whole], [whole[:300], whole[:450]]
+    assert sampled_pairs(300, clouds, samples) == 150
+    assert sampled_pairs(300, clouds[::-1], samples[::-1]) == 150
+    assert sampled_pairs(1, clouds, [whole[:3], whole[:3]]) == 1
