@@ -8,7 +8,6 @@ therefore does not depend on the number of threads.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Protocol
@@ -51,7 +50,6 @@ class Outcome:
     leaves: Leaves | None = None
 
 
-_LOGGER = logging.getLogger("dcreg")
 # A local search starts if the best value of the round is at most that at the start of the last one, times
 # this factor for every round since. Local searches are frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
@@ -230,15 +228,21 @@ class _Search:
 
     def _has_no_prospect(self) -> bool:
         """Tell whether no proof is expected within the patience, which few searches need to ask."""
-        spent = self.budget.elapsed() - self.began
-        if self.budget.patience_s is None or spent < ASKED_AFTER_S:
+        budget = self.budget
+        spent = budget.elapsed() - self.began
+        if spent < ASKED_AFTER_S or not (budget.patience_s is not None or budget.is_watched):
             return False
         if self.prospect is None:
             self.prospect = Prospect.of(self.bound.fresh(), self.branching, self.cutoff)
-            needed_s = self.prospect.n_nodes * spent / self.n_nodes
-            if not self.prospect.is_poor(self.n_nodes, spent, self.budget):
-                _LOGGER.info("a proof is expected after about %.0f s of search", needed_s)
-        return self.prospect.is_poor(self.n_nodes, spent, self.budget)
+        return self.prospect.is_poor(self.n_nodes, spent, budget)
+
+    def _expected_s(self) -> float | None:
+        """Return the estimated seconds until the proof, as in `Event`."""
+        if self.prospect is None or self.status is not None:
+            return None
+        return self.prospect.expected_s(
+            self.n_nodes, self.budget.elapsed() - self.began, self.budget
+        )
 
     def select(self) -> Boxes:
         """Return the best open boxes, which are divided next."""
@@ -270,7 +274,7 @@ class _Search:
         event = Event(
             kind, self.stage, self.budget.elapsed(), self.n_nodes, self.n_assignments,
             len(self.nodes), self.lower_bound, self.upper_bound,
-            self.status.value if self.status is not None else "",
+            self.status.value if self.status is not None else "", self._expected_s(),
         )  # fmt: skip
         if kind == "bound" and self.events and _same_bounds(self.events[-1], event):
             event = replace(event, kind="heartbeat")  # passed to the listener, not kept

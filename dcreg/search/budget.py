@@ -99,6 +99,9 @@ class Event:
     lower_bound, upper_bound : float
     status : str
         How the search ended; empty until then.
+    expected_s : float, optional
+        Estimated seconds from now until the proof; inf: the proof is not expected within the time limit;
+        None: unknown.
     """
 
     kind: str
@@ -110,6 +113,7 @@ class Event:
     lower_bound: float
     upper_bound: float
     status: str = ""
+    expected_s: float | None = None
 
     @property
     def gap(self) -> float:
@@ -197,6 +201,8 @@ class Budget:
         Set when the solve is over; kernels then return at once. Only within the context.
     hard_stop : (1,) uint8 array
         The same for the steps that complete the result, which may take slightly longer.
+    is_watched : bool
+        Whether a listener receives the events.
     history : list of Event
         Events of all stages except heartbeats.
     patience_s : float or None
@@ -215,7 +221,7 @@ class Budget:
         self.nodes, self.memory_mb, self.assignments = nodes, memory_mb, assignments
         self.history: list[Event] = []
         self.stop, self.hard_stop = np.zeros(1, np.uint8), np.zeros(1, np.uint8)
-        self._listener = listener
+        self._listener, self.is_watched = listener, listener is not None
         self._began = self._reported_at = time.perf_counter()
         time_s = None if time_s == np.inf else time_s
         self._deadline = None if time_s is None else self._began + time_s

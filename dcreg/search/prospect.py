@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -78,12 +79,23 @@ class Prospect:
             return cls(0.0)
 
     def is_poor(self, n_nodes: int, spent_s: float, budget: Budget) -> bool:
-        """Tell whether the proof is not expected within the patience of the budget.
-
-        The time for a box is that of the boxes so far.
-        """
+        """Tell whether the proof is not expected within the patience of the budget."""
         if budget.patience_s is None:
             return False
         left, patience = budget.left(), budget.patience_s - spent_s
         left = patience if left is None else min(left, patience)
-        return (self.n_nodes - n_nodes) * spent_s / n_nodes > HOPELESS * left
+        return self._needed_s(n_nodes, spent_s) > HOPELESS * left
+
+    def expected_s(self, n_nodes: int, spent_s: float, budget: Budget) -> float | None:
+        """Return the seconds until the proof; inf: beyond the time limit; None: unknown.
+
+        A search that has bounded more boxes than estimated does not know how many are left.
+        """
+        needed, left = self._needed_s(n_nodes, spent_s), budget.left()
+        if needed <= 0.0:
+            return None
+        return needed if left is None or needed <= left else math.inf
+
+    def _needed_s(self, n_nodes: int, spent_s: float) -> float:
+        """Return the time for the boxes that are left, at the speed of the boxes so far."""
+        return (self.n_nodes - n_nodes) * spent_s / n_nodes

@@ -73,16 +73,28 @@ def test_a_hopeless_search_ends_with_its_reason_unless_a_proof_is_requested():
     assert proved.n_nodes > 0
 
 
-def test_the_estimate_is_no_work_of_the_search(monkeypatch, caplog):
+def test_the_estimate_is_reported_and_is_no_work_of_the_search(monkeypatch):
     """The counters of a search that ends with a proof must not depend on the clock."""
     monkeypatch.setattr(sys.modules["dcreg.search.branch_and_bound"], "ASKED_AFTER_S", 0.0)
     raw = make_instance(dataset("embedded"), "pony", "separate_outliers", 0.2, trial=0, n_points=25)
-    settings = {"n_inliers": len(raw.pairs), "model": "rigid3d"}
-    with caplog.at_level("INFO", logger="dcreg"):
-        asked = dcreg.register(raw.source, raw.target, **settings, time_limit=1e6)
-    assert any("a proof is expected after about" in line for line in caplog.messages)
-    never = dcreg.register(
-        raw.source, raw.target, **settings, options=dcreg.SolveOptions(prove=True)
-    )
-    assert asked.status == never.status == "optimal"
-    assert (asked.n_nodes, asked.n_assignments) == (never.n_nodes, never.n_assignments)
+    settings = {"n_inliers": len(raw.pairs), "model": "rigid3d", "time_limit": 1e6}
+    for prove in (False, True):
+        options = dcreg.SolveOptions(prove=prove, listener=lambda event: False)
+        asked = dcreg.register(raw.source, raw.target, **settings, options=options)
+        assert any(event.expected_s is not None for event in asked.trace)
+        assert asked.trace.events[-1].expected_s is None
+        monkeypatch.undo()
+        never = dcreg.register(
+            raw.source, raw.target, **settings, options=dcreg.SolveOptions(prove=True)
+        )
+        assert asked.status == never.status == "optimal"
+        assert (asked.n_nodes, asked.n_assignments) == (never.n_nodes, never.n_assignments)
+
+
+@pytest.mark.parametrize(
+    ("time_s", "n_nodes", "expected"),
+    [(100.0, 10_000, 9.0), (5.0, 10_000, np.inf), (None, 10_000, 9.0), (100.0, 100_000, None)],
+)
+def test_the_time_to_the_proof_is_that_of_the_boxes_left(time_s, n_nodes, expected):
+    with Budget(time_s) as budget:
+        assert Prospect(n_nodes=100_000.0).expected_s(n_nodes, 1.0, budget) == expected
