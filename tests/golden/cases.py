@@ -122,7 +122,7 @@ class Case:
 def timeless(result: Result) -> list[dict[str, Any]]:
     """The bound history without its clock."""
     return [
-        {name: value for name, value in row.items() if name != "time_s"}
+        {name: value for name, value in row.items() if name not in ("time_s", "expected_s")}
         for row in result.trace.rows()
     ]
 
