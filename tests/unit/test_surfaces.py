@@ -8,6 +8,7 @@ import dcreg
 from dcreg.families.matches.surfaces import Surfaces, normals_of
 
 REACH = 0.1
+NONE = np.empty((0, 3))
 
 
 def room(n, seed):
@@ -118,12 +119,27 @@ def test_a_descent_brings_surfaces_together():
     near[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.05]).as_matrix()
     near[:3, 3] = [0.05, -0.04, 0.03]
     surfaces = Surfaces(source, room(2000, 2), REACH)
-    end = surfaces.descend(near[:3])
+    end = surfaces.descend(near[:3], NONE, NONE)
     assert np.abs(end - np.eye(3, 4)).max() < 0.02
     scores = surfaces.scores(np.array([near[:3], end]))
     assert scores[1] > scores[0]
     far = near[:3] + [[0, 0, 0, 50.0]] * 3
-    np.testing.assert_array_equal(surfaces.descend(far), far)
+    np.testing.assert_array_equal(surfaces.descend(far, NONE, NONE), far)
+
+
+def test_matches_hold_a_pose_that_surfaces_alone_leave_free():
+    rng = np.random.default_rng(3)
+    floor, other = (np.column_stack([rng.uniform(0, 3, (2000, 2)), np.zeros(2000)]) for _ in "ab")
+    surfaces = Surfaces(floor, other, REACH)
+    shifted = np.eye(3, 4)
+    shifted[:2, 3] = 0.12, -0.08
+    matched = floor[:20]
+    with_matches = surfaces.descend(shifted, matched, matched)
+    assert np.abs(with_matches - np.eye(3, 4)).max() < 0.03
+    alone = surfaces.descend(shifted, NONE, NONE)
+    assert np.abs(alone - np.eye(3, 4)).max() > 0.06
+    wrong = matched + np.array([0.0, 0.0, 5.0])  # beyond the reach: no effect
+    np.testing.assert_array_equal(surfaces.descend(shifted, matched, wrong), alone)
 
 
 def test_normals_of_a_plane():

@@ -61,9 +61,8 @@ def surface_consistent_poses(
 ) -> list[tuple[float, np.ndarray]]:
     """Return scores and centred poses of local searches from distinct poses, best first.
 
-    Local searches start from the poses on which matches agree, and align the surfaces regardless of the
-    matches. The score is the product of match score and surface score. If no matches agree, the best of
-    `promising_poses` is returned.
+    The score is the product of match score and surface score. Local searches for a maximum of it start
+    from the poses on which matches agree. If no matches agree, the best of `promising_poses` is returned.
     """
     poses = _agreed_poses(problem)
     if not len(poses):
@@ -76,7 +75,7 @@ def surface_consistent_poses(
         if len(ends) == MAX_DESCENTS or (ends and budget.is_over):
             break
         if not any(is_near(pose, other, problem.inlier_threshold) for other in seen):
-            ends.append(surfaces.descend(pose))
+            ends.append(surfaces.descend(pose, *_around(problem, pose)))
             seen += [pose, ends[-1]]
     found = np.array(ends)
     evidence = surfaces.scores(found) * problem.scores(found)
@@ -90,8 +89,7 @@ def descend(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, flo
     one-to-one choice and the least-squares pose alternate.
     """
     x, y = problem.list.source, problem.list.target
-    around = problem.residuals(centred) < (WIDE * problem.inlier_threshold) ** 2
-    around_x, around_y = x[around], y[around]
+    around_x, around_y = _around(problem, centred)
     for _ in range(PULLING_STEPS):
         moved = around_x @ centred[:, :3].T + centred[:, 3]
         square = ((moved - around_y) ** 2).sum(axis=1) / problem.inlier_threshold**2
@@ -106,6 +104,12 @@ def descend(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, flo
         return None if len(chosen) < MIN_MATCHES else fit_pose(x[chosen], y[chosen], (1.0, 1.0))[:3]
 
     return alternate(centred, value, chosen, fit, problem.cost, MIN_GAIN, EXACT_STEPS)[:2]
+
+
+def _around(problem: MatchProblem, centred: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points of the matches that can have an effect in a descent from a pose."""
+    around = problem.residuals(centred) < (WIDE * problem.inlier_threshold) ** 2
+    return problem.list.source[around], problem.list.target[around]
 
 
 def _agreed_poses(problem: MatchProblem) -> np.ndarray:
@@ -143,6 +147,4 @@ def is_near(a: np.ndarray, b: np.ndarray, reach: float) -> bool:
     """Tell whether two centred poses count as one."""
     if np.linalg.norm(a[:, 3] - b[:, 3]) >= MIN_SHIFT * reach:
         return False
-    from scipy.spatial.transform import Rotation
-
-    return bool(Rotation.from_matrix(a[:, :3] @ b[:, :3].T).magnitude() < MIN_ROTATION)
+    return bool((a[:, :3] * b[:, :3]).sum() > 1.0 + 2.0 * np.cos(MIN_ROTATION))  # trace of a b^T

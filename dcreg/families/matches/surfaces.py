@@ -27,6 +27,7 @@ MAX_LOOKED = 400  # source points used to score many poses
 MAX_PULLED = 1000  # source points of a descent
 WIDE = 2.0  # initial distance, in reaches, up to which points attract each other
 WIDE_STEPS, STEPS = 10, 10
+TINY = 1e-300  # avoids a division by zero
 
 
 class Surfaces:
@@ -66,19 +67,31 @@ class Surfaces:
         )  # fmt: skip
         return out
 
-    def descend(self, pose: np.ndarray) -> np.ndarray:
-        """Return a pose that aligns the surfaces better, with a large reach at first."""
+    def descend(self, pose: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return a pose with a better product of surface score and match score; first in a wide reach.
+
+        `x` and `y` are the points of matches. A step fits the pose to near points and near matches. The
+        total weight of either kind is 1, as in the gradient of the logarithm of the product. Without
+        matches, the pose slides along surfaces in contact, such as walls and floors.
+        """
         points, normals = self._points[:MAX_PULLED], self._normals[:MAX_PULLED]
-        columns, weights = np.empty(len(points), np.int64), np.empty(len(points))
+        columns, pulls = np.empty(len(points), np.int64), np.empty(len(points))
         for reach, steps in ((WIDE * self._reach, WIDE_STEPS), (self._reach, STEPS)):
             for _ in range(steps):
                 pose = np.ascontiguousarray(pose)
-                surface_pulls(points, normals, self._grid, reach, pose, columns, weights)
-                if (weights > 0.0).sum() < MIN_MATCHES:
+                surface_pulls(points, normals, self._grid, reach, pose, columns, pulls)
+                square = ((x @ pose[:, :3].T + pose[:, 3] - y) ** 2).sum(axis=1)
+                gains = np.maximum(0.0, 1.0 - square / reach**2)
+                near, agree = pulls > 0.0, gains > 0.0
+                if near.sum() + agree.sum() < MIN_MATCHES:
                     return pose
-                near = weights > 0.0
-                x, y = points[near], self._grid.points[columns[near]]
-                pose = fit_pose(x, y, (1.0, 1.0), weights[near])[:3]
+                sides = (
+                    np.concatenate([points[near], x[agree]]),
+                    np.concatenate([self._grid.points[columns[near]], y[agree]]),
+                )
+                kinds = pulls[near], gains[agree]
+                weights = np.concatenate([kind / max(kind.sum(), TINY) for kind in kinds])
+                pose = fit_pose(*sides, (1.0, 1.0), weights)[:3]
         return pose
 
 
