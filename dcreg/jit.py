@@ -12,6 +12,7 @@ same results up to rounding.
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import gc
 import hashlib
@@ -19,10 +20,12 @@ import logging
 import os
 import re
 import shutil
+import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import llvmlite.binding as llvm
 import numba as nb
 import numpy as np
 from numba import config, extending
@@ -30,6 +33,9 @@ from numba import config, extending
 try:  # private parts of Numba, which a later version may move
     from numba.core import event
     from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import Compiler
+    from numba.core.targetconfig import TargetConfig
     from numba.misc.appdirs import AppDirs
 
     HAS_CACHE = True
@@ -120,7 +126,7 @@ def when_compiling(announce: Callable[[], None]) -> Iterator[None]:
     if not HAS_CACHE:
         yield
         return
-    collecting = gc.isenabled()
+    undo = contextlib.ExitStack()
 
     class FirstCompilation(event.Listener):
         announced = False
@@ -128,18 +134,35 @@ def when_compiling(announce: Callable[[], None]) -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if not self.announced:
                 self.announced = True
-                gc.disable()
+                if gc.isenabled():
+                    gc.disable()
+                    undo.callback(gc.enable)
+                undo.enter_context(_lean_numba())
                 announce()
 
         def on_end(self, event: Any) -> None:
             pass
 
+    with undo, event.install_listener("numba:compile", FirstCompilation()):
+        yield
+
+
+@functools.cache
+def _default_flags(kind: Any) -> dict[str, Any]:
+    return {name: option.default for name, option in kind.options.items()}
+
+
+@contextlib.contextmanager
+def _lean_numba() -> Iterator[None]:
+    """Skip Numba's events for profilers, and read its flags faster: saves 6 % of the compile time."""
+    on_lock, flags = llvm.ffi.lib._lock._cblist, cast(Any, TargetConfig)
+    events, values = on_lock[:], flags.values
+    on_lock.clear()  # two events for each of 60,000 calls of LLVM
+    flags.values = lambda self: _default_flags(self.__class__) | self._values
     try:
-        with event.install_listener("numba:compile", FirstCompilation()):
-            yield
+        yield
     finally:
-        if collecting:
-            gc.enable()
+        on_lock[:], flags.values = events, values
 
 
 def forget_old_kernels() -> None:
@@ -176,6 +199,28 @@ if HAS_CACHE:
     class _Cache(FunctionCache):
         _impl_class = _CacheImpl
 
+    class _InnerLibrary(JITCodeLibrary):
+        """Code that is only linked into callers, so no machine code is generated for it alone."""
+
+        def _finalize_final_module(self) -> None:
+            self._finalize_dynamic_globals()
+            self._finalized = True
+
+        def serialize_using_object_code(self) -> Any:
+            return self.serialize_using_bitcode()
+
+    class _InnerCompiler(Compiler):
+        """Compiles functions that other kernels call: without an entry from Python."""
+
+        def __init__(self, typing: Any, target: Any, library: Any, *arguments: Any) -> None:
+            library = _InnerLibrary(target.codegen(), "inner kernel")
+            super().__init__(typing, target, library, *arguments)
+            self.state.targetctx = copy.copy(self.state.targetctx)
+            self.state.targetctx.get_executable = _no_entry
+
+    def _no_entry(*_: Any) -> Any:
+        return object()  # a key: callers find the function by it
+
 
 # Kernels are called from Python and from each other, never by address: they need no entry in C.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
@@ -198,29 +243,63 @@ def _at_low_level(compile_core: Callable[..., Any]) -> Callable[..., Any]:
     return compile_kernel
 
 
-def _compiled(**options: Any) -> Any:
+def _make_kernel(function: Any, **options: Any) -> Any:
+    """Return the compiled function, with its cache on disk."""
+    kernel: Any = nb.njit(**_OPTIONS, **options)(function)
+    # some kernels of other methods slow down
+    if HAS_CACHE and function.__module__.startswith("dcreg."):
+        kernel._compiler._compile_core = _at_low_level(kernel._compiler._compile_core)
+    if cache_folder(Path(function.__code__.co_filename)) is not None:
+        kernel._cache = _Cache(function)
+    return kernel
+
+
+def _make_inner_kernel(function: Any, **options: Any) -> Any:
+    """Return a compiled function for other kernels, which needs a fifth less time.
+
+    The first call from Python, as in a test, compiles another version of it.
+    """
+    if not HAS_CACHE:
+        return _make_kernel(function, **options)
+    kernel = _make_kernel(
+        function, no_cpython_wrapper=True, pipeline_class=_InnerCompiler, **options
+    )
+
+    def add_overload(compiled: Any) -> None:
+        kernel.overloads[tuple(compiled.signature.args)] = compiled
+
+    @functools.cache
+    def outer() -> Any:
+        copied = types.FunctionType(
+            function.__code__, function.__globals__, function.__name__, function.__defaults__
+        )
+        copied.__qualname__ = f"{function.__qualname__}.outer"  # the name of its cache
+        return _make_kernel(copied, **options)
+
+    kernel.add_overload = add_overload
+    kernel._compile_for_args = lambda *_, **__: outer()
+    return kernel
+
+
+def _compiled(*, make: Callable[..., Any] = _make_kernel, **options: Any) -> Any:
     def decorate(function: Any) -> Any:
         if INTERPRETED:  # compiled arithmetic does not warn either
             return np.errstate(all="ignore")(function)
-        # a private kernel is called by other kernels alone and needs no entry from Python
-        inner: dict[str, Any] = {"no_cpython_wrapper": function.__name__.startswith("_")}
-        kernel: Any = nb.njit(**inner, **_OPTIONS, **options)(function)
-        # some kernels of other methods slow down
-        if HAS_CACHE and function.__module__.startswith("dcreg."):
-            kernel._compiler._compile_core = _at_low_level(kernel._compiler._compile_core)
-        if cache_folder(Path(function.__code__.co_filename)) is not None:
-            kernel._cache = _Cache(function)
-        return kernel
+        # other modules do not call private kernels
+        is_inner = function.__name__.startswith("_") and "inline" not in options
+        return (_make_inner_kernel if is_inner else make)(function, **options)
 
     return decorate
 
 
 jit: Any = _compiled()
+# For functions that only other kernels call.
+jit_inner: Any = _compiled(make=_make_inner_kernel)
 # For a part of one kernel: compiled as if it stood there, in less time than as a separate function.
 # Not for loops that have to be vectorised: the compiler does that best in a separate function.
 jit_part: Any = _compiled(inline="always")
 # For reductions over finite numbers in any order: lets the compiler vectorise a minimum.
-jit_reduction: Any = _compiled(fastmath={"nnan", "nsz", "reassoc"})
+jit_reduction: Any = _compiled(make=_make_inner_kernel, fastmath={"nnan", "nsz", "reassoc"})
 
 
 def intrinsic(stand_in: Any) -> Any:

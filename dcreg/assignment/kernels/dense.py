@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcreg.assignment.kernels.selection import cleared, kth_smallest, least
-from dcreg.jit import NEVER, jit, jit_part, jit_reduction
+from dcreg.jit import NEVER, jit, jit_inner, jit_part, jit_reduction
 
 
 def cheapest_pairs(cost, k, stop=NEVER):
@@ -49,7 +49,7 @@ def k_assignment_duals(cost, k, stop):
     return value, col_of, duals
 
 
-@jit_part
+@jit_inner
 def first_duals(cost, k, b):
     """Initial dual variables: zeros, or the minima of the columns if all columns are matched."""
     n, m = cost.shape
@@ -110,7 +110,7 @@ def improve_assignment(cost, k, b, stop):
     return value, col_of
 
 
-@jit
+@jit_inner
 def row_minima(cost, b, out):
     """out_i = min_j (c_ij + b_j)."""
     total = np.empty(b.size)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.jit import jit, jit_part, jit_reduction
+from dcreg.jit import jit, jit_inner, jit_part, jit_reduction
 
 _MAGNITUDE = np.int64(0x7FFFFFFFFFFFFFFF)
 
@@ -15,7 +15,7 @@ def _ordered(bits):
     return bits ^ ((bits >> 63) & _MAGNITUDE)
 
 
-@jit
+@jit_inner
 def least(values):
     """Minimum of a contiguous array without NaN.
 
@@ -35,7 +35,7 @@ def cleared(values):
     return values
 
 
-@jit
+@jit_inner
 def place_of_least(values):
     """Return the index of the first minimum."""
     at = 0
@@ -107,7 +107,7 @@ def total(values):
     return found
 
 
-@jit
+@jit_inner
 def smallest_sum(values, k, level, spacing):
     """Return the sum of the k smallest numbers, from below, and the largest of them, up to rounding.
 

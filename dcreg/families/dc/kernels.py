@@ -10,7 +10,7 @@ import numpy as np
 from dcreg.assignment.kernels.dense import k_assignment
 from dcreg.assignment.kernels.selection import cleared
 from dcreg.families.kernels import add_penalty
-from dcreg.jit import jit, jit_part
+from dcreg.jit import jit, jit_inner, jit_part
 
 # --- Costs of all pairs at a parameter, the curvature of the costs, and their range over a box ----
 # Similarities match points in 2D, and translations in norm space match norms ``|x + t|``. Both are called
@@ -26,7 +26,7 @@ def pair_costs(clouds, theta, cost):
     add_penalty(clouds.infeasibility_penalty, cost)
 
 
-@jit
+@jit_inner
 def squared_distances(source, target, theta, cost):
     """Fill the squared distances between features of the moved source and of the target."""
     if target.ndim == 1:

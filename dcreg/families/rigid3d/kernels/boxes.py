@@ -87,7 +87,7 @@ def allocate_found(kept: np.ndarray) -> Found:
     )  # fmt: skip
 
 
-@jit_part
+@jit
 def _geometry(lower, upper, centre, half, buffer):
     """Express the box relative to its centre. Fills the next two; `buffer` is (8, 3)."""
     for c in range(7):

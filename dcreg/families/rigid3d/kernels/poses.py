@@ -9,10 +9,10 @@ import numpy as np
 from dcreg.assignment.kernels.selection import least, sum_of_smallest
 from dcreg.families.kernels import Clouds, add_penalty
 from dcreg.families.rotation3d.kernels.geometry import chord_matrix, transform
-from dcreg.jit import jit, jit_part
+from dcreg.jit import jit, jit_inner, jit_part
 
 
-@jit
+@jit_inner
 def relative_vertices(centre, lower, upper, out):
     """Return the Gibbs vectors from the rotation `centre` to the vertices of a quaternion box.
 
@@ -47,7 +47,7 @@ def empty_view(clouds):
     return Clouds(source, target, clouds.infeasibility_penalty, clouds.k, clouds.stop)
 
 
-@jit
+@jit_inner
 def look_from(clouds, theta, view):
     """Fill `view` with R x and y - t for the pose `theta`, which becomes (I, 0)."""
     transform(chord_matrix(theta, theta), clouds.source, view.source)
@@ -62,7 +62,7 @@ def _shift(target, theta, out):
             out[c, j] = target[c, j] - theta[4 + c]
 
 
-@jit
+@jit_inner
 def add_penalty_by_target(penalty, out):
     """Add the penalties of infeasible pairs to (m, n) costs."""
     for i in range(penalty.shape[0]):
@@ -70,7 +70,7 @@ def add_penalty_by_target(penalty, out):
             out[j, i] += penalty[i, j]
 
 
-@jit
+@jit_inner
 def nearest_sums(caps, slack, k):
     """Sum the k smallest row minima: of squared distances, and of (distance - slack)^2."""
     low = np.empty(caps.shape[0])
@@ -90,7 +90,7 @@ def pose_costs(theta, clouds, out):
     pair_costs(view, out)
 
 
-@jit
+@jit_inner
 def pair_costs(clouds, out):
     """Fill (n, m) squared distances, with the penalties of infeasible pairs."""
     source, target = clouds.source, clouds.target

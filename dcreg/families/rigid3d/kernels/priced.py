@@ -143,7 +143,7 @@ def priced_value(view, farthest, goal, kept, work):
     return found - off, is_final
 
 
-@jit_part
+@jit
 def _begin(view, kept, work):
     """Compute the costs at a pose, and initialise the duals from another pose."""
     for j in range(kept.size):
@@ -154,14 +154,14 @@ def _begin(view, kept, work):
     add_penalty(view.infeasibility_penalty, work.costs)
 
 
-@jit_part
+@jit
 def _raise(view, level, work):
     """Raise the duals on trial by auction steps."""
     limits = Auction(int(_STEPS * view.k) + 1, np.float32(level), np.float32(_RAISE * level))
     auction(work.costs, work.columns[4], work.rows[0], limits, work.integers)
 
 
-@jit_part
+@jit
 def _evaluate(view, ceiling, work):
     """Settle the duals on trial; return their bound and a cost between the k-th and the next row."""
     low, b, exact = work.rows[0], work.columns[4], work.exact[0]
@@ -194,7 +194,7 @@ def _at_vertices(view, box, farthest, level, work, out):
     return found - off
 
 
-@jit_part
+@jit
 def _rounding(view, farthest, reach, found, duals):
     """Bound the rounding error of single precision in a sum of k costs minus squared displacements.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.jit import jit, jit_reduction
+from dcreg.jit import jit_inner, jit_reduction
 
 # Non-negative numbers have the order of their bits, whose minimum the compiler vectorises.
 _NONE = np.int32(0x7F800000)  # the bits of infinity
@@ -90,7 +90,7 @@ class Auction(NamedTuple):
     step: float
 
 
-@jit
+@jit_inner
 def auction(cost, b, low, limits, integers):
     """Raise duals by auction steps.
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcreg.assignment.kernels.selection import least, smallest_sum, total
-from dcreg.jit import jit, jit_part, jit_reduction
+from dcreg.jit import jit_inner, jit_part, jit_reduction
 
 
 class Loss(NamedTuple):
@@ -125,7 +125,7 @@ def _depths(work, a, b, c, level):
     return one, other
 
 
-@jit
+@jit_inner
 def costs_at_vertices(moved, low, k, box, level, work, out):
     """Fill lower bounds on C of `Loss` at each vertex of a box, for rows that cost at least `low`.
 

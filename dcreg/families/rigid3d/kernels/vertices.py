@@ -14,7 +14,7 @@ from dcreg.families.rigid3d.kernels.poses import empty_view, look_from
 from dcreg.families.rigid3d.kernels.priced import priced_value
 from dcreg.families.rigid3d.kernels.stationary import needed, proven
 from dcreg.families.rotation3d.kernels.geometry import extent
-from dcreg.jit import jit, jit_part
+from dcreg.jit import jit, jit_inner, jit_part
 
 VERTICES = 64  # vertices of a box: rotations times shifts
 # States of a box: vertex values may prune it; it remains open; vertex values have pruned it.
@@ -233,7 +233,7 @@ def price_vertices(known, requests, duals, clouds, work):
         known.values[slot], known.is_final[slot] = value, is_final
 
 
-@jit
+@jit_inner
 def vertex_pose(lower, upper, vertex, theta):
     """Return the pose of a vertex, in the order of `costs_at_vertices`."""
     turn = vertex >> 3

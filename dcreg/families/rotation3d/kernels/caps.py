@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from dcreg.families.kernels import add_penalty
-from dcreg.jit import jit
+from dcreg.jit import jit_inner
 
 
-@jit
+@jit_inner
 def cap_costs(moved, angle, target, penalty, out):
     """Fill (n, m) minimum squared residuals if `moved` may rotate by up to `angle`, with penalties."""
     cosine, sine = math.cos(angle), math.sin(angle)

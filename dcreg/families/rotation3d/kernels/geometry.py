@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from dcreg.jit import jit
+from dcreg.jit import jit, jit_inner
 
 
 @jit
@@ -36,7 +36,7 @@ def chord_matrix(q, r):
     return M
 
 
-@jit
+@jit_inner
 def transform(M, points, out):
     """Write M points to `out`, both (3, n)."""
     for i in range(points.shape[1]):
@@ -46,7 +46,7 @@ def transform(M, points, out):
         out[2, i] = M[2, 0] * x + M[2, 1] * y + M[2, 2] * z
 
 
-@jit
+@jit_inner
 def extent(points):
     """Return the RMS and the maximum length of (3, n) points."""
     square = most = 0.0
@@ -57,7 +57,7 @@ def extent(points):
     return math.sqrt(square / points.shape[1]), math.sqrt(most)
 
 
-@jit
+@jit_inner
 def matched_cost(moved, target, col_of):
     """Return the sum of squared residuals of given pairs."""
     total = 0.0

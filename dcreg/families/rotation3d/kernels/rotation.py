@@ -15,10 +15,10 @@ from dcreg.assignment.kernels.selection import least, place_of_least, sum_of_sma
 from dcreg.families.kernels import add_penalty
 from dcreg.families.rotation3d.kernels.caps import cap_costs
 from dcreg.families.rotation3d.kernels.geometry import chord_matrix, matched_cost, transform
-from dcreg.jit import jit, jit_part
+from dcreg.jit import jit, jit_inner, jit_part
 
 
-@jit
+@jit_inner
 def box_corners(lower, upper, corners):
     """Write the distinct vertices of a box of quaternions to `corners`; return their number.
 
@@ -37,7 +37,7 @@ def box_corners(lower, upper, corners):
     return count
 
 
-@jit
+@jit_inner
 def box_angle(centre, corners):
     """Return the maximum angle (at most pi) between the rotation `centre` and those of the box."""
     own, chord = _length(centre), 0.0
@@ -73,7 +73,7 @@ def pair_costs(M, clouds, out):
     add_penalty(penalty, out)
 
 
-@jit
+@jit_inner
 def nearest_bound(costs, k):
     """Return the larger sum of the k smallest row or column minima: a bound on the k-assignment."""
     n, m = costs.shape
@@ -87,7 +87,7 @@ def nearest_bound(costs, k):
     return max(sum_of_smallest(rows, k), sum_of_smallest(cols, k))
 
 
-@jit
+@jit_inner
 def dual_bound_at(M, clouds, b):
     """Return the dual bound on the k-assignment of `pair_costs` at M, without forming the matrix."""
     source, target, penalty = clouds.source, clouds.target, clouds.infeasibility_penalty
