@@ -22,7 +22,7 @@ from dcreg.problem import (
     rounding_error,
 )
 from dcreg.result import Result, RunnerUp
-from dcreg.status import Status
+from dcreg.status import NO_PROOF_EXPECTED, Status
 
 _MANY_POINTS, _VERY_MANY_POINTS = 1000, 4000
 # Poses differ if they displace the source by more than this fraction of the target's RMS radius.
@@ -110,7 +110,7 @@ def nothing_proven(case: Case) -> str | None:
             f"{known}. The search ended because the {what} within the tolerance "
             f"(upper_bound={result.upper_bound:.3g}, gap_tol={result.gap_tol:.3g}). Omit abs_gap and tol"
         )
-    if result.reason == "proof not expected within the limit":
+    if result.reason == NO_PROOF_EXPECTED:
         return f"{known}, and no proof is expected in time. Set prove=True (--prove) to search on"
     return (
         f"{known}. Allow more time, use fewer points, or choose a mode that closes the gap (see the page "

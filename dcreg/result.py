@@ -17,7 +17,7 @@ from dcreg.files import as_json, plain, write_text
 from dcreg.problem import InputError, rotation_angle_deg, scale_of
 from dcreg.result_parts import RunnerUp, Sample, Score
 from dcreg.search import Outcome, Trace, proven_share
-from dcreg.status import Status
+from dcreg.status import NO_PROOF_EXPECTED, Status
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class Result:
             return "fits within the tolerance"
         search = next((stage for stage in self.stages if stage.status is not None), None)
         gave_up = search is not None and search.status is Status.CONVERGED
-        return "proof not expected within the limit" if gave_up else "method's own end"
+        return NO_PROOF_EXPECTED if gave_up else "method's own end"
 
     @property
     def n_bounded(self) -> int:
@@ -238,11 +238,10 @@ class Result:
         """Return plain values for JSON; an infinite bound becomes None. The manual lists all keys."""
         names = (
             "status", "reason", "T_target_source", "T_certified", "scale", "model", "n_inliers",
-            "bound", "mode",
-            "lower_bound", "upper_bound", "gap", "gap_tol", "bound_ratio", "is_exact", "objective",
-            "objective_certified", "n_nodes", "n_assignments", "time_setup_s", "time_solve_s",
-            "certificate_scope", "rmse_matched", "assignment",
-            "downsampled", "score", "runner_up", "warnings",
+            "bound", "mode", "lower_bound", "upper_bound", "gap", "gap_tol", "bound_ratio", "is_exact",
+            "objective", "objective_certified", "n_nodes", "n_assignments", "time_setup_s",
+            "time_solve_s", "certificate_scope", "rmse_matched", "assignment", "downsampled", "score",
+            "runner_up", "warnings",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "stages": [stage.to_dict() for stage in self.stages]})

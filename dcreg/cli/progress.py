@@ -21,14 +21,16 @@ from rich.text import Text
 
 import dcreg
 from dcreg.cli.interrupts import SIGNALS, Interrupt
+from dcreg.status import NO_PROOF_EXPECTED
 
 # Its INFO records report the work outside of searches, such as compilation.
 _LIBRARY = logging.getLogger("dcreg")
 T = TypeVar("T")
 _GLANCE_S = 0.1  # between two checks for a signal
 _WAITING_S = 5.0  # between two plain lines without a search
+_SAME = 1e-3  # relative change of the upper bound up to which the pose counts as found before
 _HEADER = (
-    f"  {'stage':<11}{'nodes':>9}{'open':>7}{'assign.':>9}"
+    f"  {'stage':<11}{'nodes':>9}{'open':>7}{'pose at':>9}"
     f"{'lower bound':>12}{'upper bound':>12}{'proven':>10}{'time':>8}"
 )
 
@@ -68,6 +70,7 @@ class Progress:
         self._stage = ""
         self._last_upper = math.inf
         self._improved = False
+        self._found_s, self._found_upper = math.inf, math.inf
         self._pending: dcreg.Event | None = None
         self._undo = ExitStack()
 
@@ -146,7 +149,8 @@ class Progress:
             self._show_header()
         self._note_improvement(event)
         if self._live is not None:
-            self._live.update(Text(self._line(event), no_wrap=True, overflow="crop"))
+            shown = f"{self._line(event)}\n  {_note(event)}"
+            self._live.update(Text(shown, no_wrap=True, overflow="crop"))
             self._improved = False
         elif event.kind == "end" or time.monotonic() - self._last_print >= self.interval_s:
             self._print(event)
@@ -158,10 +162,14 @@ class Progress:
             self._stage, self._last_upper = event.stage, math.inf
         self._improved |= event.upper_bound < self._last_upper
         self._last_upper = min(self._last_upper, event.upper_bound)
+        # another stage may continue with the same pose
+        if not math.isclose(event.upper_bound, self._found_upper, rel_tol=_SAME):
+            self._found_s, self._found_upper = event.time_s, event.upper_bound
 
     def _show_header(self) -> None:
         self.console.print(
-            "bounds in squared units of the target; proven: lower bound in % of the upper bound\n"
+            "pose at: when the best pose was found, to 0.1 %; bounds in squared units of the target\n"
+            "proven: lower bound in % of the upper bound\n"
             "*: better pose since the last line; Ctrl-C stops the search and keeps the best pose",
             highlight=False,
             soft_wrap=True,
@@ -170,7 +178,7 @@ class Progress:
         self._header_shown = True
 
     def _print(self, event: dcreg.Event) -> None:
-        self.console.print(Text(self._line(event)), soft_wrap=True)
+        self.console.print(Text(f"{self._line(event)}  {_note(event)}".rstrip()), soft_wrap=True)
         self._last_print = time.monotonic()
         self._pending = None
         self._improved = False
@@ -178,10 +186,9 @@ class Progress:
     def _line(self, event: dcreg.Event) -> str:
         mark = "*" if self._improved else " "
         return (
-            f"{mark} {event.stage:<11}{event.n_nodes:>9}{event.n_open:>7}{event.n_assignments:>9}"
+            f"{mark} {event.stage:<11}{event.n_nodes:>9}{event.n_open:>7}{_seconds(self._found_s):>9}"
             f"{_number(event.lower_bound, 5):>12}{_number(event.upper_bound, 5):>12}"
-            f"{_proven(event):>10}{event.time_s:>7.1f}s"
-            f"{'  ' + event.status if event.status else ''}"
+            f"{_proven(event):>10}{_seconds(event.time_s):>8}"
         )
 
 
@@ -200,6 +207,19 @@ def _proven(event: dcreg.Event) -> str:
     if event.status == "optimal" and event.lower_bound <= 0.0:
         return "exact fit"
     return f"{math.floor(1000.0 * event.bound_ratio) / 10.0:.1f} %"  # only a closed gap is 100 %
+
+
+def _note(event: dcreg.Event) -> str:
+    """Return how the search ended or, before, when its proof is expected."""
+    if event.status or event.expected_s is None:
+        return event.status
+    if math.isinf(event.expected_s):
+        return NO_PROOF_EXPECTED
+    return f"proof expected in about {math.ceil(event.expected_s)} s"
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.1f}s" if math.isfinite(value) else "-"
 
 
 def _number(value: float, digits: int) -> str:

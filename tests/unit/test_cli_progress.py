@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import psutil
@@ -36,13 +37,14 @@ def test_plain_lines_are_few_aligned_and_end_with_the_last_event():
     events = [event(time_s=i / 100, n_nodes=i + 1, upper=9.0 - i % 2) for i in range(50)]
     events.append(event("end", time_s=0.5, n_nodes=99, lower=0.1, upper=0.125, status="optimal"))
     lines = show(events).splitlines()
-    assert "proven: lower bound in % of the upper bound" in lines[0]
-    assert lines[1].startswith("*: better pose")
-    header, first, last = lines[2:]
+    assert lines[0].startswith("pose at: when the best pose was found")
+    assert lines[1] == "proven: lower bound in % of the upper bound"
+    assert lines[2].startswith("*: better pose")
+    header, first, last = lines[3:]
     assert first.startswith("* search")
     assert last.startswith("* search")
-    assert last.split()[2:] == ["99", "3", "1584", "0.1", "0.125", "80.0", "%", "0.5s", "optimal"]
-    for column in ("nodes", "lower bound", "upper bound", "proven", "time"):
+    assert last.split()[2:] == ["99", "3", "0.5s", "0.1", "0.125", "80.0", "%", "0.5s", "optimal"]
+    for column in ("nodes", "pose at", "lower bound", "upper bound", "proven", "time"):
         end = header.index(column) + len(column)
         assert first[end - 1] != " "
         assert first[end : end + 1] in ("", " ")
@@ -52,20 +54,45 @@ def test_plain_lines_are_few_aligned_and_end_with_the_last_event():
 def test_infinite_bounds_and_new_stage_marks():
     events = [event(lower=-math.inf, upper=math.inf), event("end", upper=1.0)]
     events.append(event("end", stage="rotation", upper=5.0))
-    first, second, third = show(events).splitlines()[3:]
-    assert first.split() == ["search", "1", "3", "16", "-", "-", "0.0", "%", "0.0s"]
+    first, second, third = show(events).splitlines()[4:]
+    assert first.split() == ["search", "1", "3", "-", "-", "-", "0.0", "%", "0.0s"]
     assert second.startswith("*")
     assert third.startswith("* rotation")  # a larger value, but of another objective
 
 
 def test_the_last_event_is_shown_even_without_an_end():
     lines = show([event(n_nodes=1), event(n_nodes=2), event(n_nodes=3)]).splitlines()
-    assert [line.split()[-8] for line in lines[3:]] == ["1", "3"]
+    assert [line.split()[-8] for line in lines[4:]] == ["1", "3"]
 
 
 def test_an_exact_fit_is_called_so():
     last = show([event("end", upper=1e-20, status="optimal")]).splitlines()[-1]
     assert last.split()[-4:] == ["exact", "fit", "0.0s", "optimal"]
+
+
+def test_the_pose_counts_as_found_until_its_bound_falls_by_a_thousandth():
+    uppers = [math.inf, 2.0, 1.999, 1.0, 0.9999, 0.9995]
+    events = [event(time_s=float(at), upper=upper) for at, upper in enumerate(uppers)]
+    events.append(event("end", time_s=9.0, stage="all points", upper=0.9995))  # the same pose
+    events.append(event("end", time_s=9.5, stage="rotation", upper=7.0))
+    lines = show(events, interval_s=-1.0).splitlines()[4:]
+    found = [line[29:38].strip() for line in lines]
+    assert found == ["-", "1.0s", "1.0s", "3.0s", "3.0s", "3.0s", "3.0s", "9.5s"]
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+@pytest.mark.parametrize(
+    ("expected_s", "note"),
+    [
+        (11.2, "proof expected in about 12 s"),
+        (math.inf, "proof not expected within the limit"),
+        (None, ""),
+    ],
+)
+def test_the_time_to_the_proof_is_shown_if_it_is_known(expected_s, note, terminal):
+    text = show([replace(event(), expected_s=expected_s)], terminal=terminal)
+    assert note in text
+    assert ("proof" in text) == bool(note)
 
 
 def test_terminal_shows_one_live_line():
