@@ -1,0 +1,108 @@
+"""What a first call of `register` compiles: functions, specialisations and lines of LLVM's input.
+
+``python -m tests.bench.compile_counters`` prints the counters of one 2D and one 3D call and the stored
+ones; ``--accept`` stores them. Compile time cannot be asserted on a shared machine, these counters can.
+Use the pinned version of Numba, because other versions generate other code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+STORED = Path(__file__).with_name("compile_counters.json")
+COMMAND = "python -m tests.bench.compile_counters --accept"
+CALLS = {"2d": "similarity2d", "3d": "rigid3d"}
+N_POINTS = 40  # above 1,000 pairs, a 3D search compiles all of its kernels
+MARGIN = 0.1
+
+
+def count(dimension: str) -> dict[str, int]:
+    """Count what one call compiles in a new process with an empty cache."""
+    with tempfile.TemporaryDirectory() as cache:
+        done = subprocess.run(
+            [sys.executable, "-m", "tests.bench.compile_counters", "--here", dimension], cwd=ROOT,
+            env=os.environ | {"NUMBA_CACHE_DIR": cache}, check=True, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+    counters: dict[str, int] = json.loads(done.stdout.splitlines()[-1])
+    return counters
+
+
+def _count_here(dimension: str) -> dict[str, int]:
+    """Count what one call compiles in this process."""
+    import llvmlite.binding as llvm
+    import numpy as np
+    from numba.core import event
+
+    import dcreg
+
+    lines, parse = [], llvm.parse_assembly
+
+    def counting(text: str, *arguments: Any) -> Any:
+        lines.append(text.count("\n"))
+        return parse(text, *arguments)
+
+    generator = np.random.default_rng(0)
+    source = generator.standard_normal((N_POINTS, int(dimension[0])))
+    target = source + 0.01 * generator.standard_normal(source.shape)
+    compiled = event.RecordingListener()
+    llvm.parse_assembly = counting
+    try:
+        with event.install_listener("numba:compile", compiled):
+            dcreg.register(
+                source, target, n_inliers=N_POINTS - 1, model=CALLS[dimension], node_limit=200
+            )
+    finally:
+        llvm.parse_assembly = parse
+    codes = [
+        each.data["dispatcher"].py_func.__code__ for _, each in compiled.buffer if each.is_start
+    ]
+    return {"functions": len(set(codes)), "specialisations": len(codes), "ir_lines": sum(lines)}
+
+
+def stored() -> dict[str, dict[str, int]]:
+    """Return the accepted counters by dimension."""
+    content: dict[str, dict[str, int]] = json.loads(STORED.read_text(encoding="utf-8"))
+    return content
+
+
+def growth(found: dict[str, int], accepted: dict[str, int]) -> list[str]:
+    """Name the counters that grew by more than `MARGIN`."""
+    return [
+        f"{name} grew by {100 * (value / accepted[name] - 1):.0f} %: {value}, accepted {accepted[name]}"
+        for name, value in found.items()
+        if value > (1 + MARGIN) * accepted[name]
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--accept", action="store_true", help="store the counters")
+    parser.add_argument("--here", choices=CALLS, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.here:
+        print(json.dumps(_count_here(arguments.here)))
+        return
+    found = {dimension: count(dimension) for dimension in CALLS}
+    before = stored() if STORED.exists() else {}
+    for dimension, counters in found.items():
+        old = before.get(dimension, {})
+        shown = (
+            f"{name} {value} (stored {old.get(name, '-')})" for name, value in counters.items()
+        )
+        print(f"{dimension}: {', '.join(shown)}")
+    if arguments.accept:
+        STORED.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
