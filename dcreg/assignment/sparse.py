@@ -21,12 +21,18 @@ if TYPE_CHECKING:
 # Maximum number of pairs in a dense matrix, and of neighbour pairs in a sparse one.
 DENSE_PAIRS = 4_000_000
 _FIRST_NEIGHBOURS = 16
+_ROUGH_NEIGHBOURS = 8  # if no proof is requested, and not all rows need a partner
 # If no time is left: so few neighbours, at most by this share farther than the nearest ones.
 _GREEDY_NEIGHBOURS, _GREEDY_SLACK = 8, 0.5
+_HUGE_GREEDY, _MANY_ROWS = 4, 100_000  # fewer neighbours for more rows than this
+_LAST_NEIGHBOURS, _LAST_SLACK = 2, 1.0  # if the time ends during a query
+_QUERY_ROWS = 20_000  # between two looks at the stop flag
 _MANY_QUERIES = 5000
-_LEFTOVER_ROUNDS = 8  # of pairing near points that are still unmatched
+_LEFTOVER_ROUNDS, _LAST_ROUNDS = 8, 2  # of pairing near points that are still unmatched
+_SPARE = 3  # points looked at for each pair that is missing
 _MAX_PRICES = 16
-_ROUGH = 1.02  # relative size of a matching that may be cut to k if no proof is requested
+_ROUGH = 0.02  # relative error of the size of a matching that is cut or completed without a proof
+_ROUGH_ROWS = 150_000  # rows of all assignments for which a rough price is sought
 
 
 @dataclass(frozen=True)
@@ -65,10 +71,10 @@ def sparse_matching(
     pairs in total. If this does not suffice either, the best matching is returned as not exact. Points
     that remain unmatched are paired with near ones among themselves.
 
-    Without `prove`, only the first 16 neighbours are used, and the price of staying unmatched is found
-    approximately. This gives a near-optimal matching in a fraction of the time, for the steps of a
-    descent. If `stop` is set during the call, near pairs are chosen greedily instead; if it is set
-    before, from few neighbours.
+    Without `prove`, only the first neighbours are used (8, or 16 if k = n), and the price of staying
+    unmatched is found approximately. This gives a near-optimal matching in a fraction of the time, for
+    the steps of a descent. If `stop` is set during the call, near pairs are chosen greedily instead; if
+    it is set before, from few neighbours.
     """
     if len(points) > len(target):
         found = sparse_matching(target, points, k, prove=prove, stop=stop)
@@ -78,7 +84,8 @@ def sparse_matching(
         )
     n, m = len(points), len(target)
     tree = tree_of(target)
-    neighbours, spent = min(_FIRST_NEIGHBOURS, m), 0
+    first = _FIRST_NEIGHBOURS if prove or k == n else min(_ROUGH_NEIGHBOURS, _FIRST_NEIGHBOURS)
+    neighbours, spent = min(first, m), 0
     best: Matching | None = None
     while True:
         columns, costs = _near(tree, points, neighbours, stop)
@@ -88,8 +95,12 @@ def sparse_matching(
         if stop[0]:  # possibly set during the assignment
             col_of, own = _greedy(columns, costs, m, k), None
         spent += solved
-        exact = prove and own is not None and _is_proved(points, tree, columns, costs, col_of, own)
-        value, pairs = _completed(points, target, col_of, k, stop)
+        exact = (
+            prove
+            and own is not None
+            and _is_proved(points, tree, columns, costs, col_of, own, stop)
+        )
+        value, pairs = _completed(points, target, col_of, k, costs[:, 0], stop)
         if best is None or exact or value < best.value:
             best = Matching(value, pairs, exact, spent)
         if exact or not prove or stop[0] or neighbours == m or 4 * neighbours * n > DENSE_PAIRS:
@@ -98,21 +109,41 @@ def sparse_matching(
 
 
 def tree_of(points: np.ndarray) -> cKDTree:
-    """Return the search tree of the points. SciPy is loaded here: small problems do without it."""
+    """Return the search tree of the points. SciPy is loaded here: small problems do without it.
+
+    Many queries lie far outside the overlap. Cells that are halved in the middle answer them in half the
+    time of cells of equally many points.
+    """
     from scipy.spatial import cKDTree
 
-    return cKDTree(points)
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
 def _near(
     tree: cKDTree, points: np.ndarray, count: int, stop: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return `count` near points of the tree for each row, nearest first, and their costs."""
-    count, slack = (min(count, _GREEDY_NEIGHBOURS), _GREEDY_SLACK) if stop[0] else (count, 0.0)
-    distances, columns = tree.query(
-        points, k=np.arange(1, count + 1), eps=slack, workers=_workers(points)
-    )
-    return columns.astype(np.int64), distances**2
+    """Return `count` near points of the tree for each row, nearest first, and their costs.
+
+    Once `stop` is set, they are fewer and less near; missing ones have infinite costs.
+    """
+    slack = 0.0
+    if stop[0]:
+        few = _HUGE_GREEDY if len(points) > _MANY_ROWS else _GREEDY_NEIGHBOURS
+        count, slack = min(count, few), _GREEDY_SLACK
+    was_over = bool(stop[0])
+    columns = np.zeros((len(points), count), np.int64)
+    costs = np.full((len(points), count), np.inf)
+    wanted = count
+    for begin in range(0, len(points), _QUERY_ROWS):
+        if stop[0] and not was_over:
+            wanted, slack = min(count, _LAST_NEIGHBOURS), _LAST_SLACK
+        some = points[begin : begin + _QUERY_ROWS]
+        found = np.s_[begin : begin + _QUERY_ROWS, :wanted]
+        distances, columns[found] = tree.query(
+            some, k=np.arange(1, wanted + 1), eps=slack, workers=_workers(some)
+        )
+        costs[found] = distances**2
+    return columns, costs
 
 
 def _matching_of_size(
@@ -134,17 +165,20 @@ def _matching_of_size(
     low, n_low, high, n_high = 0.0, 0, top, n + 1
     price = 2.0 * float(np.partition(costs[:, 0], k - 1)[k - 1]) or 1e-9 * top
     enough = None
-    for solved in range(1, _MAX_PRICES + 1):
+    most = _MAX_PRICES if prove else int(np.clip(_ROUGH_ROWS // k, 1, _MAX_PRICES))
+    for solved in range(1, most + 1):
         col_of = _priced_matching(columns, costs, m, price, stop)
         size = int((col_of >= 0).sum())
         if size == k:
             return col_of, _own_costs(columns, costs, col_of, price), solved
         if size > k:
             high, n_high, enough = price, size, col_of
-            if not prove and size <= _ROUGH * k:
+            if not prove and size <= (1.0 + _ROUGH) * k:
                 break
         else:
             low, n_low = price, size
+            if not prove and size >= (1.0 - _ROUGH) * k:
+                return col_of, None, solved
         if enough is None:
             # if all candidates are used already, a higher price hardly adds a pair
             if low == top or stop[0] or (not prove and low > costs.max()):
@@ -194,6 +228,7 @@ def _is_proved(
     costs: np.ndarray,
     col_of: np.ndarray,
     own: np.ndarray,
+    stop: np.ndarray,
 ) -> bool:
     """Tell whether no farther pair can improve the matching, by the dual variables."""
     u, v, settled = assignment_duals(columns, costs, col_of, own, tree.n)
@@ -205,27 +240,34 @@ def _is_proved(
         neighbours = min(4 * neighbours, tree.n)
         if neighbours * rows.size > DENSE_PAIRS:
             return False
-        distances, farther = tree.query(points[rows], k=np.arange(1, neighbours + 1))
-        if (distances**2 - u[rows, None] < v[farther] - 1e-12 * own.max()).any():
+        farther, costs = _near(tree, points[rows], neighbours, stop)
+        if stop[0] or (costs - u[rows, None] < v[farther] - 1e-12 * own.max()).any():
             return False
-        rows = rows[distances[:, -1] ** 2 < u[rows]]
+        rows = rows[costs[:, -1] < u[rows]]
     return True
 
 
 def _completed(
-    points: np.ndarray, target: np.ndarray, col_of: np.ndarray, k: int, stop: np.ndarray
+    points: np.ndarray,
+    target: np.ndarray,
+    col_of: np.ndarray,
+    k: int,
+    nearest: np.ndarray,
+    stop: np.ndarray,
 ) -> tuple[float, np.ndarray]:
     """Return the value and exactly k pairs: those of `col_of`, completed by unmatched points.
 
-    Unmatched points are paired with near unmatched ones in a few rounds (one if no time is left). The
-    rest is paired in the order along the longest side.
+    Unmatched points are paired with near unmatched ones in a few rounds (fewer if no time is left), those
+    with the lowest cost `nearest` of their nearest point first. The rest is paired in the order along the
+    longest side.
     """
     col_of = col_of.copy()
-    for _ in range(1 if stop[0] else _LEFTOVER_ROUNDS):
+    for _ in range(_LAST_ROUNDS if stop[0] else _LEFTOVER_ROUNDS):
         missing = k - int((col_of >= 0).sum())
         if missing <= 0:
             break
         rows, columns = _left_over(col_of, len(target))
+        rows = rows[np.argsort(nearest[rows], kind="stable")[: _SPARE * missing]]
         wanted = min(_FIRST_NEIGHBOURS, len(columns))
         at, costs = _near(tree_of(target[columns]), points[rows], wanted, stop)
         chosen = _greedy(at, costs, len(columns), missing)

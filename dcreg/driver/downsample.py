@@ -6,11 +6,14 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 
 from dcreg.assignment.descent import polish
-from dcreg.assignment.objective import Matched, objective, quick_objective
+from dcreg.assignment.large import descend, greedy_seconds, near_value
+from dcreg.assignment.objective import Matched, is_large, objective, quick_objective
+from dcreg.assignment.sparse import tree_of
 from dcreg.diagnostics import find_runner_up
 from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE, NORM_PAIRS
 from dcreg.problem import InputError, Problem, representative_points
@@ -23,6 +26,7 @@ _LOGGER = logging.getLogger("dcreg")
 HOPELESS = 4.0  # poses with more than this many times the best objective are not refined
 # Share of the time for the search of a sample; the rest is for refining its pose on all points.
 SEARCH_SHARE = 0.8
+LEAST_SHARE = 0.5  # of huge clouds within a short limit
 
 
 def to_search(
@@ -96,6 +100,13 @@ def default_sample(problem: Problem, bound: str | None, certificate: bool) -> in
     return LARGE_SAMPLE[problem.dim]
 
 
+def share_of_search(problem: Problem, time_s: float | None) -> float:
+    """Return the share of the time for the search of a sample: all points have to be matched after it."""
+    if not time_s:
+        return SEARCH_SHARE
+    return float(np.clip(1.0 - greedy_seconds(problem) / time_s, LEAST_SHARE, SEARCH_SHARE))
+
+
 # A pose with its objective and its pairs.
 Pose = tuple[float, np.ndarray, np.ndarray]
 _value = itemgetter(0)
@@ -115,22 +126,17 @@ def refined(
     """
     _LOGGER.info("the search of the sample has ended; its pose is refined on all points")
     began = budget.elapsed()
-    clouds, k = (problem.source, problem.target), problem.n_inliers
     T = result.T_target_source
-    before, pairs, greedy = quick_objective(problem, T, known, prove=False, stop=budget.hard_stop)
-    poses, tried = [(before, T, pairs)], 1
-    if result.runner_up is not None and not budget.is_over:
-        T, tried = result.runner_up.T_target_source, tried + 1
-        value, pairs = objective(*clouds, T, k, prove=False, stop=budget.hard_stop)
-        poses.append((value, T, pairs))
+    others = [] if result.runner_up is None else [result.runner_up.T_target_source]
     if known is not None:
-        value, pairs = known.cheapest(*clouds, known.T_target_source, k)
-        poses.append((value, known.T_target_source, pairs))
-    poses, spent = refine_poses(problem, poses, budget)
-    value, T, pairs = min(poses, key=_value)
+        others.append(known.T_target_source)
+    by_neighbours = is_large(len(problem.source), len(problem.target)) and not budget.is_over
+    refine = _refined_large if by_neighbours else _refined_dense
+    found = refine(problem, T, others, budget, known)
+    value, T, pairs = min(found.poses, key=_value)
     stage = Stage(
-        "all points", budget.elapsed() - began, n_assignments=tried + spent,
-        objective_before=before, objective_after=value, greedy_assignment=greedy or None,
+        "all points", budget.elapsed() - began, n_assignments=found.n_assignments,
+        objective_before=found.before, objective_after=value, greedy_assignment=found.greedy or None,
     )  # fmt: skip
     ended = result.status in (Status.OPTIMAL, Status.CONVERGED)
     return replace(
@@ -138,13 +144,89 @@ def refined(
         status=budget.ended_by if ended and budget.is_over else result.status,
         T_target_source=T,
         assignment=pairs,
-        n_inliers=k,
+        n_inliers=problem.n_inliers,
         objective=value,
-        objective_certified=before,
-        runner_up=find_runner_up(problem, T, value, [(other, cost) for cost, other, _ in poses]),
+        objective_certified=found.before,
+        runner_up=find_runner_up(problem, T, value, found.ends),
         stages=[*result.stages, stage],
         downsampled=Sample(len(searched.source), len(searched.target), searched.n_inliers),
     )
+
+
+class Refined(NamedTuple):
+    """The poses of a sample on all points.
+
+    Attributes
+    ----------
+    poses : list of Pose
+    ends : list of (pose, float)
+        Where local searches ended, with the objective, or an estimate for a clearly worse pose.
+    before : float
+        The objective at the first pose before, or an upper bound on it.
+    greedy : bool
+        Whether the pairs of the first pose were chosen greedily.
+    n_assignments : int
+    """
+
+    poses: list[Pose]
+    ends: list[tuple[np.ndarray, float]]
+    before: float
+    greedy: bool
+    n_assignments: int
+
+
+def _refined_dense(
+    problem: Problem,
+    T: np.ndarray,
+    others: Sequence[np.ndarray],
+    budget: Budget,
+    known: Matched | None,
+) -> Refined:
+    """Match at the poses, and polish them if there is time."""
+    clouds, k = (problem.source, problem.target), problem.n_inliers
+    before, pairs, greedy = quick_objective(problem, T, known, prove=False, stop=budget.hard_stop)
+    poses, spent = [(before, T, pairs)], 1
+    for other in others:
+        if known is not None and other is known.T_target_source:
+            value, pairs = known.cheapest(*clouds, other, k)
+        elif budget.is_over:
+            continue
+        else:
+            value, pairs = objective(*clouds, other, k, prove=False, stop=budget.hard_stop)
+            spent += 1
+        poses.append((value, other, pairs))
+    poses, more = refine_poses(problem, poses, budget)
+    ends = [(pose, value) for value, pose, _ in poses]
+    return Refined(poses, ends, before, greedy, spent + more)
+
+
+def _refined_large(
+    problem: Problem,
+    T: np.ndarray,
+    others: Sequence[np.ndarray],
+    budget: Budget,
+    known: Matched | None,
+) -> Refined:
+    """Follow nearest neighbours from the poses, and match only where these end."""
+    tree = tree_of(problem.target)
+    near = [near_value(problem, pose, tree) for pose in (T, *others)]
+    first = descend(problem, T, budget, tree)
+    poses: list[Pose] = [(first.value, first.T_target_source, first.pairs)]
+    ends, spent = [(first.T_target_source, first.value)], first.n_assignments
+    for other, value in zip(others, near[1:], strict=True):
+        if first.greedy or budget.is_over:
+            break
+        if value > HOPELESS * min(near):  # the objectives differ about as these distances do
+            ends.append((other, first.value * value / near[0]))
+            continue
+        found = descend(problem, other, budget, tree)
+        poses.append((found.value, found.T_target_source, found.pairs))
+        ends.append((found.T_target_source, found.value))
+        spent += found.n_assignments
+    if known is not None:
+        cheapest = known.cheapest(problem.source, problem.target, poses[0][1], problem.n_inliers)
+        poses.append((cheapest[0], poses[0][1], cheapest[1]))
+    return Refined(poses, ends, first.before, first.greedy, spent)
 
 
 def refine_poses(problem: Problem, poses: Sequence[Pose], budget: Budget) -> tuple[list[Pose], int]:

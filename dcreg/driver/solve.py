@@ -13,7 +13,7 @@ from dcreg.assignment.objective import Matched, is_large, objective, quick_objec
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, find_runner_up, warnings_for
-from dcreg.driver.downsample import SEARCH_SHARE, Pose, refine_poses, refined, to_search
+from dcreg.driver.downsample import Pose, refine_poses, refined, share_of_search, to_search
 from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
@@ -36,7 +36,9 @@ def register_problem(
     """Solve one problem by a mode of the table, or by `mode`; see `dcreg.register`."""
     setup = Setup.of([problem], limits, options, mode)
     with setup.budget() as budget:
-        searching = budget.isolated_sub_budget(SEARCH_SHARE) if setup.is_sampled else budget
+        searching = budget
+        if setup.is_sampled:
+            searching = budget.isolated_sub_budget(share_of_search(problem, budget.left()))
         normalised = setup.normalised(0, searching)
         solution = run_mode(setup.mode, normalised)
         solution.events = budget.history

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from dcreg.assignment import sparse
+from dcreg.assignment import large, sparse
 from dcreg.assignment.objective import k_assignment
 from dcreg.driver.modes import find_mode
 from dcreg.driver.warm_up import warm_up_mode
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.problem import InputError
+from dcreg.problem import InputError, Problem
 from dcreg.search import Budget, Tolerance
 from dcreg.status import Status
 from tests.problems import register
@@ -147,6 +147,62 @@ def test_pairs_beyond_the_overlap_are_matched_by_distance(rng):
     optimum, _ = k_assignment(_squared(points, target), 600)
     assert len(set(found.pairs[:, 0])) == len(set(found.pairs[:, 1])) == 600
     assert optimum <= found.value <= 6.0 * optimum
+
+
+def nearly_registered(rng, size, n_inliers):
+    """A problem whose second cloud is another sample, and a pose near the true one."""
+    source, target = spiral(rng, size), spiral(rng, size) + NOISE * rng.standard_normal((size, 3))
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([0.02, 0.03, -0.02]).as_matrix()
+    return Problem(source, target, n_inliers, "rigid3d"), T
+
+
+@pytest.mark.parametrize("huge", [False, True])
+def test_a_descent_on_large_clouds_ends_below_its_start(rng, huge, monkeypatch):
+    problem, T = nearly_registered(rng, 3000, 2100)
+    if huge:
+        monkeypatch.setattr(large, "HUGE", 100)
+    found = large.descend(problem, T, Budget())
+    assert found.value == pytest.approx(large.residual(problem, found.T_target_source, found.pairs))
+    assert found.value < 0.95 * found.before
+    assert not found.greedy
+    assert found.n_assignments == 1 if huge else found.n_assignments <= 6
+    assert Rotation.from_matrix(found.T_target_source[:3, :3]).magnitude() < 0.035  # of 0.041
+
+
+def test_a_descent_without_time_for_a_matching_is_greedy(rng, monkeypatch):
+    problem, T = nearly_registered(rng, 3000, 2100)
+    monkeypatch.setattr(large, "_MATCHING_S", 1.0)
+    with Budget(5.0) as budget:
+        found = large.descend(problem, T, budget)
+    assert found.greedy
+    assert len(set(found.pairs[:, 0])) == len(set(found.pairs[:, 1])) == 2100
+    assert found.value <= found.before
+
+
+def test_rough_matchings_are_near_the_optimum(rng):
+    problem, _ = nearly_registered(rng, 2500, 1800)
+    clouds = problem.source, problem.target
+    rough, exact = (sparse.sparse_matching(*clouds, 1800, prove=prove) for prove in (False, True))
+    assert exact.exact
+    assert exact.value <= rough.value <= 1.1 * exact.value
+
+
+def test_a_stop_during_a_query_leaves_few_neighbours_of_the_rest(rng, monkeypatch):
+    problem, _ = nearly_registered(rng, 2500, 1800)
+    monkeypatch.setattr(sparse, "_QUERY_ROWS", 500)
+    stop, tree = np.zeros(1, np.uint8), sparse.tree_of(problem.target)
+
+    class Stopping:
+        def query(self, points, **settings):
+            stop[0] = 1
+            return tree.query(points, **settings)
+
+    columns, costs = sparse._near(Stopping(), problem.source, 8, stop)
+    assert np.isfinite(costs[:500]).all()
+    assert np.isfinite(costs[500:, :2]).all()
+    assert np.isinf(costs[500:, 2:]).all()
+    assert columns.max() < 2500
 
 
 @pytest.mark.parametrize(

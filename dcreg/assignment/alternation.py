@@ -1,0 +1,89 @@
+"""Alternation of matching and pose fit, by one-to-one pairs or by nearest neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from dcreg.assignment.sparse import nearest_pairs
+from dcreg.problem.geometry import apply_pose, fit_pose
+from dcreg.search import Budget
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+MAX_ROUNDS = 100
+_MIN_GAIN_NEAREST = 1e-3  # relative decrease below which nearest neighbours are not followed
+
+M = TypeVar("M")  # a matching, in whatever form
+
+
+def alternate(
+    theta: np.ndarray,
+    value: float,
+    matching: M,
+    fit: Callable[[np.ndarray, M], np.ndarray | None],
+    evaluate: Callable[[np.ndarray], tuple[float, M]],
+    min_gain: float,
+    max_rounds: int = MAX_ROUNDS,
+) -> tuple[np.ndarray, float, M, int]:
+    """Alternate the best pose for a matching and the best matching at a pose while the objective falls.
+
+    Parameters
+    ----------
+    theta : array
+        A pose, or its parameter.
+    value : float
+        The objective at `theta`; infinite if `theta` need not be admissible.
+    matching
+        The matching at `theta`.
+    fit : callable
+        From a pose and a matching to the best pose for the matching, or None to end the descent.
+    evaluate : callable
+        From a pose to the objective and the matching.
+    min_gain : float
+        Relative decrease of the objective below which the descent ends; less is rounding.
+    max_rounds : int
+
+    Returns
+    -------
+    theta, value, matching, n_evaluations
+    """
+    spent = 0
+    while spent < max_rounds and (trial := fit(theta, matching)) is not None:
+        trial_value, trial_matching = evaluate(trial)
+        spent += 1
+        if trial_value >= value * (1.0 - min_gain):
+            break
+        theta, value, matching = trial, trial_value, trial_matching
+    return theta, value, matching, spent
+
+
+def follow_nearest(
+    source: np.ndarray,
+    tree: cKDTree,
+    T: np.ndarray,
+    k: int,
+    scale_range: tuple[float, float],
+    budget: Budget | None = None,
+) -> tuple[np.ndarray, float]:
+    """Alternate the k nearest neighbours and the least-squares pose while their distance falls.
+
+    Returns the final pose and the sum of squared distances of its pairs, which are not one-to-one. `tree`
+    contains the target.
+    """
+
+    def evaluate(T: np.ndarray) -> tuple[float, np.ndarray]:
+        pairs, value = nearest_pairs(apply_pose(T, source), tree, k)
+        return value, pairs
+
+    def fit(T: np.ndarray, pairs: np.ndarray) -> np.ndarray | None:
+        if budget is not None and budget.is_over:
+            return None
+        return fit_pose(source[pairs[:, 0]], tree.data[pairs[:, 1]], scale_range)
+
+    value, pairs = evaluate(T)
+    T, value, _, _ = alternate(T, value, pairs, fit, evaluate, _MIN_GAIN_NEAREST, MAX_ROUNDS - 1)
+    return T, value
