@@ -85,7 +85,9 @@ _NEIGHBOURS = 3
 _ISOLATED = 6.0  # times the median distance to the third neighbour
 # Clutter has few points around it, and they fill a volume; those of a thin part of a surface do not.
 _AROUND = 12  # neighbours that show a volume
-_SPARSE = 2.0  # times the median distance to the eighth neighbour
+_DENSITY = 8  # the neighbour whose distance shows the density
+_SPARSE = 2.0  # times the median distance to that neighbour
+_THINNED, _THINNED_TIMES = 30_000, 10  # points, or times the sample, of which a sample is drawn
 _VOLUME = 0.08  # least ratio of the smallest to the largest variance of the neighbours
 
 
@@ -166,13 +168,14 @@ def isolated(points: np.ndarray) -> np.ndarray:
     from scipy.spatial import cKDTree
 
     count = min(_AROUND, len(points) - 1)
-    reach, nearest = cKDTree(points).query(points, k=count + 1)
+    workers = -1 if len(points) > _LOOKED_AT else 1
+    reach, nearest = cKDTree(points).query(points, k=count + 1, workers=workers)
     usual = np.median(reach[:, _NEIGHBOURS])
     far = np.asarray((reach[:, _NEIGHBOURS] > _ISOLATED * usual) & (usual > 0.0))
     if count < _AROUND:
         return far
-    eighth, usual = reach[:, 8], np.median(reach[:, 8])
-    sparse = np.flatnonzero((eighth > _SPARSE * usual) & (usual > 0.0))
+    distance, usual = reach[:, _DENSITY], np.median(reach[:, _DENSITY])
+    sparse = np.flatnonzero((distance > _SPARSE * usual) & (usual > 0.0))
     around = points[nearest[sparse]]
     around -= around.mean(axis=1, keepdims=True)
     variances = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", around, around))
@@ -196,6 +199,8 @@ def sampled_pairs(
 def representative_points(points: np.ndarray, count: int) -> np.ndarray:
     """Return the rows of `count` farthest points among those that are not `isolated`.
 
+    Many points are thinned at random first: the ratios of distances, which show outliers, stay the same.
+
     Parameters
     ----------
     points : (n, d) array
@@ -208,7 +213,11 @@ def representative_points(points: np.ndarray, count: int) -> np.ndarray:
     """
     if count >= len(points):
         return np.arange(len(points))
-    kept = np.flatnonzero(~isolated(points))
+    some = np.arange(len(points))
+    if len(points) > max(_THINNED, _THINNED_TIMES * count):
+        rng = np.random.default_rng(0)
+        some = np.sort(rng.permutation(len(points))[: max(_THINNED, _THINNED_TIMES * count)])
+    kept = some[~isolated(points[some])]
     return kept[farthest_points(points[kept], count)]
 
 

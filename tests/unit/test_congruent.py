@@ -1,5 +1,7 @@
 """Initial poses from congruent triples, also if many points have no partner or clouds are degenerate."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,10 +11,14 @@ from dcreg.families import starts
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rigid3d.starts import (
     AGREEING,
+    MIN_TRIPLES,
+    N_TRIPLES,
     SCALES,
     best_descents,
     congruent_poses,
+    in_threads,
     is_confirmed,
+    round_size,
     rounds_for,
 )
 from dcreg.search import Budget
@@ -113,11 +119,34 @@ def test_triples_leave_half_of_the_time(monkeypatch):
     space = Rigid3D.between(source, target, 30)
     seen = []
     monkeypatch.setattr(
-        Rigid3D, "_congruent", lambda self, seed, budget: seen.append(budget.left()) or iter(())
+        Rigid3D,
+        "_congruent",
+        lambda self, seed, n_triples, budget: seen.append(budget.left()) or [],
     )
     with Budget(100.0) as budget:
         next(iter(space.starts(budget)))
     assert 40.0 < seen[0] <= 50.0
+
+
+def test_rounds_in_threads_keep_their_order():
+    begun = []
+
+    def work(seed):
+        begun.append(seed)
+        time.sleep(0.01 * (seed % 2 == 0))  # odd ones end first
+        return seed
+
+    results = in_threads(work, range(40))
+    assert [next(results) for _ in range(6)] == list(range(6))
+    results.close()
+    assert len(begun) < 40  # the others are cancelled
+
+
+@pytest.mark.parametrize(
+    ("n_inliers", "triples"), [(380, MIN_TRIPLES), (200, 26), (100, N_TRIPLES)]
+)
+def test_large_clouds_with_many_pairs_need_fewer_triples(n_inliers, triples):
+    assert round_size(400, 400, n_inliers) == triples
 
 
 def test_rounds_grow_with_the_outliers():

@@ -284,6 +284,23 @@ def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit
     assert last.objective_after < last.objective_before
 
 
+def test_a_part_is_registered_in_a_whole_that_is_larger(rng):
+    """The initial poses come from fewer points; the pairs are scaled with the smaller share of them."""
+    turn = np.sort(2.0 * np.pi * rng.random(900))
+    curve = [np.cos(turn) * (1.0 + 0.1 * turn), np.sin(turn), 0.1 * turn + 0.3 * np.sin(3.0 * turn)]
+    whole = np.column_stack(curve) + 0.05 * rng.standard_normal((900, 3))
+    angle = 1.1
+    R = np.array(
+        [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0, 0, 1]]
+    )
+    part = (whole[250:550] - [1.0, 2.0, 3.0]) @ R + 0.002 * rng.standard_normal((300, 3))
+    result = register(part, whole, n_inliers=300, model="rigid3d", time_limit=20.0)
+    assert result.downsampled is None
+    assert result.n_inliers == len(result.assignment) == 300
+    assert dcreg.problem.rotation_angle_deg(result.rotation @ R.T) < 0.5
+    assert np.allclose(result.translation, [1.0, 2.0, 3.0], atol=0.02)
+
+
 def test_downsampling_leaves_small_clouds_alone(rng):
     source = rng.random((20, 2))
     result = register(source, source, n_inliers=20, model="similarity2d", downsample=50)

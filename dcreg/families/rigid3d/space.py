@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,14 +28,19 @@ from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.families.protocol import means_of_subsets, radius
 from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
 from dcreg.families.rigid3d.starts import (
+    AGREEING,
     ENOUGH,
     FAILURE,
+    LIKELY,
     MIN_CONFIRMED,
+    N_TRIPLES,
     SCALES,
     SEPARATION,
     best_descents,
     congruent_poses,
+    in_threads,
     is_confirmed,
+    round_size,
     rounds_for,
 )
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
@@ -169,20 +175,36 @@ class Rigid3D(CloudSpace):
         elif self._is_dense and self.candidates is None:
             yield from self._coarse_starts(budget)
         else:
-            rounds: list[Sequence[tuple[np.ndarray, float]]] = []
-            starting = budget.sub_budget(_CONGRUENT_SHARE)
-            sizes = self.n_source, self.n_target, self.n_inliers
-            enough, most = (rounds_for(*sizes, failure) for failure in (ENOUGH, FAILURE))
-            for seed in range(len(SCALES) * most):
-                known = len(self.ends)
-                for theta in self._congruent(seed, starting):
-                    yield theta, 0
-                rounds.append([(self._vertices(theta), v) for theta, v in self.ends[known:]])
-                are_enough = len(rounds) >= enough and self.n_inliers >= MIN_CONFIRMED
-                self.is_confirmed = are_enough and is_confirmed(rounds)
+            yield from self._congruent_starts(budget.sub_budget(_CONGRUENT_SHARE))
+            if not self.is_confirmed:
+                yield from super().starts(budget)
+
+    def _congruent_starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
+        """Yield poses of rounds of congruent triples until they are confirmed."""
+        sizes = self.n_source, self.n_target, self.n_inliers
+        is_dense = self.n_pairs > DENSE_DESCENTS
+        n_triples = round_size(*sizes) if is_dense else N_TRIPLES
+        few, enough, most = (
+            rounds_for(*sizes, failure, n_triples)
+            for failure in (LIKELY if is_dense else ENOUGH, ENOUGH, FAILURE)
+        )
+        in_order = in_threads if is_dense else map
+        work = partial(self._congruent, n_triples=n_triples, budget=budget)
+        # more rounds than the first few are made two at a time
+        seeds = np.split(np.arange(len(SCALES) * most), np.arange(few, len(SCALES) * most, 2))
+        rounds: list[Sequence[tuple[np.ndarray, float]]] = []
+        for thetas in itertools.chain.from_iterable(
+            in_order(work, some.tolist()) for some in seeds
+        ):
+            known = len(self.ends)
+            for theta in thetas:
+                yield theta, 0
+            rounds.append([(self._vertices(theta), v) for theta, v in self.ends[known:]])
+            if len(rounds) >= few and self.n_inliers >= MIN_CONFIRMED:
+                least = AGREEING if len(rounds) >= enough else max(AGREEING, -(-len(rounds) // 2))
+                self.is_confirmed = is_confirmed(rounds, least)
                 if self.is_confirmed:
                     return
-            yield from super().starts(budget)
 
     @property
     def _is_dense(self) -> bool:
@@ -211,18 +233,18 @@ class Rigid3D(CloudSpace):
             yield coarse.ends[at][0], spent
             spent = 0
 
-    def _congruent(self, seed: int, budget: Budget) -> Iterator[np.ndarray]:
-        """Yield the parameters of poses of a round of congruent triples; scales take turns."""
+    def _congruent(self, seed: int, n_triples: int, budget: Budget) -> list[np.ndarray]:
+        """Return the parameters of poses of a round of congruent triples; scales take turns."""
         if budget.is_over:
-            return
+            return []
         source, target = self.clouds.source.T, self.clouds.target.T
         poses = congruent_poses(
             source, target, SCALES[seed % len(SCALES)], self.candidates, seed=seed,
-            stop=self.stop_flag,
+            n_triples=n_triples, stop=self.stop_flag,
         )  # fmt: skip
         if self.n_pairs > DENSE_DESCENTS:
             poses = best_descents(poses, source, target, self.n_inliers, seed=seed)
-        yield from map(self._parameter, poses)
+        return [self._parameter(T) for T in poses]
 
     @staticmethod
     def _vertices(theta: np.ndarray) -> np.ndarray:

@@ -9,13 +9,15 @@ Mitra and Cohen-Or 2008); the details are this project's.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from operator import itemgetter
+from typing import TypeVar
 
 import numpy as np
 
-from dcreg.assignment.descent import follow_nearest
+from dcreg.assignment.alternation import follow_nearest
 from dcreg.families.rigid3d.kernels import congruent as kernels
 from dcreg.families.starts import distinct, nearness_field
 from dcreg.jit import NEVER
@@ -27,7 +29,8 @@ MAX_LOOKED = 150  # source points used for the score
 # Accepted probability that no triple consists of true pairs; congruent clutter hides some.
 FAILURE = 1e-9
 ENOUGH = 1e-3  # ... before rounds that agree end the starts
-N_TRIPLES = 60  # a round
+LIKELY = 3e-2  # ... if at least half of them agree, of large clouds
+N_TRIPLES, MIN_TRIPLES = 60, 20  # a round; fewer where two rounds have enough of them
 MAX_ROUNDS = 80
 MAX_SAMPLE = 300  # source points that follow their nearest neighbours
 SHORTEST = 0.6  # side of a source triple, in RMS radii; short sides determine a rotation badly
@@ -39,7 +42,10 @@ AGREEING = 2  # rounds that must find the best pose
 ALIKE = 1.1  # ratio of objectives up to which two ends near each other count as one pose
 CLEARLY_WORSE = 1.25  # ratio of objectives from which another pose is no alternative
 APART = 0.5  # displacement of the same vertices from which two poses are alternatives
+_N_THREADS = 2  # that work on rounds of large clouds; the poses do not depend on it
 SEPARATION = 0.15  # poses that move the vertices of a unit tetrahedron by less count as one
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,15 @@ class Scale:
 SCALES = (Scale(0.04, 0.06), Scale(0.06, 0.1), Scale(0.09, 0.2))
 
 
+def in_threads(work: Callable[[int], Result], seeds: Sequence[int]) -> Iterator[Result]:
+    """Yield the results for the seeds in order, computed ahead in two threads."""
+    pool = ThreadPoolExecutor(_N_THREADS)
+    try:
+        yield from pool.map(work, seeds)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
 def congruent_poses(
     source: np.ndarray,
     target: np.ndarray,
@@ -69,6 +84,7 @@ def congruent_poses(
     candidates: np.ndarray | None = None,
     *,
     seed: int = 0,
+    n_triples: int = N_TRIPLES,
     stop: np.ndarray = NEVER,
 ) -> np.ndarray:
     """Return the best distinct poses of congruent triples, best first.
@@ -80,6 +96,8 @@ def congruent_poses(
     candidates : (n, m) bool array, optional
         The feasible pairs.
     seed : int
+    n_triples : int
+        Source triples.
     stop : (1,) uint8 array
         When it is set, the poses found so far are returned.
 
@@ -93,7 +111,7 @@ def congruent_poses(
         return np.empty((0, 4, 4))
     rng = np.random.default_rng(seed)
     x, y = np.ascontiguousarray(source / unit), np.ascontiguousarray(target / unit)
-    triples = _long_triples(x, rng)
+    triples = _long_triples(x, rng)[:n_triples]
     columns = np.sort(rng.permutation(len(y))[:MAX_TARGETS])
     feasible = np.empty((0, 0), np.bool_)
     if candidates is not None:
@@ -123,18 +141,35 @@ def congruent_poses(
     return found
 
 
-def rounds_for(n_source: int, n_target: int, n_inliers: int, failure: float) -> int:
-    """Return the number of rounds after which one had a triple of true pairs, but for this probability.
+def triples_for(n_source: int, n_target: int, n_inliers: int, failure: float) -> float:
+    """Return the number of triples of which one has true pairs, but for this probability.
 
-    All partners of a triple must be among the target points that form triples. At least `AGREEING`, so
-    that rounds can agree, and at most `MAX_ROUNDS`.
+    All partners of a triple must be among the target points that form triples.
     """
     share = (n_inliers / n_source * min(1.0, NEARLY_ALL / n_target)) ** 3
-    needed = np.log(failure) / np.log1p(-share) / N_TRIPLES if share < 1.0 else 0.0
+    return float(np.log(failure) / np.log1p(-share)) if share < 1.0 else 0.0
+
+
+def round_size(n_source: int, n_target: int, n_inliers: int) -> int:
+    """Return the triples of a round: no more than are needed so that `AGREEING` rounds are enough."""
+    needed = triples_for(n_source, n_target, n_inliers, ENOUGH) / AGREEING
+    return int(np.clip(np.ceil(needed), MIN_TRIPLES, N_TRIPLES))
+
+
+def rounds_for(
+    n_source: int, n_target: int, n_inliers: int, failure: float, n_triples: int = N_TRIPLES
+) -> int:
+    """Return the number of rounds after which one had a triple of true pairs, but for this probability.
+
+    At least `AGREEING`, so that rounds can agree, and at most `MAX_ROUNDS`.
+    """
+    needed = triples_for(n_source, n_target, n_inliers, failure) / n_triples
     return int(np.clip(np.ceil(needed), AGREEING, MAX_ROUNDS))
 
 
-def is_confirmed(rounds: Sequence[Sequence[tuple[np.ndarray, float]]]) -> bool:
+def is_confirmed(
+    rounds: Sequence[Sequence[tuple[np.ndarray, float]]], least: int = AGREEING
+) -> bool:
     """Tell whether independent rounds agree on the best pose, and no other pose is an alternative.
 
     Near the best pose there are often others that are almost as good, because the clouds slide along each
@@ -145,9 +180,11 @@ def is_confirmed(rounds: Sequence[Sequence[tuple[np.ndarray, float]]]) -> bool:
     rounds : sequence of sequences of ((12,) array, float)
         For each round, where its local searches ended: the coordinates of the moved vertices of a unit
         tetrahedron, and the objective.
+    least : int
+        Rounds that must find the best pose.
     """
     ends = [end for each in rounds for end in each]
-    if len(rounds) < AGREEING or not ends:
+    if len(rounds) < least or not ends:
         return False
     best, value = min(ends, key=itemgetter(1))
 
@@ -163,7 +200,7 @@ def is_confirmed(rounds: Sequence[Sequence[tuple[np.ndarray, float]]]) -> bool:
     )
     others = (other for vertices, other in ends if displacement(vertices) > APART)
     runner_up = min(others, default=np.inf)
-    return agreeing >= AGREEING and runner_up >= CLEARLY_WORSE * value
+    return agreeing >= least and runner_up >= CLEARLY_WORSE * value
 
 
 def best_descents(
