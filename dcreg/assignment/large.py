@@ -75,7 +75,12 @@ def near_value(problem: Problem, T: np.ndarray, tree: cKDTree) -> float:
 
 
 def descend(
-    problem: Problem, T_target_source: np.ndarray, budget: Budget, tree: cKDTree | None = None
+    problem: Problem,
+    T_target_source: np.ndarray,
+    budget: Budget,
+    tree: cKDTree | None = None,
+    *,
+    prove: bool = True,
 ) -> Descent:
     """Follow nearest neighbours from a pose; then alternate one-to-one matching and fit.
 
@@ -90,6 +95,8 @@ def descend(
     budget : Budget
     tree : cKDTree, optional
         Of the target.
+    prove : bool
+        Whether the last matching should be optimal, which takes long; huge clouds go without.
     """
     T = _near_fit(problem, T_target_source, budget, tree or tree_of(problem.target))
     left = budget.left()
@@ -102,7 +109,7 @@ def descend(
         T = _fit(problem, pairs)
         value = residual(problem, T, pairs)
     before = max(value, residual(problem, T_target_source, pairs))
-    if not is_huge(problem) and not (stop[0] or budget.is_over):
+    if prove and not is_huge(problem) and not (stop[0] or budget.is_over):
         proved, best = _matched(problem, T, stop, prove=True)
         spent += 1
         if proved < value:

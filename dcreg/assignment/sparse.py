@@ -31,6 +31,7 @@ _MANY_QUERIES = 5000
 _LEFTOVER_ROUNDS, _LAST_ROUNDS = 8, 2  # of pairing near points that are still unmatched
 _SPARE = 3  # points looked at for each pair that is missing
 _MAX_PRICES = 16
+_HOPELESS = 0.9  # share of the pairs below which more neighbours take long and prove nothing
 _ROUGH = 0.02  # relative error of the size of a matching that is cut or completed without a proof
 _ROUGH_ROWS = 150_000  # rows of all assignments for which a rough price is sought
 
@@ -103,7 +104,9 @@ def sparse_matching(
         value, pairs = _completed(points, target, col_of, k, costs[:, 0], stop)
         if best is None or exact or value < best.value:
             best = Matching(value, pairs, exact, spent)
-        if exact or not prove or stop[0] or neighbours == m or 4 * neighbours * n > DENSE_PAIRS:
+        is_hopeless = k < n and int((col_of >= 0).sum()) < _HOPELESS * k
+        is_last = neighbours == m or 4 * neighbours * n > DENSE_PAIRS
+        if exact or not prove or stop[0] or is_last or is_hopeless:
             return Matching(best.value, best.pairs, best.exact, spent)
         neighbours = min(4 * neighbours, m)
 
@@ -181,9 +184,10 @@ def _matching_of_size(
                 return col_of, None, solved
         if enough is None:
             # if all candidates are used already, a higher price hardly adds a pair
-            if low == top or stop[0] or (not prove and low > costs.max()):
+            is_high = low > costs.max()
+            if low == top or stop[0] or (not prove and is_high):
                 break
-            price = min(4.0 * price, top)
+            price = top if is_high else min(4.0 * price, top)
         else:
             share = np.clip((k - n_low) / (n_high - n_low), 0.05, 0.95)
             price = low + float(share) * (high - low)

@@ -219,7 +219,7 @@ def _refined_large(
         if value > HOPELESS * min(near):  # the objectives differ about as these distances do
             ends.append((other, first.value * value / near[0]))
             continue
-        found = descend(problem, other, budget, tree)
+        found = descend(problem, other, budget, tree, prove=False)
         poses.append((found.value, found.T_target_source, found.pairs))
         ends.append((found.T_target_source, found.value))
         spent += found.n_assignments

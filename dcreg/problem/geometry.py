@@ -87,7 +87,7 @@ _ISOLATED = 6.0  # times the median distance to the third neighbour
 _AROUND = 12  # neighbours that show a volume
 _DENSITY = 8  # the neighbour whose distance shows the density
 _SPARSE = 2.0  # times the median distance to that neighbour
-_THINNED, _THINNED_TIMES = 30_000, 10  # points, or times the sample, of which a sample is drawn
+_THINNED, _THINNED_TIMES = 40_000, 10  # points, or times the sample, of which a sample is drawn
 _VOLUME = 0.08  # least ratio of the smallest to the largest variance of the neighbours
 
 

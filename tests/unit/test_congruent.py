@@ -11,14 +11,11 @@ from dcreg.families import starts
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rigid3d.starts import (
     AGREEING,
-    MIN_TRIPLES,
-    N_TRIPLES,
     SCALES,
     best_descents,
     congruent_poses,
     in_threads,
     is_confirmed,
-    round_size,
     rounds_for,
 )
 from dcreg.search import Budget
@@ -121,7 +118,7 @@ def test_triples_leave_half_of_the_time(monkeypatch):
     monkeypatch.setattr(
         Rigid3D,
         "_congruent",
-        lambda self, seed, n_triples, budget: seen.append(budget.left()) or [],
+        lambda self, seed, budget: seen.append(budget.left()) or [],
     )
     with Budget(100.0) as budget:
         next(iter(space.starts(budget)))
@@ -140,13 +137,6 @@ def test_rounds_in_threads_keep_their_order():
     assert [next(results) for _ in range(6)] == list(range(6))
     results.close()
     assert len(begun) < 40  # the others are cancelled
-
-
-@pytest.mark.parametrize(
-    ("n_inliers", "triples"), [(380, MIN_TRIPLES), (200, 26), (100, N_TRIPLES)]
-)
-def test_large_clouds_with_many_pairs_need_fewer_triples(n_inliers, triples):
-    assert round_size(400, 400, n_inliers) == triples
 
 
 def test_rounds_grow_with_the_outliers():

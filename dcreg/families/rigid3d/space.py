@@ -33,14 +33,12 @@ from dcreg.families.rigid3d.starts import (
     FAILURE,
     LIKELY,
     MIN_CONFIRMED,
-    N_TRIPLES,
     SCALES,
     SEPARATION,
     best_descents,
     congruent_poses,
     in_threads,
     is_confirmed,
-    round_size,
     rounds_for,
 )
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
@@ -183,13 +181,12 @@ class Rigid3D(CloudSpace):
         """Yield poses of rounds of congruent triples until they are confirmed."""
         sizes = self.n_source, self.n_target, self.n_inliers
         is_dense = self.n_pairs > DENSE_DESCENTS
-        n_triples = round_size(*sizes) if is_dense else N_TRIPLES
         few, enough, most = (
-            rounds_for(*sizes, failure, n_triples)
+            rounds_for(*sizes, failure)
             for failure in (LIKELY if is_dense else ENOUGH, ENOUGH, FAILURE)
         )
         in_order = in_threads if is_dense else map
-        work = partial(self._congruent, n_triples=n_triples, budget=budget)
+        work = partial(self._congruent, budget=budget)
         # more rounds than the first few are made two at a time
         seeds = np.split(np.arange(len(SCALES) * most), np.arange(few, len(SCALES) * most, 2))
         rounds: list[Sequence[tuple[np.ndarray, float]]] = []
@@ -233,14 +230,14 @@ class Rigid3D(CloudSpace):
             yield coarse.ends[at][0], spent
             spent = 0
 
-    def _congruent(self, seed: int, n_triples: int, budget: Budget) -> list[np.ndarray]:
+    def _congruent(self, seed: int, budget: Budget) -> list[np.ndarray]:
         """Return the parameters of poses of a round of congruent triples; scales take turns."""
         if budget.is_over:
             return []
         source, target = self.clouds.source.T, self.clouds.target.T
         poses = congruent_poses(
             source, target, SCALES[seed % len(SCALES)], self.candidates, seed=seed,
-            n_triples=n_triples, stop=self.stop_flag,
+            stop=self.stop_flag,
         )  # fmt: skip
         if self.n_pairs > DENSE_DESCENTS:
             poses = best_descents(poses, source, target, self.n_inliers, seed=seed)

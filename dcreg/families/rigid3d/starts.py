@@ -30,7 +30,7 @@ MAX_LOOKED = 150  # source points used for the score
 FAILURE = 1e-9
 ENOUGH = 1e-3  # ... before rounds that agree end the starts
 LIKELY = 3e-2  # ... if at least half of them agree, of large clouds
-N_TRIPLES, MIN_TRIPLES = 60, 20  # a round; fewer where two rounds have enough of them
+N_TRIPLES = 60  # a round
 MAX_ROUNDS = 80
 MAX_SAMPLE = 300  # source points that follow their nearest neighbours
 SHORTEST = 0.6  # side of a source triple, in RMS radii; short sides determine a rotation badly
@@ -84,7 +84,6 @@ def congruent_poses(
     candidates: np.ndarray | None = None,
     *,
     seed: int = 0,
-    n_triples: int = N_TRIPLES,
     stop: np.ndarray = NEVER,
 ) -> np.ndarray:
     """Return the best distinct poses of congruent triples, best first.
@@ -96,8 +95,6 @@ def congruent_poses(
     candidates : (n, m) bool array, optional
         The feasible pairs.
     seed : int
-    n_triples : int
-        Source triples.
     stop : (1,) uint8 array
         When it is set, the poses found so far are returned.
 
@@ -111,7 +108,7 @@ def congruent_poses(
         return np.empty((0, 4, 4))
     rng = np.random.default_rng(seed)
     x, y = np.ascontiguousarray(source / unit), np.ascontiguousarray(target / unit)
-    triples = _long_triples(x, rng)[:n_triples]
+    triples = _long_triples(x, rng)
     columns = np.sort(rng.permutation(len(y))[:MAX_TARGETS])
     feasible = np.empty((0, 0), np.bool_)
     if candidates is not None:
@@ -141,29 +138,14 @@ def congruent_poses(
     return found
 
 
-def triples_for(n_source: int, n_target: int, n_inliers: int, failure: float) -> float:
-    """Return the number of triples of which one has true pairs, but for this probability.
-
-    All partners of a triple must be among the target points that form triples.
-    """
-    share = (n_inliers / n_source * min(1.0, NEARLY_ALL / n_target)) ** 3
-    return float(np.log(failure) / np.log1p(-share)) if share < 1.0 else 0.0
-
-
-def round_size(n_source: int, n_target: int, n_inliers: int) -> int:
-    """Return the triples of a round: no more than are needed so that `AGREEING` rounds are enough."""
-    needed = triples_for(n_source, n_target, n_inliers, ENOUGH) / AGREEING
-    return int(np.clip(np.ceil(needed), MIN_TRIPLES, N_TRIPLES))
-
-
-def rounds_for(
-    n_source: int, n_target: int, n_inliers: int, failure: float, n_triples: int = N_TRIPLES
-) -> int:
+def rounds_for(n_source: int, n_target: int, n_inliers: int, failure: float) -> int:
     """Return the number of rounds after which one had a triple of true pairs, but for this probability.
 
-    At least `AGREEING`, so that rounds can agree, and at most `MAX_ROUNDS`.
+    All partners of a triple must be among the target points that form triples. At least `AGREEING`, so
+    that rounds can agree, and at most `MAX_ROUNDS`.
     """
-    needed = triples_for(n_source, n_target, n_inliers, failure) / n_triples
+    share = (n_inliers / n_source * min(1.0, NEARLY_ALL / n_target)) ** 3
+    needed = np.log(failure) / np.log1p(-share) / N_TRIPLES if share < 1.0 else 0.0
     return int(np.clip(np.ceil(needed), AGREEING, MAX_ROUNDS))
 
 
