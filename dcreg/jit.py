@@ -302,6 +302,14 @@ jit_part: Any = _compiled(inline="always")
 jit_reduction: Any = _compiled(make=_make_inner_kernel, fastmath={"nnan", "nsz", "reassoc"})
 
 
+def is_compiled(kernel: Any) -> bool:
+    """Tell whether a kernel need not be compiled, in this process or in an earlier one."""
+    if INTERPRETED or kernel.signatures:
+        return True
+    folder, name = Path(kernel._cache.cache_path), kernel.py_func.__name__
+    return any(folder.glob(f"*.{name}-*.nbi"))
+
+
 def intrinsic(stand_in: Any) -> Any:
     """Decorate an intrinsic of Numba; `stand_in` replaces it where kernels run as plain Python."""
     return lambda function: stand_in if INTERPRETED else extending.intrinsic(function)

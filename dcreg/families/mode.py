@@ -14,6 +14,7 @@ from typing import Any
 
 from dcreg.names import DEFAULT_BOUND, mode_files
 from dcreg.search import Bound, Outcome
+from dcreg.search.minimise import Cover
 
 # (source, target, n_inliers, candidates, tolerance=, threads=, budget=) -> the best rotation about the
 # origin
@@ -35,6 +36,8 @@ class Mode:
         More fields of the problem that the space needs, such as ``scale_range``.
     make_bound : callable, optional
         The mode's own bound, from ``(space, threads=...)``. None: the user chooses it by name.
+    make_cover : callable, optional
+        From ``(space, threads)`` to the `Cover` that confines a long search.
     own_bound : str
         Name of the bound if the user does not choose one.
     rotation : callable, optional
@@ -56,6 +59,7 @@ class Mode:
     space: Callable[..., Any]
     needs: tuple[str, ...] = ()
     make_bound: Callable[..., Bound] | None = None
+    make_cover: Callable[..., Cover] | None = None
     own_bound: str = DEFAULT_BOUND
     rotation: RotationSearch | None = None
     rotation_scope: str = ""

@@ -1,7 +1,7 @@
 """Branch and bound, without geometry: boxes, bounds as a protocol, budget, outcome."""
 
-from dcreg.search.boxes import Bound, Box, Boxes, Evaluation, Leaves, LongestEdge
-from dcreg.search.branch_and_bound import Outcome, branch_and_bound, minimise
+from dcreg.search.boxes import Bound, Box, Boxes, Confined, Evaluation, Leaves, LongestEdge
+from dcreg.search.branch_and_bound import Outcome, branch_and_bound
 from dcreg.search.budget import (
     Budget,
     Event,
@@ -11,12 +11,14 @@ from dcreg.search.budget import (
     Trace,
     proven_share,
 )
+from dcreg.search.minimise import minimise
 
 __all__ = [
     "Bound",
     "Box",
     "Boxes",
     "Budget",
+    "Confined",
     "Evaluation",
     "Event",
     "Interrupted",

@@ -166,6 +166,26 @@ class Bound(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Confined:
+    """Boxes outside which the objective of every optimum is at least `outside`.
+
+    Attributes
+    ----------
+    boxes : Boxes
+    outside : float
+    time_s : float
+        Time that this took.
+    n_tried : int
+        Work that this took, in units of the family.
+    """
+
+    boxes: Boxes
+    outside: float
+    time_s: float = 0.0
+    n_tried: int = 0
+
+
 class OpenNodes:
     """Priority queue of open boxes: lowest bound first, then the larger box, then the older one."""
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcreg.search.boxes import Bound, Boxes, Evaluation, Leaves, LongestEdge, OpenNodes
+from dcreg.search.boxes import Bound, Boxes, Confined, Evaluation, Leaves, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted, Tolerance
 from dcreg.search.prospect import ASKED_AFTER_S, Prospect
 from dcreg.status import Status
@@ -37,6 +37,8 @@ class Outcome:
         One for each change of a bound, and one at the end.
     leaves : Leaves, optional
         The undivided boxes, if they were kept.
+    confined : list of Confined
+        What a cover contributed.
     """
 
     status: Status
@@ -48,13 +50,13 @@ class Outcome:
     time_s: float
     events: list[Event] = field(default_factory=list)
     leaves: Leaves | None = None
+    confined: list[Confined] = field(default_factory=list)
 
 
 # A local search starts if the best value of the round is at most that at the start of the last one, times
 # this factor for every round since. Local searches are frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
 
-UNSURE = 5.0  # factor of the patience if independent starts do not agree
 _GRID = 1e-6  # step of rounded values, as a share of the allowed gap
 MIN_ROUND = 16  # minimum number of boxes divided in a round, if the bound allows it
 
@@ -113,41 +115,41 @@ def branch_and_bound(
     Outcome
         ``lower_bound <= minimum <= upper_bound`` for every status.
     """
-    began = budget.elapsed()
-    first = Start(bound.roots[0].centre) if start is None else Start(*start)
-    leaves = Leaves() if keep_leaves else None
-    search = _Search(bound, budget, branching, tolerance, stage, leaves, first, began)
-    boxes = Boxes.of(bound.roots)  # sums of squares have the bound 0
-    while search.status is None:
-        try:
-            found = bound.evaluate(boxes, search.cutoff)
-        except Interrupted:
-            search.put_back(boxes)
-            break
-        search.update_incumbent(found, refine)
-        search.prune(boxes, found)
-        search.terminate()
-        if search.status is None:
-            boxes = branching(search.select())
-    return search.outcome(first.time_s + budget.elapsed() - began)
+    search = Search(
+        bound, budget, branching, tolerance, stage, refine,
+        Start(bound.roots[0].centre) if start is None else Start(*start),
+        Leaves() if keep_leaves else None, Confined(Boxes.of(bound.roots), np.inf),
+    )  # fmt: skip
+    search.run()
+    return search.outcome()
 
 
 @dataclass
-class _Search:
-    """The state of one search; its methods are the steps of Algorithm 1."""
+class Search:
+    """The state of one search; its methods are the steps of Algorithm 1.
+
+    The parameters are those of `branch_and_bound`.
+
+    Attributes
+    ----------
+    floor : float
+        A lower bound on the minimum that is known otherwise.
+    """
 
     bound: Bound
     budget: Budget
     branching: Branching
     tolerance: Tolerance
     stage: str
-    leaves: Leaves | None
+    refine: Refine | None
     start: Start
-    began: float
+    leaves: Leaves | None
+    confined: Confined
+    floor: float = 0.0
+    n_begun: int = 0  # boxes bounded before this search began
     prospect: Prospect | None = None
     n_nodes: int = 0
     n_refining: int = 0
-    pruned_bound: float = np.inf  # minimum over the pruned boxes: part of the certificate
     worth_refining: float = np.inf
     is_over: bool = False
     status: Status | None = None
@@ -155,7 +157,29 @@ class _Search:
 
     def __post_init__(self) -> None:
         self.theta, self.upper_bound = self.start.theta, self.start.value
+        self.began = self.budget.elapsed()
         self.nodes = OpenNodes(self.bound.roots[0].dim)
+        self.pruned_bound = (
+            self.confined.outside
+        )  # minimum over what is pruned: part of the certificate
+        self.boxes = self.confined.boxes  # to be bounded next; sums of squares have the bound 0
+
+    def run(self, pause: float = np.inf) -> None:
+        """Search until a status is set, or until `pause` boxes are bounded."""
+        if not len(self.boxes) and self.status is None:
+            self.terminate()
+        while self.status is None and self.n_nodes < pause:
+            boxes = self.boxes
+            try:
+                found = self.bound.evaluate(boxes, self.cutoff)
+            except Interrupted:
+                self.put_back(boxes)
+                break
+            self.update_incumbent(found)
+            self.prune(boxes, found)
+            self.terminate()
+            if self.status is None:
+                self.boxes = self.branching(self.select())
 
     @property
     def cutoff(self) -> float:
@@ -164,30 +188,47 @@ class _Search:
 
     @property
     def lower_bound(self) -> float:
-        return min(self.nodes.lower_bound, self.pruned_bound, self.upper_bound)
+        proven = min(self.nodes.lower_bound, self.pruned_bound, self.upper_bound)
+        return min(max(proven, self.floor), self.upper_bound)
 
     @property
     def n_assignments(self) -> int:
         return self.bound.n_assignments + self.n_refining
 
-    def update_incumbent(self, found: Evaluation, refine: Refine | None) -> None:
+    def confined_to(self, confined: Confined, tolerance: Tolerance) -> Search:
+        """Return a search of other boxes that continues the counts of this one."""
+        start = self.start._replace(theta=self.theta, value=self.upper_bound)
+        return replace(
+            self, tolerance=tolerance, start=start, confined=confined, prospect=None,
+            n_begun=self.n_nodes, events=[], stage=f"{self.stage}: triples",
+        )  # fmt: skip
+
+    def take_over(self, part: Search) -> None:
+        """Continue with the counts, the incumbent and the lower bound of a part."""
+        self.take(part.theta, part.upper_bound)
+        self.n_nodes, self.n_refining = part.n_nodes, part.n_refining
+        self.floor = max(self.floor, part.lower_bound)
+        self.events += part.events
+        self.began = self.budget.elapsed()  # the patience is that of a part
+
+    def update_incumbent(self, found: Evaluation) -> None:
         """Update the incumbent by the best candidate of the round and a local search from it."""
         best = int(np.argmin(self._settled(found.values)))
         value = float(found.values[best])
-        self._take(found.thetas[best], value)
+        self.take(found.thetas[best], value)
         self.is_over = self.budget.is_over
-        if refine is not None and not self.is_over and value <= self.worth_refining:
+        if self.refine is not None and not self.is_over and value <= self.worth_refining:
             self.worth_refining = value
             try:
-                theta, value, spent = refine(found.thetas[best])
+                theta, value, spent = self.refine(found.thetas[best])
             except Interrupted:
                 self.is_over = True
                 return
             self.n_refining += spent
-            self._take(theta, value)
+            self.take(theta, value)
         self.worth_refining *= REFINING_PATIENCE
 
-    def _take(self, theta: np.ndarray, value: float) -> None:
+    def take(self, theta: np.ndarray, value: float) -> None:
         if value < self.upper_bound:
             self.theta, self.upper_bound = theta.copy(), value
 
@@ -233,15 +274,17 @@ class _Search:
         if spent < ASKED_AFTER_S or not (budget.patience_s is not None or budget.is_watched):
             return False
         if self.prospect is None:
-            self.prospect = Prospect.of(self.bound.fresh(), self.branching, self.cutoff)
-        return self.prospect.is_poor(self.n_nodes, spent, budget)
+            self.prospect = Prospect.of(
+                self.bound.fresh(), self.branching, self.cutoff, self.confined.boxes
+            )
+        return self.prospect.is_poor(self.n_nodes - self.n_begun, spent, budget)
 
     def _expected_s(self) -> float | None:
         """Return the estimated seconds until the proof, as in `Event`."""
         if self.prospect is None or self.status is not None:
             return None
         return self.prospect.expected_s(
-            self.n_nodes, self.budget.elapsed() - self.began, self.budget
+            self.n_nodes - self.n_begun, self.budget.elapsed() - self.began, self.budget
         )
 
     def select(self) -> Boxes:
@@ -249,7 +292,8 @@ class _Search:
         count = min(self.bound.round_size, max(MIN_ROUND, len(self.nodes) // 4))
         return self.nodes.pop(count, self.cutoff)
 
-    def outcome(self, time_s: float) -> Outcome:
+    def outcome(self) -> Outcome:
+        """Return the outcome; the search can't go on afterwards."""
         lower_bound = self.lower_bound
         if self.leaves is not None and len(self.nodes):
             is_open = lower_bound < self.cutoff
@@ -257,8 +301,8 @@ class _Search:
         assert self.status is not None
         spent = self.n_assignments + self.start.n_assignments
         return Outcome(
-            self.status, self.theta, lower_bound, self.upper_bound, self.n_nodes, spent, time_s,
-            self.events, self.leaves,
+            self.status, self.theta, lower_bound, self.upper_bound, self.n_nodes, spent,
+            self.start.time_s + self.budget.elapsed() - self.began, self.events, self.leaves,
         )  # fmt: skip
 
     def _settled(self, values: np.ndarray) -> np.ndarray:
@@ -285,70 +329,3 @@ class _Search:
 
 def _same_bounds(a: Event, b: Event) -> bool:
     return a.lower_bound == b.lower_bound and a.upper_bound == b.upper_bound
-
-
-class Searchable(Protocol):
-    """What a search needs from a parameter space."""
-
-    axis_weights: np.ndarray
-    is_confirmed: bool  # whether independent starts agree on the first incumbent
-
-    def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
-        """Return a first incumbent: theta, objective, assignments spent; `enough` is good enough."""
-        ...
-
-    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Search locally from `theta`: return a better theta, its objective, assignments spent."""
-        ...
-
-
-def minimise(
-    space: Searchable,
-    bound: Bound,
-    budget: Budget,
-    *,
-    tolerance: Tolerance,
-    start: Sequence[Any] | None = None,
-    **settings: Any,
-) -> Outcome:
-    """Minimise the objective of a space over the roots of `bound`, to within a tolerance.
-
-    Parameters
-    ----------
-    space : Searchable
-        Provides the first incumbent, the local searches, and the weights for dividing boxes.
-    bound : Bound
-    budget : Budget
-        Its patience is for a first incumbent on which independent starts agree. If they do not, the
-        search may find a better one: a finite patience is then `UNSURE` times as long, and inf has no
-        effect.
-    tolerance : Tolerance
-        In the units of the objective.
-    start : (theta, value), optional
-        A known parameter and its objective; default: the result of ``space.start``.
-    **settings
-        ``stage`` and ``keep_leaves`` of `branch_and_bound`.
-
-    Returns
-    -------
-    Outcome
-    """
-    if start is None:
-        began = budget.elapsed()
-        start = space.start(budget, tolerance.enough)
-        start = Start(*start, budget.elapsed() - began)
-    branching = LongestEdge(space.axis_weights)
-    return branch_and_bound(
-        bound,
-        budget if space.is_confirmed else budget.with_patience(_unsure(budget.patience_s)),
-        branching=branching,
-        tolerance=tolerance,
-        refine=space.refine,
-        start=start,
-        **settings,
-    )
-
-
-def _unsure(patience_s: float | None) -> float | None:
-    """Return the patience for a search whose starts did not agree."""
-    return None if patience_s is None or patience_s == np.inf else UNSURE * patience_s

@@ -341,9 +341,13 @@ class Budget:
         A limit on boxes or assignments allows none: the end of the search must not depend on the clock.
         """
         part = self.sub_budget(1.0)
-        is_counted = self.nodes is not None or self.assignments is not None
-        part.patience_s = None if is_counted else patience_s
+        part.patience_s = None if self.is_counted else patience_s
         return part
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether boxes or assignments are limited."""
+        return self.nodes is not None or self.assignments is not None
 
     def silent(self) -> Budget:
         """Return the same budget without reports of incumbents, for a search over other points."""

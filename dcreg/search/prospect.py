@@ -17,7 +17,9 @@ N_DESCENTS = 128
 _MAX_DEPTH = 80  # divisions; a descent that goes on so long contains the minimiser
 
 
-def expected_boxes(bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: float) -> float:
+def expected_boxes(
+    bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: float, roots: Boxes | None = None
+) -> float:
     """Estimate how many boxes have to be bounded until every open box reaches `cutoff`.
 
     A random descent divides a box and goes on with one of its halves until the bound reaches the cutoff.
@@ -33,13 +35,15 @@ def expected_boxes(bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: fl
         From boxes to their children, two for each.
     cutoff : float
         The lower bound at which a box is done.
+    roots : Boxes, optional
+        Default: those of the bound.
 
     Returns
     -------
     float
     """
     rng = np.random.default_rng(0)
-    roots = Boxes.of(bound.roots)
+    roots = Boxes.of(bound.roots) if roots is None else roots
     boxes = roots[rng.integers(len(roots), size=N_DESCENTS)]
     weight, total = float(len(roots)), 0.0
     for _ in range(_MAX_DEPTH):
@@ -68,13 +72,15 @@ class Prospect:
     n_nodes: float
 
     @classmethod
-    def of(cls, bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: float) -> Prospect:
+    def of(
+        cls, bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: float, roots: Boxes
+    ) -> Prospect:
         """Estimate by random descents; without time for them, no boxes are expected.
 
         `bound` must not be that of the search: what it stores about boxes would change the search.
         """
         try:
-            return cls(expected_boxes(bound, branching, cutoff))
+            return cls(expected_boxes(bound, branching, cutoff, roots))
         except Interrupted:
             return cls(0.0)
 

@@ -47,7 +47,7 @@ FEW_PAIRS = 1000
 # An assignment is worthwhile if the sum of nearest costs exceeds this share of the pruning threshold.
 _WORTH_ASSIGNMENT = 0.35
 # Next step for a box: caps, duals, an exact assignment, none.
-_BEGIN, _PRICE, _SOLVE, _DONE = 0, 1, 2, 3
+_BEGIN, PRICE, _SOLVE, _DONE = 0, 1, 2, 3
 
 
 class Found(NamedTuple):
@@ -139,7 +139,7 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
             continue
         box = _geometry(lower[at], upper[at], centre, half, buffer)
         if steps[at] == _BEGIN and not few and box.tangent <= _WIDE:
-            steps[at] = _PRICE
+            steps[at] = PRICE
             continue
         look_from(clouds, centre, view)
         if steps[at] == _BEGIN:
@@ -187,7 +187,7 @@ def price_boxes(lower, upper, cutoff, clouds, limits, found, work):
     for at in range(lower.shape[0]):
         if clouds.stop[0]:
             break
-        if steps[at] != _PRICE:
+        if steps[at] != PRICE:
             continue
         steps[at] = _DONE
         box = _geometry(lower[at], upper[at], centre, half, buffer)

@@ -44,7 +44,7 @@ def frame(p, q, r, out):
 
 
 @jit
-def _first_at_least(values, least):
+def first_at_least(values, least):
     """Return the index of the first of ascending values that is at least `least`."""
     low, high = 0, values.size
     while low < high:
@@ -101,7 +101,7 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
             i, j = first[pair], second[pair]
             if feasible.size > 0 and not (feasible[u, i] and feasible[v, j]):
                 continue
-            for place in range(_first_at_least(ascending[i], near_pr), target.shape[0]):
+            for place in range(first_at_least(ascending[i], near_pr), target.shape[0]):
                 if ascending[i, place] > far_pr:
                     break
                 k = order[i, place]

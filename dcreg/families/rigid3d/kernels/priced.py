@@ -206,3 +206,26 @@ def _rounding(view, farthest, reach, found, duals):
     step = 2.0 * _ROUNDING * (farthest + extent(view.target)[1])
     off = 2.0 * step * math.sqrt(view.k * size) + view.k * step * step
     return off + 2.0 * _ROUNDING * (size + duals)
+
+
+@jit
+def priced_minima(view, turn, level, kept, work):
+    """Raise the duals in turn `turn`; return their bound on the sum of costs, and the next `level`.
+
+    Turn 0 takes duals of zero. ``work.columns[4]`` holds the duals, ``work.rows[0]`` the row minima.
+    """
+    if turn == 0:
+        for j in range(kept.size):
+            kept[j] = 0
+        _begin(view, kept, work)
+    else:
+        _raise(view, level, work)
+    found, level = _evaluate(view, _ONE, work)
+    rough_minima(work.costs, work.columns[4], work.rows[0])  # of all rows: `settle` clips them
+    return found, level
+
+
+@jit
+def rounding_of(view, found, duals):
+    """Bound the rounding error of single precision in a sum of k costs at a pose."""
+    return _rounding(view, extent(view.source)[1], 0.0, found, duals)

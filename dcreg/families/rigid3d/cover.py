@@ -1,0 +1,353 @@
+"""A lower bound by congruent triples: the few poses that can have a small objective.
+
+Let E* be the minimum of the sum of k squared residuals, and C the value to prove. The points of the
+source are divided into g groups of at most s points. Small sums of squares are known to come from
+triples that are nearly congruent, so such triples are listed, and all poses far from theirs are
+excluded.
+
+Averages over triples
+---------------------
+Suppose that every triple of a group, matched to any three target points in any order, has a sum of
+squared residuals above c at every pose. A group with k_a >= 3 matched points and the sum E_a has
+binom(k_a, 3) matched triples, and each of its points is in binom(k_a - 1, 2) of them. Hence E_a > c
+k_a / 3. A group with fewer points contributes at least 0. Over all divisions of k into 0 <= k_a <= s, the
+total is least on the line from (2, 0) to (s, s c / 3), so that
+
+    E* > c v,    v = (s / 3) (k - 2 g) / (s - 2),
+
+where groups of fewer than three points count with their size in place of the 2. So with c = C / v, a
+pose with an objective of at most C moves at least one source triple of a group to within c of some
+target triple. This is that triple's *region*.
+
+Congruence
+----------
+For residuals e of a triple, the sum of |e_a - e_b|^2 over its three pairs is at most 3 sum |e|^2. A
+distance changes by at most |e_a - e_b|. So the sum of the squared differences of the three distances is
+at most 3 c, and only such target triples are tried.
+
+The region of two triples
+-------------------------
+Let c_0 be the minimum of the sum over all poses, at the pose (R_0, t_0), and S the symmetric factor of
+sum R_0^T y x^T, with both triples centred. Relative to R_0 a rotation has an axis and an angle, w = 2
+sin(angle / 2) axis, and the centroid of the triple is moved by t' from that of the target triple. Then
+the sum is, for every angle,
+
+    c_0 + 3 |t'|^2 + w^T M w,    M = tr(S) I - S,
+
+because R - I is 2 sin^2(angle / 2) (a a^T - I) plus an antisymmetric matrix. The region is the ellipsoid
+3 |t'|^2 + w^T M w <= rho^2 = c - c_0. S has rank two and no negative eigenvalue: if the target triple has
+the other orientation in its plane, the plane is turned over. M depends on the target triple; with phi
+the minimum generalised eigenvalue of S and the second moments of the source triple, M >= phi M_0, where
+M_0 depends on the source triple only.
+
+Exclusion
+---------
+A point z, from the centroid, is moved by t' + w x z up to a common rotation, so |R z - R_0 z| = |w x z|.
+An optimum in the region is stationary in translation and rotation, so its residuals sum to 0 and have no
+moment. With d_i the distance of a point from the target at the centre of the region and u_i its
+displacement, as in `dcreg.families.rigid3d.bound`,
+
+    E* >= sum over the matched points of (d_i^2 - |u_i|^2) - |w|^2 sqrt(E*) sqrt(I),
+
+where I is the maximum sum of squared norms of k source points, and |w|^2 is at most rho^2 divided by the
+minimum eigenvalue of M. If E* < C, the last term is at most that with C. So the region is excluded if
+
+    minimum over k points of sum (d_i^2 - |u_i|^2)  >=  C + |w|^2 sqrt(C I).
+
+The minimum over k points is at least k tau - sum max(0, tau - d_i^2 + |u_i|^2) for any tau. Two bounds on
+the displacements are used.
+
+*By rows.* |u_i|^2 <= rho^2 (1 / 3 + lambda_i / phi), with lambda_i the maximum eigenvalue of [z]^T
+M_0^-1 [z].
+
+*Jointly.* max(0, |u|^2 - a) is at most |u|^2 - a if a <= 0, and at most |u|^2 (1 - a / b) if |u|^2 <= b
+with b the bound by rows. So the sum is at most a constant plus sum alpha_i |u_i|^2, which is a quadratic
+form in (t', w). On the ellipsoid it is at most rho^2 times an eigenvalue.
+
+The remaining regions
+---------------------
+Boxes of the search are divided as long as they are large, and those that meet no region are dropped.
+Every optimum below C lies in one of the others.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from dcreg.families.parallel import in_threads
+from dcreg.families.protocol import rows_of
+from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS, allocate_found
+from dcreg.families.rigid3d.kernels.exclusion import Distances
+from dcreg.families.rigid3d.kernels.priced import allocate_workspace
+from dcreg.families.rigid3d.kernels.regions import improve_groups, meeting_regions
+from dcreg.families.rigid3d.kernels.settle import settle_regions
+from dcreg.families.rigid3d.kernels.tuples import (
+    Regions,
+    Thresholds,
+    allocate_regions,
+    cover_triples,
+)
+from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
+from dcreg.jit import is_compiled
+from dcreg.search import Boxes, Budget, Confined, LongestEdge
+
+GROUP_SIZES = range(3, 9)
+SWAPS = 400  # tried per source point
+CELLS = 96  # of the distances along the longest side
+_PADDING = 0.3  # of the grid around the target, in RMS radii
+_MARGIN = 1e-9  # relative; covers rounding
+_ROUNDING = 1e-6  # of a distance in single precision
+_SLICE, _SINGLE = 8, 16  # source triples handled together, and single ones before
+_ROOM = 300_000  # regions of a slice
+MAX_PARTS = 4000  # of a region, bounded before it is left to the search
+MAX_LEFT = 20_000  # regions left to the search
+# Boxes of the search are divided until points move by this much in them, in RMS radii, or while there are
+# few.
+SMALL, FEW_BOXES = 0.4, 20_000
+# Nominal seconds, so that no decision depends on the clock: of a congruent triple, per source point, and
+# of a region, per pair of points.
+TRIPLE_S, REGION_S = 5e-9, 4e-9
+SAMPLED = 0.1  # share of the time that the first triples may take
+COMPILE_S = 20.0  # time that must be left if the kernels have to be compiled first
+
+
+@dataclass(frozen=True)
+class Grouping:
+    """Groups of source points, with the factor v of the module's docstring.
+
+    Attributes
+    ----------
+    groups : (g, s) int array
+        -1 where a group is smaller.
+    factor : float
+    """
+
+    groups: np.ndarray
+    factor: float
+
+    @property
+    def triples(self) -> np.ndarray:
+        """Return the (T, 3) triples of all groups."""
+        columns = list(itertools.combinations(range(self.groups.shape[1]), 3))
+        triples = self.groups[:, columns].reshape(-1, 3)
+        return triples[(triples >= 0).all(axis=1)]
+
+
+def factor_of(sizes: np.ndarray, k: int) -> float:
+    """Return v: how many costs of triples a matching of k points adds up to, at least; 0 if none."""
+    largest = int(sizes.max())
+    free = int(np.minimum(sizes, 2).sum())
+    return max(0.0, largest / 3.0 * (k - free) / (largest - 2))
+
+
+def best_grouping(points: np.ndarray, k: int) -> Grouping | None:
+    """Return groups of (n, 3) points with fat triples; None if k is too small for any groups.
+
+    The size balances the number of triples and the size of their regions.
+    """
+    options = []
+    for size in GROUP_SIZES:
+        groups = _dealt(len(points), size)
+        grouping = Grouping(groups, factor_of((groups >= 0).sum(axis=1), k))
+        if grouping.factor > 0.0:
+            options.append((len(grouping.triples) / grouping.factor**2.5, size, grouping))
+    if not options:
+        return None
+    groups = min(options, key=lambda option: option[:2])[2].groups
+    swaps = np.random.default_rng(0).integers(
+        np.array([*groups.shape, *groups.shape]), size=(SWAPS * len(points), 4)
+    )
+    squares = ((points[:, None] - points) ** 2).sum(axis=2)
+    improve_groups(squares, groups, swaps)
+    return Grouping(groups, factor_of((groups >= 0).sum(axis=1), k))
+
+
+def _dealt(count: int, size: int) -> np.ndarray:
+    """Deal points to groups of `size` in random order; -1 fills the last places."""
+    order = np.random.default_rng(0).permutation(count)
+    groups = np.full(size * -(-count // size), -1)
+    groups[:count] = order
+    return np.ascontiguousarray(groups.reshape(size, -1).T)
+
+
+def distances_to(target: np.ndarray) -> Distances:
+    """Return lower bounds on the distance to (m, 3) points, on a grid around them."""
+    from scipy.spatial import cKDTree
+
+    lower, upper = target.min(axis=0), target.max(axis=0)
+    cell = float((upper - lower).max() + 2.0 * _PADDING) / CELLS
+    origin = lower - _PADDING
+    sizes = np.ceil((upper + _PADDING - origin) / cell).astype(int)
+    axes = [origin[c] + (np.arange(sizes[c]) + 0.5) * cell for c in range(3)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    values = cKDTree(target).query(centres)[0].reshape(sizes) - _ROUNDING
+    return Distances(origin, cell, values.astype(np.float32), lower, upper)
+
+
+def limits_around(centres: np.ndarray, source: np.ndarray, k: int) -> np.ndarray:
+    """Return the (T, 3) `Limits` of k points of (n, 3) around each centre."""
+    squares = ((source - centres[:, None]) ** 2).sum(axis=2)
+    inertia = np.sort(squares, axis=1)[:, -k:].sum(axis=1)
+    drift = k * (largest_subset_mean_3d(source, k) + np.linalg.norm(centres, axis=1))
+    moments = source.T @ source + len(source) * centres[:, :, None] * centres[:, None, :]
+    middle = np.outer(source.sum(axis=0), np.ones(3))
+    moments = moments - centres[:, :, None] * middle.T - middle * centres[:, None, :]
+    return np.column_stack([inertia, drift, np.linalg.eigvalsh(moments)[:, -1]])
+
+
+class CongruentCover:
+    """Confines optima below a value to few boxes; see the module's docstring.
+
+    Parameters
+    ----------
+    space : Rigid3D
+    threads : int
+    """
+
+    def __init__(self, space: Rigid3D, threads: int = 1) -> None:
+        self._space, self._threads = space, threads
+        self._source = np.ascontiguousarray(space.clouds.source.T)
+        self._target = np.ascontiguousarray(space.clouds.target.T)
+        self._limits = np.empty((0, 3))
+        self._triples: np.ndarray | None = None
+        self._done = 0.0, 0.0  # the last cutoff, and its nominal time
+        self._spent_s = 0.0
+
+    @property
+    def applies(self) -> bool:
+        """Whether the search is long enough for a cover: translations vary, and there are many pairs."""
+        box = self._space.translations()
+        return self._space.n_pairs > FEW_PAIRS and bool((box.lower < box.upper).any())
+
+    def confine(self, cutoff: float, budget: Budget, allowed_s: float) -> Confined | None:
+        """Return boxes that contain every optimum with an objective below `cutoff`.
+
+        Parameters
+        ----------
+        cutoff : float
+        budget : Budget
+        allowed_s : float
+            Nominal seconds of CPU time.
+
+        Returns
+        -------
+        Confined or None
+            None if that would take too long, or leaves too many regions.
+
+        Raises
+        ------
+        Interrupted
+        """
+        left = budget.left()
+        if left is not None and left < COMPILE_S and not is_compiled(settle_regions):
+            return None
+        if not self._prepare() or self._known_s(cutoff) > allowed_s:
+            return None
+        began, n_tried, regions = budget.elapsed(), 0, []
+        for tried, found, is_affordable in self._slices(cutoff, allowed_s):
+            if not is_affordable:
+                return None
+            n_tried += tried
+            regions.append(found)
+            if sum(len(each.triple) for each in regions) > MAX_LEFT:
+                return None
+        self._done = cutoff, self._spent_s
+        boxes = self._boxes(Regions(*map(np.concatenate, zip(*regions, strict=True))))
+        return Confined(boxes, cutoff, budget.elapsed() - began, n_tried)
+
+    def _known_s(self, cutoff: float) -> float:
+        """Return the nominal time by that of an earlier cutoff, to the power 1.5; 0 if there is none."""
+        done, spent_s = self._done
+        return spent_s * (cutoff / done) ** 1.5 if done > 0.0 else 0.0
+
+    def _prepare(self) -> bool:
+        """Compute what does not depend on the cutoff, once. False: k is too small."""
+        if self._triples is not None:
+            return len(self._triples) > 0
+        k, target = self._space.n_inliers, self._target
+        grouping = best_grouping(self._source, k)
+        if grouping is None:
+            self._triples = np.empty((0, 4), np.int64)
+            return False
+        # in random order: the first ones tell how long all of them take
+        triples = np.random.default_rng(0).permutation(grouping.triples)
+        self._factor = grouping.factor
+        self._triples = np.column_stack([triples, np.arange(len(triples))])
+        self._frames = np.empty((len(triples), 7))
+        self._limits = limits_around(self._source[triples].mean(axis=1), self._source, k)
+        self._inertia = float(np.sort((self._source**2).sum(axis=1))[-k:].sum())
+        distances = np.sqrt(((target[:, None] - target) ** 2).sum(axis=2))
+        first, second = np.nonzero(~np.eye(len(target), dtype=bool))
+        order = np.argsort(distances[first, second], kind="stable")
+        lengths = distances[first, second][order]
+        self._pairs = first[order], second[order], lengths, distances
+        self._field = distances_to(target)
+        return True
+
+    def _slices(self, cutoff: float, allowed_s: float) -> Iterator[tuple[int, Regions, bool]]:
+        """Yield the congruent triples, the regions that are left, and whether to go on, by slices."""
+        assert self._triples is not None
+        thresholds = Thresholds(
+            cutoff / self._factor * (1.0 + _MARGIN), cutoff * (1.0 + _MARGIN),
+            self._space.n_inliers, self._inertia,
+        )  # fmt: skip
+        total, done, self._spent_s = len(self._triples), 0, 0.0
+        # single triples first, because one of a large cloud can take seconds
+        edges = [*range(min(_SINGLE, total)), *range(min(_SINGLE, total), total, _SLICE), total]
+        parts = [slice(*ends) for ends in itertools.pairwise(edges)]
+        for part, (tried, count, found) in zip(
+            parts,
+            in_threads(lambda part: self._slice(part, thresholds), parts, self._threads),
+            strict=True,
+        ):
+            self._space.check()
+            self._spent_s += tried * TRIPLE_S * self._space.n_source
+            self._spent_s += count * REGION_S * self._space.n_pairs
+            done = part.stop
+            share = max(done / total, SAMPLED if done < _SINGLE else 0.0)
+            yield tried, found, count <= _ROOM and self._spent_s <= allowed_s * share
+
+    def _slice(self, part: slice, thresholds: Thresholds) -> tuple[int, int, Regions]:
+        """Return the congruent triples of a slice, their open regions, and the regions that are left."""
+        space, frames = self._space, self._frames
+        assert self._triples is not None
+        feasible = np.empty((0, 0), np.bool_)
+        if space.candidates is not None:
+            feasible = np.ascontiguousarray(space.candidates)
+        found = allocate_regions(_ROOM)
+        tried, count = cover_triples(
+            self._triples[part], frames[part], (self._source, self._target), feasible, self._pairs,
+            (thresholds, self._field), space.stop_flag, found,
+        )  # fmt: skip
+        found = rows_of(found, slice(0, min(count, _ROOM)))
+        if count > _ROOM:
+            return tried, count, found
+        left = allocate_regions(_ROOM)
+        one = allocate_found(np.zeros((1, space.n_target), np.uint16))
+        scratch = one, allocate_workspace(space.n_source, space.n_target)
+        n_left = settle_regions(
+            found, frames, self._limits, space.clouds, thresholds, MAX_PARTS, scratch, left
+        )
+        return tried, max(count, n_left), rows_of(left, slice(0, min(n_left, _ROOM)))
+
+    def _boxes(self, regions: Regions) -> Boxes:
+        """Return the boxes of the search that meet regions, small ones if they stay few."""
+        boxes = Boxes.of(self._space.roots())
+        weights, ids = self._space.axis_weights, np.arange(len(regions.triple), dtype=np.int32)
+        starts, ids = np.arange(len(boxes) + 1) * len(ids), np.tile(ids, len(boxes))
+        branching = LongestEdge(weights)
+        while 0 < len(boxes) <= FEW_BOXES:
+            if ((boxes.upper - boxes.lower)[0] * weights).max() <= SMALL:
+                break
+            halves, out = branching(boxes), np.empty(2 * len(ids), np.int32)
+            ends = meeting_regions(
+                halves.lower, halves.upper, starts, ids, self._frames, regions, out
+            )
+            kept = np.flatnonzero(np.diff(ends) > 0)
+            boxes, ids = halves[kept], out[: ends[-1]]
+            starts = np.concatenate([[0], ends[1:][kept]])
+        return boxes

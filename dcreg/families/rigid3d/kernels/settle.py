@@ -1,0 +1,232 @@
+"""Exclude regions of congruent triples by dual variables, whole or in parts.
+
+A region is seen in its own coordinates: the source in the principal frame of its triple, and the target
+from the pose at the centre of the region. There a part of it is a box of Gibbs vectors and shifts, which
+the bounds of `dcreg.families.rigid3d.bound` take as a box of quaternions (1, x, y, z).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dcreg.assignment.kernels.selection import total
+from dcreg.families.kernels import Clouds
+from dcreg.families.rigid3d.kernels.boxes import PRICE, price_boxes
+from dcreg.families.rigid3d.kernels.exclusion import (
+    Ellipsoid,
+    Rows,
+    fill_displacements,
+    jointly_excluded,
+)
+from dcreg.families.rigid3d.kernels.priced import keep_duals, priced_minima, rounding_of
+from dcreg.families.rigid3d.kernels.regions import box_chord, product
+from dcreg.families.rigid3d.kernels.stationary import Limits
+from dcreg.families.rigid3d.kernels.tuples import copy_region
+from dcreg.families.rotation3d.kernels.geometry import chord_matrix
+from dcreg.jit import jit
+
+_WIDEST = 1.6  # swing of regions that are divided here
+_WIDE = 0.6  # tangent of parts that are divided without a bound, as in `bound_boxes`
+# A part is left to the search by boxes if its centre is so good, in cutoffs, and it is so small: many
+# regions meet around the optimum, and the search divides each place once.
+_NEAR, _SMALL = 1.9, 0.25
+_ROUNDS = 8  # of auction steps at the centre of a region
+_DEPTH = 24  # divisions of a region
+
+
+@jit
+def _turn_back(M, offset, points, out):
+    """Write M^T (points - offset) to `out`, both (3, n)."""
+    for i in range(points.shape[1]):
+        x, y, z = points[0, i] - offset[0], points[1, i] - offset[1], points[2, i] - offset[2]
+        for c in range(3):
+            out[c, i] = M[0, c] * x + M[1, c] * y + M[2, c] * z
+
+
+@jit
+def _at_centre(own, thresholds, swing, slack, work, rows, kept):
+    """Tell whether the dual variables at the centre of a region exclude it; fill `kept` with them."""
+    inverse, widest, level, cutoff = np.empty(3), 0.0, 0.0, thresholds.cutoff
+    for c in range(3):
+        inverse[c] = swing[c] * swing[c]
+        widest = max(widest, inverse[c])
+        for i in range(rows.squares.size):
+            rows.points[i, c] = own.source[c, i]
+    fill_displacements(rows, inverse)
+    region = Ellipsoid(slack * slack, 1.0, inverse)
+    goal = cutoff + widest * math.sqrt(cutoff * thresholds.inertia)
+    is_excluded = False
+    for turn in range(_ROUNDS + 1):
+        found, level = priced_minima(own, turn, level, kept, work)
+        duals = total(work.columns[4])
+        off = duals + rounding_of(own, found + duals, duals)
+        for i in range(rows.squares.size):
+            rows.squares[i] = work.rows[0, i]
+        if turn % 2 == 0 and jointly_excluded(rows, own.k, goal + off, region):
+            is_excluded = True
+            break
+    keep_duals(work.columns[4], kept)
+    return is_excluded
+
+
+@jit
+def _is_outside(lower, upper, slack, swing):
+    """Whether a box of (1, Gibbs vector, shift) lies outside the ellipsoid of a region."""
+    shift = turned = most = 0.0
+    for c in range(3):
+        least = max(0.0, lower[4 + c], -upper[4 + c])
+        shift += least * least
+        least = max(0.0, lower[1 + c], -upper[1 + c])
+        turned += (2.0 * least / swing[c]) ** 2
+        most += max(abs(lower[1 + c]), abs(upper[1 + c])) ** 2
+    return shift / (slack * slack) + turned / (1.0 + most) > 1.0
+
+
+@jit
+def _longest_edge(low, high, weights):
+    """Return the axis along which a box displaces points most, by how much, and half its rotation."""
+    axis, longest, square = 4, 0.0, 0.0
+    for c in range(3):
+        width = high[1 + c] - low[1 + c]
+        square += 0.25 * width * width
+        if high[4 + c] - low[4 + c] > longest:
+            axis, longest = 4 + c, high[4 + c] - low[4 + c]
+        if weights[c] * width > longest:
+            axis, longest = 1 + c, weights[c] * width
+    return axis, longest, math.sqrt(square)
+
+
+@jit
+def _store_part(low, high, region, left, count):
+    """Store a part as a region of its own; `region` is (triple, turn, centroid)."""
+    triple, turn, centroid = region
+    part, M = np.empty(4), chord_matrix(turn, turn)
+    chord, slack, place = box_chord(part, low, high), 0.0, np.empty(3)
+    for c in range(3):
+        slack += 0.25 * (high[4 + c] - low[4 + c]) ** 2
+        place[c] = centroid[c]
+        for d in range(3):
+            place[c] += M[c, d] * 0.5 * (low[4 + d] + high[4 + d])
+    if count < left.triple.size:
+        left.triple[count], left.slack[count] = triple, math.sqrt(slack)
+        product(turn, part, left.turn[count])
+        for c in range(3):
+            left.centroid[count, c], left.swing[count, c] = place[c], 2.0 * chord
+    return count + 1
+
+
+@jit
+def _first_part(own, swing, slack, stack):
+    """Put the box around a region on the stack, and weigh its axes."""
+    lower, upper, _, weights = stack
+    widest = max(swing[0], swing[1], swing[2])
+    lower[0, 0] = upper[0, 0] = 1.0
+    for c in range(3):
+        half = 0.5 * swing[c] / math.sqrt(1.0 - 0.25 * widest * widest)
+        lower[0, 1 + c], upper[0, 1 + c] = -half, half
+        lower[0, 4 + c], upper[0, 4 + c] = -slack, slack
+        weights[c] = 0.0
+        for i in range(own.source.shape[1]):
+            weights[c] += own.source[(c + 1) % 3, i] ** 2 + own.source[(c + 2) % 3, i] ** 2
+        weights[c] = 2.0 * math.sqrt(weights[c] / own.source.shape[1])
+
+
+@jit
+def _in_parts(own, bounds, region, extent, scratch, stack, left, count):
+    """Divide a region until its parts are excluded or stored; return the number stored.
+
+    `bounds` is the cutoff, the `Limits` and the maximum number of parts to bound; `extent` the swing and
+    the slack of the region.
+    """
+    cutoff, limits, most = bounds
+    swing, slack = extent
+    found, work = scratch
+    lower, upper, kept, weights = stack
+    _first_part(own, swing, slack, stack)
+    depth, bounded = 1, 0
+    while depth > 0:
+        depth -= 1
+        low, high = lower[depth], upper[depth]
+        if _is_outside(low, high, slack, swing):
+            continue
+        axis, longest, tangent = _longest_edge(low, high, weights)
+        is_near = False
+        if tangent < _WIDE:
+            for j in range(kept.shape[1]):
+                found.kept[0, j] = kept[depth, j]
+            found.steps[0] = PRICE
+            price_boxes(
+                lower[depth : depth + 1], upper[depth : depth + 1], cutoff, own, limits, found, work
+            )
+            bounded += 1
+            if found.bounds[0] >= cutoff:
+                continue
+            is_near = found.estimates[0] < _NEAR * cutoff and longest <= _SMALL
+            for j in range(kept.shape[1]):
+                kept[depth, j] = found.kept[0, j]
+        if is_near or depth + 2 > _DEPTH or bounded >= most:
+            count = _store_part(low, high, region, left, count)
+            continue
+        for c in range(7):
+            lower[depth + 1, c], upper[depth + 1, c] = low[c], high[c]
+        upper[depth, axis] = lower[depth + 1, axis] = 0.5 * (low[axis] + high[axis])
+        for j in range(kept.shape[1]):
+            kept[depth + 1, j] = kept[depth, j]
+        depth += 2
+    return count
+
+
+@jit
+def settle_regions(regions, frames, limits, clouds, thresholds, most, scratch, left):
+    """Exclude regions by dual variables, whole or in parts.
+
+    Parameters
+    ----------
+    regions : Regions
+    frames : (T, 7) array
+        See `cover_triples`.
+    limits : (T, 3) array
+        The `Limits` of the source around the centroid of each triple.
+    clouds : Clouds
+    thresholds : Thresholds
+    most : int
+        Maximum number of parts of a region that are bounded.
+    scratch : (Found, Workspace)
+        For one box.
+    left : Regions
+        Receives parts that may contain an optimum below the cutoff, as far as there is room.
+
+    Returns
+    -------
+    int
+        Number of parts that are left.
+    """
+    n, m = clouds.source.shape[1], clouds.target.shape[1]
+    own = Clouds(
+        np.empty((3, n)), np.empty((3, m)), clouds.infeasibility_penalty, clouds.k, clouds.stop
+    )
+    rows = Rows(np.empty((n, 3)), np.empty(n), np.empty(n))
+    stack = (
+        np.empty((_DEPTH, 7)), np.empty((_DEPTH, 7)), np.empty((_DEPTH, m), np.uint16), np.empty(3)
+    )  # fmt: skip
+    count = 0
+    for at in range(regions.triple.size):
+        if clouds.stop[0]:
+            break
+        triple, turn, centroid = regions.triple[at], regions.turn[at], regions.centroid[at]
+        swing, slack, frame = regions.swing[at], regions.slack[at], frames[triple]
+        if max(swing[0], swing[1], swing[2]) > _WIDEST:
+            count = copy_region(regions, at, left, count)
+            continue
+        _turn_back(chord_matrix(frame[:4], frame[:4]), frame[4:], clouds.source, own.source)
+        _turn_back(chord_matrix(turn, turn), centroid, clouds.target, own.target)
+        if _at_centre(own, thresholds, swing, slack, scratch[1], rows, stack[2][0]):
+            continue
+        around = Limits(limits[triple, 0], limits[triple, 1], limits[triple, 2])
+        count = _in_parts(
+            own, (thresholds.cutoff, around, most), (triple, turn, centroid), (swing, slack), scratch,
+            stack, left, count,
+        )  # fmt: skip
+    return count

@@ -1,0 +1,153 @@
+"""Minimise over a space: local searches, then branch and bound, helped by a cover of the small values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from dcreg.search.boxes import Bound, Boxes, Confined, Leaves, LongestEdge
+from dcreg.search.branch_and_bound import Outcome, Search, Start
+from dcreg.search.budget import Budget, Interrupted, Tolerance
+from dcreg.status import Status
+
+UNSURE = 5.0  # factor of the patience if independent starts do not agree
+# A search of fewer boxes needs no cover.
+SHORT = 2048
+# Shares of the cutoff that are proved one after the other: a small one takes a fraction of the time. The
+# last one is for a cutoff that takes too long.
+SHARES = 0.0625, 0.25, 1.0, 0.5
+COVER_SHARE = 0.8  # of the time left, for one cover
+UNLIMITED_S = 120.0  # maximum nominal time for covers
+COUNTED_S = 5.0  # nominal time for a cover if boxes or assignments are limited
+
+
+class Searchable(Protocol):
+    """What a search needs from a parameter space."""
+
+    axis_weights: np.ndarray
+    is_confirmed: bool  # whether independent starts agree on the first incumbent
+
+    def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
+        """Return a first incumbent: theta, objective, assignments spent; `enough` is good enough."""
+        ...
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """Search locally from `theta`: return a better theta, its objective, assignments spent."""
+        ...
+
+
+class Cover(Protocol):
+    """Finds the few places where the objective can be small, without boxes."""
+
+    @property
+    def applies(self) -> bool:
+        """Whether it may help in a long search."""
+        ...
+
+    def confine(self, cutoff: float, budget: Budget, allowed_s: float) -> Confined | None:
+        """Return boxes that contain every optimum with an objective below `cutoff`.
+
+        None if that is expected to take longer than the nominal time `allowed_s`.
+        """
+        ...
+
+
+def minimise(
+    space: Searchable,
+    bound: Bound,
+    budget: Budget,
+    *,
+    tolerance: Tolerance,
+    start: Sequence[Any] | None = None,
+    cover: Cover | None = None,
+    stage: str = "search",
+    keep_leaves: bool = False,
+) -> Outcome:
+    """Minimise the objective of a space over the roots of `bound`, to within a tolerance.
+
+    Parameters
+    ----------
+    space : Searchable
+        Provides the first incumbent, the local searches, and the weights for dividing boxes.
+    bound : Bound
+    budget : Budget
+        Its patience is for a first incumbent on which independent starts agree. If they do not, the
+        search may find a better one: a finite patience is then `UNSURE` times as long, and inf has no
+        effect.
+    tolerance : Tolerance
+        In the units of the objective.
+    start : (theta, value), optional
+        A known parameter and its objective; default: the result of ``space.start``.
+    cover : Cover, optional
+        Confines a long search to few boxes.
+    stage, keep_leaves
+        See `branch_and_bound`.
+
+    Returns
+    -------
+    Outcome
+    """
+    if start is None:
+        began = budget.elapsed()
+        start = space.start(budget, tolerance.enough)
+        start = Start(*start, budget.elapsed() - began)
+    if not space.is_confirmed:
+        budget = budget.with_patience(_unsure(budget.patience_s))
+    search = Search(
+        bound, budget, LongestEdge(space.axis_weights), tolerance, stage, space.refine,
+        Start(*start), Leaves() if keep_leaves else None,
+        Confined(Boxes.of(bound.roots), np.inf),
+    )  # fmt: skip
+    if cover is None or keep_leaves or not cover.applies:
+        search.run()
+        return search.outcome()
+    search.run(SHORT)
+    return _with_cover(search, cover) if search.status is None else search.outcome()
+
+
+def _with_cover(search: Search, cover: Cover) -> Outcome:
+    """Continue a long search: prove shares of the cutoff in the boxes of a cover, as far as it goes."""
+    parts: list[Confined] = []
+    for share in SHARES:
+        tolerance = _share_of(search.tolerance, share)
+        if tolerance.cutoff(search.upper_bound) <= search.floor:
+            continue
+        confined = _confined(search, cover, tolerance.cutoff(search.upper_bound))
+        if confined is None:
+            continue
+        parts.append(confined)
+        part = search.confined_to(confined, tolerance)
+        part.run()
+        search.take_over(part)
+        if part.status is not Status.OPTIMAL:
+            search.status = part.status
+            break
+        search.terminate()
+        if search.status is not None:
+            break
+    search.run()
+    return replace(search.outcome(), confined=parts)
+
+
+def _confined(search: Search, cover: Cover, cutoff: float) -> Confined | None:
+    """Return the boxes with optima below the cutoff; None if they take too long."""
+    budget = search.budget
+    times = [time_s for time_s in (budget.left(), budget.patience_s) if time_s is not None]
+    allowed_s = COUNTED_S if budget.is_counted else COVER_SHARE * min([UNLIMITED_S, *times])
+    try:
+        return cover.confine(cutoff, budget, allowed_s)
+    except Interrupted:
+        return None
+
+
+def _share_of(tolerance: Tolerance, share: float) -> Tolerance:
+    """Return the tolerance that proves a share of the cutoff."""
+    return replace(tolerance, rel=1.0 - share * (1.0 - tolerance.rel))
+
+
+def _unsure(patience_s: float | None) -> float | None:
+    """Return the patience for a search whose starts did not agree."""
+    return None if patience_s is None or patience_s == np.inf else UNSURE * patience_s
