@@ -16,7 +16,7 @@ from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, plain, write_text
 from dcreg.problem import InputError, rotation_angle_deg, scale_of
 from dcreg.result_parts import RunnerUp, Sample, Score
-from dcreg.search import Outcome, Trace, proven_share
+from dcreg.search import Confined, Outcome, Trace, proven_share
 from dcreg.status import NO_PROOF_EXPECTED, Status
 
 
@@ -27,8 +27,8 @@ class Stage:
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid``, ``polish``, ``pairs``, ``all points``; in sweeps also
-        ``local searches``; in `dcreg.register_matches` ``start`` and ``rotation``.
+        ``search``, ``rotation``, ``rigid``, ``triples``, ``polish``, ``pairs``, ``all points``; in sweeps
+        also ``local searches``; in `dcreg.register_matches` ``start`` and ``rotation``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional
@@ -41,6 +41,11 @@ class Stage:
         Sum of squared residuals of the matched pairs before and after the polish.
     greedy_assignment : bool, optional
         True if the time limit was hit before the pairs were matched, so that they were chosen greedily.
+    n_tuples, n_boxes : int, optional
+        Of ``triples``: the congruent triples tried, and the boxes to which the following search is
+        confined.
+    outside : float, optional
+        Of ``triples``: the minimum objective outside these boxes.
     """
 
     name: str
@@ -54,6 +59,17 @@ class Stage:
     objective_before: float | None = None
     objective_after: float | None = None
     greedy_assignment: bool | None = None
+    n_tuples: int | None = None
+    n_boxes: int | None = None
+    outside: float | None = None
+
+    @classmethod
+    def confining(cls, confined: Confined) -> Stage:
+        """Return the stage that confined a search to few boxes."""
+        return cls(
+            "triples", confined.time_s, n_tuples=confined.n_tried, n_boxes=len(confined.boxes),
+            outside=confined.outside,
+        )  # fmt: skip
 
     @classmethod
     def of(cls, name: str, found: Outcome, gap_tol: float | None = None) -> Stage:
@@ -65,7 +81,7 @@ class Stage:
 
     def scaled(self, factor: float) -> Stage:
         """Return the stage with its bounds multiplied by `factor`."""
-        names = ("lower_bound", "upper_bound", "gap_tol")
+        names = ("lower_bound", "upper_bound", "gap_tol", "outside")
         present = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return replace(self, **{name: factor * value for name, value in present.items()})
 
@@ -76,6 +92,12 @@ class Stage:
         share = "exact fit" if is_exact else text.percent(proven_share(low, high))
         work = f"{text.count(self.n_nodes, 'node')}, {self.time_s:.2f} s"
         return f"{self.status}, bounds [{low:.5g}, {high:.5g}] ({share}), {work}"
+
+    def confinement(self) -> str:
+        """Return one line about a stage that confined a search."""
+        tuples = text.count(self.n_tuples or 0, "congruent triple")
+        boxes = text.count(self.n_boxes or 0, "box", "boxes")
+        return f"{tuples} confine objectives below {self.outside:.5g} to {boxes}, {self.time_s:.2f} s"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, without the values that the stage lacks."""
@@ -303,6 +325,9 @@ class Result:
         bounding = [stage for stage in self.stages if stage.status is not None]
         for stage in bounding if len(bounding) > 1 else []:
             yield f"{stage.name} stage", stage.summary()
+        confining = [stage for stage in self.stages if stage.outside is not None]
+        for stage in confining[-1:]:
+            yield f"{stage.name} stage", stage.confinement()
         before = self.objective_certified
         yield "objective", f"{self.objective:.6g} (before the polish {before:.6g})"
         assignments = text.count(self.n_assignments, "assignment")

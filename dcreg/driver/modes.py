@@ -13,6 +13,7 @@ from dcreg.families.registry import bound_parts, make_bound
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.names import AUTO, DEFAULT_BOUND, mode_names
 from dcreg.problem import InputError, Problem, suggestion
+from dcreg.result import Stage
 from dcreg.search import Bound, Budget, minimise
 from dcreg.status import Status
 
@@ -134,6 +135,7 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
         certified=(bound.roots[0], found),
     )  # fmt: skip
     solution.add(mode.stage, found)
+    solution.stages += map(Stage.confining, found.confined)
     recover_pose(mode, problem, space, found.theta, budget, solution)
     return solution
 

@@ -27,7 +27,7 @@ from dcreg.result import Result, Stage
 from dcreg.search import Budget, Listener, Trace
 
 _LOGGER = logging.getLogger("dcreg")
-SAMPLE_PATIENCE_S = 1.0  # for a proof about a sample
+SAMPLE_PATIENCE_S = 0.25  # for a proof about a sample
 
 
 def register_problem(

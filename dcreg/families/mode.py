@@ -14,7 +14,7 @@ from typing import Any
 
 from dcreg.names import DEFAULT_BOUND, mode_files
 from dcreg.search import Bound, Outcome
-from dcreg.search.minimise import Cover
+from dcreg.search.space_search import Cover
 
 # (source, target, n_inliers, candidates, tolerance=, threads=, budget=) -> the best rotation about the
 # origin

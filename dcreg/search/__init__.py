@@ -11,7 +11,7 @@ from dcreg.search.budget import (
     Trace,
     proven_share,
 )
-from dcreg.search.minimise import minimise
+from dcreg.search.space_search import minimise
 
 __all__ = [
     "Bound",

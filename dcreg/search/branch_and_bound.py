@@ -16,7 +16,7 @@ import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Confined, Evaluation, Leaves, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted, Tolerance
-from dcreg.search.prospect import ASKED_AFTER_S, Prospect
+from dcreg.search.prospect import ASKED_AFTER_S, WATCHED_AFTER_S, Prospect
 from dcreg.status import Status
 
 
@@ -157,7 +157,7 @@ class Search:
 
     def __post_init__(self) -> None:
         self.theta, self.upper_bound = self.start.theta, self.start.value
-        self.began = self.budget.elapsed()
+        self.began = self.waited_from = self.budget.elapsed()  # the patience is that of a part
         self.nodes = OpenNodes(self.bound.roots[0].dim)
         self.pruned_bound = (
             self.confined.outside
@@ -209,7 +209,7 @@ class Search:
         self.n_nodes, self.n_refining = part.n_nodes, part.n_refining
         self.floor = max(self.floor, part.lower_bound)
         self.events += part.events
-        self.began = self.budget.elapsed()  # the patience is that of a part
+        self.waited_from = self.budget.elapsed()
 
     def update_incumbent(self, found: Evaluation) -> None:
         """Update the incumbent by the best candidate of the round and a local search from it."""
@@ -270,8 +270,11 @@ class Search:
     def _has_no_prospect(self) -> bool:
         """Tell whether no proof is expected within the patience, which few searches need to ask."""
         budget = self.budget
-        spent = budget.elapsed() - self.began
-        if spent < ASKED_AFTER_S or not (budget.patience_s is not None or budget.is_watched):
+        spent = budget.elapsed() - self.waited_from
+        if budget.patience_s is not None and spent >= budget.patience_s:
+            return True
+        asked_after_s = WATCHED_AFTER_S if budget.patience_s is None else ASKED_AFTER_S
+        if spent < asked_after_s or not (budget.patience_s is not None or budget.is_watched):
             return False
         if self.prospect is None:
             self.prospect = Prospect.of(
@@ -284,7 +287,7 @@ class Search:
         if self.prospect is None or self.status is not None:
             return None
         return self.prospect.expected_s(
-            self.n_nodes - self.n_begun, self.budget.elapsed() - self.began, self.budget
+            self.n_nodes - self.n_begun, self.budget.elapsed() - self.waited_from, self.budget
         )
 
     def select(self) -> Boxes:

@@ -12,6 +12,7 @@ from dcreg.search.boxes import Bound, Boxes
 from dcreg.search.budget import Budget, Interrupted
 
 ASKED_AFTER_S = 0.25  # of a search: most end before
+WATCHED_AFTER_S = 2.0  # ... if the estimate is for the listener only, because it costs time
 HOPELESS = 3.0  # estimated times, in times left, from which a proof is not expected
 N_DESCENTS = 128
 _MAX_DEPTH = 80  # divisions; a descent that goes on so long contains the minimiser

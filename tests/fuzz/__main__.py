@@ -25,6 +25,7 @@ def main(
     count: Annotated[int, typer.Option(help="problems to solve")] = 10_000,
     first: Annotated[int, typer.Option(help="number of the first problem")] = 0,
     only: Annotated[int | None, typer.Option(help="just the problem of this number")] = None,
+    family: Annotated[str | None, typer.Option(help="problems of this family alone")] = None,
     out: Annotated[Path, typer.Option(help="folder for the tables")] = OUT,
 ) -> None:
     dcreg.warm_up()
@@ -33,7 +34,7 @@ def main(
     out.mkdir(parents=True, exist_ok=True)
     rows = []
     for number in track(numbers, "fuzz", disable=only is not None):
-        rows.append(_row(number))
+        rows.append(_row(number, family))
         if len(rows) % 500 == 0 or len(rows) == len(numbers):  # an interrupted run leaves its rows
             pd.DataFrame(rows).to_csv(out / "fuzz.csv", index=False)
     table = pd.DataFrame(rows)
@@ -45,6 +46,7 @@ def main(
             "n_pairs",
             lambda p: int((p < table.loc[p.index, "n"] * table.loc[p.index, "m"]).sum()),
         ),
+        covered=("covers", lambda covers: int((covers > 0).sum())),
         wrong=("faults", lambda f: int((f != "").sum())),
     )
     print(summary.to_string())
@@ -59,8 +61,8 @@ def main(
     raise typer.Exit(int(len(wrong) > 0))
 
 
-def _row(number: int) -> dict[str, object]:
-    drawn = problem(number)
+def _row(number: int, family: str | None) -> dict[str, object]:
+    drawn = problem(number, family)
     began = time.perf_counter()
     result = drawn.solve()
     solved = time.perf_counter()
@@ -81,6 +83,7 @@ def _row(number: int) -> dict[str, object]:
         "optimum_low": verdict.lower,
         "optimum_high": verdict.upper,
         "closed": verdict.closed,
+        "covers": sum(stage.outside is not None for stage in result.stages),
         "n_nodes": result.n_nodes,
         "solve_s": solved - began,
         "check_s": time.perf_counter() - solved,

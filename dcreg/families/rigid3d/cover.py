@@ -140,6 +140,8 @@ class Grouping:
 def factor_of(sizes: np.ndarray, k: int) -> float:
     """Return v: how many costs of triples a matching of k points adds up to, at least; 0 if none."""
     largest = int(sizes.max())
+    if largest < 3:
+        return 0.0
     free = int(np.minimum(sizes, 2).sum())
     return max(0.0, largest / 3.0 * (k - free) / (largest - 2))
 
