@@ -97,7 +97,9 @@ class Stage:
         """Return one line about a stage that confined a search."""
         tuples = text.count(self.n_tuples or 0, "congruent triple")
         boxes = text.count(self.n_boxes or 0, "box", "boxes")
-        return f"{tuples} confine objectives below {self.outside:.5g} to {boxes}, {self.time_s:.2f} s"
+        return (
+            f"{tuples} confine objectives below {self.outside:.5g} to {boxes}, {self.time_s:.2f} s"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, without the values that the stage lacks."""

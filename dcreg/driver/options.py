@@ -32,7 +32,8 @@ class SolveOptions:
         uses the fact that an optimal pose is stationary: its translation is a difference of means of
         `n_inliers` points (a single value when all points match).
     threads : int
-        Threads that evaluate bounds. They change the result only if the time limit ends the search.
+        Threads of the search. They change the result only if the time limit ends the search. The initial
+        poses of dense clouds use two threads, and neighbour queries of large clouds all processors.
     polish : bool
         Refine the final pose locally on the full objective. The result reports this separately from the
         certificate.

@@ -159,9 +159,8 @@ class Search:
         self.theta, self.upper_bound = self.start.theta, self.start.value
         self.began = self.waited_from = self.budget.elapsed()  # the patience is that of a part
         self.nodes = OpenNodes(self.bound.roots[0].dim)
-        self.pruned_bound = (
-            self.confined.outside
-        )  # minimum over what is pruned: part of the certificate
+        # minimum over the pruned boxes: part of the certificate
+        self.pruned_bound = self.confined.outside
         self.boxes = self.confined.boxes  # to be bounded next; sums of squares have the bound 0
 
     def run(self, pause: float = np.inf) -> None:
@@ -169,7 +168,7 @@ class Search:
         if not len(self.boxes) and self.status is None:
             self.terminate()
         while self.status is None and self.n_nodes < pause:
-            boxes = self.boxes
+            boxes, self.boxes = self.boxes, self.boxes[:0]
             try:
                 found = self.bound.evaluate(boxes, self.cutoff)
             except Interrupted:
@@ -188,7 +187,8 @@ class Search:
 
     @property
     def lower_bound(self) -> float:
-        proven = min(self.nodes.lower_bound, self.pruned_bound, self.upper_bound)
+        pending = float(self.boxes.bounds.min(initial=np.inf))  # of a paused search
+        proven = min(self.nodes.lower_bound, pending, self.pruned_bound, self.upper_bound)
         return min(max(proven, self.floor), self.upper_bound)
 
     @property

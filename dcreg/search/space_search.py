@@ -42,6 +42,8 @@ class Searchable(Protocol):
 class Cover(Protocol):
     """Finds the few places where the objective can be small, without boxes."""
 
+    threads: int
+
     @property
     def applies(self) -> bool:
         """Whether it may help in a long search."""
@@ -50,7 +52,7 @@ class Cover(Protocol):
     def confine(self, cutoff: float, budget: Budget, allowed_s: float) -> Confined | None:
         """Return boxes that contain every optimum with an objective below `cutoff`.
 
-        None if that is expected to take longer than the nominal time `allowed_s`.
+        None if that is expected to take longer than `allowed_s`, a nominal time of all threads together.
         """
         ...
 
@@ -136,7 +138,9 @@ def _confined(search: Search, cover: Cover, cutoff: float) -> Confined | None:
     """Return the boxes with optima below the cutoff; None if they take too long."""
     budget = search.budget
     times = [time_s for time_s in (budget.left(), budget.patience_s) if time_s is not None]
-    allowed_s = COUNTED_S if budget.is_counted else COVER_SHARE * min([UNLIMITED_S, *times])
+    allowed_s = COVER_SHARE * min([UNLIMITED_S, *times]) * cover.threads
+    if budget.is_counted:  # neither the clock nor the threads may change the result
+        allowed_s = COUNTED_S
     try:
         return cover.confine(cutoff, budget, allowed_s)
     except Interrupted:

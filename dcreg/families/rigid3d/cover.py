@@ -211,7 +211,7 @@ class CongruentCover:
     """
 
     def __init__(self, space: Rigid3D, threads: int = 1) -> None:
-        self._space, self._threads = space, threads
+        self._space, self.threads = space, threads
         self._source = np.ascontiguousarray(space.clouds.source.T)
         self._target = np.ascontiguousarray(space.clouds.target.T)
         self._limits = np.empty((0, 3))
@@ -303,7 +303,7 @@ class CongruentCover:
         parts = [slice(*ends) for ends in itertools.pairwise(edges)]
         for part, (tried, count, found) in zip(
             parts,
-            in_threads(lambda part: self._slice(part, thresholds), parts, self._threads),
+            in_threads(lambda part: self._slice(part, thresholds), parts, self.threads),
             strict=True,
         ):
             self._space.check()

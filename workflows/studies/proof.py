@@ -1,0 +1,124 @@
+"""How soon rigid poses are proved in 3D: ``python -m workflows.studies.proof OUT``.
+
+Every problem has 100 points before its disturbance and all true pairs, and is searched to the time limit
+(``prove=True``). The study writes ``proof.csv``, a row per solve with L/U at several moments, and
+``proof_summary.csv``, a row per test and level. Rows that exist are kept, so it can be continued.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import typer
+
+import dcreg
+from data.contract import RawInstance
+from data.registry import dataset
+from dcreg.status import Status
+from workflows.disturb import make_instance
+from workflows.metrics import Case
+from workflows.studies.modes import RIGHT, SHAPES, TESTS
+
+MOMENTS_S = 3.0, 10.0, 60.0
+QUARTER = 0.25  # L/U from which a bound tells something
+
+
+class Cell(NamedTuple):
+    """One problem of the study."""
+
+    shape: str
+    test: str
+    level: float
+    trial: int
+
+    def instance(self, points: int) -> RawInstance:
+        source = dataset(self.shape)
+        shape = SHAPES.get(self.shape) or source.shapes()[0]
+        return make_instance(source, shape, self.test, self.level, self.trial, points)
+
+
+def main(
+    out: Annotated[Path, typer.Argument(help="folder for the tables")],
+    trials: Annotated[int, typer.Option(help="trials per shape, test and level")] = 5,
+    limit: Annotated[float, typer.Option(help="seconds per solve")] = 60.0,
+    threads: Annotated[int, typer.Option(help="threads per solve")] = 2,
+    points: Annotated[int, typer.Option(help="points per shape")] = 100,
+    tests: Annotated[str, typer.Option(help="tests, comma-separated")] = ",".join(TESTS),
+    shapes: Annotated[str, typer.Option(help="datasets, comma-separated")] = ",".join(SHAPES),
+) -> None:
+    """Solve the problems; print and store the tables."""
+    dcreg.warm_up()
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / "proof.csv"
+    rows: list[dict[Any, Any]] = []
+    if path.exists():
+        rows = pd.read_csv(path).to_dict("records")
+    done = {(row["shape"], row["test"], row["level"], row["trial"]) for row in rows}
+    for cell in _cells(trials, tests.split(","), shapes.split(",")):
+        if tuple(cell) not in done:
+            rows.append(cell._asdict() | _solved(cell.instance(points), limit, threads))
+            pd.DataFrame(rows).to_csv(path, index=False)
+    table = summary(pd.DataFrame(rows))
+    table.to_csv(out / "proof_summary.csv", index=False)
+    print(table.to_string(index=False))
+
+
+def summary(solves: pd.DataFrame) -> pd.DataFrame:
+    """Return the shares of proved problems and of useful bounds, a row per test and level."""
+    moments = [s for s in MOMENTS_S if f"ratio_{s:g}" in solves]
+    rows = []
+    for (test, level), group in solves.groupby(["test", "level"], sort=False):
+        row = {"test": test, "level": level, "solves": len(group), "right": group["right"].mean()}
+        for s in moments:
+            ratio = group[f"ratio_{s:g}"]
+            row |= {
+                f"optimal {s:g} s": (group["proved_s"] <= s).mean(),
+                f"L >= U/4 {s:g} s": (ratio >= QUARTER - 0.01).mean(),
+                f"median L/U {s:g} s": ratio.median(),
+            }
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _cells(trials: int, tests: list[str], shapes: list[str]) -> Iterator[Cell]:
+    for trial, test in itertools.product(range(trials), tests):
+        for level, shape in itertools.product(TESTS[test], shapes):
+            yield Cell(shape, test, level, trial)
+
+
+def _solved(raw: RawInstance, limit: float, threads: int) -> dict[str, object]:
+    began = time.perf_counter()
+    result = dcreg.register(
+        raw.source, raw.target, model="rigid3d", n_inliers=len(raw.pairs), time_limit=limit,
+        options=dcreg.SolveOptions(mode="full", threads=threads, prove=True),
+    )  # fmt: skip
+    spent = time.perf_counter() - began - result.time_setup_s
+    ratios = {f"ratio_{s:g}": _ratio_at(result, s) for s in MOMENTS_S if s <= limit}
+    judged = Case(
+        result.T_target_source, raw.T_true, raw.source, raw.target, raw.pairs, len(raw.pairs),
+        (1.0, 1.0),
+    )  # fmt: skip
+    return {
+        "status": result.status.value,
+        "right": judged.rmse_excess < RIGHT,
+        "time_s": spent,
+        "proved_s": spent if result.status is Status.OPTIMAL else np.inf,
+        "n_nodes": result.n_nodes,
+        **ratios,
+    }
+
+
+def _ratio_at(result: dcreg.Result, moment_s: float) -> float:
+    """Return the lower bound at a moment over the final upper bound."""
+    lower = [event.lower_bound for event in result.trace if event.time_s <= moment_s]
+    return max(lower, default=0.0) / result.upper_bound if result.upper_bound else 1.0
+
+
+if __name__ == "__main__":
+    typer.run(main)
