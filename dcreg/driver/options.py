@@ -50,8 +50,8 @@ class SolveOptions:
     prove : bool
         Search to the time limit for a proof. By default, a search in mode ``full`` ends with status
         ``converged`` if independent initial poses agree, all others are clearly worse, and the proof is
-        not expected within the time limit, or, for a sample, within a second. Searches with a limit on
-        boxes or assignments and sweeps always go on.
+        not expected within the time limit, or, for a sample, not found within a quarter of a second.
+        Searches with a limit on boxes or assignments and sweeps always go on.
     assignment_limit : int, optional
         Maximum number of exact assignments of each search after the initial poses. In contrast to a time
         limit it gives the same result on every machine.

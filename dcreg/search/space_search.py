@@ -106,7 +106,10 @@ def minimise(
     if cover is None or keep_leaves or not cover.applies:
         search.run()
         return search.outcome()
+    if budget.patience_s == np.inf:  # boxes alone may have no prospect where a cover has
+        search.budget = budget.with_patience(None)
     search.run(SHORT)
+    search.budget = budget
     return _with_cover(search, cover) if search.status is None else search.outcome()
 
 
