@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dcreg.names import NO_PROOF_EXPECTED
 from dcreg.problem import (
     EXACT,
     Problem,
@@ -22,7 +23,7 @@ from dcreg.problem import (
     rounding_error,
 )
 from dcreg.result import Result, RunnerUp
-from dcreg.status import NO_PROOF_EXPECTED, Status
+from dcreg.status import Status
 
 _MANY_POINTS, _VERY_MANY_POINTS = 1000, 4000
 # Poses differ if they displace the source by more than this fraction of the target's RMS radius.

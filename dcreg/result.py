@@ -14,10 +14,11 @@ from dcreg._version import __version__
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, plain, write_text
+from dcreg.names import NO_PROOF_EXPECTED
 from dcreg.problem import InputError, rotation_angle_deg, scale_of
 from dcreg.result_parts import RunnerUp, Sample, Score
 from dcreg.search import Confined, Outcome, Trace, proven_share
-from dcreg.status import NO_PROOF_EXPECTED, Status
+from dcreg.status import Status
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Stage:
         Of ``triples``: the congruent triples tried, and the boxes to which the following search is
         confined.
     outside : float, optional
-        Of ``triples``: the minimum objective outside these boxes.
+        Of ``triples``: a lower bound on the objective of every optimum outside these boxes.
     """
 
     name: str

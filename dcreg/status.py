@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import enum
 
-# A reason of `Status.CONVERGED`, in which progress, results and warnings agree.
-NO_PROOF_EXPECTED = "proof not expected within the limit"
-
 
 class Status(enum.StrEnum):
     """How a run ended: a string, which compares and prints as its value."""

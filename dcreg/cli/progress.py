@@ -21,7 +21,7 @@ from rich.text import Text
 
 import dcreg
 from dcreg.cli.interrupts import SIGNALS, Interrupt
-from dcreg.status import NO_PROOF_EXPECTED
+from dcreg.names import NO_PROOF_EXPECTED
 
 # Its INFO records report the work outside of searches, such as compilation.
 _LIBRARY = logging.getLogger("dcreg")

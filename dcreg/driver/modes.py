@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from operator import attrgetter
 from typing import Any
 
@@ -128,7 +129,7 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     found = minimise(
         space, bound, searching,
         tolerance=problem.tolerance, stage=mode.stage, keep_leaves=problem.keep_leaves,
-        cover=mode.make_cover(space, problem.threads) if mode.make_cover is not None else None,
+        make_cover=mode.make_cover and functools.partial(mode.make_cover, space, problem.threads),
     )  # fmt: skip
     solution = Solution(
         np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,

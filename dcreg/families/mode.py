@@ -37,7 +37,8 @@ class Mode:
     make_bound : callable, optional
         The mode's own bound, from ``(space, threads=...)``. None: the user chooses it by name.
     make_cover : callable, optional
-        From ``(space, threads)`` to the `Cover` that confines a long search.
+        From ``(space, threads)`` to the `Cover` that confines a long search; called only where one is
+        needed.
     own_bound : str
         Name of the bound if the user does not choose one.
     rotation : callable, optional

@@ -133,7 +133,7 @@ class Search:
     Attributes
     ----------
     floor : float
-        A lower bound on the minimum that is known otherwise.
+        A lower bound on the minimum from an earlier part of the search.
     """
 
     bound: Bound
@@ -157,7 +157,7 @@ class Search:
 
     def __post_init__(self) -> None:
         self.theta, self.upper_bound = self.start.theta, self.start.value
-        self.began = self.waited_from = self.budget.elapsed()  # the patience is that of a part
+        self.began = self.waited_from = self.budget.elapsed()  # each part has the full patience
         self.nodes = OpenNodes(self.bound.roots[0].dim)
         # minimum over the pruned boxes: part of the certificate
         self.pruned_bound = self.confined.outside

@@ -1,8 +1,8 @@
-"""Minimise over a space: local searches, then branch and bound, helped by a cover of the small values."""
+"""Minimise over a space by local searches, then by branch and bound, which a cover can confine."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -14,10 +14,10 @@ from dcreg.search.budget import Budget, Interrupted, Tolerance
 from dcreg.status import Status
 
 UNSURE = 5.0  # factor of the patience if independent starts do not agree
-# A search of fewer boxes needs no cover.
+# Boxes bounded before a cover is tried.
 SHORT = 2048
-# Shares of the cutoff that are proved one after the other: a small one takes a fraction of the time. The
-# last one is for a cutoff that takes too long.
+# Shares of the cutoff, proved in this order; small shares take little time. The last one is used only if
+# the whole cutoff takes too long.
 SHARES = 0.0625, 0.25, 1.0, 0.5
 COVER_SHARE = 0.8  # of the time left, for one cover
 UNLIMITED_S = 120.0  # maximum nominal time for covers
@@ -64,7 +64,7 @@ def minimise(
     *,
     tolerance: Tolerance,
     start: Sequence[Any] | None = None,
-    cover: Cover | None = None,
+    make_cover: Callable[[], Cover] | None = None,
     stage: str = "search",
     keep_leaves: bool = False,
 ) -> Outcome:
@@ -83,8 +83,8 @@ def minimise(
         In the units of the objective.
     start : (theta, value), optional
         A known parameter and its objective; default: the result of ``space.start``.
-    cover : Cover, optional
-        Confines a long search to few boxes.
+    make_cover : callable, optional
+        Returns what confines a long search to few boxes.
     stage, keep_leaves
         See `branch_and_bound`.
 
@@ -103,18 +103,22 @@ def minimise(
         Start(*start), Leaves() if keep_leaves else None,
         Confined(Boxes.of(bound.roots), np.inf),
     )  # fmt: skip
-    if cover is None or keep_leaves or not cover.applies:
+    if make_cover is None or keep_leaves:
         search.run()
         return search.outcome()
-    if budget.patience_s == np.inf:  # boxes alone may have no prospect where a cover has
+    if budget.patience_s == np.inf:  # do not give up before a cover was tried
         search.budget = budget.with_patience(None)
     search.run(SHORT)
     search.budget = budget
-    return _with_cover(search, cover) if search.status is None else search.outcome()
+    cover = make_cover() if search.status is None else None
+    if cover is not None and cover.applies:
+        return _with_cover(search, cover)
+    search.run()
+    return search.outcome()
 
 
 def _with_cover(search: Search, cover: Cover) -> Outcome:
-    """Continue a long search: prove shares of the cutoff in the boxes of a cover, as far as it goes."""
+    """Continue a long search: prove shares of the cutoff in the boxes of a cover, while time allows."""
     parts: list[Confined] = []
     for share in SHARES:
         tolerance = _share_of(search.tolerance, share)

@@ -61,7 +61,7 @@ def no_help(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dcreg.families.protocol.alternate", refuse)
     monkeypatch.setattr("dcreg.families.similarity2d.space.alternate", refuse)
     # the state of every search of the library, however it is imported
-    monkeypatch.setattr(sys.modules["dcreg.search.branch_and_bound"], "_Search", refuse)
+    monkeypatch.setattr(sys.modules["dcreg.search.branch_and_bound"], "Search", refuse)
 
 
 @pytest.mark.parametrize(

@@ -269,7 +269,7 @@ def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit
     result = register(
         source,
         target,
-        n_inliers=0.7,
+        n_inliers=0.2,
         model="rigid3d",
         rel_gap=0.0,
         abs_gap=0.0,

@@ -1,8 +1,8 @@
 """A lower bound by congruent triples: the few poses that can have a small objective.
 
 Let E* be the minimum of the sum of k squared residuals, and C the value to prove. The points of the
-source are divided into g groups of at most s points. Small sums of squares are known to come from
-triples that are nearly congruent, so such triples are listed, and all poses far from theirs are
+source are divided into g groups of at most s points. If E* is small, some triple of a group is nearly
+congruent to its target triple. All such pairs of triples are listed, and all poses far from them are
 excluded.
 
 Averages over triples
@@ -15,7 +15,7 @@ total is least on the line from (2, 0) to (s, s c / 3), so that
 
     E* > c v,    v = (s / 3) (k - 2 g) / (s - 2),
 
-where groups of fewer than three points count with their size in place of the 2. So with c = C / v, a
+where a group of one or two points contributes its size instead of 2 to the term 2 g. So with c = C / v, a
 pose with an objective of at most C moves at least one source triple of a group to within c of some
 target triple. This is that triple's *region*.
 
@@ -43,8 +43,8 @@ M_0 depends on the source triple only.
 Exclusion
 ---------
 A point z, from the centroid, is moved by t' + w x z up to a common rotation, so |R z - R_0 z| = |w x z|.
-An optimum in the region is stationary in translation and rotation, so its residuals sum to 0 and have no
-moment. With d_i the distance of a point from the target at the centre of the region and u_i its
+An optimum in the region is stationary in translation and rotation: its residuals and their moments sum
+to 0. With d_i the distance of a point from the target at the centre of the region and u_i its
 displacement, as in `dcreg.families.rigid3d.bound`,
 
     E* >= sum over the matched points of (d_i^2 - |u_i|^2) - |w|^2 sqrt(E*) sqrt(I),
@@ -66,8 +66,8 @@ form in (t', w). On the ellipsoid it is at most rho^2 times an eigenvalue.
 
 The remaining regions
 ---------------------
-Boxes of the search are divided as long as they are large, and those that meet no region are dropped.
-Every optimum below C lies in one of the others.
+Large boxes of the search are divided, and boxes that meet no region are dropped. Every optimum below C
+lies in a remaining box.
 """
 
 from __future__ import annotations
@@ -99,6 +99,7 @@ GROUP_SIZES = range(3, 9)
 SWAPS = 400  # tried per source point
 CELLS = 96  # of the distances along the longest side
 _PADDING = 0.3  # of the grid around the target, in RMS radii
+MANY_PAIRS = 500_000  # of points; above, the triples of one group take too long
 _MARGIN = 1e-9  # relative; covers rounding
 _ROUNDING = 1e-6  # of a distance in single precision
 _SLICE, _SINGLE = 8, 16  # source triples handled together, and single ones before
@@ -107,9 +108,9 @@ MAX_PARTS = 4000  # of a region, bounded before it is left to the search
 MAX_LEFT = 20_000  # regions left to the search
 # Boxes of the search are divided until points move by this much in them, in RMS radii, or while there are
 # few.
-SMALL, FEW_BOXES = 0.4, 20_000
-# Nominal seconds, so that no decision depends on the clock: of a congruent triple, per source point, and
-# of a region, per pair of points.
+SMALL, FEW_BOXES, MAX_MEETINGS = 0.4, 20_000, 5_000_000
+# Nominal seconds, the same on every machine: of a congruent triple, per source point, and of a region,
+# per pair of points. The time allowed still depends on the time limit and the threads.
 TRIPLE_S, REGION_S = 5e-9, 4e-9
 SAMPLED = 0.1  # share of the time that the first triples may take
 COMPILE_S = 20.0  # time that must be left if the kernels have to be compiled first
@@ -186,7 +187,7 @@ def distances_to(target: np.ndarray) -> Distances:
     sizes = np.ceil((upper + _PADDING - origin) / cell).astype(int)
     axes = [origin[c] + (np.arange(sizes[c]) + 0.5) * cell for c in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    values = cKDTree(target).query(centres)[0].reshape(sizes) - _ROUNDING
+    values = cKDTree(target).query(centres)[0].reshape(sizes) * (1.0 - _ROUNDING) - _ROUNDING
     return Distances(origin, cell, values.astype(np.float32), lower, upper)
 
 
@@ -223,7 +224,8 @@ class CongruentCover:
     def applies(self) -> bool:
         """Whether the search is long enough for a cover: translations vary, and there are many pairs."""
         box = self._space.translations()
-        return self._space.n_pairs > FEW_PAIRS and bool((box.lower < box.upper).any())
+        is_long = FEW_PAIRS < self._space.n_pairs <= MANY_PAIRS
+        return is_long and bool((box.lower < box.upper).any())
 
     def confine(self, cutoff: float, budget: Budget, allowed_s: float) -> Confined | None:
         """Return boxes that contain every optimum with an objective below `cutoff`.
@@ -245,7 +247,8 @@ class CongruentCover:
         Interrupted
         """
         left = budget.left()
-        if left is not None and left < COMPILE_S and not is_compiled(settle_regions):
+        is_late = left is not None and left < COMPILE_S and not budget.is_counted
+        if is_late and not is_compiled(settle_regions):
             return None
         if not self._prepare() or self._known_s(cutoff) > allowed_s:
             return None
@@ -334,7 +337,8 @@ class CongruentCover:
         n_left = settle_regions(
             found, frames, self._limits, space.clouds, thresholds, MAX_PARTS, scratch, left
         )
-        return tried, max(count, n_left), rows_of(left, slice(0, min(n_left, _ROOM)))
+        kept = rows_of(left, slice(0, min(n_left, _ROOM)))
+        return tried, max(count, n_left), Regions(*(values.copy() for values in kept))
 
     def _boxes(self, regions: Regions) -> Boxes:
         """Return the boxes of the search that meet regions, small ones if they stay few."""
@@ -342,7 +346,8 @@ class CongruentCover:
         weights, ids = self._space.axis_weights, np.arange(len(regions.triple), dtype=np.int32)
         starts, ids = np.arange(len(boxes) + 1) * len(ids), np.tile(ids, len(boxes))
         branching = LongestEdge(weights)
-        while 0 < len(boxes) <= FEW_BOXES:
+        while 0 < len(boxes) <= FEW_BOXES and len(ids) <= MAX_MEETINGS:
+            self._space.check()
             if ((boxes.upper - boxes.lower)[0] * weights).max() <= SMALL:
                 break
             halves, out = branching(boxes), np.empty(2 * len(ids), np.int32)

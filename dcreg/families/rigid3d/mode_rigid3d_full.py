@@ -1,15 +1,29 @@
 """Mode ``full`` in 3D."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.bound import RigidBound
-from dcreg.families.rigid3d.cover import CongruentCover
 from dcreg.families.rigid3d.space import Rigid3D
+
+if TYPE_CHECKING:
+    from dcreg.families.rigid3d.cover import CongruentCover
+
+
+def make_cover(space: Rigid3D, threads: int = 1) -> CongruentCover:
+    """Return the cover of a long search. It is imported here, because few searches need it."""
+    from dcreg.families.rigid3d.cover import CongruentCover
+
+    return CongruentCover(space, threads)
+
 
 MODE = Mode(
     "searches translation and rotation together; certifies the rigid pose",
     Rigid3D.between,
     make_bound=RigidBound,
-    make_cover=CongruentCover,
+    make_cover=make_cover,
     own_bound="rigid",
     stage="rigid",
 )

@@ -14,8 +14,8 @@ import numpy as np
 from dcreg.assignment.kernels.selection import cleared, kth_smallest
 from dcreg.jit import jit, jit_part
 
-_LEVELS = 2.0, 4.0, 8.0  # of the row test, in allowed costs per pair
-_LEVEL = 0.7  # of the joint test, in k-th smallest costs
+_LEVELS = 2.0, 4.0, 8.0  # tau of the row test, as multiples of goal / k
+_LEVEL = 0.7  # tau of the joint test, as a multiple of the k-th smallest cost
 _SQUARINGS = 4  # of a matrix, whose 16-th power bounds its eigenvalue within 12 %
 
 
@@ -63,8 +63,9 @@ class Ellipsoid(NamedTuple):
     Attributes
     ----------
     slack : float
-        Square of the semi-axes of t'.
+        Square of the semi-axis of t'. `Regions.slack` is the semi-axis itself.
     swing : float
+        Factor of the squared semi-axes of w, which are ``swing * inverse``.
     inverse : (3,) array
         ``swing * inverse`` holds the squares of the semi-axes of w.
     """

@@ -226,6 +226,10 @@ def priced_minima(view, turn, level, kept, work):
 
 
 @jit
-def rounding_of(view, found, duals):
-    """Bound the rounding error of single precision in a sum of k costs at a pose."""
-    return _rounding(view, extent(view.source)[1], 0.0, found, duals)
+def rounding_of(view, slack, swing, found, duals):
+    """Bound the rounding error of single precision in a sum of k costs less displacements.
+
+    A point moves by at most `slack`, and by `swing` times its distance from the origin.
+    """
+    farthest = extent(view.source)[1]
+    return _rounding(view, farthest, slack + swing * farthest, found, duals)

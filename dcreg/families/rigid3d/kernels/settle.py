@@ -27,13 +27,13 @@ from dcreg.families.rigid3d.kernels.tuples import copy_region
 from dcreg.families.rotation3d.kernels.geometry import chord_matrix
 from dcreg.jit import jit
 
-_WIDEST = 1.6  # swing of regions that are divided here
+_WIDEST = 1.6  # maximum swing of a region that is divided here; wider ones are left to the search
 _WIDE = 0.6  # tangent of parts that are divided without a bound, as in `bound_boxes`
-# A part is left to the search by boxes if its centre is so good, in cutoffs, and it is so small: many
-# regions meet around the optimum, and the search divides each place once.
+# A part is left to the search if its centre value is below _NEAR cutoffs and its longest edge is at most
+# _SMALL: many regions meet around the optimum, and the search divides each place only once.
 _NEAR, _SMALL = 1.9, 0.25
 _ROUNDS = 8  # of auction steps at the centre of a region
-_DEPTH = 24  # divisions of a region
+_DEPTH = 24  # maximum size of the stack of parts
 
 
 @jit
@@ -61,7 +61,7 @@ def _at_centre(own, thresholds, swing, slack, work, rows, kept):
     for turn in range(_ROUNDS + 1):
         found, level = priced_minima(own, turn, level, kept, work)
         duals = total(work.columns[4])
-        off = duals + rounding_of(own, found + duals, duals)
+        off = duals + rounding_of(own, slack, math.sqrt(widest), found + duals, duals)
         for i in range(rows.squares.size):
             rows.squares[i] = work.rows[0, i]
         if turn % 2 == 0 and jointly_excluded(rows, own.k, goal + off, region):
@@ -73,7 +73,7 @@ def _at_centre(own, thresholds, swing, slack, work, rows, kept):
 
 @jit
 def _is_outside(lower, upper, slack, swing):
-    """Whether a box of (1, Gibbs vector, shift) lies outside the ellipsoid of a region."""
+    """Tell whether a box of (1, Gibbs vector, shift) lies outside the ellipsoid of a region."""
     shift = turned = most = 0.0
     for c in range(3):
         least = max(0.0, lower[4 + c], -upper[4 + c])
@@ -100,7 +100,7 @@ def _longest_edge(low, high, weights):
 
 @jit
 def _store_part(low, high, region, left, count):
-    """Store a part as a region of its own; `region` is (triple, turn, centroid)."""
+    """Store a part as a separate region; `region` is (triple, turn, centroid)."""
     triple, turn, centroid = region
     part, M = np.empty(4), chord_matrix(turn, turn)
     chord, slack, place = box_chord(part, low, high), 0.0, np.empty(3)

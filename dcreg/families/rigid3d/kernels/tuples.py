@@ -23,7 +23,9 @@ from dcreg.families.rigid3d.kernels.exclusion import (
 from dcreg.jit import jit, jit_part
 
 _THIN = 1e-3  # moment, or share of a moment, below which a triple excludes nothing
-_UNTURNED = 2.0  # |w| = 2 sin(angle / 2) of a half-turn: no rotation has more
+_MAX_SWING = 2.0  # |w| = 2 sin(angle / 2) of a half-turn, the maximum of any rotation
+_TINY = 1e-12  # minimum moment that is divided by
+_ROUNDING = 1e-13  # of a sum of squares, relative
 _WIDE = 1.2  # swing about u1 from which a region is divided into quarters
 _QUARTER = 3.0**0.5 * 2.0 * math.sin(math.pi / 8.0)  # swing of an eighth of a turn, times sqrt(3)
 
@@ -88,6 +90,10 @@ def principal_frame(p, q, r, axes, local):
     l2 is 0 if the triple is degenerate.
     """
     if not frame(p, q, r, axes):
+        for a in range(3):  # any frame serves, because nothing is excluded
+            local[a, 0] = local[a, 1] = 0.0
+            for b in range(3):
+                axes[a, b] = 1.0 if a == b else 0.0
         return 0.0, 0.0
     s11 = s22 = s12 = 0.0
     for a in range(3):
@@ -173,7 +179,7 @@ def store_region(regions, count, triple, B, centroid, slack, swing):
         quaternion(B, regions.turn[count])
         for c in range(3):
             regions.centroid[count, c] = centroid[c]
-            regions.swing[count, c] = min(_UNTURNED, swing[c])
+            regions.swing[count, c] = min(_MAX_SWING, swing[c])
     return count + 1
 
 
@@ -214,7 +220,8 @@ def _begin(source, triple, frame_row, own, rows):
     p, q, r = source[triple[0]], source[triple[1]], source[triple[2]]
     l1, l2 = principal_frame(p, q, r, own.axes, own.local)
     quaternion(own.axes, frame_row[:4])
-    own.inverse[0], own.inverse[1], own.inverse[2] = 1.0 / l2, 1.0 / l1, 1.0 / (l1 + l2)
+    own.inverse[0], own.inverse[1] = 1.0 / max(l2, _TINY), 1.0 / max(l1, _TINY)
+    own.inverse[2] = 1.0 / max(l1 + l2, _TINY)
     for c in range(3):
         frame_row[4 + c] = (p[c] + q[c] + r[c]) / 3.0
     for i in range(source.shape[0]):
@@ -250,11 +257,12 @@ def _cover(own, moments, corners, search, rows, regions, count):
     limit, cutoff, k = thresholds.triple, thresholds.cutoff, thresholds.k
     G, B, centroid, swings = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for c in range(3):
-        centroid[c], swings[c] = (p[c] + q[c] + r[c]) / 3.0, _UNTURNED
+        centroid[c], swings[c] = (p[c] + q[c] + r[c]) / 3.0, _MAX_SWING
     if l2 <= _THIN or not frame(p, q, r, G):
         return store_region(regions, count, number, own.axes, centroid, limit / 3.0, swings)
     s11, s22, s12, others = _superpose(own.local, own.axes, p, q, r, G, B)
-    square = limit - (l1 + l2 + others - 2.0 * (s11 + s22))  # rho^2
+    moments_sum = l1 + l2 + others
+    square = limit - (moments_sum - 2.0 * (s11 + s22)) + _ROUNDING * moments_sum  # rho^2
     if square < 0.0:
         return -1
     # S in units of the moments of the triple, and its smaller eigenvalue
@@ -313,13 +321,14 @@ def cover_triples(triples, frames, clouds, feasible, pairs, search, stop, region
     """
     source, target = clouds
     first, second, lengths, distances = pairs
-    n, limit, tried, count = source.shape[0], 3.0 * search[0].triple, 0, 0
+    n, tried, count = source.shape[0], 0, 0
     own = Triple(np.empty((3, 3)), np.empty((3, 2)), np.empty(3))
     rows = Rows(np.empty((n, 3)), np.empty(n), np.empty(n))
     for at in range(triples.shape[0]):
         u, v, w = triples[at, 0], triples[at, 1], triples[at, 2]
         l1, l2 = _begin(source, triples[at], frames[at], own, rows)
         moments = l1, l2, triples[at, 3]
+        limit = 3.0 * search[0].triple + _ROUNDING * (1.0 + l1 + l2)
         side = _length(source[u], source[v])
         other, last = _length(source[u], source[w]), _length(source[v], source[w])
         begin = first_at_least(lengths, side - math.sqrt(limit))
