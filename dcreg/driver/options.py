@@ -32,8 +32,10 @@ class SolveOptions:
         uses the fact that an optimal pose is stationary: its translation is a difference of means of
         `n_inliers` points (a single value when all points match).
     threads : int
-        Threads of the search. They change the result only if the time limit ends the search. The initial
-        poses of dense clouds use two threads, and neighbour queries of large clouds all processors.
+        Threads of the search. With a limit on boxes or assignments they do not change the result.
+        Otherwise they can change which boxes are searched, but not the validity of the bounds. With more
+        than 40,000 point pairs, the initial poses use two threads; neighbour queries of large clouds use
+        all processors.
     polish : bool
         Refine the final pose locally on the full objective. The result reports this separately from the
         certificate.
