@@ -1,10 +1,9 @@
-"""Independent parts of some work in threads."""
+"""Run independent tasks in threads."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 Part = TypeVar("Part")
@@ -12,22 +11,15 @@ Done = TypeVar("Done")
 
 
 def in_threads(work: Callable[[Part], Done], parts: Iterable[Part], threads: int) -> Iterator[Done]:
-    """Yield the results of `work` in the order of the parts; few parts are begun ahead.
+    """Yield the results of `work` in the order of the parts.
 
-    A caller that stops waits for the parts that have begun.
+    If the caller stops early, parts that have not begun are cancelled, and the others are awaited.
     """
     if threads == 1:
         yield from map(work, parts)
         return
-    with ThreadPoolExecutor(threads) as pool:
-        begun: deque[Future[Done]] = deque()
-        try:
-            for part in parts:
-                begun.append(pool.submit(work, part))
-                if len(begun) > 2 * threads:
-                    yield begun.popleft().result()
-            while begun:
-                yield begun.popleft().result()
-        finally:
-            for each in begun:
-                each.cancel()
+    pool = ThreadPoolExecutor(threads)
+    try:
+        yield from pool.map(work, parts)
+    finally:
+        pool.shutdown(cancel_futures=True)

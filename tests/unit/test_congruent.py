@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.families import starts
+from dcreg.families.parallel import in_threads
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rigid3d.starts import (
     AGREEING,
     SCALES,
     best_descents,
     congruent_poses,
-    in_threads,
     is_confirmed,
     rounds_for,
 )
@@ -133,7 +133,7 @@ def test_rounds_in_threads_keep_their_order():
         time.sleep(0.01 * (seed % 2 == 0))  # odd ones end first
         return seed
 
-    results = in_threads(work, range(40))
+    results = in_threads(work, range(40), 2)
     assert [next(results) for _ in range(6)] == list(range(6))
     results.close()
     assert len(begun) < 40  # the others are cancelled

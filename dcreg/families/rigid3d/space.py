@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.families.parallel import in_threads
 from dcreg.families.protocol import means_of_subsets, radius
 from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
 from dcreg.families.rigid3d.starts import (
@@ -33,11 +34,11 @@ from dcreg.families.rigid3d.starts import (
     FAILURE,
     LIKELY,
     MIN_CONFIRMED,
+    N_THREADS,
     SCALES,
     SEPARATION,
     best_descents,
     congruent_poses,
-    in_threads,
     is_confirmed,
     rounds_for,
 )
@@ -185,13 +186,13 @@ class Rigid3D(CloudSpace):
             rounds_for(*sizes, failure)
             for failure in (LIKELY if is_dense else ENOUGH, ENOUGH, FAILURE)
         )
-        in_order = in_threads if is_dense else map
+        threads = N_THREADS if is_dense else 1
         work = partial(self._congruent, budget=budget)
         # more rounds than the first few are made two at a time
         seeds = np.split(np.arange(len(SCALES) * most), np.arange(few, len(SCALES) * most, 2))
         rounds: list[Sequence[tuple[np.ndarray, float]]] = []
         for thetas in itertools.chain.from_iterable(
-            in_order(work, some.tolist()) for some in seeds
+            in_threads(work, some.tolist(), threads) for some in seeds
         ):
             known = len(self.ends)
             for theta in thetas:

@@ -9,11 +9,9 @@ Mitra and Cohen-Or 2008); the details are this project's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import TypeVar
 
 import numpy as np
 
@@ -42,10 +40,8 @@ AGREEING = 2  # rounds that must find the best pose
 ALIKE = 1.1  # ratio of objectives up to which two ends near each other count as one pose
 CLEARLY_WORSE = 1.25  # ratio of objectives from which another pose is no alternative
 APART = 0.5  # displacement of the same vertices from which two poses are alternatives
-_N_THREADS = 2  # that work on rounds of large clouds; the poses do not depend on it
+N_THREADS = 2  # that work on rounds of large clouds; the poses do not depend on it
 SEPARATION = 0.15  # poses that move the vertices of a unit tetrahedron by less count as one
-
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -66,15 +62,6 @@ class Scale:
 
 # The noise is unknown: a fine scale distinguishes more poses, a coarse one tolerates more noise.
 SCALES = (Scale(0.04, 0.06), Scale(0.06, 0.1), Scale(0.09, 0.2))
-
-
-def in_threads(work: Callable[[int], Result], seeds: Sequence[int]) -> Iterator[Result]:
-    """Yield the results for the seeds in order, computed ahead in two threads."""
-    pool = ThreadPoolExecutor(_N_THREADS)
-    try:
-        yield from pool.map(work, seeds)
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def congruent_poses(
