@@ -19,8 +19,8 @@ DEFAULT_TIME_LIMIT_S = 60.0
 # Default share of the upper bound at which a gap counts as closed.
 DEFAULT_REL_GAP = 0.01
 
-# Reason of status ``converged``, shared by progress lines, results and warnings.
-NO_PROOF_EXPECTED = "proof not expected within the limit"
+# Reason of status ``converged``, shared by results and warnings.
+NO_PROOF_EXPECTED = "proof not expected soon"
 
 AUTO = "auto"  # the library chooses the mode
 

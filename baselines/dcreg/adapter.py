@@ -18,7 +18,7 @@ from dcreg.problem import InputError, suggestion
 from dcreg.status import Status
 
 OVER_MATCHES = ("max_pairs", "certify", "score")  # options of `dcreg.register_matches`
-OVER_POINTS = ("bound", "mode", "polish")  # of `dcreg.register`
+OVER_POINTS = ("bound", "mode", "polish", "prove")  # of `dcreg.register`
 
 
 class Adapter(Baseline):
@@ -95,6 +95,7 @@ class Adapter(Baseline):
                 mode=self.options["mode"],
                 bound=self.options["bound"],
                 polish=self.options["polish"],
+                prove=self.options["prove"],
                 threads=limits.threads,
                 assignment_limit=limits.assignments,
             ),

@@ -234,7 +234,7 @@ class Search:
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
-        Search to the time limit even if no proof is expected within it.
+        Search to the time limit for a proof. By default, only a proof of a few seconds is awaited.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.

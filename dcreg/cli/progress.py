@@ -21,7 +21,6 @@ from rich.text import Text
 
 import dcreg
 from dcreg.cli.interrupts import SIGNALS, Interrupt
-from dcreg.names import NO_PROOF_EXPECTED
 
 # Its INFO records report the work outside of searches, such as compilation.
 _LIBRARY = logging.getLogger("dcreg")
@@ -214,7 +213,7 @@ def _note(event: dcreg.Event) -> str:
     if event.status or event.expected_s is None:
         return event.status
     if math.isinf(event.expected_s):
-        return NO_PROOF_EXPECTED
+        return "proof not expected within the limit"
     return f"proof expected in about {math.ceil(event.expected_s)} s"
 
 

@@ -27,7 +27,8 @@ from dcreg.result import Result, Stage
 from dcreg.search import Budget, Listener, Trace
 
 _LOGGER = logging.getLogger("dcreg")
-SAMPLE_PATIENCE_S = 0.25  # for a proof about a sample
+# Seconds for a proof by default: of the optimum, and about a sample, which says little about all points.
+PATIENCE_S, SAMPLE_PATIENCE_S = 5.0, 0.25
 
 
 def register_problem(
@@ -126,10 +127,10 @@ class Setup:
         )
 
     def _patience_s(self) -> float | None:
-        """Return how long a proof may take; about a sample it says little about all points."""
+        """Return how long a proof may take."""
         if self.options.prove:
             return None
-        return SAMPLE_PATIENCE_S if self.is_sampled else np.inf
+        return SAMPLE_PATIENCE_S if self.is_sampled else PATIENCE_S
 
     def normalised(self, at: int, budget: Budget) -> NormalisedProblem:
         """Return the problem that is searched for ``problems[at]``."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Confined, Evaluation, Leaves, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted, Tolerance
-from dcreg.search.prospect import ASKED_AFTER_S, WATCHED_AFTER_S, Prospect
+from dcreg.search.prospect import ASKED_AFTER_S, N_DESCENTS, WATCHED_AFTER_S, Prospect
 from dcreg.status import Status
 
 
@@ -276,11 +276,14 @@ class Search:
         asked_after_s = WATCHED_AFTER_S if budget.patience_s is None else ASKED_AFTER_S
         if spent < asked_after_s or not (budget.patience_s is not None or budget.is_watched):
             return False
+        done = self.n_nodes - self.n_begun
         if self.prospect is None:
+            if Prospect(done + N_DESCENTS).is_poor(done, spent, budget):
+                return True  # the estimate alone would take too long
             self.prospect = Prospect.of(
                 self.bound.fresh(), self.branching, self.cutoff, self.confined.boxes
             )
-        return self.prospect.is_poor(self.n_nodes - self.n_begun, spent, budget)
+        return self.prospect.is_poor(done, spent, budget)
 
     def _expected_s(self) -> float | None:
         """Return the estimated seconds until the proof, as in `Event`."""

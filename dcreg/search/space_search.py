@@ -96,6 +96,7 @@ def minimise(
         began = budget.elapsed()
         start = space.start(budget, tolerance.enough)
         start = Start(*start, budget.elapsed() - began)
+    patience_s = budget.patience_s
     if not space.is_confirmed:
         budget = budget.with_patience(_unsure(budget.patience_s))
     search = Search(
@@ -112,19 +113,19 @@ def minimise(
     search.budget = budget
     cover = make_cover() if search.status is None else None
     if cover is not None and cover.applies:
-        return _with_cover(search, cover)
+        return _with_cover(search, cover, patience_s)
     search.run()
     return search.outcome()
 
 
-def _with_cover(search: Search, cover: Cover) -> Outcome:
+def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outcome:
     """Continue a long search: prove shares of the cutoff in the boxes of a cover, while time allows."""
     parts: list[Confined] = []
     for share in SHARES:
         tolerance = _share_of(search.tolerance, share)
         if tolerance.cutoff(search.upper_bound) <= search.floor:
             continue
-        confined = _confined(search, cover, tolerance.cutoff(search.upper_bound))
+        confined = _confined(search, cover, tolerance.cutoff(search.upper_bound), patience_s)
         if confined is None:
             continue
         parts.append(confined)
@@ -141,10 +142,15 @@ def _with_cover(search: Search, cover: Cover) -> Outcome:
     return replace(search.outcome(), confined=parts)
 
 
-def _confined(search: Search, cover: Cover, cutoff: float) -> Confined | None:
-    """Return the boxes with optima below the cutoff; None if they take too long."""
+def _confined(
+    search: Search, cover: Cover, cutoff: float, patience_s: float | None
+) -> Confined | None:
+    """Return the boxes with optima below the cutoff; None if they take too long.
+
+    A cover finds no better incumbent, so `patience_s` is that for a confirmed one.
+    """
     budget = search.budget
-    times = [time_s for time_s in (budget.left(), budget.patience_s) if time_s is not None]
+    times = [time_s for time_s in (budget.left(), patience_s) if time_s is not None]
     allowed_s = COVER_SHARE * min([UNLIMITED_S, *times]) * cover.threads
     if budget.is_counted:  # neither the clock nor the threads may change the result
         allowed_s = COUNTED_S
@@ -155,8 +161,8 @@ def _confined(search: Search, cover: Cover, cutoff: float) -> Confined | None:
 
 
 def _share_of(tolerance: Tolerance, share: float) -> Tolerance:
-    """Return the tolerance that proves a share of the cutoff."""
-    return replace(tolerance, rel=1.0 - share * (1.0 - tolerance.rel))
+    """Return the tolerance that proves a share of the cutoff; the whole cutoff to the last bit."""
+    return replace(tolerance, rel=tolerance.rel + (1.0 - share) * (1.0 - tolerance.rel))
 
 
 def _unsure(patience_s: float | None) -> float | None:

@@ -19,7 +19,8 @@ from dcreg.families.rigid3d.cover import (
 from dcreg.families.rigid3d.kernels.regions import meeting_regions
 from dcreg.families.rigid3d.kernels.tuples import Thresholds, allocate_regions, cover_triples
 from dcreg.families.rigid3d.space import Rigid3D
-from dcreg.search import Budget, Interrupted, Tolerance, minimise
+from dcreg.search import Boxes, Budget, Confined, Interrupted, Tolerance, minimise
+from dcreg.search.space_search import SHORT
 
 SEEDS = st.integers(0, 2**32 - 1)
 KINDS = ("cloud", "plane", "line", "lattice", "clusters")
@@ -201,6 +202,29 @@ def test_a_search_with_a_cover_proves_the_same_optimum_with_fewer_boxes(seed):
     assert plain.lower_bound <= found.upper_bound * (1.0 + 1e-9)
     assert found.confined
     assert found.n_nodes < plain.n_nodes
+
+
+class EverythingIsExcluded:
+    """A cover that leaves no boxes, whatever the cutoff."""
+
+    threads, applies = 1, True
+
+    @staticmethod
+    def confine(cutoff: float, budget: Budget, allowed_s: float) -> Confined:
+        return Confined(Boxes(np.empty((0, 7)), np.empty((0, 7))), cutoff)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=SEEDS, rel=st.floats(1e-4, 0.3))
+def test_a_search_ends_when_a_cover_has_proved_the_whole_cutoff(seed, rel):
+    """The part for the whole cutoff must close the gap to the last bit, or the boxes are searched too."""
+    space = make_space(seed, n=36, m=40, k=26, noise=0.2)
+    found = minimise(
+        space, RigidBound(space), Budget(nodes=4 * SHORT), tolerance=Tolerance(rel=rel),
+        make_cover=EverythingIsExcluded,
+    )  # fmt: skip
+    assert found.status == "optimal"
+    assert found.n_nodes < 2 * SHORT
 
 
 @pytest.mark.parametrize("threads", [1, 2])

@@ -75,6 +75,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -104,14 +105,15 @@ _MARGIN = 1e-9  # relative; covers rounding
 _ROUNDING = 1e-6  # of a distance in single precision
 _SLICE, _SINGLE = 8, 16  # source triples handled together, and single ones before
 _ROOM = 300_000  # regions of a slice
+_UNLIMITED = 1e15
 MAX_PARTS = 4000  # of a region, bounded before it is left to the search
 MAX_LEFT = 20_000  # regions left to the search
 # Boxes of the search are divided until points move by this much in them, in RMS radii, or while there are
 # few.
 SMALL, FEW_BOXES, MAX_MEETINGS = 0.4, 20_000, 5_000_000
-# Nominal seconds, the same on every machine: of a congruent triple, per source point, and of a region,
-# per pair of points. The time allowed still depends on the time limit and the threads.
-TRIPLE_S, REGION_S = 5e-9, 4e-9
+# Nominal seconds, the same on every machine: of a congruent triple, per source point, and of a region and
+# a part of it, per pair of points. The time allowed still depends on the time limit and the threads.
+TRIPLE_S, REGION_S, PART_S = 5e-9, 4e-9, 6e-10
 SAMPLED = 0.1  # share of the time that the first triples may take
 COMPILE_S = 20.0  # time that must be left if the kernels have to be compiled first
 
@@ -304,20 +306,23 @@ class CongruentCover:
         # single triples first, because one of a large cloud can take seconds
         edges = [*range(min(_SINGLE, total)), *range(min(_SINGLE, total), total, _SLICE), total]
         parts = [slice(*ends) for ends in itertools.pairwise(edges)]
-        for part, (tried, count, found) in zip(
-            parts,
-            in_threads(lambda part: self._slice(part, thresholds), parts, self.threads),
-            strict=True,
+        # a slice has less than that, or all triples together take too long
+        room = max(SAMPLED, _SLICE / total) * allowed_s / (PART_S * self._space.n_pairs)
+        work = partial(self._slice, thresholds=thresholds, room=int(min(room, _UNLIMITED)))
+        for part, (tried, found, spent_s) in zip(
+            parts, in_threads(work, parts, self.threads), strict=True
         ):
             self._space.check()
-            self._spent_s += tried * TRIPLE_S * self._space.n_source
-            self._spent_s += count * REGION_S * self._space.n_pairs
+            self._spent_s += spent_s
             done = part.stop
             share = max(done / total, SAMPLED if done < _SINGLE else 0.0)
-            yield tried, found, count <= _ROOM and self._spent_s <= allowed_s * share
+            yield tried, found, self._spent_s <= allowed_s * share
 
-    def _slice(self, part: slice, thresholds: Thresholds) -> tuple[int, int, Regions]:
-        """Return the congruent triples of a slice, their open regions, and the regions that are left."""
+    def _slice(self, part: slice, thresholds: Thresholds, room: int) -> tuple[int, Regions, float]:
+        """Return the congruent triples of a slice, the regions that are left, and the nominal seconds.
+
+        These are inf if there are too many regions, or more than `room` parts of them.
+        """
         space, frames = self._space, self._frames
         assert self._triples is not None
         feasible = np.empty((0, 0), np.bool_)
@@ -330,15 +335,18 @@ class CongruentCover:
         )  # fmt: skip
         found = rows_of(found, slice(0, min(count, _ROOM)))
         if count > _ROOM:
-            return tried, count, found
+            return tried, found, np.inf
         left = allocate_regions(_ROOM)
         one = allocate_found(np.zeros((1, space.n_target), np.uint16))
         scratch = one, allocate_workspace(space.n_source, space.n_target)
-        n_left = settle_regions(
-            found, frames, self._limits, space.clouds, thresholds, MAX_PARTS, scratch, left
-        )
+        n_left, n_parts = settle_regions(
+            found, frames, self._limits, space.clouds, thresholds, (MAX_PARTS, room), scratch, left
+        )  # fmt: skip
         kept = rows_of(left, slice(0, min(n_left, _ROOM)))
-        return tried, max(count, n_left), Regions(*(values.copy() for values in kept))
+        spent_s = tried * TRIPLE_S * space.n_source
+        spent_s += (count * REGION_S + n_parts * PART_S) * space.n_pairs
+        spent_s = spent_s if n_left <= _ROOM and n_parts <= room else np.inf
+        return tried, Regions(*(values.copy() for values in kept)), spent_s
 
     def _boxes(self, regions: Regions) -> Boxes:
         """Return the boxes of the search that meet regions, small ones if they stay few."""

@@ -135,10 +135,10 @@ def _first_part(own, swing, slack, stack):
 
 @jit
 def _in_parts(own, bounds, region, extent, scratch, stack, left, count):
-    """Divide a region until its parts are excluded or stored; return the number stored.
+    """Divide a region until its parts are excluded or stored.
 
-    `bounds` is the cutoff, the `Limits` and the maximum number of parts to bound; `extent` the swing and
-    the slack of the region.
+    Returns the number of stored parts, with `count`, and that of bounded parts. `bounds` is the cutoff,
+    the `Limits` and the maximum number of parts to bound; `extent` the swing and the slack of the region.
     """
     cutoff, limits, most = bounds
     swing, slack = extent
@@ -175,7 +175,7 @@ def _in_parts(own, bounds, region, extent, scratch, stack, left, count):
         for j in range(kept.shape[1]):
             kept[depth + 1, j] = kept[depth, j]
         depth += 2
-    return count
+    return count, bounded
 
 
 @jit
@@ -191,8 +191,9 @@ def settle_regions(regions, frames, limits, clouds, thresholds, most, scratch, l
         The `Limits` of the source around the centroid of each triple.
     clouds : Clouds
     thresholds : Thresholds
-    most : int
-        Maximum number of parts of a region that are bounded.
+    most : (int, int)
+        Maximum number of parts of a region that are bounded. The function returns early if all of them
+        together exceed the second one.
     scratch : (Found, Workspace)
         For one box.
     left : Regions
@@ -200,8 +201,8 @@ def settle_regions(regions, frames, limits, clouds, thresholds, most, scratch, l
 
     Returns
     -------
-    int
-        Number of parts that are left.
+    n_left, n_bounded : int
+        Parts that are left, and parts that were bounded.
     """
     n, m = clouds.source.shape[1], clouds.target.shape[1]
     own = Clouds(
@@ -211,9 +212,9 @@ def settle_regions(regions, frames, limits, clouds, thresholds, most, scratch, l
     stack = (
         np.empty((_DEPTH, 7)), np.empty((_DEPTH, 7)), np.empty((_DEPTH, m), np.uint16), np.empty(3)
     )  # fmt: skip
-    count = 0
+    count = n_bounded = 0
     for at in range(regions.triple.size):
-        if clouds.stop[0]:
+        if clouds.stop[0] or n_bounded > most[1]:
             break
         triple, turn, centroid = regions.triple[at], regions.turn[at], regions.centroid[at]
         swing, slack, frame = regions.swing[at], regions.slack[at], frames[triple]
@@ -225,8 +226,9 @@ def settle_regions(regions, frames, limits, clouds, thresholds, most, scratch, l
         if _at_centre(own, thresholds, swing, slack, scratch[1], rows, stack[2][0]):
             continue
         around = Limits(limits[triple, 0], limits[triple, 1], limits[triple, 2])
-        count = _in_parts(
-            own, (thresholds.cutoff, around, most), (triple, turn, centroid), (swing, slack), scratch,
+        count, bounded = _in_parts(
+            own, (thresholds.cutoff, around, most[0]), (triple, turn, centroid), (swing, slack), scratch,
             stack, left, count,
         )  # fmt: skip
-    return count
+        n_bounded += bounded
+    return count, n_bounded
