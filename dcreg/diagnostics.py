@@ -112,7 +112,7 @@ def nothing_proven(case: Case) -> str | None:
             f"(upper_bound={result.upper_bound:.3g}, gap_tol={result.gap_tol:.3g}). Omit abs_gap and tol"
         )
     if result.reason == NO_PROOF_EXPECTED:
-        return f"{known}, and no proof is expected soon. Set prove=True (--prove) to search on"
+        return f"{known}, and no proof is expected soon. Set prove=True (--prove) to search longer"
     return (
         f"{known}. Allow more time, use fewer points, or choose a mode that closes the gap (see the page "
         "Modes of the manual)"

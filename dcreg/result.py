@@ -42,7 +42,7 @@ class Stage:
         Sum of squared residuals of the matched pairs before and after the polish.
     greedy_assignment : bool, optional
         True if the time limit was hit before the pairs were matched, so that they were chosen greedily.
-    n_tuples, n_boxes : int, optional
+    n_triples, n_boxes : int, optional
         Of ``triples``: the congruent triples tried, and the boxes to which the following search is
         confined.
     outside : float, optional
@@ -60,7 +60,7 @@ class Stage:
     objective_before: float | None = None
     objective_after: float | None = None
     greedy_assignment: bool | None = None
-    n_tuples: int | None = None
+    n_triples: int | None = None
     n_boxes: int | None = None
     outside: float | None = None
 
@@ -68,7 +68,7 @@ class Stage:
     def confining(cls, confined: Confined) -> Stage:
         """Return the stage that confined a search to few boxes."""
         return cls(
-            "triples", confined.time_s, n_tuples=confined.n_tried, n_boxes=len(confined.boxes),
+            "triples", confined.time_s, n_triples=confined.n_tried, n_boxes=len(confined.boxes),
             outside=confined.outside,
         )  # fmt: skip
 
@@ -96,10 +96,10 @@ class Stage:
 
     def confinement(self) -> str:
         """Return one line about a stage that confined a search."""
-        tuples = text.count(self.n_tuples or 0, "congruent triple")
+        triples = text.count(self.n_triples or 0, "congruent triple")
         boxes = text.count(self.n_boxes or 0, "box", "boxes")
         return (
-            f"{tuples} confine objectives below {self.outside:.5g} to {boxes}, {self.time_s:.2f} s"
+            f"{triples} confine objectives below {self.outside:.5g} to {boxes}, {self.time_s:.2f} s"
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -10,7 +10,7 @@ class Status(enum.StrEnum):
 
     #: The gap is closed by bounds that prove the optimum within the stated scope.
     OPTIMAL = "optimal"
-    #: The method finished; nothing is proven.
+    #: The method finished without a proof of the optimum; its bounds, if any, are valid.
     CONVERGED = "converged"
     #: The caller stopped the run.
     STOPPED = "stopped"

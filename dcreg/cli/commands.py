@@ -99,8 +99,8 @@ def _run(
     absolute = any(keywords.get(name) for name in ("abs_gap", "tol"))
     if keywords["rel_gap"] == 0 and not (absolute or quiet):
         output.print_warning(
-            "--rel-gap 0: a gap hardly ever closes completely, so the search ends only at a limit or by "
-            "Ctrl-C, unless the fit is exact; give a share such as --rel-gap 0.001"
+            "--rel-gap 0: unless the fit is exact, the gap hardly ever closes completely, so the search "
+            "ends without a proof; give a share such as --rel-gap 0.001"
         )
     with Progress(quiet=quiet) as progress:
         chosen = dcreg.SolveOptions(**options, listener=progress)

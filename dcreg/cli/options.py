@@ -230,11 +230,11 @@ class Search:
     memory_limit_mb : MB
         Maximum memory of the open boxes of a search. Default: no limit.
     threads : N
-        Number of threads. They change the result only if the time limit ends the search.
+        Number of threads. They change the result only if the clock ends the search.
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
-        Search to the time limit for a proof. By default, only a proof of a few seconds is awaited.
+        Search for a proof to the time limit. By default, mode full ends after a few seconds without one.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.

@@ -51,9 +51,10 @@ class SolveOptions:
         pairs, unless all points match.
     prove : bool
         Search to the time limit for a proof. By default, a search in mode ``full`` ends with status
-        ``converged`` if a proof takes, or is expected to take, more than a few seconds: five if
-        independent initial poses agree and all others are clearly worse, 25 if not, and a twentieth of
-        that for a sample. Searches with a limit on boxes or assignments and sweeps always go on.
+        ``converged`` if a proof takes, or is expected to take, more than five seconds after the initial
+        poses, or after a lower bound by congruent triples. It is 25 seconds if the initial poses are not
+        confirmed; for a sample, 0.25 and 1.25. Sweeps, and searches with a limit on boxes or
+        assignments, continue to their limits.
     assignment_limit : int, optional
         Maximum number of exact assignments of each search after the initial poses. In contrast to a time
         limit it gives the same result on every machine.

@@ -27,7 +27,7 @@ from dcreg.result import Result, Stage
 from dcreg.search import Budget, Listener, Trace
 
 _LOGGER = logging.getLogger("dcreg")
-# Seconds for a proof by default: of the optimum, and about a sample, which says little about all points.
+# Seconds for a proof by default. A proof about a sample says little about all points, so it gets less.
 PATIENCE_S, SAMPLE_PATIENCE_S = 5.0, 0.25
 
 
@@ -127,10 +127,12 @@ class Setup:
         )
 
     def _patience_s(self) -> float | None:
-        """Return how long a proof may take."""
+        """Return how long a proof may take; None: until the limit."""
         if self.options.prove:
             return None
-        return SAMPLE_PATIENCE_S if self.is_sampled else PATIENCE_S
+        if self.is_sampled:
+            return SAMPLE_PATIENCE_S
+        return PATIENCE_S if self.mode.name == "full" else None
 
     def normalised(self, at: int, budget: Budget) -> NormalisedProblem:
         """Return the problem that is searched for ``problems[at]``."""

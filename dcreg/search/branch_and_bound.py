@@ -157,11 +157,13 @@ class Search:
 
     def __post_init__(self) -> None:
         self.theta, self.upper_bound = self.start.theta, self.start.value
-        self.began = self.waited_from = self.budget.elapsed()  # each part has the full patience
+        self.began = self.waited_from = (
+            self.budget.elapsed()
+        )  # the patience starts again with each part
         self.nodes = OpenNodes(self.bound.roots[0].dim)
         # minimum over the pruned boxes: part of the certificate
         self.pruned_bound = self.confined.outside
-        self.boxes = self.confined.boxes  # to be bounded next; sums of squares have the bound 0
+        self.boxes = self.confined.boxes  # to be bounded next; sums of squares are at least 0
 
     def run(self, pause: float = np.inf) -> None:
         """Search until a status is set, or until `pause` boxes are bounded."""
@@ -200,7 +202,7 @@ class Search:
         start = self.start._replace(theta=self.theta, value=self.upper_bound)
         return replace(
             self, tolerance=tolerance, start=start, confined=confined, prospect=None,
-            n_begun=self.n_nodes, events=[], stage=f"{self.stage}: triples",
+            n_begun=self.n_nodes, events=[], stage="confined",
         )  # fmt: skip
 
     def take_over(self, part: Search) -> None:
@@ -268,7 +270,7 @@ class Search:
             self._report("end")
 
     def _has_no_prospect(self) -> bool:
-        """Tell whether no proof is expected within the patience, which few searches need to ask."""
+        """Tell whether the patience is over, or the proof is expected to exceed it."""
         budget = self.budget
         spent = budget.elapsed() - self.waited_from
         if budget.patience_s is not None and spent >= budget.patience_s:
@@ -299,7 +301,7 @@ class Search:
         return self.nodes.pop(count, self.cutoff)
 
     def outcome(self) -> Outcome:
-        """Return the outcome; the search can't go on afterwards."""
+        """Return the outcome; the search cannot be continued afterwards."""
         lower_bound = self.lower_bound
         if self.leaves is not None and len(self.nodes):
             is_open = lower_bound < self.cutoff

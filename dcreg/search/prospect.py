@@ -1,4 +1,4 @@
-"""How many boxes a proof would take, estimated by random descents."""
+"""Estimate by random descents how many boxes a proof takes."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Prospect:
             return cls(0.0)
 
     def is_poor(self, n_nodes: int, spent_s: float, budget: Budget) -> bool:
-        """Tell whether the proof is not expected within the patience of the budget."""
+        """Tell whether the proof is expected to take `HOPELESS` times the remaining patience."""
         if budget.patience_s is None:
             return False
         left, patience = budget.left(), budget.patience_s - spent_s

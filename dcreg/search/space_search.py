@@ -13,7 +13,7 @@ from dcreg.search.branch_and_bound import Outcome, Search, Start
 from dcreg.search.budget import Budget, Interrupted, Tolerance
 from dcreg.status import Status
 
-UNSURE = 5.0  # factor of the patience if independent starts do not agree
+UNSURE = 5.0  # factor of the patience if the initial poses are not confirmed
 # Boxes bounded before a cover is tried.
 SHORT = 2048
 # Shares of the cutoff, proved in this order; small shares take little time. The last one is used only if
@@ -28,7 +28,7 @@ class Searchable(Protocol):
     """What a search needs from a parameter space."""
 
     axis_weights: np.ndarray
-    is_confirmed: bool  # whether independent starts agree on the first incumbent
+    is_confirmed: bool  # whether independent initial poses agree on the first incumbent
 
     def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
         """Return a first incumbent: theta, objective, assignments spent; `enough` is good enough."""
@@ -76,9 +76,8 @@ def minimise(
         Provides the first incumbent, the local searches, and the weights for dividing boxes.
     bound : Bound
     budget : Budget
-        Its patience is for a first incumbent on which independent starts agree. If they do not, the
-        search may find a better one: a finite patience is then `UNSURE` times as long, and inf has no
-        effect.
+        Its patience applies if the initial poses are confirmed. If they are not, the search may find a
+        better incumbent: a finite patience is then `UNSURE` times as long, and inf has no effect.
     tolerance : Tolerance
         In the units of the objective.
     start : (theta, value), optional
@@ -107,10 +106,7 @@ def minimise(
     if make_cover is None or keep_leaves:
         search.run()
         return search.outcome()
-    if budget.patience_s == np.inf:  # do not give up before a cover was tried
-        search.budget = budget.with_patience(None)
     search.run(SHORT)
-    search.budget = budget
     cover = make_cover() if search.status is None else None
     if cover is not None and cover.applies:
         return _with_cover(search, cover, patience_s)
@@ -166,5 +162,5 @@ def _share_of(tolerance: Tolerance, share: float) -> Tolerance:
 
 
 def _unsure(patience_s: float | None) -> float | None:
-    """Return the patience for a search whose starts did not agree."""
+    """Return the patience for a search whose initial poses are not confirmed."""
     return None if patience_s is None or patience_s == np.inf else UNSURE * patience_s

@@ -10,8 +10,8 @@ Averages over triples
 Suppose that every triple of a group, matched to any three target points in any order, has a sum of
 squared residuals above c at every pose. A group with k_a >= 3 matched points and the sum E_a has
 binom(k_a, 3) matched triples, and each of its points is in binom(k_a - 1, 2) of them. Hence E_a > c
-k_a / 3. A group with fewer points contributes at least 0. Over all divisions of k into 0 <= k_a <= s, the
-total is least on the line from (2, 0) to (s, s c / 3), so that
+k_a / 3, and E_a >= 0 for smaller groups. For 0 <= k_a <= s, both are on or above the line through (2, 0)
+and (s, s c / 3). The sum of this line over the groups gives
 
     E* > c v,    v = (s / 3) (k - 2 g) / (s - 2),
 
@@ -103,7 +103,7 @@ _PADDING = 0.3  # of the grid around the target, in RMS radii
 MANY_PAIRS = 500_000  # of points; above, the triples of one group take too long
 _MARGIN = 1e-9  # relative; covers rounding
 _ROUNDING = 1e-6  # of a distance in single precision
-_SLICE, _SINGLE = 8, 16  # source triples handled together, and single ones before
+_SLICE, _SINGLE = 8, 16  # source triples per slice; number of slices of one triple at the start
 _ROOM = 300_000  # regions of a slice
 _UNLIMITED = 1e15
 MAX_PARTS = 4000  # of a region, bounded before it is left to the search
@@ -111,10 +111,10 @@ MAX_LEFT = 20_000  # regions left to the search
 # Boxes of the search are divided until points move by this much in them, in RMS radii, or while there are
 # few.
 SMALL, FEW_BOXES, MAX_MEETINGS = 0.4, 20_000, 5_000_000
-# Nominal seconds, the same on every machine: of a congruent triple, per source point, and of a region and
-# a part of it, per pair of points. The time allowed still depends on the time limit and the threads.
+# Nominal seconds, the same on every machine: per congruent triple and source point; per region and pair
+# of points; per part of a region and pair of points. The time allowed depends on limit and threads.
 TRIPLE_S, REGION_S, PART_S = 5e-9, 4e-9, 6e-10
-SAMPLED = 0.1  # share of the time that the first triples may take
+SAMPLED = 0.1  # share of the allowed time that the first single triples may take
 COMPILE_S = 20.0  # time that must be left if the kernels have to be compiled first
 
 
@@ -141,7 +141,7 @@ class Grouping:
 
 
 def factor_of(sizes: np.ndarray, k: int) -> float:
-    """Return v: how many costs of triples a matching of k points adds up to, at least; 0 if none."""
+    """Return v: a matching of k points costs at least v times the minimum cost of a triple; 0 if none."""
     largest = int(sizes.max())
     if largest < 3:
         return 0.0
@@ -150,7 +150,7 @@ def factor_of(sizes: np.ndarray, k: int) -> float:
 
 
 def best_grouping(points: np.ndarray, k: int) -> Grouping | None:
-    """Return groups of (n, 3) points with fat triples; None if k is too small for any groups.
+    """Return groups of (n, 3) points whose triples are far from collinear; None if k is too small.
 
     The size balances the number of triples and the size of their regions.
     """
@@ -267,12 +267,12 @@ class CongruentCover:
         return Confined(boxes, cutoff, budget.elapsed() - began, n_tried)
 
     def _known_s(self, cutoff: float) -> float:
-        """Return the nominal time by that of an earlier cutoff, to the power 1.5; 0 if there is none."""
+        """Extrapolate the nominal time from that of the last cutoff (power 1.5); 0 if there is none."""
         done, spent_s = self._done
         return spent_s * (cutoff / done) ** 1.5 if done > 0.0 else 0.0
 
     def _prepare(self) -> bool:
-        """Compute what does not depend on the cutoff, once. False: k is too small."""
+        """Compute once what does not depend on the cutoff; return whether k is large enough."""
         if self._triples is not None:
             return len(self._triples) > 0
         k, target = self._space.n_inliers, self._target
@@ -280,7 +280,7 @@ class CongruentCover:
         if grouping is None:
             self._triples = np.empty((0, 4), np.int64)
             return False
-        # in random order: the first ones tell how long all of them take
+        # in random order, so that the first triples predict the time of all
         triples = np.random.default_rng(0).permutation(grouping.triples)
         self._factor = grouping.factor
         self._triples = np.column_stack([triples, np.arange(len(triples))])
@@ -306,7 +306,7 @@ class CongruentCover:
         # single triples first, because one of a large cloud can take seconds
         edges = [*range(min(_SINGLE, total)), *range(min(_SINGLE, total), total, _SLICE), total]
         parts = [slice(*ends) for ends in itertools.pairwise(edges)]
-        # a slice has less than that, or all triples together take too long
+        # a slice with more parts is abandoned: all triples together would take too long
         room = max(SAMPLED, _SLICE / total) * allowed_s / (PART_S * self._space.n_pairs)
         work = partial(self._slice, thresholds=thresholds, room=int(min(room, _UNLIMITED)))
         for part, (tried, found, spent_s) in zip(
@@ -349,7 +349,7 @@ class CongruentCover:
         return tried, Regions(*(values.copy() for values in kept)), spent_s
 
     def _boxes(self, regions: Regions) -> Boxes:
-        """Return the boxes of the search that meet regions, small ones if they stay few."""
+        """Return the boxes that meet a region, divided until they are small or many."""
         boxes = Boxes.of(self._space.roots())
         weights, ids = self._space.axis_weights, np.arange(len(regions.triple), dtype=np.int32)
         starts, ids = np.arange(len(boxes) + 1) * len(ids), np.tile(ids, len(boxes))
