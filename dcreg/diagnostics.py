@@ -112,7 +112,9 @@ def nothing_proven(case: Case) -> str | None:
             f"(upper_bound={result.upper_bound:.3g}, gap_tol={result.gap_tol:.3g}). Omit abs_gap and tol"
         )
     if result.reason == NO_PROOF_EXPECTED:
-        return f"{known}, and no proof is expected soon. Set prove=True (--prove) to search longer"
+        known = f"{known}, and no proof is expected soon"
+        is_sampled = result.downsampled is not None  # a proof would be about the sample
+        return known if is_sampled else f"{known}. Set prove=True (--prove) to search longer"
     return (
         f"{known}. Allow more time, use fewer points, or choose a mode that closes the gap (see the page "
         "Modes of the manual)"

@@ -143,8 +143,9 @@ class Result:
     objective_certified : float
         The same sum at `T_certified`, before the polish.
     n_nodes, n_assignments : int
-        Boxes bounded and exact assignments solved in all stages except the polish. Both are independent
-        of threads and load, and equal on machines whose floating-point results are equal.
+        Boxes bounded and exact assignments solved in all stages except the polish. Unless the
+        clock decides, at a time limit or in the time for a proof, both are independent of threads and
+        load, and equal on machines whose floating-point results are equal.
     time_setup_s, time_solve_s : float
         Wall time of the preparation (validation, normalisation, JIT warm-up) and of the solve.
     trace : Trace

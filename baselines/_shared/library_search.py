@@ -75,6 +75,7 @@ class OwnBound(Baseline):
             options.SolveOptions(
                 threads=limits.threads,
                 polish=self.options["polish"],
+                prove=True,
                 assignment_limit=limits.assignments,
             ),
             self.mode(problem.model),

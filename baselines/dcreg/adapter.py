@@ -10,7 +10,7 @@ from baselines.contract import Baseline, Card, Instance, Limits, Solution
 from dcreg.api import register, register_matches
 from dcreg.driver.modes import check_bound, find_mode
 from dcreg.driver.options import SolveOptions
-from dcreg.driver.warm_up import warm_up_matches, warm_up_mode
+from dcreg.driver.warm_up import compile_covers, warm_up_matches, warm_up_mode
 from dcreg.families.mode import all_modes
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, SCORES, mode_names
@@ -76,6 +76,8 @@ class Adapter(Baseline):
             if chosen_by_library or name == mode:
                 many = len(instance.source) * len(instance.target) > FEW_PAIRS
                 warm_up_mode(find_mode(instance.model, name), bound, many=many)
+                if many and find_mode(instance.model, name).make_cover is not None:
+                    compile_covers()
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         if self.options["front_end"] is not None:

@@ -149,7 +149,7 @@ def register(
 
     Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off.
 
-    Exit code: 0 solved; 2 bad input; 3 stopped at a limit or by Ctrl-C
+    Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C
     (the best pose is still written); 4 an output file could not be written.
 
     Parameters

@@ -213,7 +213,7 @@ def _note(event: dcreg.Event) -> str:
     if event.status or event.expected_s is None:
         return event.status
     if math.isinf(event.expected_s):
-        return "proof not expected before the time limit"
+        return "proof not expected in time"
     return f"proof expected in about {math.ceil(event.expected_s)} s"
 
 

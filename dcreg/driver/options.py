@@ -50,14 +50,13 @@ class SolveOptions:
         point pairs; 400 points in 3D if both clouds have more than 1,000 points, or above 4,000,000 point
         pairs, unless all points match.
     prove : bool
-        Search to the time limit for a proof. By default, a search in mode ``full`` ends with status
-        ``converged`` if a proof takes, or is expected to take, more than five seconds after the initial
-        poses, or after a lower bound by congruent triples. It is 25 seconds if the initial poses are not
-        confirmed; for a sample, 0.25 and 1.25. Sweeps, and searches with a limit on boxes or
-        assignments, continue to their limits.
+        Search to the time limit for a proof. By default, mode ``full`` and searches of samples end with
+        status ``converged`` if a proof takes, or is expected to take, more than five seconds after the
+        initial poses: 25 if these are not confirmed; for a sample, 0.25 and 1.25. Sweeps, and searches
+        with a limit on boxes or assignments, continue to their limits.
     assignment_limit : int, optional
-        Maximum number of exact assignments of each search after the initial poses. In contrast to a time
-        limit it gives the same result on every machine.
+        Maximum number of exact assignments of each search, including those of the initial poses. In
+        contrast to a time limit it gives the same result on every machine.
     listener : callable, optional
         Called with every `dcreg.Event`. If none occurs for a quarter of a second, it is called with an
         event of kind ``heartbeat`` from another thread. If it returns True, the solve stops with status

@@ -60,12 +60,12 @@ def warm_up(processes: int = 1) -> None:
 def _works() -> Iterator[functools.partial[None]]:
     """All there is to compile, in parts that have little in common."""
     yield functools.partial(warm_up_matches)
-    yield functools.partial(_compile_covers)
+    yield functools.partial(compile_covers)
     for mode in sorted(all_modes(), key=lambda mode: mode.name):  # the most expensive first
         yield functools.partial(_compile_mode, mode)
 
 
-def _compile_covers() -> None:
+def compile_covers() -> None:
     """Compile what a long search needs; other searches do not wait for it."""
     points = np.random.default_rng(0).standard_normal((8, 3))
     for mode in all_modes():

@@ -146,7 +146,8 @@ class Search:
     leaves: Leaves | None
     confined: Confined
     floor: float = 0.0
-    n_begun: int = 0  # boxes bounded before this search began
+    n_begun: int = 0  # boxes bounded outside this search
+    is_part: bool = False  # of a search that goes on afterwards
     prospect: Prospect | None = None
     n_nodes: int = 0
     n_refining: int = 0
@@ -202,16 +203,20 @@ class Search:
         start = self.start._replace(theta=self.theta, value=self.upper_bound)
         return replace(
             self, tolerance=tolerance, start=start, confined=confined, prospect=None,
-            n_begun=self.n_nodes, events=[], stage="confined",
+            n_begun=self.n_nodes, events=[], is_part=True,
         )  # fmt: skip
 
     def take_over(self, part: Search) -> None:
         """Continue with the counts, the incumbent and the lower bound of a part."""
         self.take(part.theta, part.upper_bound)
+        self.n_begun += part.n_nodes - self.n_nodes
         self.n_nodes, self.n_refining = part.n_nodes, part.n_refining
         self.floor = max(self.floor, part.lower_bound)
         self.events += part.events
-        self.waited_from = self.budget.elapsed()
+
+    def resume(self, paused_s: float) -> None:
+        """Do not count the time since `paused_s` towards the patience of this search."""
+        self.waited_from += self.budget.elapsed() - paused_s
 
     def update_incumbent(self, found: Evaluation) -> None:
         """Update the incumbent by the best candidate of the round and a local search from it."""
@@ -323,10 +328,11 @@ class Search:
         return step * (np.round(values / step) - 1.0) if step > 0.0 else values
 
     def _report(self, kind: str) -> None:
+        status = "" if self.status is None or self.is_part else self.status.value
         event = Event(
-            kind, self.stage, self.budget.elapsed(), self.n_nodes, self.n_assignments,
-            len(self.nodes), self.lower_bound, self.upper_bound,
-            self.status.value if self.status is not None else "", self._expected_s(),
+            "bound" if self.is_part else kind, self.stage, self.budget.elapsed(), self.n_nodes,
+            self.n_assignments, len(self.nodes), self.lower_bound, self.upper_bound, status,
+            self._expected_s(),
         )  # fmt: skip
         if kind == "bound" and self.events and _same_bounds(self.events[-1], event):
             event = replace(event, kind="heartbeat")  # passed to the listener, not kept

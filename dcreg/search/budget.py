@@ -100,7 +100,7 @@ class Event:
     status : str
         How the search ended; empty until then.
     expected_s : float, optional
-        Estimated seconds from now until the proof; inf: the proof is not expected within the time limit;
+        Estimated seconds from now until the proof; inf: the proof is not expected in the time for it;
         None: unknown.
     """
 

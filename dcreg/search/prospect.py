@@ -89,20 +89,26 @@ class Prospect:
         """Tell whether the proof is expected to take `HOPELESS` times the remaining patience."""
         if budget.patience_s is None:
             return False
-        left, patience = budget.left(), budget.patience_s - spent_s
-        left = patience if left is None else min(left, patience)
-        return self._needed_s(n_nodes, spent_s) > HOPELESS * left
+        return self._needed_s(n_nodes, spent_s) > HOPELESS * _left_s(spent_s, budget)
 
     def expected_s(self, n_nodes: int, spent_s: float, budget: Budget) -> float | None:
-        """Return the seconds until the proof; inf: beyond the time limit; None: unknown.
+        """Return the seconds until the proof; inf: beyond the time for it; None: unknown.
 
         A search that has bounded more boxes than estimated does not know how many are left.
         """
-        needed, left = self._needed_s(n_nodes, spent_s), budget.left()
-        if needed <= 0.0:
+        needed_s = self._needed_s(n_nodes, spent_s)
+        if needed_s <= 0.0:
             return None
-        return needed if left is None or needed <= left else math.inf
+        return needed_s if needed_s <= _left_s(spent_s, budget) else math.inf
 
     def _needed_s(self, n_nodes: int, spent_s: float) -> float:
         """Return the time for the boxes that are left, at the speed of the boxes so far."""
         return (self.n_nodes - n_nodes) * spent_s / n_nodes
+
+
+def _left_s(spent_s: float, budget: Budget) -> float:
+    """Return the seconds that are left for a proof: of the budget, and of its patience."""
+    left, patience = budget.left(), budget.patience_s
+    return min(
+        math.inf if left is None else left, math.inf if patience is None else patience - spent_s
+    )

@@ -121,13 +121,16 @@ def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outco
         tolerance = _share_of(search.tolerance, share)
         if tolerance.cutoff(search.upper_bound) <= search.floor:
             continue
+        paused_s = search.budget.elapsed()
         confined = _confined(search, cover, tolerance.cutoff(search.upper_bound), patience_s)
         if confined is None:
+            search.resume(paused_s)
             continue
         parts.append(confined)
         part = search.confined_to(confined, tolerance)
         part.run()
         search.take_over(part)
+        search.resume(paused_s)
         if part.status is not Status.OPTIMAL:
             search.status = part.status
             break

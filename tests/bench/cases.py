@@ -146,7 +146,9 @@ class Case:
         generator = np.random.default_rng(seed)
         for name in ("source", "target"):
             problem[name] = problem[name] + jitter * generator.standard_normal(problem[name].shape)
-        arguments = {"mode": "paper", "bound": "tight", "polish": False, "time_limit": LIMIT_S}
+        arguments = {
+            "mode": "paper", "bound": "tight", "polish": False, "prove": True, "time_limit": LIMIT_S,
+        }  # fmt: skip
         return dcreg.register(**keywords(**(arguments | problem | self.settings | settings)))
 
 

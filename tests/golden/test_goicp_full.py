@@ -34,7 +34,7 @@ def solve(case: dict[str, np.ndarray]) -> dcreg.Result:
         rel_gap=0.0,
         abs_gap=float(case["mse_threshold"]) * n_inliers,
         time_limit=TIME_LIMIT_S,
-        options=dcreg.SolveOptions(mode="full"),
+        options=dcreg.SolveOptions(mode="full", prove=True),
     )
 
 

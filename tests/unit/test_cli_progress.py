@@ -85,7 +85,7 @@ def test_the_pose_counts_as_found_until_its_bound_falls_by_a_thousandth():
     ("expected_s", "note"),
     [
         (11.2, "proof expected in about 12 s"),
-        (math.inf, "proof not expected before the time limit"),
+        (math.inf, "proof not expected in time"),
         (None, ""),
     ],
 )

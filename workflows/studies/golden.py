@@ -132,7 +132,7 @@ def full_row(name: str, case: Case) -> dict[str, Any]:
         rel_gap=0.0,
         abs_gap=float(case["mse_threshold"]) * n_inliers,
         time_limit=FULL_LIMIT_S,
-        options=dcreg.SolveOptions(mode="full"),
+        options=dcreg.SolveOptions(mode="full", prove=True),
     )
     official, _ = dcreg.objective(source, target, case["goicp_T"], n_inliers)
     angle, shift = pose_difference(found.T_target_source, case["goicp_T"])

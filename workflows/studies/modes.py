@@ -114,7 +114,7 @@ def _solved(problem: Labelled, mode: str, limit: float) -> dict[str, object]:
         n_inliers=k,
         model="rigid3d",
         time_limit=limit,
-        options=dcreg.SolveOptions(mode=mode, threads=1, listener=trace.append),
+        options=dcreg.SolveOptions(mode=mode, threads=1, prove=True, listener=trace.append),
     )
     judged = Case(
         result.T_target_source, instance.T_true, instance.source, instance.target, pairs, k,

@@ -1,8 +1,9 @@
 """How soon rigid poses are proved in 3D: ``python -m workflows.studies.proof OUT``.
 
-Every problem has 100 points before its disturbance and all true pairs, and is searched to the time limit
-(``prove=True``). The study writes ``proof.csv``, a row per solve with L/U at several moments, and
-``proof_summary.csv``, a row per test and level. Rows that exist are kept, so it can be continued.
+Every problem has 100 points (``--points``) before its disturbance and all true pairs, and is searched to
+the time limit (``prove=True``). The study writes ``proof.csv``, a row per solve with the lower bound at
+several moments divided by the final upper bound, and ``proof_summary.csv``, a row per test and level.
+Rows that exist are kept, so it can be continued.
 """
 
 from __future__ import annotations
@@ -59,10 +60,13 @@ def main(
     rows: list[dict[Any, Any]] = []
     if path.exists():
         rows = pd.read_csv(path).to_dict("records")
+    settings = {"points": points, "limit_s": limit, "threads": threads}
+    if any({name: row.get(name) for name in settings} != settings for row in rows):
+        raise typer.BadParameter(f"{path} was made with other settings; give another folder")
     done = {(row["shape"], row["test"], row["level"], row["trial"]) for row in rows}
     for cell in _cells(trials, tests.split(","), shapes.split(",")):
         if tuple(cell) not in done:
-            rows.append(cell._asdict() | _solved(cell.instance(points), limit, threads))
+            rows.append(cell._asdict() | settings | _solved(cell.instance(points), limit, threads))
             pd.DataFrame(rows).to_csv(path, index=False)
     table = summary(pd.DataFrame(rows))
     table.to_csv(out / "proof_summary.csv", index=False)
@@ -115,7 +119,7 @@ def _solved(raw: RawInstance, limit: float, threads: int) -> dict[str, object]:
 
 
 def _ratio_at(result: dcreg.Result, moment_s: float) -> float:
-    """Return the lower bound at a moment over the final upper bound."""
+    """Return the lower bound at a moment divided by the final upper bound."""
     lower = [event.lower_bound for event in result.trace if event.time_s <= moment_s]
     return max(lower, default=0.0) / result.upper_bound if result.upper_bound else 1.0
 
