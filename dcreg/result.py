@@ -97,7 +97,11 @@ class Stage:
     def confinement(self) -> str:
         """Return one line about a stage that confined a search."""
         triples = text.count(self.n_triples or 0, "congruent triple")
-        boxes = text.count(self.n_boxes or 0, "box", "boxes")
+        if not self.n_boxes:
+            return (
+                f"{triples} show that no objective is below {self.outside:.5g}, {self.time_s:.2f} s"
+            )
+        boxes = text.count(self.n_boxes, "box", "boxes")
         return (
             f"{triples} confine objectives below {self.outside:.5g} to {boxes}, {self.time_s:.2f} s"
         )

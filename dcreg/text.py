@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+_ROUNDING = 1e-6  # in thousandths: a computed 99 % is not 98.9 %
+
 
 def count(number: int, thing: str, things: str | None = None) -> str:
     """Return a number and its noun, of which the plural may be irregular.
@@ -22,10 +24,10 @@ def percent(share: float) -> str:
 
     Examples
     --------
-    >>> percent(0.99996), percent(1.0)
-    ('99.9 %', '100 %')
+    >>> percent(0.99996), percent(1.0), percent(0.99 - 1e-12)
+    ('99.9 %', '100 %', '99.0 %')
     """
-    return "100 %" if share >= 1.0 else f"{math.floor(1000.0 * share) / 10.0:.1f} %"
+    return "100 %" if share >= 1.0 else f"{math.floor(1000.0 * share + _ROUNDING) / 10.0:.1f} %"
 
 
 def listing(entries: Sequence[tuple[str, str]]) -> str:

@@ -205,7 +205,8 @@ class _Messages(logging.Handler):
 def _proven(event: dcreg.Event) -> str:
     if event.status == "optimal" and event.lower_bound <= 0.0:
         return "exact fit"
-    return f"{math.floor(1000.0 * event.bound_ratio) / 10.0:.1f} %"  # only a closed gap is 100 %
+    # rounded down: only a closed gap is 100 %, but a computed 99 % is not 98.9 %
+    return f"{math.floor(1000.0 * event.bound_ratio + 1e-6) / 10.0:.1f} %"
 
 
 def _note(event: dcreg.Event) -> str:

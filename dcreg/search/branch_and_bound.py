@@ -57,6 +57,7 @@ class Outcome:
 # this factor for every round since. Local searches are frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
 
+UNASKED_SHARE = 0.2  # of the patience, for boxes before the prospect is estimated
 _GRID = 1e-6  # step of rounded values, as a share of the allowed gap
 MIN_ROUND = 16  # minimum number of boxes divided in a round, if the bound allows it
 
@@ -147,6 +148,7 @@ class Search:
     confined: Confined
     floor: float = 0.0
     n_begun: int = 0  # boxes bounded outside this search
+    n_unasked: int = 0  # boxes before the prospect is estimated, if they take little time
     is_part: bool = False  # of a search that goes on afterwards
     prospect: Prospect | None = None
     n_nodes: int = 0
@@ -280,6 +282,8 @@ class Search:
         spent = budget.elapsed() - self.waited_from
         if budget.patience_s is not None and spent >= budget.patience_s:
             return True
+        if self._is_fast(spent):
+            return False
         asked_after_s = WATCHED_AFTER_S if budget.patience_s is None else ASKED_AFTER_S
         if spent < asked_after_s or not (budget.patience_s is not None or budget.is_watched):
             return False
@@ -291,6 +295,13 @@ class Search:
                 self.bound.fresh(), self.branching, self.cutoff, self.confined.boxes
             )
         return self.prospect.is_poor(done, spent, budget)
+
+    def _is_fast(self, spent_s: float) -> bool:
+        """Tell whether `n_unasked` boxes are not reached yet, but soon will be."""
+        patience_s = self.budget.patience_s
+        if patience_s is None or self.n_nodes >= self.n_unasked:
+            return False
+        return spent_s * self.n_unasked < UNASKED_SHARE * patience_s * self.n_nodes
 
     def _expected_s(self) -> float | None:
         """Return the estimated seconds until the proof, as in `Event`."""

@@ -106,6 +106,7 @@ def minimise(
     if make_cover is None or keep_leaves:
         search.run()
         return search.outcome()
+    search.n_unasked = SHORT  # a cover can change the prospect
     search.run(SHORT)
     cover = make_cover() if search.status is None else None
     if cover is not None and cover.applies:

@@ -291,6 +291,6 @@ def test_sweep_unwritable_output_exits_4(sweep_call, fake_sweep, tmp_path, monke
 
 
 def test_a_tolerance_of_zero_gives_a_warning(call, fake):
-    assert "--rel-gap 0: a gap hardly ever closes" in run(*call, "--rel-gap", "0").stderr
+    assert "--rel-gap 0: unless the fit is exact" in run(*call, "--rel-gap", "0").stderr
     assert "hardly ever" not in run(*call, "--rel-gap", "0", "--tol", "0.1").stderr
     assert "hardly ever" not in run(*call, "--abs-gap", "0").stderr

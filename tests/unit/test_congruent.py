@@ -73,6 +73,16 @@ def test_best_descents_keep_the_right_pose_among_wrong_ones():
     assert angle(best, truth) < 0.02
 
 
+def test_best_descents_differ():
+    """Else three ends near one pose would hide the other poses of a symmetric shape."""
+    rng = np.random.default_rng(5)
+    box = rng.uniform(-1.0, 1.0, (300, 3)) * [3.0, 2.0, 1.0]
+    near = [_turned(by) for by in (0.0, 0.01, 0.02, 0.03)]
+    poses = best_descents(np.array([*near, _turned(np.pi)]), box, box + 0.01, 250)
+    assert len(poses) == 2
+    np.testing.assert_allclose(sorted(angle(T, np.eye(4)) for T in poses), [0.0, np.pi], atol=0.05)
+
+
 def _turned(by):
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec([0.0, by, 0.0]).as_matrix()

@@ -1,6 +1,7 @@
 """The estimate of the boxes that a proof takes, and searches that end because it is hopeless."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem import Frame, Problem
 from dcreg.search import Budget, LongestEdge, Tolerance, branch_and_bound
+from dcreg.search.branch_and_bound import Search
 from dcreg.search.prospect import HOPELESS, Prospect, expected_boxes
 from tests.unit.test_congruent import partial_overlap
 from workflows.disturb import make_instance
@@ -100,3 +102,18 @@ def test_the_estimate_is_reported_and_is_no_work_of_the_search(monkeypatch):
 def test_the_time_to_the_proof_is_that_of_the_boxes_left(time_s, n_nodes, expected):
     with Budget(time_s) as budget:
         assert Prospect(n_nodes=100_000.0).expected_s(n_nodes, 1.0, budget) == expected
+
+
+@pytest.mark.parametrize(
+    ("n_nodes", "spent_s", "fast"),
+    [
+        (500, 0.2, True),  # 2,048 boxes take 0.8 s of 5 s
+        (500, 0.3, False),  # ... 1.2 s
+        (3_000, 0.3, False),
+    ],
+)
+def test_fast_boxes_before_a_cover_ask_for_no_estimate(n_nodes, spent_s, fast):
+    search = SimpleNamespace(
+        budget=SimpleNamespace(patience_s=5.0), n_nodes=n_nodes, n_unasked=2_048
+    )
+    assert Search._is_fast(search, spent_s) == fast

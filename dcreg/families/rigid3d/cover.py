@@ -256,7 +256,8 @@ class CongruentCover:
             return None
         began, n_tried, regions = budget.elapsed(), 0, []
         for tried, found, is_affordable in self._slices(cutoff, allowed_s):
-            if not is_affordable:
+            is_late = not budget.is_counted and budget.elapsed() - began > allowed_s / self.threads
+            if is_late or not is_affordable:
                 return None
             n_tried += tried
             regions.append(found)

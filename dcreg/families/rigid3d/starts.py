@@ -181,7 +181,7 @@ def best_descents(
     *,
     seed: int = 0,
 ) -> np.ndarray:
-    """Refine poses by nearest neighbours of a sample of the source, and return the best ones.
+    """Refine poses by nearest neighbours of a sample of the source, and return the best distinct ones.
 
     For clouds so large that a one-to-one matching takes long. Alternates the nearest neighbours of the
     trimmed sample and the least-squares pose.
@@ -198,8 +198,10 @@ def best_descents(
     k = max(3, round(n_inliers * len(sample) / len(source)))
     tree = cKDTree(target)
     ends = [follow_nearest(sample, tree, T, k, (1.0, 1.0)) for T in poses]
-    ends.sort(key=lambda end: end[1])
-    return np.array([T for T, _ in ends[:count]]).reshape(-1, 4, 4)
+    if not ends:
+        return np.empty((0, 4, 4))
+    found, values = np.array([T for T, _ in ends]), np.array([value for _, value in ends])
+    return _distinct(found[:, :3], 1.0 / np.maximum(values, np.finfo(float).tiny), count)
 
 
 def _long_triples(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
