@@ -157,7 +157,9 @@ class SweepResult:
             "bound; RMS: sqrt(bound / pairs), units of the target; "
             "marginal cost: increase of the upper bound per additional pair"
         )
-        if suggested is None:
+        if any(result.is_greedy for result in self.results):
+            hint = "suggestion: none; pairs were chosen greedily because the time limit was hit"
+        elif suggested is None:
             hint = (
                 "suggestion: none; the residuals do not increase sharply between the first and the last "
                 "of these numbers of pairs"

@@ -342,8 +342,8 @@ class Search:
         status = "" if self.status is None or self.is_part else self.status.value
         event = Event(
             "bound" if self.is_part else kind, self.stage, self.budget.elapsed(), self.n_nodes,
-            self.n_assignments, len(self.nodes), self.lower_bound, self.upper_bound, status,
-            self._expected_s(),
+            self.n_assignments, 0 if status == Status.OPTIMAL else len(self.nodes),
+            self.lower_bound, self.upper_bound, status, self._expected_s(),
         )  # fmt: skip
         if kind == "bound" and self.events and _same_bounds(self.events[-1], event):
             event = replace(event, kind="heartbeat")  # passed to the listener, not kept

@@ -225,3 +225,11 @@ def test_columns_of_text():
 def test_a_cover_says_what_it_excludes(n_boxes, said):
     stage = dcreg.Stage("triples", 0.1, n_triples=7, n_boxes=n_boxes, outside=2.0)
     assert said in stage.confinement()
+
+
+def test_a_sweep_with_greedy_pairs_says_why_it_suggests_nothing():
+    assert "suggestion (*), not proven: 60 pairs" in str(sweep())
+    stages = [dcreg.Stage("pairs", 0.0, greedy_assignment=True)]
+    greedy = sweep(stages=stages)
+    assert greedy.suggested_n_inliers is None
+    assert "none; pairs were chosen greedily" in str(greedy)

@@ -64,6 +64,9 @@ M_0^-1 [z].
 with b the bound by rows. So the sum is at most a constant plus sum alpha_i |u_i|^2, which is a quadratic
 form in (t', w). On the ellipsoid it is at most rho^2 times an eigenvalue.
 
+Both also hold with costs reduced by dual variables. `kernels.settle` tests these at the centre of a
+region, and then divides the region into parts, which `dcreg.families.rigid3d.bound` excludes.
+
 The remaining regions
 ---------------------
 Large boxes of the search are divided, and boxes that meet no region are dropped. Every optimum below C
