@@ -185,6 +185,13 @@ def test_lists_in_any_order_and_with_repetitions(clouds):
             assert getattr(a, name) == getattr(b, name)
 
 
+@pytest.mark.parametrize("ignored", ["certificate", "prove"])
+def test_a_sweep_rejects_what_it_would_ignore(clouds, ignored):
+    options = dcreg.SolveOptions(**{ignored: True})
+    with pytest.raises(InputError, match=f"^{ignored}: a sweep"):
+        dcreg.sweep(*clouds, [18], model="similarity2d", options=options)
+
+
 def test_a_single_cardinality_is_a_single_search(clouds, separate):
     (only,) = dcreg.sweep(*clouds, [18], model="similarity2d").results
     alone = separate[COUNTS.index(18)]
