@@ -160,9 +160,8 @@ class Search:
 
     def __post_init__(self) -> None:
         self.theta, self.upper_bound = self.start.theta, self.start.value
-        self.began = self.waited_from = (
-            self.budget.elapsed()
-        )  # the patience starts again with each part
+        # the patience starts again with each part
+        self.began = self.waited_from = self.budget.elapsed()
         self.nodes = OpenNodes(self.bound.roots[0].dim)
         # minimum over the pruned boxes: part of the certificate
         self.pruned_bound = self.confined.outside

@@ -199,6 +199,8 @@ def _walked(pair: CloudPair, n_points: int, limit: float, out: Path) -> dict[str
         "status": status,
         "wall_s": round(time.perf_counter() - began, 1),
         "right": None if pair.T_true is None else False,
+        "warnings": "",
+        "n_warnings": 0,
     }
     if answer.is_file():
         found = json.loads(answer.read_text())
