@@ -28,8 +28,9 @@ class Stage:
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid``, ``triples``, ``polish``, ``pairs``, ``all points``; in sweeps
-        also ``local searches``; in `dcreg.register_matches` ``start`` and ``rotation``.
+        ``search``, ``rotation``, ``rigid``, ``triples``, ``distances``, ``polish``, ``pairs``, ``all
+        points``; in sweeps also ``local searches``; in `dcreg.register_matches` ``start`` and
+        ``rotation``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional
@@ -42,11 +43,12 @@ class Stage:
         Sum of squared residuals of the matched pairs before and after the polish.
     greedy_assignment : bool, optional
         True if the time limit was hit before the pairs were matched, so that they were chosen greedily.
-    n_triples, n_boxes : int, optional
-        Of ``triples``: the congruent triples tried, and the boxes to which the following search is
-        confined.
+    n_tried, n_boxes : int, optional
+        Of ``triples`` and ``distances``: the congruent triples or the boxes tried, and the boxes to which
+        the following search is confined.
     outside : float, optional
-        Of ``triples``: a lower bound on the objective of every optimum outside these boxes.
+        Of ``triples`` and ``distances``: a lower bound on the objective of every optimum
+        outside these boxes.
     """
 
     name: str
@@ -60,7 +62,7 @@ class Stage:
     objective_before: float | None = None
     objective_after: float | None = None
     greedy_assignment: bool | None = None
-    n_triples: int | None = None
+    n_tried: int | None = None
     n_boxes: int | None = None
     outside: float | None = None
 
@@ -68,7 +70,7 @@ class Stage:
     def confining(cls, confined: Confined) -> Stage:
         """Return the stage that confined a search to few boxes."""
         return cls(
-            "triples", confined.time_s, n_triples=confined.n_tried, n_boxes=len(confined.boxes),
+            confined.stage, confined.time_s, n_tried=confined.n_tried, n_boxes=len(confined.boxes),
             outside=confined.outside,
         )  # fmt: skip
 
@@ -96,14 +98,18 @@ class Stage:
 
     def confinement(self) -> str:
         """Return one line about a stage that confined a search."""
-        triples = text.count(self.n_triples or 0, "congruent triple")
+        count = self.n_tried or 0
+        if self.name == "triples":
+            tried = text.count(count, "congruent triple")
+        else:
+            tried = f"distances in {text.count(count, 'box', 'boxes')}"
         if not self.n_boxes:
             return (
-                f"{triples} show that no objective is below {self.outside:.5g}, {self.time_s:.2f} s"
+                f"{tried} show that no objective is below {self.outside:.5g}, {self.time_s:.2f} s"
             )
         boxes = text.count(self.n_boxes, "box", "boxes")
         return (
-            f"{triples} confine objectives below {self.outside:.5g} to {boxes}, {self.time_s:.2f} s"
+            f"{tried} confine objectives below {self.outside:.5g} to {boxes}, {self.time_s:.2f} s"
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -126,10 +126,14 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     bound = bound_of(mode, problem, space)
     budget = problem.budget
     searching = budget.sub_budget(search_share(mode)).with_patience(problem.patience_s)
+    make_cover = None
+    if (
+        mode.make_cover is not None and problem.bound == mode.own_bound
+    ):  # a chosen bound works alone
+        make_cover = functools.partial(mode.make_cover, space, problem.threads)
     found = minimise(
-        space, bound, searching,
-        tolerance=problem.tolerance, stage=mode.stage, keep_leaves=problem.keep_leaves,
-        make_cover=mode.make_cover and functools.partial(mode.make_cover, space, problem.threads),
+        space, bound, searching, tolerance=problem.tolerance, stage=mode.stage,
+        keep_leaves=problem.keep_leaves, make_cover=make_cover,
     )  # fmt: skip
     solution = Solution(
         np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,

@@ -67,10 +67,12 @@ def _works() -> Iterator[functools.partial[None]]:
 
 def compile_covers() -> None:
     """Compile what a long search needs; other searches do not wait for it."""
-    points = np.random.default_rng(0).standard_normal((8, 3))
+    generator = np.random.default_rng(0)
     for mode in all_modes():
         if mode.make_cover is not None:
-            space = mode.space(points, points[:, ::-1].copy(), 6)
+            points = generator.standard_normal((8, 2 if mode.model == "similarity2d" else 3))
+            ranges = {"scale_range": (0.5, 1.5)} if "scale_range" in mode.needs else {}
+            space = mode.space(points, points[:, ::-1].copy(), 6, **ranges)
             mode.make_cover(space).confine(1.0, Budget(), np.inf)
 
 

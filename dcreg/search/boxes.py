@@ -177,13 +177,16 @@ class Confined:
     time_s : float
         Time that this took.
     n_tried : int
-        Work that this took, in units of the family.
+        Work that this took, in units of the stage.
+    stage : str
+        Its name.
     """
 
     boxes: Boxes
     outside: float
     time_s: float = 0.0
     n_tried: int = 0
+    stage: str = ""
 
 
 class OpenNodes:

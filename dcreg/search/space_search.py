@@ -16,9 +16,6 @@ from dcreg.status import Status
 UNSURE = 5.0  # factor of the patience if the initial poses are not confirmed
 # Boxes bounded before a cover is tried.
 SHORT = 2048
-# Shares of the cutoff, proved in this order; small shares take little time. The last one is used only if
-# the whole cutoff takes too long.
-SHARES = 0.0625, 0.25, 1.0, 0.5
 COVER_SHARE = 0.8  # of the time left, for one cover
 UNLIMITED_S = 120.0  # maximum nominal time for covers
 COUNTED_S = 5.0  # nominal time for a cover if boxes or assignments are limited
@@ -40,9 +37,19 @@ class Searchable(Protocol):
 
 
 class Cover(Protocol):
-    """Finds the few places where the objective can be small, without boxes."""
+    """Finds the few places where the objective can be small.
+
+    Attributes
+    ----------
+    threads : int
+    """
 
     threads: int
+
+    @property
+    def shares(self) -> Sequence[float]:
+        """Shares of the cutoff, proved in this order."""
+        ...
 
     @property
     def applies(self) -> bool:
@@ -118,7 +125,7 @@ def minimise(
 def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outcome:
     """Continue a long search: prove shares of the cutoff in the boxes of a cover, while time allows."""
     parts: list[Confined] = []
-    for share in SHARES:
+    for share in cover.shares:
         tolerance = _share_of(search.tolerance, share)
         if tolerance.cutoff(search.upper_bound) <= search.floor:
             continue

@@ -9,7 +9,7 @@ from dcreg.families.dc.bounds import VertexCache
 from dcreg.families.dc.kernels import Vertices
 from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.bound import boxes_of
-from dcreg.families.similarity2d.kernels import blend_duals
+from dcreg.families.similarity2d.kernels.vertices import blend_duals
 from dcreg.search import Box, Budget, LongestEdge, Tolerance, branch_and_bound
 from tests.problems import SEEDS, models
 

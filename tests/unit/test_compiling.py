@@ -48,7 +48,9 @@ def test_import_writes_and_removes_nothing(copy):
     old.mkdir(parents=True)
     (old / "some.nbc").touch()
     before = set(copy.rglob("*"))
-    code = "import dcreg.families.rigid3d.kernels.boxes, dcreg.families.similarity2d.kernels"
+    code = (
+        "import dcreg.families.rigid3d.kernels.boxes, dcreg.families.similarity2d.kernels.vertices"
+    )
     run(code, copy, PYTHONDONTWRITEBYTECODE="1")
     assert set(copy.rglob("*")) == before
 

@@ -223,7 +223,7 @@ def test_columns_of_text():
     ("n_boxes", "said"), [(0, "show that no objective is below 2,"), (1, "below 2 to 1 box,")]
 )
 def test_a_cover_says_what_it_excludes(n_boxes, said):
-    stage = dcreg.Stage("triples", 0.1, n_triples=7, n_boxes=n_boxes, outside=2.0)
+    stage = dcreg.Stage("triples", 0.1, n_tried=7, n_boxes=n_boxes, outside=2.0)
     assert said in stage.confinement()
 
 

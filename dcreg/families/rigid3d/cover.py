@@ -216,6 +216,10 @@ class CongruentCover:
     threads : int
     """
 
+    stage = "triples"
+    # Small shares take little time. The last one is used only if the whole cutoff takes too long.
+    shares = 0.0625, 0.25, 1.0, 0.5
+
     def __init__(self, space: Rigid3D, threads: int = 1) -> None:
         self._space, self.threads = space, threads
         self._source = np.ascontiguousarray(space.clouds.source.T)
@@ -268,7 +272,7 @@ class CongruentCover:
                 return None
         self._done = cutoff, self._spent_s
         boxes = self._boxes(Regions(*map(np.concatenate, zip(*regions, strict=True))))
-        return Confined(boxes, cutoff, budget.elapsed() - began, n_tried)
+        return Confined(boxes, cutoff, budget.elapsed() - began, n_tried, self.stage)
 
     def _known_s(self, cutoff: float) -> float:
         """Extrapolate the nominal time from that of the last cutoff (power 1.5); 0 if there is none."""

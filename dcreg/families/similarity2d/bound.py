@@ -1,6 +1,6 @@
 """DC bounds over similarities in 2D, from shared vertex values.
 
-A vertex is kept with a dual profile (`dcreg.families.similarity2d.kernels`), which bounds the
+A vertex is kept with a dual profile (`dcreg.families.similarity2d.kernels.vertices`), which bounds the
 inner minimum of `dcreg.families.dc.bounds` for every box that has the vertex and for every linearisation
 point. A bisection then needs only its new vertices, and the linearisation point can be moved to the
 maximum of the bound without any assignment. Most vertices need no assignment either: the mean of their
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dcreg.families.dc.bounds import SharedVertexBound
-from dcreg.families.similarity2d.kernels import (
+from dcreg.families.similarity2d.kernels.vertices import (
     Effort,
     SharedBoxes,
     blend_duals,

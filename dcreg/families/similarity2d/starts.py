@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcreg.families.similarity2d import kernels
+from dcreg.families.similarity2d.kernels.vertices import pair_poses
 from dcreg.families.starts import distinct, in_3d, nearness_field
 from dcreg.jit import NEVER
 from dcreg.problem import rms_radius
@@ -66,7 +66,7 @@ def similar_poses(
     field = nearness_field(target, REACH * unit, MAX_CELLS)
     thetas = np.zeros((len(pairs), KEPT_PER_PAIR, 4))
     scores = np.zeros((len(pairs), KEPT_PER_PAIR))
-    kernels.pair_poses(
+    pair_poses(
         pairs, source, target[columns], feasible,
         (looked, field, *map(float, scale_range), stop), thetas, scores,
     )  # fmt: skip

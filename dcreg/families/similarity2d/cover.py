@@ -1,0 +1,185 @@
+"""A lower bound in 2D by distances to the nearest points: the few boxes with a small objective.
+
+Let C be the value to prove, and let a box have the centre (a_0, t_0). Relative to it a parameter moves
+the source point x_i by u_i = w x_i + t, with w and t in the box around 0, as complex numbers.
+
+Let an optimum in the box have the objective E* < C and the matching P. The objective of P is quadratic
+in the parameters. Where the scale of the optimum lies inside its range, the optimum is stationary, hence
+
+    sum over P of c_ij(a_0, t_0)  =  E* + sum over P of |u_i|^2.
+
+If the scale is clipped, the derivative with respect to a is radial, outwards at the lower end and inwards
+at the upper end. Its norm is at most 2 sqrt(E* I), where I is the maximum sum of squared norms of k
+source points. The right-hand side then has a further term of at most
+
+    2 sqrt(C I) max(0, |a_0| - low)    or    sqrt(C I) max(0, high^2 - |a_0|^2 + max |w|^2) / high,
+
+because the product of a_0 with the direction of the optimum is at most |a_0|, and at least (|a_0|^2 +
+high^2 - |w|^2) / (2 high). With this term as l, the box is excluded if the minimum of the sum of c_ij -
+|u_i|^2 over all matchings of k pairs is at least C + l.
+
+*From the source.* c_ij is at least d_i^2, the squared distance of the moved source point from the target.
+Either each |u_i| is at most its maximum over the box: then the sum of the k smallest d_i^2 - |u_i|^2
+counts. Or all |u_i| belong to one parameter: for any tau the sum of the k smallest is at least k tau -
+sum max(0, tau - d_i^2 + |u_i|^2). Here max(0, |u|^2 - over) is at most |u|^2 if over <= 0, and at most
+|u|^2 (1 - over / b) if |u|^2 <= b. The loss is then a quadratic form in (w, t), and its maximum is at a
+vertex of the box.
+
+*From the target.* c_ij is at least d_j^2, the squared distance of a target point from the moved source.
+With y the target point, seen from the source at the centre, its partner is x = y - e / a_0, where |e| >=
+d_j is the residual at the centre. Hence |u| <= m + q |e| with m = |t| + |w| |y| and q = |w / a_0|. For
+q < 1 the function |e|^2 - (m + q |e|)^2 grows with |e| wherever it is positive, so that d_j may take the
+place of |e|. Otherwise its minimum is -m^2 / (1 - q^2). Or the losses are at most their sum for any k
+points, k |t|^2 + |w|^2 I + 2 |t| |w| S, with S the maximum norm of a sum of k source points. This
+excludes small scales, where many source points are close to the same target point.
+
+Boxes are divided until their parts are excluded, or until the distances at the centre fit to within C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from dcreg.families.parallel import in_threads
+from dcreg.families.similarity2d.kernels.exclusion import Distances, Sides, divide_boxes
+from dcreg.families.similarity2d.space import Similarity2D, largest_subset_mean
+from dcreg.jit import is_compiled
+from dcreg.search import Boxes, Budget, Confined, LongestEdge
+
+CELLS = 512  # of the distances along the longest side
+_PADDING = 0.3  # of the grid around the points, as a share of the longest side
+_ROUNDING = 1e-6  # of a distance in single precision
+_MARGIN = 1e-9  # relative; covers rounding
+FEW_PAIRS = 1000  # of points
+_SLICES = 256
+_UNLIMITED = 1e15  # boxes of a slice
+SMALL = 0.02  # motion at which a box is left to the search, in RMS radii
+MAX_LEFT = 20_000  # boxes left to the search
+BOX_S = 8e-9  # nominal seconds per box and point, the same on every machine
+SAMPLED = 0.1  # share of the allowed time that a slice, or the first slices, may take
+COMPILE_S = 5.0  # time that must be left if the kernels have to be compiled first
+
+
+def distances_to(points: np.ndarray) -> Distances:
+    """Return lower bounds on the distance to (n, 2) points, on a grid around them."""
+    from scipy.spatial import cKDTree
+
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    side = max(float((upper - lower).max()), 1e-9)
+    cell, origin = side * (1.0 + 2.0 * _PADDING) / CELLS, lower - _PADDING * side
+    sizes = np.ceil((upper - origin + _PADDING * side) / cell).astype(int)
+    axes = [origin[c] + (np.arange(sizes[c]) + 0.5) * cell for c in range(2)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    values = cKDTree(points).query(centres)[0].reshape(sizes) * (1.0 - _ROUNDING) - _ROUNDING * side
+    return Distances(origin, cell, values.astype(np.float32), lower, upper)
+
+
+def sides_of(space: Similarity2D) -> Sides:
+    """Return a problem as the tests take it."""
+    source, target = space.source, np.ascontiguousarray(space.clouds.target.T)
+    squares, k = (source**2).sum(axis=1), space.n_inliers
+    return Sides(
+        source, target, np.sqrt(squares), distances_to(target), distances_to(source), k,
+        float(np.sort(squares)[-k:].sum()), k * largest_subset_mean(source, k), *space.scale_range,
+    )  # fmt: skip
+
+
+class NearestCover:
+    """Confines optima below a value to few boxes; see the module's docstring.
+
+    A small value takes about as long as the whole cutoff, so that only the latter is proved.
+
+    Parameters
+    ----------
+    space : Similarity2D
+    threads : int
+    """
+
+    stage = "distances"
+    shares = (1.0,)
+
+    def __init__(self, space: Similarity2D, threads: int = 1) -> None:
+        self._space, self.threads = space, threads
+        self._sides: Sides | None = None
+
+    @property
+    def applies(self) -> bool:
+        """Whether there are many pairs, and points are left out: otherwise boxes alone are fast."""
+        space = self._space
+        return space.n_pairs > FEW_PAIRS and space.n_inliers < max(space.n_source, space.n_target)
+
+    def confine(self, cutoff: float, budget: Budget, allowed_s: float) -> Confined | None:
+        """Return boxes that contain every optimum with an objective below `cutoff`.
+
+        Parameters
+        ----------
+        cutoff : float
+        budget : Budget
+        allowed_s : float
+            Nominal seconds of CPU time.
+
+        Returns
+        -------
+        Confined or None
+            None if that would take too long, or leaves too many boxes.
+
+        Raises
+        ------
+        Interrupted
+        """
+        left = budget.left()
+        is_late = left is not None and left < COMPILE_S and not budget.is_counted
+        if is_late and not is_compiled(divide_boxes):
+            return None
+        began, n_tested, kept = budget.elapsed(), 0, []
+        for tested, found, is_affordable in self._slices(cutoff * (1.0 + _MARGIN), allowed_s):
+            is_late = not budget.is_counted and budget.elapsed() - began > allowed_s / self.threads
+            if is_late or not is_affordable:
+                return None
+            n_tested += tested
+            kept.append(found)
+            if sum(map(len, kept)) > MAX_LEFT:
+                return None
+        lower, upper = (
+            np.concatenate(parts) for parts in zip(*((b.lower, b.upper) for b in kept), strict=True)
+        )
+        return Confined(Boxes(lower, upper), cutoff, budget.elapsed() - began, n_tested, self.stage)
+
+    def _slices(self, cutoff: float, allowed_s: float) -> Iterator[tuple[int, Boxes, bool]]:
+        """Yield the boxes tested, those that are left, and whether to go on, by slices."""
+        if self._sides is None:
+            self._sides = sides_of(self._space)
+        starts, branching = Boxes.of(self._space.roots()), LongestEdge(self._space.axis_weights)
+        while len(starts) < _SLICES:
+            starts = branching(starts)
+            starts = starts[np.flatnonzero(self._space.touches(starts.lower, starts.upper))]
+        # in random order, so that the first ones predict the time of all
+        starts = starts[np.random.default_rng(0).permutation(len(starts))]
+        box_s = BOX_S * (self._space.n_source + self._space.n_target)
+        work = partial(
+            self._slice, cutoff=cutoff, most=int(min(SAMPLED * allowed_s / box_s, _UNLIMITED))
+        )
+        parts = [starts[at : at + 1] for at in range(len(starts))]
+        spent_s = 0.0
+        for done, (tested, found, is_whole) in enumerate(
+            in_threads(work, parts, self.threads), start=1
+        ):
+            self._space.check()
+            spent_s += tested * box_s
+            share = min(1.0, SAMPLED + 2.0 * done / len(parts))
+            yield tested, found, is_whole and spent_s <= share * allowed_s
+
+    def _slice(self, start: Boxes, cutoff: float, most: int) -> tuple[int, Boxes, bool]:
+        """Return the boxes tested, those that are left, and whether none is missing."""
+        assert self._sides is not None
+        lower, upper = np.empty((2, MAX_LEFT, 4))
+        n_left, n_tested = divide_boxes(
+            (start.lower, start.upper), self._sides, cutoff, self._space.axis_weights, (SMALL, most),
+            self._space.stop_flag, (lower, upper),
+        )  # fmt: skip
+        is_whole = n_left <= MAX_LEFT and n_tested < most
+        kept = slice(0, min(n_left, MAX_LEFT))
+        return n_tested, Boxes(lower[kept].copy(), upper[kept].copy()), is_whole
