@@ -18,20 +18,16 @@ because the product of a_0 with the direction of the optimum is at most |a_0|, a
 high^2 - |w|^2) / (2 high). With this term as l, the box is excluded if the minimum of the sum of c_ij -
 |u_i|^2 over all matchings of k pairs is at least C + l.
 
-*From the source.* c_ij is at least d_i^2, the squared distance of the moved source point from the target.
-Either each |u_i| is at most its maximum over the box: then the sum of the k smallest d_i^2 - |u_i|^2
-counts. Or all |u_i| belong to one parameter: for any tau the sum of the k smallest is at least k tau -
-sum max(0, tau - d_i^2 + |u_i|^2). Here max(0, |u|^2 - over) is at most |u|^2 if over <= 0, and at most
-|u|^2 (1 - over / b) if |u|^2 <= b. The loss is then a quadratic form in (w, t), and its maximum is at a
-vertex of the box.
+*From the target.* c_ij is at least the squared distance of the target point y_j from the moved source.
+The losses |u_i|^2 of any k points add up to at most k |t|^2 + |w|^2 I + 2 |t| |w| S, where S is the
+maximum norm of a sum of k source points. This excludes small scales, where many source points are close
+to the same target point.
 
-*From the target.* c_ij is at least d_j^2, the squared distance of a target point from the moved source.
-With y the target point, seen from the source at the centre, its partner is x = y - e / a_0, where |e| >=
-d_j is the residual at the centre. Hence |u| <= m + q |e| with m = |t| + |w| |y| and q = |w / a_0|. For
-q < 1 the function |e|^2 - (m + q |e|)^2 grows with |e| wherever it is positive, so that d_j may take the
-place of |e|. Otherwise its minimum is -m^2 / (1 - q^2). Or the losses are at most their sum for any k
-points, k |t|^2 + |w|^2 I + 2 |t| |w| S, with S the maximum norm of a sum of k source points. This
-excludes small scales, where many source points are close to the same target point.
+*From the source.* c_ij is also at least d_i^2, the squared distance of the moved source point from the
+target. For any tau the sum of the k smallest d_i^2 - |u_i|^2 is at least k tau - sum max(0, tau - d_i^2 +
+|u_i|^2). Here max(0, |u|^2 - over) is at most |u|^2 if over <= 0, and at most |u|^2 (1 - over / b) if
+|u|^2 <= b. So the loss is a quadratic form in (w, t), and its maximum is at a vertex of the box. The
+kernels choose the k-th smallest d_i^2 as tau.
 
 Boxes are divided until their parts are excluded, or until the distances at the centre fit to within C.
 """

@@ -112,80 +112,70 @@ def joint_loss(weights, half):
 
 
 @jit
-def smallest(values, k, levels, at):
-    """Return the sum of the k smallest numbers, from the level of an earlier call, which is replaced."""
-    found, levels[at] = smallest_sum(values, k, levels[at], 0.05 * abs(levels[at]) / k)
+def _sum_of_smallest(values, k, levels, side):
+    """Return the sum of the k smallest numbers, beginning at the level of the last call of this side."""
+    found, levels[side] = smallest_sum(values, k, levels[side], 0.05 * abs(levels[side]) / k)
     return found
 
 
 @jit
-def source_sides(sides, centre, half, goal, work, levels):
-    """Test a box from the source to the target.
-
-    Returns whether the box is excluded, and the sum of the k smallest squared distances at its centre.
-    """
-    squares, moves, nets, _, _ = work
-    a, b, x0, y0 = centre[0], centre[1], centre[2], centre[3]
-    reach = math.sqrt(half[0] * half[0] + half[1] * half[1])
-    shift = math.sqrt(half[2] * half[2] + half[3] * half[3])
-    for i in range(squares.size):
-        u, v = sides.source[i, 0], sides.source[i, 1]
-        d = _distance(sides.to_target, a * u - b * v + x0, b * u + a * v + y0)
-        move = shift + reach * sides.norms[i]
-        squares[i], moves[i] = d * d, move * move
-        nets[i] = squares[i] - moves[i]
-    at_centre = smallest(squares, sides.k, levels, 0)
-    if at_centre < goal:
-        return False, at_centre
-    if smallest(nets, sides.k, levels, 1) >= goal:
-        return True, at_centre
-    s0 = s1 = s2 = s3 = 0.0
-    for i in range(squares.size):
-        over = squares[i] - levels[0]
-        if over < moves[i]:
-            share = 1.0 if over <= 0.0 else 1.0 - over / moves[i]
-            s0, s1 = s0 + share, s1 + share * sides.source[i, 0]
-            s2, s3 = s2 + share * sides.source[i, 1], s3 + share * sides.norms[i] ** 2
-    return at_centre - joint_loss((s0, s1, s2, s3), half) >= goal, at_centre
+def _target_sum(sides, centre, squares, levels):
+    """Return the sum of the k smallest squared distances from the target to the moved source."""
+    a, b = centre[0], centre[1]
+    square = a * a + b * b
+    if square <= 0.0:
+        return 0.0
+    for j in range(squares.size):
+        x, y = sides.target[j, 0] - centre[2], sides.target[j, 1] - centre[3]
+        d = _distance(sides.to_source, (a * x + b * y) / square, (a * y - b * x) / square)
+        squares[j] = square * d * d
+    return _sum_of_smallest(squares, sides.k, levels, 1)
 
 
 @jit
-def target_sides(sides, centre, half, goal, work, levels):
-    """Test a box from the target to the source; see `source_sides`."""
-    squares, nets = work[3], work[4]
+def _source_sum(sides, centre, squares, levels):
+    """Return the sum of the k smallest squared distances from the moved source to the target."""
     a, b = centre[0], centre[1]
+    for i in range(squares.size):
+        u, v = sides.source[i, 0], sides.source[i, 1]
+        d = _distance(sides.to_target, a * u - b * v + centre[2], b * u + a * v + centre[3])
+        squares[i] = d * d
+    return _sum_of_smallest(squares, sides.k, levels, 0)
+
+
+@jit
+def _source_loss(sides, half, squares, tau):
+    """Return what the source sum loses in a box: the joint displacement of points below tau."""
     reach = math.sqrt(half[0] * half[0] + half[1] * half[1])
     shift = math.sqrt(half[2] * half[2] + half[3] * half[3])
-    square = a * a + b * b
-    scale = math.sqrt(square)
-    if scale <= reach * (1.0 + 1e-9):
-        return False, 0.0
-    turn = reach / scale
-    for j in range(squares.size):
-        x, y = sides.target[j, 0] - centre[2], sides.target[j, 1] - centre[3]
-        u, v = (a * x + b * y) / square, (a * y - b * x) / square
-        d = scale * _distance(sides.to_source, u, v)
-        move = shift + reach * math.sqrt(u * u + v * v)
-        squares[j], nets[j] = d * d, d * d - (move + turn * d) ** 2
-        if nets[j] <= 0.0:
-            nets[j] = -move * move / (1.0 - turn * turn)
-    at_centre = smallest(squares, sides.k, levels, 2)
-    loss = sides.k * shift * shift + sides.square_sum * reach * reach
-    loss += 2.0 * shift * reach * sides.sum
-    if at_centre - loss >= goal:
-        return True, at_centre
-    return at_centre >= goal and smallest(nets, sides.k, levels, 3) >= goal, at_centre
+    s0 = s1 = s2 = s3 = 0.0
+    for i in range(squares.size):
+        over, move = squares[i] - tau, (shift + reach * sides.norms[i]) ** 2
+        if over < move:
+            share = 1.0 if over <= 0.0 else 1.0 - over / move
+            s0, s1 = s0 + share, s1 + share * sides.source[i, 0]
+            s2, s3 = s2 + share * sides.source[i, 1], s3 + share * sides.norms[i] ** 2
+    return joint_loss((s0, s1, s2, s3), half)
 
 
 @jit
 def is_excluded(sides, centre, half, cutoff, work, levels):
-    """Tell whether no optimum below the cutoff lies in a box, and whether division is of no use."""
+    """Tell whether no optimum below the cutoff lies in a box, and whether division is of no use.
+
+    `work` has room for n and for m numbers. `levels` are the k-th smallest squared distances of an
+    earlier call from the source and from the target, and are replaced.
+    """
     goal = cutoff + _clipped_loss(sides, centre, half, cutoff)
-    excluded, at_centre = source_sides(sides, centre, half, goal, work, levels)
-    if excluded:
+    reach = math.sqrt(half[0] * half[0] + half[1] * half[1])
+    shift = math.sqrt(half[2] * half[2] + half[3] * half[3])
+    to_source = _target_sum(sides, centre, work[1], levels)
+    loss = sides.k * shift * shift + sides.square_sum * reach * reach
+    if to_source - loss - 2.0 * shift * reach * sides.sum >= goal:
         return True, False
-    excluded, other = target_sides(sides, centre, half, goal, work, levels)
-    return excluded, max(at_centre, other) < cutoff
+    to_target = _source_sum(sides, centre, work[0], levels)
+    if to_target >= goal and to_target - _source_loss(sides, half, work[0], levels[0]) >= goal:
+        return True, False
+    return False, max(to_source, to_target) < cutoff
 
 
 @jit
@@ -215,8 +205,8 @@ def divide_boxes(boxes, sides, cutoff, weights, limits, stop, left):
     n_left = n_tested = 0
     low, high = np.empty((_DEPTH, 4)), np.empty((_DEPTH, 4))
     centre, half = np.empty(4), np.empty(4)
-    n, m, levels = sides.source.shape[0], sides.target.shape[0], np.ones(4)
-    work = np.empty(n), np.empty(n), np.empty(n), np.empty(m), np.empty(m)
+    work = np.empty(sides.source.shape[0]), np.empty(sides.target.shape[0])
+    levels = np.ones(2)
     for box in range(lower.shape[0]):
         depth = 1
         low[0], high[0] = lower[box], upper[box]
