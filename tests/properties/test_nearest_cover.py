@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from dcreg.families.similarity2d import cover as cover_2d
 from dcreg.families.similarity2d.bound import TightBound
 from dcreg.families.similarity2d.cover import NearestCover, distances_to, sides_of
-from dcreg.families.similarity2d.kernels.exclusion import _distance, is_excluded, joint_loss
+from dcreg.families.similarity2d.kernels.exclusion import _squared_distance, is_excluded, joint_loss
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Budget, Interrupted, Tolerance, minimise
 
@@ -80,14 +80,15 @@ def test_grid_distances_are_lower_bounds(seed):
     field = distances_to(points)
     for place in rng.uniform(-4.0, 4.0, (50, 2)):
         true = float(np.sqrt(((points - place) ** 2).sum(axis=1)).min())
-        assert _distance_of(field, place) <= true + 1e-12
-        cells = (place - field.origin) / field.cell
-        if (cells >= 0.0).all() and (cells < field.values.shape).all():
-            assert _distance_of(field, place) >= true - 2.0 * field.cell
+        found = float(_squared_distance_of(field, place)) ** 0.5
+        assert found <= true + 1e-12
+        cells = (place - field.origin) * field.density
+        if (cells >= 0.0).all() and (cells < field.squares.shape).all():
+            assert found >= true - 2.0 / field.density
 
 
-def _distance_of(field, place):
-    return getattr(_distance, "py_func", _distance)(field, *place)
+def _squared_distance_of(field, place):
+    return getattr(_squared_distance, "py_func", _squared_distance)(field, *place)
 
 
 @settings(max_examples=25)
@@ -110,7 +111,7 @@ def test_boxes_contain_the_optimum_and_confirm_the_search(seed):
 
 def test_a_long_search_uses_it_and_threads_do_not_matter(monkeypatch):
     space = make_space(1, n=40, m=40, k=20)
-    monkeypatch.setattr("dcreg.search.space_search.SHORT", 16)
+    monkeypatch.setattr("dcreg.search.space_search.SHORT", 512)
     found = [
         minimise(
             space, TightBound(space, threads=threads), Budget(), tolerance=Tolerance(rel=0.01),

@@ -45,7 +45,7 @@ from dcreg.families.similarity2d.space import Similarity2D, largest_subset_mean
 from dcreg.jit import is_compiled
 from dcreg.search import Boxes, Budget, Confined, LongestEdge
 
-CELLS = 512  # of the distances along the longest side
+CELLS = 640  # of the distances along the longest side
 _PADDING = 0.3  # of the grid around the points, as a share of the longest side
 _ROUNDING = 1e-6  # of a distance in single precision
 _MARGIN = 1e-9  # relative; covers rounding
@@ -53,14 +53,14 @@ FEW_PAIRS = 1000  # of points
 _SLICES = 256
 _UNLIMITED = 1e15  # boxes of a slice
 SMALL = 0.02  # motion at which a box is left to the search, in RMS radii
-MAX_LEFT = 20_000  # boxes left to the search
-BOX_S = 8e-9  # nominal seconds per box and point, the same on every machine
+MAX_LEFT = 100_000  # boxes left to the search
+BOX_S = 6.5e-9  # nominal seconds per box and point, the same on every machine
 SAMPLED = 0.1  # share of the allowed time that a slice, or the first slices, may take
 COMPILE_S = 5.0  # time that must be left if the kernels have to be compiled first
 
 
 def distances_to(points: np.ndarray) -> Distances:
-    """Return lower bounds on the distance to (n, 2) points, on a grid around them."""
+    """Return lower bounds on the squared distance to (n, 2) points, on a grid around them."""
     from scipy.spatial import cKDTree
 
     lower, upper = points.min(axis=0), points.max(axis=0)
@@ -69,8 +69,9 @@ def distances_to(points: np.ndarray) -> Distances:
     sizes = np.ceil((upper - origin + _PADDING * side) / cell).astype(int)
     axes = [origin[c] + (np.arange(sizes[c]) + 0.5) * cell for c in range(2)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    values = cKDTree(points).query(centres)[0].reshape(sizes) * (1.0 - _ROUNDING) - _ROUNDING * side
-    return Distances(origin, cell, values.astype(np.float32), lower, upper)
+    least = cKDTree(points).query(centres)[0].reshape(sizes) - np.sqrt(0.5) * cell
+    least = np.maximum(0.0, least * (1.0 - _ROUNDING) - _ROUNDING * side)
+    return Distances(origin, 1.0 / cell, (least**2).astype(np.float32))
 
 
 def sides_of(space: Similarity2D) -> Sides:

@@ -19,25 +19,22 @@ _DEPTH = 160  # maximum size of the stack of boxes
 
 
 class Distances(NamedTuple):
-    """Lower bounds on the distance to a point set, on a grid of cells.
+    """Lower bounds on the squared distance to a point set, on a grid of cells around it.
 
     Attributes
     ----------
     origin : (2,) array
         The minimum vertex of the grid.
-    cell : float
-        Side of a cell.
-    values : (a, b) float32 array
-        The distance of the centre of the cell from the nearest point.
-    lower, upper : (2,) arrays
-        The bounding box of the points, for places outside the grid.
+    density : float
+        Cells per unit of length.
+    squares : (a, b) float32 array
+        Of every place in the cell. A place outside the grid is farther away than the nearest cell of it,
+        because the points lie in the grid.
     """
 
     origin: np.ndarray
-    cell: float
-    values: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
+    density: float
+    squares: np.ndarray
 
 
 class Sides(NamedTuple):
@@ -70,16 +67,11 @@ class Sides(NamedTuple):
 
 
 @jit_part
-def _distance(field, x, y):
-    """Return a lower bound on the distance of a place from the points."""
-    a, b = (x - field.origin[0]) / field.cell, (y - field.origin[1]) / field.cell
-    if a < 0.0 or b < 0.0 or a >= field.values.shape[0] or b >= field.values.shape[1]:
-        a = max(field.lower[0] - x, 0.0, x - field.upper[0])
-        b = max(field.lower[1] - y, 0.0, y - field.upper[1])
-        return math.sqrt(a * a + b * b)
-    i, j = int(a), int(b)
-    a, b = a - i - 0.5, b - j - 0.5
-    return max(0.0, field.values[i, j] - field.cell * math.sqrt(a * a + b * b))
+def _squared_distance(field, x, y):
+    """Return a lower bound on the squared distance of a place from the points."""
+    i = min(max((x - field.origin[0]) * field.density, 0.0), field.squares.shape[0] - 1.0)
+    j = min(max((y - field.origin[1]) * field.density, 0.0), field.squares.shape[1] - 1.0)
+    return field.squares[int(i), int(j)]
 
 
 @jit_part
@@ -125,10 +117,10 @@ def _target_sum(sides, centre, squares, levels):
     square = a * a + b * b
     if square <= 0.0:
         return 0.0
+    c, s = a / square, b / square
     for j in range(squares.size):
         x, y = sides.target[j, 0] - centre[2], sides.target[j, 1] - centre[3]
-        d = _distance(sides.to_source, (a * x + b * y) / square, (a * y - b * x) / square)
-        squares[j] = square * d * d
+        squares[j] = square * _squared_distance(sides.to_source, c * x + s * y, c * y - s * x)
     return _sum_of_smallest(squares, sides.k, levels, 1)
 
 
@@ -138,8 +130,8 @@ def _source_sum(sides, centre, squares, levels):
     a, b = centre[0], centre[1]
     for i in range(squares.size):
         u, v = sides.source[i, 0], sides.source[i, 1]
-        d = _distance(sides.to_target, a * u - b * v + centre[2], b * u + a * v + centre[3])
-        squares[i] = d * d
+        x, y = a * u - b * v + centre[2], b * u + a * v + centre[3]
+        squares[i] = _squared_distance(sides.to_target, x, y)
     return _sum_of_smallest(squares, sides.k, levels, 0)
 
 
