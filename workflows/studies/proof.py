@@ -1,9 +1,10 @@
-"""How soon rigid poses are proved in 3D: ``python -m workflows.studies.proof OUT``.
+"""How soon poses are proved: ``python -m workflows.studies.proof OUT``.
 
-Every problem has 100 points (``--points``) before its disturbance and all true pairs, and is searched to
-the time limit (``prove=True``). The study writes ``proof.csv``, a row per solve with the lower bound at
-several moments divided by the final upper bound, and ``proof_summary.csv``, a row per test and level.
-Rows that exist are kept, so it can be continued.
+Every problem has 100 points (``--points``) before its disturbance and all true pairs (or ``--share`` of
+them), and is searched to the time limit (``prove=True``). Poses are rigid in 3D. With ``--plane`` they
+are similarities of side views, which lack the axis of least extent. The study writes ``proof.csv``, a row
+per solve with the lower bound at several moments divided by the final upper bound, and
+``proof_summary.csv``, a row per test and level. Rows that exist are kept, so it can be continued.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import pandas as pd
 import typer
 
 import dcreg
-from data.contract import RawInstance
+from data.contract import Dataset, PrototypeDataset, RawInstance
 from data.registry import dataset
 from dcreg.status import Status
 from workflows.disturb import make_instance
@@ -38,10 +39,30 @@ class Cell(NamedTuple):
     level: float
     trial: int
 
-    def instance(self, points: int) -> RawInstance:
+    def instance(self, points: int, plane: bool) -> RawInstance:
         source = dataset(self.shape)
         shape = SHAPES.get(self.shape) or source.shapes()[0]
+        source = SideView(source) if plane else source
         return make_instance(source, shape, self.test, self.level, self.trial, points)
+
+
+class SideView(PrototypeDataset):
+    """The shapes of a 3D dataset without the axis of their least extent."""
+
+    def __init__(self, solid: Dataset) -> None:
+        assert isinstance(solid, PrototypeDataset)
+        super().__init__(solid.card)
+        self.solid = solid
+
+    def shapes(self) -> list[str]:
+        return self.solid.shapes()
+
+    def fetch(self, shape: str, test: str = "", level: float = 0.0, trial: int = 0) -> list[Path]:
+        return self.solid.fetch(shape, test, level, trial)
+
+    def points(self, shape: str, n_points: int | None = None) -> np.ndarray:
+        points = self.solid.points(shape, n_points)
+        return np.delete(points, np.ptp(points, axis=0).argmin(), axis=1)
 
 
 def main(
@@ -52,6 +73,8 @@ def main(
     points: Annotated[int, typer.Option(help="points per shape")] = 100,
     tests: Annotated[str, typer.Option(help="tests, comma-separated")] = ",".join(TESTS),
     shapes: Annotated[str, typer.Option(help="datasets, comma-separated")] = ",".join(SHAPES),
+    share: Annotated[float, typer.Option(help="n_inliers over true pairs")] = 1.0,
+    plane: Annotated[bool, typer.Option(help="2D similarities of side views")] = False,
 ) -> None:
     """Solve the problems; print and store the tables."""
     dcreg.warm_up()
@@ -60,13 +83,23 @@ def main(
     rows: list[dict[Any, Any]] = []
     if path.exists():
         rows = pd.read_csv(path).to_dict("records")
-    settings = {"points": points, "limit_s": limit, "threads": threads}
+    settings = {
+        "points": points,
+        "limit_s": limit,
+        "threads": threads,
+        "share": share,
+        "plane": plane,
+    }
     if any({name: row.get(name) for name in settings} != settings for row in rows):
         raise typer.BadParameter(f"{path} was made with other settings; give another folder")
     done = {(row["shape"], row["test"], row["level"], row["trial"]) for row in rows}
     for cell in _cells(trials, tests.split(","), shapes.split(",")):
         if tuple(cell) not in done:
-            rows.append(cell._asdict() | settings | _solved(cell.instance(points), limit, threads))
+            rows.append(
+                cell._asdict()
+                | settings
+                | _solved(cell.instance(points, plane), limit, threads, share)
+            )
             pd.DataFrame(rows).to_csv(path, index=False)
     table = summary(pd.DataFrame(rows))
     table.to_csv(out / "proof_summary.csv", index=False)
@@ -96,17 +129,19 @@ def _cells(trials: int, tests: list[str], shapes: list[str]) -> Iterator[Cell]:
             yield Cell(shape, test, level, trial)
 
 
-def _solved(raw: RawInstance, limit: float, threads: int) -> dict[str, object]:
+def _solved(raw: RawInstance, limit: float, threads: int, share: float) -> dict[str, object]:
     began = time.perf_counter()
+    is_2d, n_inliers = raw.source.shape[1] == 2, round(share * len(raw.pairs))
     result = dcreg.register(
-        raw.source, raw.target, model="rigid3d", n_inliers=len(raw.pairs), time_limit=limit,
-        options=dcreg.SolveOptions(mode="full", threads=threads, prove=True),
+        raw.source, raw.target, model="similarity2d" if is_2d else "rigid3d", n_inliers=n_inliers,
+        scale_range=raw.scale_range if is_2d else None, time_limit=limit,
+        options=dcreg.SolveOptions(mode=None if is_2d else "full", threads=threads, prove=True),
     )  # fmt: skip
     spent = time.perf_counter() - began - result.time_setup_s
     ratios = {f"ratio_{s:g}": _ratio_at(result, s) for s in MOMENTS_S if s <= limit}
     judged = Case(
         result.T_target_source, raw.T_true, raw.source, raw.target, raw.pairs, len(raw.pairs),
-        (1.0, 1.0),
+        raw.scale_range,
     )  # fmt: skip
     return {
         "status": result.status.value,
