@@ -3,7 +3,8 @@
 Every pair of clouds is written to files at several sizes and registered with nothing but the model and a
 share of pairs. For scans this share is 0.8 times the overlap at the true pose: a good guess, which users
 may not have. Scans are moved by a random pose, so that no start is near the true pose. The study writes
-``walk.csv``: pose error, status, time, warnings. It needs the data that `data/` fetches.
+``walk.csv``: pose error, status, time, warnings. It needs the data that `data/` fetches. ``--checkout``
+runs the `dcreg` of another checkout, such as an older version; `curves` compares two tables.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -40,6 +41,7 @@ RAW = (
     "7-scenes-redkitchen", "sun3d-home_at", "sun3d-hotel_uc", "sun3d-hotel_umd-maryland_hotel1",
     "sun3d-mit_lab", "bunny with missing ends", "bunny, half with clutter", "street",
 )  # fmt: skip
+SAME = 0.01  # change of the upper bound, as a share, that does not count as a better pose
 CLUTTER = 0.3  # points of a cluttered target without a partner, per point with one
 
 
@@ -61,17 +63,17 @@ def main(
     limit: Annotated[float, typer.Option(help="seconds per run")] = DEFAULT_TIME_LIMIT_S,
     only: Annotated[str, typer.Option(help="part of a pair's name")] = "",
     only_raw: Annotated[bool, typer.Option(help="the pairs of `RAW`, at full size")] = False,
+    every: Annotated[int, typer.Option(help="take every n-th run")] = 1,
+    checkout: Annotated[Path, typer.Option(help="repository whose dcreg runs")] = Path(),
 ) -> None:
     """Register every pair at every size; print and store the table."""
     out.mkdir(parents=True, exist_ok=True)
     rows = []
-    size = [0] if only_raw else size
-    for pair in cloud_pairs():
-        if only not in pair.name or (only_raw and not pair.name.startswith(RAW)):
-            continue
-        for n_points in size:
-            rows.append(_walked(pair, n_points, limit, out))
-            print(rows[-1], flush=True)
+    pairs = [pair for pair in (raw_pairs() if only_raw else cloud_pairs()) if only in pair.name]
+    runs = [(pair, n_points) for pair in pairs for n_points in ([0] if only_raw else size)]
+    for pair, n_points in runs[::every]:
+        rows.append(walked(pair, n_points, limit, out.resolve(), checkout))
+        print(rows[-1], flush=True)
     table = pd.DataFrame(rows)
     table.to_csv(out / "walk.csv", index=False)
     print(table.drop(columns="warnings").to_string(index=False))
@@ -95,6 +97,11 @@ def cloud_pairs() -> Iterator[CloudPair]:
     for scene, level in zip(scenes, OVERLAPS, strict=True):
         yield _scans("threedmatch", scene, "overlap", level)
     yield _scans("small_gicp", "street", "pair", 0.0)
+
+
+def raw_pairs() -> Iterator[CloudPair]:
+    """Yield the pairs of `RAW`."""
+    return (pair for pair in cloud_pairs() if pair.name.startswith(RAW))
 
 
 def _prototypes(name: str) -> PrototypeDataset:
@@ -170,49 +177,59 @@ def _cloud(path: Path, number: float | str | None) -> np.ndarray:
     return read_points(path) if number is None else fragment(path, int(number))
 
 
-def _walked(pair: CloudPair, n_points: int, limit: float, out: Path) -> dict[str, object]:
-    least = min(len(pair.source), len(pair.target))
-    clouds = [
-        _sampled(cloud, round(n_points * len(cloud) / least) if pair.at_random else n_points,
-                 pair.at_random)
-        for cloud in (pair.source, pair.target)
-    ]  # fmt: skip
+def walked(
+    pair: CloudPair, n_points: int, limit: float, out: Path, checkout: Path = Path()
+) -> dict[str, Any]:
+    """Register one pair by the command line; `out` is an absolute path."""
+    clouds = sampled_clouds(pair, n_points)
     paths = [out / "source.npy", out / "target.npy"]
     for path, cloud in zip(paths, clouds, strict=True):
         np.save(path, cloud)
-    answer = out / "answer.json"
+    answer, trace = out / "answer.json", out / "trace.jsonl"
     answer.unlink(missing_ok=True)
     command = [sys.executable, "-m", "dcreg", "register", *map(str, paths), "--model", "rigid3d"]
-    command += ["--n-inliers", f"{pair.share}", "--time-limit", f"{limit}", "--json", str(answer)]
+    command += ["--n-inliers", f"{pair.share}", "--time-limit", f"{limit}"]
+    command += ["--json", str(answer), "--trace", str(trace)]
     began, status = time.perf_counter(), "no answer"
     try:
         code = subprocess.run(
-            command, capture_output=True, timeout=KILLED_AFTER * limit, check=False
+            command, capture_output=True, timeout=KILLED_AFTER * limit, check=False, cwd=checkout
         ).returncode
     except subprocess.TimeoutExpired:
         code, status = -9, "hang"
-    row: dict[str, object] = {
+    row: dict[str, Any] = {
         "pair": pair.name,
         "points": f"{len(clouds[0])} {len(clouds[1])}",
         "n_inliers": pair.share,
         "exit": code,
         "status": status,
-        "wall_s": round(time.perf_counter() - began, 1),
+        "wall_s": round(time.perf_counter() - began, 2),
         "right": None if pair.T_true is None else False,
         "warnings": "",
         "n_warnings": 0,
     }
     if answer.is_file():
         found = json.loads(answer.read_text())
-        T = np.array(found["T_target_source"])
         row["status"], row["mode"] = found["status"], found["mode"]
-        row |= _errors(pair, T)
+        row |= pose_errors(pair, np.array(found["T_target_source"]))
+        row["before_solve_s"] = round(row["wall_s"] - found["time_solve_s"], 2)
+        row["pose_s"] = round(row["before_solve_s"] + _last_change_s(trace), 2)
         row["warnings"] = " | ".join(found.get("warnings", []))
         row["n_warnings"] = len(found.get("warnings", []))
     return row
 
 
-def _errors(pair: CloudPair, T: np.ndarray) -> dict[str, object]:
+def _last_change_s(trace: Path) -> float:
+    """Return the time from which on the upper bound stayed within `SAME` of its last value."""
+    events = pd.read_json(trace, lines=True)
+    last = events["upper_bound"].iloc[-1]
+    differs = (events["upper_bound"] - last).abs() > SAME * last
+    n_before = int(np.flatnonzero(differs)[-1]) + 1 if differs.any() else 0
+    return float(events["time_s"].iloc[n_before])
+
+
+def pose_errors(pair: CloudPair, T: np.ndarray) -> dict[str, object]:
+    """Return residual and, if the pose is known, errors and whether the pose is right."""
     moved = apply_pose(T, pair.source[:: max(1, len(pair.source) // 2000)])
     near = np.sort(cKDTree(pair.target).query(moved)[0])[: int(pair.share * len(moved))]
     extent = float(np.ptp(pair.target, axis=0).max())
@@ -224,6 +241,17 @@ def _errors(pair: CloudPair, T: np.ndarray) -> dict[str, object]:
         errors |= {"turn_deg": round(float(turn), 1), "shift": round(float(shift), 3)}
         errors["right"] = bool(turn < 15.0 and shift < 0.1)
     return errors
+
+
+def sampled_clouds(pair: CloudPair, n_points: int) -> list[np.ndarray]:
+    """Return both clouds with about `n_points` points; 0 means all."""
+    if not pair.at_random:
+        return [_sampled(cloud, n_points) for cloud in (pair.source, pair.target)]
+    least = min(len(pair.source), len(pair.target))
+    return [
+        _sampled(cloud, round(n_points * len(cloud) / least), at_random=True)
+        for cloud in (pair.source, pair.target)
+    ]
 
 
 def _sampled(cloud: np.ndarray, n_points: int, at_random: bool = False) -> np.ndarray:
