@@ -12,7 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.families.rigid3d import cover
+from dcreg.families.rigid3d import cover as triples
+from dcreg.families.similarity2d import cover as distances
 from dcreg.names import BOUND_NAMES
 from dcreg.result import Result
 from dcreg.search import space_search
@@ -47,10 +48,11 @@ class FuzzProblem:
 
     @property
     def has_cover(self) -> bool:
-        """Whether congruent triples confine the search, which only larger problems need."""
-        return self.family == "rigid3d" and self.number % 2 == 0
+        """Whether a cover confines the search, which only larger problems need."""
+        return self.family != "norm3d" and self.number % 2 == 0
 
     def solve(self) -> Result:
+        certificate = self.settings["mode"] == "paper" and not self.has_cover
         with covered() if self.has_cover else contextlib.nullcontext():
             return dcreg.register(
                 self.source,
@@ -58,7 +60,7 @@ class FuzzProblem:
                 n_inliers=self.n_inliers,
                 time_limit=TIME_LIMIT,
                 candidates=None if self.allowed.all() else self.allowed,
-                **keywords(**self.settings, certificate=self.settings["mode"] == "paper"),
+                **keywords(**self.settings, certificate=certificate),
             )
 
     def __str__(self) -> str:
@@ -72,7 +74,10 @@ class FuzzProblem:
 @contextlib.contextmanager
 def covered() -> Iterator[None]:
     """A context in which the search begins with a cover, however small the problem is."""
-    with mock.patch.object(space_search, "SHORT", 0), mock.patch.object(cover, "FEW_PAIRS", 0):
+    with contextlib.ExitStack() as patches:
+        patches.enter_context(mock.patch.object(space_search, "SHORT", 0))
+        for cover in triples, distances:
+            patches.enter_context(mock.patch.object(cover, "FEW_PAIRS", 0))
         yield
 
 
