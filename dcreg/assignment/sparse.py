@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dcreg.assignment.kernels.duals import assignment_duals
-from dcreg.assignment.kernels.sparse import greedy_matching, priced_matching
+from dcreg.assignment.kernels.sparse import greedy_matching, penalised_matching
 from dcreg.jit import NEVER
 
 if TYPE_CHECKING:
@@ -30,10 +30,11 @@ _QUERY_ROWS = 20_000  # between two looks at the stop flag
 _MANY_QUERIES = 5000
 _LEFTOVER_ROUNDS, _LAST_ROUNDS = 8, 2  # of pairing near points that are still unmatched
 _SPARE = 3  # points looked at for each pair that is missing
-_MAX_PRICES = 16
-_HOPELESS = 0.9  # share of the pairs below which more neighbours take long and prove nothing
+_MAX_PENALTIES = 16  # of unmatched rows, tried in turn
+# With fewer matched pairs, as a share of k, more neighbours take long and prove nothing.
+_MIN_MATCHED_SHARE = 0.9
 _ROUGH = 0.02  # relative error of the size of a matching that is cut or completed without a proof
-_ROUGH_ROWS = 150_000  # rows of all assignments for which a rough price is sought
+_ROUGH_ROWS = 150_000  # rows of all assignments for which a rough penalty is sought
 
 
 @dataclass(frozen=True)
@@ -72,10 +73,10 @@ def sparse_matching(
     pairs in total. If this does not suffice either, the best matching is returned as not exact. Points
     that remain unmatched are paired with near ones among themselves.
 
-    Without `prove`, only the first neighbours are used (8, or 16 if k = n), and the price of staying
-    unmatched is found approximately. This gives a near-optimal matching in a fraction of the time, for
-    the steps of a descent. If `stop` is set during the call, near pairs are chosen greedily instead; if
-    it is set before, from few neighbours.
+    Without `prove`, only the first neighbours are used (8, or 16 if k = n), and the penalty of an
+    unmatched row is found approximately. This gives a near-optimal matching in a fraction of the time,
+    for the steps of a descent. If `stop` is set during the call, near pairs are chosen greedily instead;
+    if it is set before, from few neighbours.
     """
     if len(points) > len(target):
         found = sparse_matching(target, points, k, prove=prove, stop=stop)
@@ -104,9 +105,9 @@ def sparse_matching(
         value, pairs = _completed(points, target, col_of, k, costs[:, 0], stop)
         if best is None or exact or value < best.value:
             best = Matching(value, pairs, exact, spent)
-        is_hopeless = k < n and int((col_of >= 0).sum()) < _HOPELESS * k
+        is_short = k < n and int((col_of >= 0).sum()) < _MIN_MATCHED_SHARE * k
         is_last = neighbours == m or 4 * neighbours * n > DENSE_PAIRS
-        if exact or not prove or stop[0] or is_last or is_hopeless:
+        if exact or not prove or stop[0] or is_last or is_short:
             return Matching(best.value, best.pairs, best.exact, spent)
         neighbours = min(4 * neighbours, m)
 
@@ -156,44 +157,44 @@ def _matching_of_size(
 
     The costs of rows are None if there are fewer than k pairs, or if they are not certainly the cheapest.
 
-    A row may stay unmatched for a price. The number of matched rows grows with the price. If it is k, the
-    matching is the cheapest of that size (Lagrange). The price is found by interpolation.
+    An unmatched row costs a penalty, a Lagrange multiplier. The number of matched rows grows with it. If
+    the number is k, the matching is the cheapest of that size. The penalty is found by interpolation.
     """
     n = len(columns)
     top = 4.0 * n * (costs.max() or 1.0)  # exceeds any matching: as many rows as possible
     if k == n:
-        col_of = _priced_matching(columns, costs, m, top, stop)
+        col_of = _penalised_matching(columns, costs, m, top, stop)
         complete = bool((col_of >= 0).all())
         return col_of, _own_costs(columns, costs, col_of, top) if complete else None, 1
     low, n_low, high, n_high = 0.0, 0, top, n + 1
-    price = 2.0 * float(np.partition(costs[:, 0], k - 1)[k - 1]) or 1e-9 * top
+    penalty = 2.0 * float(np.partition(costs[:, 0], k - 1)[k - 1]) or 1e-9 * top
     enough = None
-    most = _MAX_PRICES if prove else int(np.clip(_ROUGH_ROWS // k, 1, _MAX_PRICES))
+    most = _MAX_PENALTIES if prove else int(np.clip(_ROUGH_ROWS // k, 1, _MAX_PENALTIES))
     for solved in range(1, most + 1):
-        col_of = _priced_matching(columns, costs, m, price, stop)
+        col_of = _penalised_matching(columns, costs, m, penalty, stop)
         size = int((col_of >= 0).sum())
         if size == k:
-            return col_of, _own_costs(columns, costs, col_of, price), solved
+            return col_of, _own_costs(columns, costs, col_of, penalty), solved
         if size > k:
-            high, n_high, enough = price, size, col_of
+            high, n_high, enough = penalty, size, col_of
             if not prove and size <= (1.0 + _ROUGH) * k:
                 break
         else:
-            low, n_low = price, size
+            low, n_low = penalty, size
             if not prove and size >= (1.0 - _ROUGH) * k:
                 return col_of, None, solved
         if enough is None:
-            # if all candidates are used already, a higher price hardly adds a pair
+            # if all candidates are used already, a higher penalty hardly adds a pair
             is_high = low > costs.max()
             if low == top or stop[0] or (not prove and is_high):
                 break
-            price = top if is_high else min(4.0 * price, top)
+            penalty = top if is_high else min(4.0 * penalty, top)
         else:
             share = np.clip((k - n_low) / (n_high - n_low), 0.05, 0.95)
-            price = low + float(share) * (high - low)
+            penalty = low + float(share) * (high - low)
     if enough is None:
         return col_of, None, solved
-    # ties, or the price would have to be too exact: keep the cheapest k pairs of a larger matching
+    # ties, or the penalty would have to be too exact: keep the cheapest k pairs of a larger matching
     rows = np.flatnonzero(enough >= 0)
     kept = rows[np.argsort(_own_costs(columns, costs, enough, np.inf)[rows], kind="stable")[:k]]
     col_of = np.full(n, -1, np.int64)
@@ -201,12 +202,12 @@ def _matching_of_size(
     return col_of, None, solved
 
 
-def _priced_matching(
-    columns: np.ndarray, costs: np.ndarray, m: int, price: float, stop: np.ndarray
+def _penalised_matching(
+    columns: np.ndarray, costs: np.ndarray, m: int, penalty: float, stop: np.ndarray
 ) -> np.ndarray:
-    """Return each row's column (-1: none) in the cheapest matching if an unmatched row costs `price`."""
+    """Return each row's column (-1: none) in the cheapest matching if unmatched rows cost `penalty`."""
     col_of = np.empty(len(columns), np.int64)
-    priced_matching(columns, costs, m, price, stop, col_of)
+    penalised_matching(columns, costs, m, penalty, stop, col_of)
     return col_of
 
 
@@ -218,11 +219,11 @@ def _greedy(columns: np.ndarray, costs: np.ndarray, m: int, k: int) -> np.ndarra
 
 
 def _own_costs(
-    columns: np.ndarray, costs: np.ndarray, col_of: np.ndarray, price: float
+    columns: np.ndarray, costs: np.ndarray, col_of: np.ndarray, penalty: float
 ) -> np.ndarray:
     chosen = columns == col_of[:, None]
     own = np.take_along_axis(costs, chosen.argmax(axis=1)[:, None], axis=1)[:, 0]
-    return np.where(col_of >= 0, own, price)
+    return np.where(col_of >= 0, own, penalty)
 
 
 def _is_proved(
@@ -235,8 +236,8 @@ def _is_proved(
     stop: np.ndarray,
 ) -> bool:
     """Tell whether no farther pair can improve the matching, by the dual variables."""
-    u, v, settled = assignment_duals(columns, costs, col_of, own, tree.n)
-    if not settled:
+    u, v, converged = assignment_duals(columns, costs, col_of, own, tree.n)
+    if not converged:
         return False
     neighbours = columns.shape[1]
     rows = np.flatnonzero(costs[:, -1] < u)

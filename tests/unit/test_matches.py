@@ -83,8 +83,8 @@ def test_bounds_are_those_that_were_proven():
     """On the whole cost, so that they do not sink below zero and vanish; the score says the same."""
     source, target, matches, T = planted(30, 70, noise=0.01)
     found = dcreg.register_matches(source, target, matches, inlier_distance=REACH)
-    price = REACH**2 * (100 - found.n_inliers)
-    assert found.upper_bound == pytest.approx(found.objective + price)
+    penalty = REACH**2 * (100 - found.n_inliers)
+    assert found.upper_bound == pytest.approx(found.objective + penalty)
     assert found.status is dcreg.Status.OPTIMAL
     assert found.gap <= found.gap_tol
     assert found.warnings == []  # the answer is sure
@@ -178,8 +178,8 @@ def test_optimum_chooses_among_the_cheapest_matchings_of_its_size():
     dense = register(source, target, n_inliers=found.n_inliers, **settings)
     assert found.status is dcreg.Status.OPTIMAL
     assert found.objective <= dense.objective + 1e-6
-    priced = dense.objective + 0.3**2 * (12 - found.n_inliers)
-    assert found.lower_bound <= priced + 1e-9
+    penalised = dense.objective + 0.3**2 * (12 - found.n_inliers)
+    assert found.lower_bound <= penalised + 1e-9
 
 
 def test_useless_matches_are_left_out_of_the_bound():

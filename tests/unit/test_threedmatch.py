@@ -175,7 +175,7 @@ def test_dcreg_registers_over_shared_matches():
     assert found.status is Status.OPTIMAL
     np.testing.assert_allclose(found.T_target_source[:3, 3], 0.5, atol=1e-9)
     assert found.counters["n_correspondences"] == 30
-    # its bounds are of a priced cost over the matches: compared with the objective they would look false
+    # its bounds refer to a cost with a penalty for each unmatched row, not to the objective
     assert found.lower_bound is None
     assert found.upper_bound is None
     fewer = registry.load("dcreg", front_end="shared-mutual", max_pairs=20)

@@ -92,14 +92,14 @@ def improve_assignment(cost, k, b, stop):
         row_of[j] = -1
     for i in range(n):
         col_of[i] = -1
-    spare_price = _leave_rows(cost, k, b, a, col_of)
+    spare_dual = _leave_rows(cost, k, b, a, col_of)
     n_free = _take_cheapest(cost, a, b, col_of, row_of, free)
-    _lower_prices(cost, spare_price, a, b, col_of, row_of)
+    _lower_duals(cost, spare_dual, a, b, col_of, row_of)
     left = _leave_columns(m - k, a, b, row_of)
     starts = np.empty(n_free + left, np.int64)
     for path in range(starts.size):
         starts[path] = free[path] if path < n_free else n
-    _augment(cost, spare_price, a, b, col_of, row_of, starts, stop)
+    _augment(cost, spare_dual, a, b, col_of, row_of, starts, stop)
     _take_least_off(b)
     value = 0.0
     for i in range(n):
@@ -166,14 +166,14 @@ def _raise_to(lowest, costs, level):
 
 
 @jit_part
-def _lower_prices(cost, spare_price, a, b, col_of, row_of):
+def _lower_duals(cost, spare_dual, a, b, col_of, row_of):
     """Lower the duals of unmatched columns as far as the row duals allow: most of them to zero."""
     n, m = cost.shape
     lowest, low = np.empty(m), least(b)
     for j in range(m):
         lowest[j] = low
     for i in range(n):
-        _raise_to(lowest, cost[i], spare_price if col_of[i] == m else a[i])
+        _raise_to(lowest, cost[i], spare_dual if col_of[i] == m else a[i])
     for j in range(m):
         if row_of[j] < 0:
             b[j] = min(b[j], lowest[j])
@@ -212,7 +212,7 @@ def _relax_spare(spare_cost, spare_row, b, shift, dist, pred):
 
 
 @jit_part
-def _augment(cost, spare_price, a, b, col_of, row_of, starts, stop):
+def _augment(cost, spare_dual, a, b, col_of, row_of, starts, stop):
     """Augment from each unmatched row, and from the dummy row once per column that it lacks."""
     n, m = cost.shape
     dummy, spare = n, m
@@ -234,11 +234,11 @@ def _augment(cost, spare_price, a, b, col_of, row_of, starts, stop):
                 _relax(no_cost, open_b, reach - a[dummy], dummy, dist, pred)
             elif row >= 0:
                 _relax(cost[row], open_b, reach - a[row], row, dist, pred)
-                if spare_open and reach - a[row] + spare_price < spare_dist:
-                    spare_dist = reach - a[row] + spare_price
+                if spare_open and reach - a[row] + spare_dual < spare_dist:
+                    spare_dist = reach - a[row] + spare_dual
                     pred[spare] = row
             elif row == -2:  # the rows at the spare column
-                _relax_spare(spare_cost, spare_row, open_b, reach - spare_price, dist, pred)
+                _relax_spare(spare_cost, spare_row, open_b, reach - spare_dual, dist, pred)
             low = least(dist)
             if spare_dist < low:
                 column, reach = spare, spare_dist
@@ -270,14 +270,14 @@ def _augment(cost, spare_price, a, b, col_of, row_of, starts, stop):
         for p in range(n_scanned):
             j = scanned[p]
             if j == spare:
-                spare_price += reach - reached[p]
+                spare_dual += reach - reached[p]
             else:
                 b[j] += reach - reached[p]
                 if row_of[j] != dummy:
                     a[row_of[j]] += reach - reached[p]
         joined, gone = _flip(column, source, dummy_entry, pred, col_of, row_of)
         if gone >= 0:
-            a[gone] = spare_price
+            a[gone] = spare_dual
         if spare_known and joined != gone:
             _update_spare_rows(cost, joined, gone, col_of, spare_cost, spare_row)
 

@@ -22,7 +22,7 @@ def assignment_duals(columns, costs, col_of, own, m):
     u, v = own.copy(), np.zeros(m)
     tolerance = 1e-12 * own.max()
     for _ in range(_MAX_PASSES):
-        settled = True
+        converged = True
         for i in range(columns.shape[0]):
             if col_of[i] >= 0:
                 u[i] = own[i] - v[col_of[i]]
@@ -31,7 +31,7 @@ def assignment_duals(columns, costs, col_of, own, m):
                     break
                 if costs[i, c] - u[i] < v[columns[i, c]] - tolerance:
                     v[columns[i, c]] = costs[i, c] - u[i]
-                    settled = False
-        if settled:
+                    converged = False
+        if converged:
             return u, v, True
     return u, v, False

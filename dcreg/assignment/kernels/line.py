@@ -80,7 +80,7 @@ def _close_gaps(a, b, k, values, free):
             j += 1
     left, right = np.empty(total_points, np.int64), np.empty(total_points, np.int64)
     matched = np.zeros(total_points)  # cost of the matched interval between p and right[p]
-    price = np.empty(total_points)  # increase of the cost if the gap (p, right[p]) is closed
+    increase = np.empty(total_points)  # of the cost if the gap (p, right[p]) is closed
     # heap of gaps; a gap is stale if its left end was matched or has another neighbour now
     key = np.empty(total_points + k)
     gap = np.empty((total_points + k, 2), np.int64)
@@ -88,15 +88,15 @@ def _close_gaps(a, b, k, values, free):
     for p in range(total_points):
         left[p], right[p] = p - 1, p + 1
         if p + 1 < total_points and is_a[p] != is_a[p + 1]:
-            price[p] = (place[p + 1] - place[p]) ** 2
-            size = _push(key, gap, size, price[p], p, p + 1)
+            increase[p] = (place[p + 1] - place[p]) ** 2
+            size = _push(key, gap, size, increase[p], p, p + 1)
     total = 0.0
     for step in range(k):
         lo, hi = gap[0]
         while not (free[lo] and right[lo] == hi):
             size = _drop_first(key, gap, size)
             lo, hi = gap[0]
-        total += price[lo]
+        total += increase[lo]
         values[step] = total
         free[lo] = free[hi] = False
         before, after = left[lo], right[hi]
@@ -106,11 +106,11 @@ def _close_gaps(a, b, k, values, free):
         if before < 0:
             continue
         right[before] = after
-        cost = matched[before] + matched[lo] + price[lo] + matched[hi]
+        cost = matched[before] + matched[lo] + increase[lo] + matched[hi]
         if after < total_points and is_a[before] != is_a[after]:
             if is_a[before] != is_a[lo]:
                 # alternating sides: the gaps on both sides close and this one opens again
-                price[before] += price[hi] - price[lo]
+                increase[before] += increase[hi] - increase[lo]
             else:
                 pairs = (after - before + 1) // 2
                 i, j = index[before], index[after] + 1
@@ -118,8 +118,8 @@ def _close_gaps(a, b, k, values, free):
                     whole = _sorted_cost(a[i : i + pairs], b[j - pairs : j])
                 else:
                     whole = _sorted_cost(a[j - pairs : j], b[i : i + pairs])
-                price[before] = whole - cost
-            size = _push(key, gap, size, price[before], before, after)
+                increase[before] = whole - cost
+            size = _push(key, gap, size, increase[before], before, after)
         matched[before] = cost
     return total
 
@@ -142,20 +142,20 @@ def _sorted_cost(a, b):
 
 
 @jit
-def _push(key, gap, size, price, lo, hi):
+def _push(key, gap, size, increase, lo, hi):
     child = size
-    while child > 0 and price < key[(child - 1) // 2]:
+    while child > 0 and increase < key[(child - 1) // 2]:
         parent = (child - 1) // 2
         key[child], gap[child, 0], gap[child, 1] = key[parent], gap[parent, 0], gap[parent, 1]
         child = parent
-    key[child], gap[child, 0], gap[child, 1] = price, lo, hi
+    key[child], gap[child, 0], gap[child, 1] = increase, lo, hi
     return size + 1
 
 
 @jit
 def _drop_first(key, gap, size):
     size -= 1
-    price, lo, hi = key[size], gap[size, 0], gap[size, 1]
+    increase, lo, hi = key[size], gap[size, 0], gap[size, 1]
     at = 0
     while True:
         child = 2 * at + 1
@@ -163,9 +163,9 @@ def _drop_first(key, gap, size):
             break
         if child + 1 < size and key[child + 1] < key[child]:
             child += 1
-        if price <= key[child]:
+        if increase <= key[child]:
             break
         key[at], gap[at, 0], gap[at, 1] = key[child], gap[child, 0], gap[child, 1]
         at = child
-    key[at], gap[at, 0], gap[at, 1] = price, lo, hi
+    key[at], gap[at, 0], gap[at, 1] = increase, lo, hi
     return size

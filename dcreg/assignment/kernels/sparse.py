@@ -1,4 +1,4 @@
-"""Assignments over few candidate pairs per row, in which a row may stay unmatched at a fixed cost."""
+"""Assignments over few candidate pairs per row, in which an unmatched row costs a penalty."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dcreg.jit import jit
 
 
 @jit
-def priced_matching(columns, costs, m, price, stop, col_of):
-    """Write the cheapest matching into `col_of` (-1: none), if each unmatched row costs `price`.
+def penalised_matching(columns, costs, m, penalty, stop, col_of):
+    """Write the cheapest matching into `col_of` (-1: none), if each unmatched row costs `penalty`.
 
     Finds shortest augmenting paths, row by row. A path may end at an unmatched column, or leave one of
     its rows unmatched. It therefore ends near its start, and the heap stays small.
@@ -20,7 +20,7 @@ def priced_matching(columns, costs, m, price, stop, col_of):
         Candidates of every row, cheapest first; no cost is negative.
     m : int
         Number of columns.
-    price : float
+    penalty : float
     stop : (1,) uint8 array
         Checked before every row. Once it is set, the matching is incomplete.
     col_of : (n,) int array
@@ -40,8 +40,8 @@ def priced_matching(columns, costs, m, price, stop, col_of):
         row, reach, size, n_touched, n_settled = start, 0.0, 0, 0, 0
         end, end_row, end_col = np.inf, start, -1
         while True:
-            if reach + price - u[row] < end:
-                end, end_row, end_col = reach + price - u[row], row, -1
+            if reach + penalty - u[row] < end:
+                end, end_row, end_col = reach + penalty - u[row], row, -1
             for c in range(width):
                 if reach + costs[row, c] - u[row] >= end:
                     break  # dual variables of columns are never positive

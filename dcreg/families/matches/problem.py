@@ -155,12 +155,12 @@ def _one_to_one(matches: MatchList, near: np.ndarray, square: np.ndarray) -> np.
     from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
     n, m = len(rows), len(columns)
-    price = matches.reach**2
+    penalty = matches.reach**2
     own = np.arange(n)  # a separate column for every row that stays unmatched
-    shift = price  # the same for every row; the solver reads zero as a missing edge
+    shift = penalty  # the same for every row; the solver reads zero as a missing edge
     graph = csr_array(
         (
-            np.concatenate([square, np.full(n, price)]) + shift,
+            np.concatenate([square, np.full(n, penalty)]) + shift,
             (np.concatenate([row_of, own]), np.concatenate([column_of, m + own])),
         ),
         shape=(n, m + n),
