@@ -22,21 +22,21 @@ def test_dual_variables_are_the_mean_of_the_neighbours_by_distance(seed):
     values = np.where(generator.random(used) < 0.5, 1.0, np.inf)
     slots = np.array([generator.permutation(used)[:6] for _ in range(4)])
     slots[0, 5] = -1
-    weights, settled = generator.uniform(0.5, 2.0, 4), int(generator.integers(0, used + 1))
+    weights, n_fixed = generator.uniform(0.5, 2.0, 4), int(generator.integers(0, used + 1))
     which = np.unique(generator.integers(0, used, 4))
     expected, known = duals.copy(), []
     for slot in which:
         others = [o for box in slots if slot in box for o in box if o not in (-1, slot)]
-        others = [o for o in others if values[o] < np.inf or o < settled]
+        others = [o for o in others if values[o] < np.inf or o < n_fixed]
         known.append(bool(others))
         if others:
             distance = (weights * (thetas[others] - thetas[slot]) ** 2).sum(axis=1)
             distance += np.where(np.isinf(values[others]), 1e6, 0.0)
             expected[slot] = np.average(duals[others], axis=0, weights=distance**-3.0)
     # in the search no dual variables that count are being replaced
-    independent = not any(values[s] < np.inf or s < settled for s in which)
+    independent = not any(values[s] < np.inf or s < n_fixed for s in which)
     vertices = Vertices(thetas, values, values, values, np.empty((used, 0)), duals)
-    found = blend_duals(vertices, weights, slots, which, *boxes_of(slots, which), settled)
+    found = blend_duals(vertices, weights, slots, which, *boxes_of(slots, which), n_fixed)
     assert found.tolist() == known
     first = which[0]
     assert duals[first] == pytest.approx(expected[first])

@@ -73,14 +73,14 @@ class SharedBound(SharedVertexBound[Similarity2D]):
             estimated = np.isinf(self.cache.values[shared.binding[rows]])
             rows = rows[(shared.bounds[rows] < enough) & estimated]
             which = np.unique(shared.binding[rows])
-            self._blend(slots, which, settled=0)
+            self._blend(slots, which, n_fixed=0)
             self._solve(which, warm=True)
         return shared.bounds
 
     def _estimate(self, slots: np.ndarray, first_new: int) -> None:
         """Bound E at the vertices from `first_new` on; solve those without a known neighbour."""
         new = np.arange(first_new, self.cache.used)
-        known = self._blend(slots, new, settled=first_new)
+        known = self._blend(slots, new, n_fixed=first_new)
         self._solve(new[~known], warm=False)
         new, clouds, vertices = new[known], self.space.clouds, self.cache.vertices
 
@@ -90,7 +90,7 @@ class SharedBound(SharedVertexBound[Similarity2D]):
 
         self.map_slices(new.size, work)
 
-    def _blend(self, slots: np.ndarray, which: np.ndarray, settled: int) -> np.ndarray:
+    def _blend(self, slots: np.ndarray, which: np.ndarray, n_fixed: int) -> np.ndarray:
         """Set the dual variables to means of the neighbours'; False where there is no neighbour."""
         known = np.zeros(which.size, np.bool_)
         if not which.size:
@@ -100,7 +100,7 @@ class SharedBound(SharedVertexBound[Similarity2D]):
 
         def work(part: slice) -> int:
             known[part] = blend_duals(
-                vertices, self.loss_weights, slots, which[part], start[part.start :], boxes, settled
+                vertices, self.loss_weights, slots, which[part], start[part.start :], boxes, n_fixed
             )
             return 0
 

@@ -59,12 +59,13 @@ def _dual_profile(cost, k, b, profile):
 
 
 @jit
-def blend_duals(known, weights, slots, which, start, boxes, settled):
+def blend_duals(known, weights, slots, which, start, boxes, n_fixed):
     """Estimate dual variables at vertices from the other vertices of all their boxes (`boxes_of`).
 
     The estimate is a mean with weights ``distance^-6``. Optimal duals are continuous and piecewise
     linear in the costs, so the mean over the nearest vertices on all sides is better than any of them.
-    Estimated neighbours count only if no neighbour is solved, and only in slots below `settled`.
+    Estimated neighbours count only if no neighbour is solved, and only in slots below `n_fixed`, whose
+    estimates do not change.
     Returns which vertices have an estimate.
     """
     found, mean = np.empty(which.size, np.bool_), np.empty(known.duals.shape[1])
@@ -78,7 +79,7 @@ def blend_duals(known, weights, slots, which, start, boxes, settled):
                 if other < 0 or other == slot:
                     continue
                 solved = known.values[other] < np.inf
-                if not solved and other >= settled:
+                if not solved and other >= n_fixed:
                     continue
                 distance = 0.0 if solved else _UNSOLVED
                 for a in range(weights.size):
