@@ -1,10 +1,10 @@
 """Bounds over boxes of rotations, with a nested search for the translation over shrinking cubes.
 
 With the rotation R at the centre of the box, a match (x, y) determines the translation y - R x. Another
-rotation of the box moves x by at most the chord of the box's angle times |x|, its *slack*. In a cube of
-translations the residual is therefore at least the distance of y - R x from the cube, minus the slack.
-A cube is divided into eight if its bound may beat the best cube found. Its parts receive only the
-matches that agree with it.
+rotation of the box moves x by at most the chord of the box's angle times |x|, its *displacement*. In a
+cube of translations the residual is therefore at least the distance of y - R x from the cube, minus the
+displacement. A cube is divided into eight if its bound may beat the best cube found. Its parts receive
+only the matches that agree with it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dcreg.jit import jit
 
 LISTS = 40  # capacity of the lists of waiting cubes, in multiples of the number of matches
 CUBES = 400  # maximum number of waiting cubes
-FINE = 0.5  # a cube is small enough if half its side is this share of the mean slack
+FINE = 0.5  # a cube is small enough if half its side is this share of the mean displacement
 
 
 @jit
@@ -31,7 +31,7 @@ def rotation_bounds(matches, lower, upper, enough, bounds, poses):
     """
     n = matches.source.shape[0]
     corners = np.empty((16, 4))
-    wanted, slack = np.empty((n, 3)), np.empty(n)
+    wanted, displacement = np.empty((n, 3)), np.empty(n)
     members = np.empty(LISTS * n, dtype=np.int32)
     cubes = np.empty((CUBES, 8))
     by_row, by_column = np.zeros(matches.n_rows), np.zeros(matches.n_columns)
@@ -43,8 +43,8 @@ def rotation_bounds(matches, lower, upper, enough, bounds, poses):
         total = 0.0
         for j in range(n):
             x = matches.source[j]
-            slack[j] = chord * math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
-            total += slack[j]
+            displacement[j] = chord * math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+            total += displacement[j]
             for a in range(3):
                 wanted[j, a] = matches.target[j, a] - (
                     R[a, 0] * x[0] + R[a, 1] * x[1] + R[a, 2] * x[2]
@@ -54,8 +54,9 @@ def rotation_bounds(matches, lower, upper, enough, bounds, poses):
                 poses[k, a, b] = R[a, b]
         fine = FINE * max(total / n, 0.01 * matches.reach)
         bounds[k] = _best_cube(
-            matches, (wanted, slack), fine, enough, (members, cubes, by_row, by_column), poses[k]
-        )
+            matches, (wanted, displacement), fine, enough, (members, cubes, by_row, by_column),
+            poses[k],
+        )  # fmt: skip
 
 
 @jit
@@ -94,7 +95,7 @@ def _best_cube(matches, demands, fine, enough, space, pose):
 @jit
 def _divide(matches, demands, at, best, space):
     """Replace the waiting cube `at` by its parts with bounds above `best`, the maximum last."""
-    wanted, slack = demands
+    wanted, displacement = demands
     members, cubes, by_row, by_column = space
     centre = cubes[at, :3].copy()
     half = 0.5 * cubes[at, 3]
@@ -111,12 +112,12 @@ def _divide(matches, demands, at, best, space):
             b = max(abs(wanted[j, 1] - y) - half, 0.0)
             c = max(abs(wanted[j, 2] - z) - half, 0.0)
             distance = a * a + b * b + c * c
-            limit = matches.reach + slack[j]
+            limit = matches.reach + displacement[j]
             if distance >= limit * limit:
                 continue
             members[place] = j
             place += 1
-            gain = agreement(max(math.sqrt(distance) - slack[j], 0.0), matches.reach)
+            gain = agreement(max(math.sqrt(distance) - displacement[j], 0.0), matches.reach)
             row, column = matches.rows[j], matches.columns[j]
             if gain > by_row[row]:
                 of_rows += gain - by_row[row]

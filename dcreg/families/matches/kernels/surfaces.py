@@ -85,8 +85,8 @@ def pull(T, point, normal, grid, reach):
         return j, 0.0
     along = 0.0
     for a in range(3):
-        turned = T[a, 0] * normal[0] + T[a, 1] * normal[1] + T[a, 2] * normal[2]
-        along += grid.normals[j, a] * turned
+        rotated = T[a, 0] * normal[0] + T[a, 1] * normal[1] + T[a, 2] * normal[2]
+        along += grid.normals[j, a] * rotated
     return j, near * max(0.0, 2.0 * along * along - 1.0)
 
 

@@ -20,7 +20,7 @@ def cap_costs(moved, angle, target, penalty, out):
             other = u * u + v * v + w * w
             reach = math.sqrt(own * other)
             dot = x * u + y * v + z * w
-            turned = dot * cosine + math.sqrt(max(0.0, reach * reach - dot * dot)) * sine
-            best = reach if dot >= reach * cosine else turned
+            rotated = dot * cosine + math.sqrt(max(0.0, reach * reach - dot * dot)) * sine
+            best = reach if dot >= reach * cosine else rotated
             out[i, j] = max(0.0, own + other - 2.0 * best)
     add_penalty(penalty, out)

@@ -128,12 +128,12 @@ def vertex_bound(corners, clouds, b, floor, cutoff):
     """
     size, count, spent = corners.shape[0], 0, 0
     values, ends = np.empty(size * (size + 1) // 2), np.empty((size * (size + 1) // 2, 2), np.int64)
-    hopeless = False
+    cannot_improve = False
     # distant vertices first: their matrices are farthest from rotations, so a vain pass ends early
     for difference in range(size - 1, -1, -1):
         for u in range(size):
             v = u ^ difference
-            if v < u or hopeless or clouds.stop[0]:
+            if v < u or cannot_improve or clouds.stop[0]:
                 continue
             dot = 0.0
             for c in range(4):
@@ -141,10 +141,10 @@ def vertex_bound(corners, clouds, b, floor, cutoff):
             if dot > 0.0:
                 values[count] = dual_bound_at(chord_matrix(corners[u], corners[v]), clouds, b)
                 ends[count, 0], ends[count, 1] = u, v
-            hopeless = dot <= 0.0 or values[count] <= floor
+            cannot_improve = dot <= 0.0 or values[count] <= floor
             count += 1
     cost = np.empty((clouds.source.shape[1], clouds.target.shape[1]))
-    while not (hopeless or clouds.stop[0]) and least(values) < cutoff:
+    while not (cannot_improve or clouds.stop[0]) and least(values) < cutoff:
         low = place_of_least(values)
         pair_costs(chord_matrix(corners[ends[low, 0]], corners[ends[low, 1]]), clouds, cost)
         values[low], _, b = k_assignment_duals(cost, clouds.k, clouds.stop)
@@ -155,7 +155,7 @@ def vertex_bound(corners, clouds, b, floor, cutoff):
             if values[v] < cutoff:
                 M = chord_matrix(corners[ends[v, 0]], corners[ends[v, 1]])
                 values[v] = max(values[v], dual_bound_at(M, clouds, b))
-    return -np.inf if hopeless else least(values), spent
+    return -np.inf if cannot_improve else least(values), spent
 
 
 @jit
