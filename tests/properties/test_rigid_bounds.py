@@ -14,14 +14,24 @@ from dcreg.families.protocol import Strongest
 from dcreg.families.rigid3d import vertex_values
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.kernels.cayley import vertex_bound
+from dcreg.families.rigid3d.kernels.dual_bounds import (
+    allocate_workspace,
+    dual_bound_at_pose,
+    dual_bound_of_box,
+)
 from dcreg.families.rigid3d.kernels.poses import (
     empty_view,
     look_from,
     nearest_sums,
     relative_vertices,
 )
-from dcreg.families.rigid3d.kernels.priced import allocate_workspace, priced_bound, priced_value
-from dcreg.families.rigid3d.kernels.rough import Auction, auction, rough_costs, rough_minima, settle
+from dcreg.families.rigid3d.kernels.rough import (
+    Auction,
+    auction,
+    lower_duals,
+    rough_costs,
+    rough_minima,
+)
 from dcreg.families.rigid3d.kernels.stationary import (
     BoxGeometry,
     Limits,
@@ -211,7 +221,7 @@ def dual_bound(cost, b, k):
 
 
 @given(costs_and_duals())
-def test_auction_and_settling_never_exceed_the_assignment(problem):
+def test_auction_and_lowered_duals_never_exceed_the_assignment(problem):
     cost, b, k = problem
     n, m = cost.shape
     best = k_assignment(cost.astype(float), k)[0]
@@ -220,7 +230,7 @@ def test_auction_and_settling_never_exceed_the_assignment(problem):
     assert low == pytest.approx((cost + b).min(axis=1))
     level = np.sort(low)[k - 1]
     before = dual_bound(cost, b, k)
-    settle(cost, low, level, b)
+    lower_duals(cost, low, level, b)
     assert (b >= 0.0).all()
     assert before - 1e-5 <= dual_bound(cost, b, k) <= best + 1e-5
     limits = Auction(3 * k, level, np.float32(0.02 * level))
@@ -275,9 +285,9 @@ def test_sums_at_vertices_are_below_all_displacements(problem, box, level, seed)
 
 
 @given(st.floats(0.0, 0.6), st.floats(0.0, 1.0), st.floats(0.0, 50.0), st.floats(0.0, 5.0))
-def test_what_is_needed_proves_what_it_is_needed_for(tangent, slack, cutoff, drift):
+def test_what_is_needed_proves_what_it_is_needed_for(tangent, shift_radius, cutoff, drift):
     box, limits = (
-        BoxGeometry(np.empty((0, 3)), np.empty(3), tangent, slack),
+        BoxGeometry(np.empty((0, 3)), np.empty(3), tangent, shift_radius),
         Limits(30.0, drift, 9.0),
     )
     for loss in loss_of(box, limits), joint_loss_of(box, limits):
@@ -302,14 +312,14 @@ def test_any_dual_variables_stay_below_every_matching_at_its_best_pose(
     source, target, k = problem
     squares = (source**2).sum(axis=1)
     inertia, drift = np.sort(squares)[-k:].sum(), k * largest_subset_mean_3d(source, k)
-    slack = np.linalg.norm(parts.half)
-    box = BoxGeometry(parts.vertices, parts.half, parts.tangent, slack)
+    shift_radius = np.linalg.norm(parts.half)
+    box = BoxGeometry(parts.vertices, parts.half, parts.tangent, shift_radius)
     loss = loss_of(box, Limits(inertia, drift, inertia))
     kept = (scale * 6000 * generator.random(len(target))).astype(np.uint16)
     farthest = np.sqrt(squares.max())
     room = allocate_workspace(len(source), len(target))
     out = np.empty(64)
-    found, guess = priced_bound(parts.view, box, farthest, goal, kept, room, out)
+    found, guess = dual_bound_of_box(parts.view, box, farthest, goal, kept, room, out)
     assert found == out.min()
     assert proven(*loss, found) <= left_over + 1e-9
     assert guess <= k_assignment(parts.squares(), k)[0] + 1e-5 * (1.0 + guess)
@@ -326,13 +336,13 @@ def test_inherited_dual_variables_come_near_an_assignment(rng):
         centre = centre + 0.3 * rng.choice([-1.0, 1.0], 7) * half
         parts = Parts(model, Box(centre - half, centre + half))
         box = BoxGeometry(parts.vertices, parts.half, parts.tangent, np.linalg.norm(parts.half))
-        _, inherited = priced_bound(parts.view, box, 4.0, np.inf, kept, room, out)
+        _, inherited = dual_bound_of_box(parts.view, box, 4.0, np.inf, kept, room, out)
     best = k_assignment(parts.squares(), 30)[0]
     assert 0.95 * best < inherited <= best + 1e-5
-    value, is_final = priced_value(parts.view, 4.0, np.inf, kept, room)
+    value, is_final = dual_bound_at_pose(parts.view, 4.0, np.inf, kept, room)
     assert is_final
     assert 0.95 * best < value <= best
-    value, is_final = priced_value(parts.view, 4.0, 0.5 * best, kept, room)
+    value, is_final = dual_bound_at_pose(parts.view, 4.0, 0.5 * best, kept, room)
     assert not is_final
     assert 0.5 * best <= value <= best
 

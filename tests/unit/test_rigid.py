@@ -8,7 +8,7 @@ from data import registry
 from dcreg.assignment.objective import objective
 from dcreg.driver.modes import find_mode, run_mode
 from dcreg.families.rigid3d import vertex_values
-from dcreg.families.rigid3d.kernels.vertices import price_vertices
+from dcreg.families.rigid3d.kernels.vertices import bound_vertices_by_duals
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem.geometry import fit_pose
 from dcreg.status import Status
@@ -174,14 +174,14 @@ def test_vertex_values_see_the_stop_flag(rng, monkeypatch):
     given = normalised(source, target, 30, gap_tol=0.05, nodes=2000)
     untouched = []
 
-    def priced_after_stop(known, requests, *arguments):
+    def bounds_after_stop(known, requests, *arguments):
         if len(requests.slots):
             given.budget.stop[0] = 1
-        price_vertices(known, requests, *arguments)
+        bound_vertices_by_duals(known, requests, *arguments)
         if len(requests.slots):
             untouched.append(np.isnan(known.values[requests.slots]).all())
 
-    monkeypatch.setattr(vertex_values, "price_vertices", priced_after_stop)
+    monkeypatch.setattr(vertex_values, "bound_vertices_by_duals", bounds_after_stop)
     run_mode(find_mode("rigid3d", "full"), given)
     assert untouched
     assert all(untouched)

@@ -133,9 +133,9 @@ from dcreg.families.rigid3d.kernels.boxes import (
     Found,
     allocate_found,
     bound_boxes,
-    price_boxes,
+    bound_boxes_by_duals,
 )
-from dcreg.families.rigid3d.kernels.priced import allocate_workspace
+from dcreg.families.rigid3d.kernels.dual_bounds import allocate_workspace
 from dcreg.families.rigid3d.kernels.stationary import Limits
 from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.families.rigid3d.vertex_values import VertexValues
@@ -188,7 +188,7 @@ class RigidBound(SpaceBound[Rigid3D]):
             spent: int = bound_boxes(lower, upper, *problem, rows)
             if vertices is not None:
                 workspace = allocate_workspace(space.n_source, space.n_target)
-                price_boxes(lower, upper, *problem, rows, workspace)
+                bound_boxes_by_duals(lower, upper, *problem, rows, workspace)
                 spent += bound_boxes(lower, upper, *problem, rows)
             return spent
 

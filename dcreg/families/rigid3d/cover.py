@@ -64,7 +64,7 @@ M_0^-1 [z].
 with b the bound by rows. So the sum is at most a constant plus sum alpha_i |u_i|^2, which is a quadratic
 form in (t', w). On the ellipsoid it is at most rho^2 times an eigenvalue.
 
-Both also hold with costs reduced by dual variables. `kernels.settle` tests these at the centre of a
+Both also hold with costs reduced by dual variables. `kernels.division` tests these at the centre of a
 region, and then divides the region into parts, which `dcreg.families.rigid3d.bound` excludes.
 
 The remaining regions
@@ -85,10 +85,10 @@ import numpy as np
 from dcreg.families.parallel import in_threads
 from dcreg.families.protocol import rows_of
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS, allocate_found
+from dcreg.families.rigid3d.kernels.division import divide_regions
+from dcreg.families.rigid3d.kernels.dual_bounds import allocate_workspace
 from dcreg.families.rigid3d.kernels.exclusion import Distances
-from dcreg.families.rigid3d.kernels.priced import allocate_workspace
 from dcreg.families.rigid3d.kernels.regions import improve_groups, meeting_regions
-from dcreg.families.rigid3d.kernels.settle import settle_regions
 from dcreg.families.rigid3d.kernels.tuples import (
     Regions,
     Thresholds,
@@ -257,7 +257,7 @@ class CongruentCover:
         """
         left = budget.left()
         is_late = left is not None and left < COMPILE_S and not budget.is_counted
-        if is_late and not is_compiled(settle_regions):
+        if is_late and not is_compiled(divide_regions):
             return None
         if not self._prepare() or self._known_s(cutoff) > allowed_s:
             return None
@@ -347,7 +347,7 @@ class CongruentCover:
         left = allocate_regions(_ROOM)
         one = allocate_found(np.zeros((1, space.n_target), np.uint16))
         scratch = one, allocate_workspace(space.n_source, space.n_target)
-        n_left, n_parts = settle_regions(
+        n_left, n_parts = divide_regions(
             found, frames, self._limits, space.clouds, thresholds, (MAX_PARTS, room), scratch, left
         )  # fmt: skip
         kept = rows_of(left, slice(0, min(n_left, _ROOM)))

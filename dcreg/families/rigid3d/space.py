@@ -153,8 +153,8 @@ class Rigid3D(CloudSpace):
     def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the quaternion and the translation (Horn 1987, centred)."""
         x, y = source.mean(axis=1), target.mean(axis=1)
-        turn = best_rotation(source - x[:, None], target - y[:, None])
-        return np.append(turn, y - rotation_matrix(turn) @ x)
+        rotation = best_rotation(source - x[:, None], target - y[:, None])
+        return np.append(rotation, y - rotation_matrix(rotation) @ x)
 
     def normalised(self, theta: np.ndarray) -> np.ndarray:
         theta = theta.copy()
@@ -255,12 +255,13 @@ class Rigid3D(CloudSpace):
         box = self.translations()
         per_axis = 3 if 27 * 256 * self.n_pairs <= _SCORED_PAIRS else 1
         cells = 4 if per_axis**3 * 256 * self.n_pairs <= _SCORED_PAIRS else 2
-        turns = Rotation3D.grid(cells)
+        rotations = Rotation3D.grid(cells)
         offsets = (np.arange(per_axis) - per_axis // 2) / max(1, per_axis)
         shifts = np.array(list(itertools.product(offsets, repeat=3))) * (box.upper - box.lower)
         shifts = np.unique(shifts, axis=0) + box.centre
         return np.concatenate(
-            [np.repeat(turns, len(shifts), axis=0), np.tile(shifts, (len(turns), 1))], axis=1
+            [np.repeat(rotations, len(shifts), axis=0), np.tile(shifts, (len(rotations), 1))],
+            axis=1,
         )
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:

@@ -9,13 +9,13 @@ import numpy as np
 from dcreg.families.kernels import Clouds
 from dcreg.families.protocol import rows_of
 from dcreg.families.rigid3d.kernels.boxes import Found
-from dcreg.families.rigid3d.kernels.priced import allocate_workspace
+from dcreg.families.rigid3d.kernels.dual_bounds import allocate_workspace
 from dcreg.families.rigid3d.kernels.vertices import (
     VERTICES,
     VertexRequests,
     VertexTable,
+    bound_vertices_by_duals,
     bounds_by_vertices,
-    price_vertices,
     request_values,
 )
 from dcreg.search import Boxes
@@ -54,11 +54,12 @@ class VertexValues:
         )
         # Compile now, because the first vertices may be evaluated late in a search, with no time left.
         requests = VertexRequests(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
-        self._price(requests, np.empty((0, clouds.target.shape[1]), np.uint16))
+        self._compute(requests, np.empty((0, clouds.target.shape[1]), np.uint16))
 
-    def _price(self, requests: VertexRequests, kept: np.ndarray) -> int:
+    def _compute(self, requests: VertexRequests, kept: np.ndarray) -> int:
+        """Compute the requested values from the duals `kept` of the boxes; return 0 assignments."""
         work = allocate_workspace(self._clouds.source.shape[1], self._clouds.target.shape[1])
-        price_vertices(self.known, requests, kept, self._clouds, work)
+        bound_vertices_by_duals(self.known, requests, kept, self._clouds, work)
         return 0
 
     def raise_bounds(self, boxes: Boxes, cutoff: float, found: Found) -> None:
@@ -87,5 +88,5 @@ class VertexValues:
         self._map_slices(len(boxes), judge)
         for share in _REQUESTED:
             count = request(slice(None), share)
-            self._map_slices(count, lambda part: self._price(rows_of(requests, part), found.kept))
+            self._map_slices(count, lambda part: self._compute(rows_of(requests, part), found.kept))
         bounds_by_vertices(self.known, found.boxes, cutoff, found.bounds)

@@ -4,7 +4,7 @@ A box has seven axes: four of a quaternion, three of the translation of y = R x 
 stored by axis, (3, n) and (3, m). `dcreg.families.rigid3d.bound` proves the bounds.
 
 Two kernels share the work, so a search over few pairs does not need to compile the second:
-`bound_boxes` bounds boxes by caps and by exact assignments, `price_boxes` by duals.
+`bound_boxes` bounds boxes by caps and by exact assignments, `bound_boxes_by_duals` by duals.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from dcreg.assignment.kernels.dense import improve_assignment, k_assignment, row_minima
 from dcreg.assignment.kernels.selection import kth_smallest, total
 from dcreg.families.rigid3d.kernels.cayley import vertex_bound
+from dcreg.families.rigid3d.kernels.dual_bounds import dual_bound_of_box, keep_duals
 from dcreg.families.rigid3d.kernels.poses import (
     empty_view,
     look_from,
@@ -24,7 +25,6 @@ from dcreg.families.rigid3d.kernels.poses import (
     pair_costs,
     relative_vertices,
 )
-from dcreg.families.rigid3d.kernels.priced import keep_duals, priced_bound
 from dcreg.families.rigid3d.kernels.stationary import (
     BoxGeometry,
     costs_at_vertices,
@@ -47,7 +47,7 @@ FEW_PAIRS = 1000
 # An assignment is worthwhile if the sum of nearest costs exceeds this share of the pruning threshold.
 _WORTH_ASSIGNMENT = 0.35
 # Next step for a box: caps, duals, an exact assignment, none.
-_BEGIN, PRICE, _SOLVE, _DONE = 0, 1, 2, 3
+_BEGIN, BY_DUALS, _SOLVE, _DONE = 0, 1, 2, 3
 
 
 class Found(NamedTuple):
@@ -99,22 +99,22 @@ def _geometry(lower, upper, centre, half, buffer):
     for a in range(vertices.shape[0]):
         square = vertices[a, 0] ** 2 + vertices[a, 1] ** 2 + vertices[a, 2] ** 2
         tangent = max(tangent, math.sqrt(square))
-    slack = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
-    return BoxGeometry(vertices, half, tangent, slack)
+    shift_radius = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    return BoxGeometry(vertices, half, tangent, shift_radius)
 
 
 @jit_part
 def _is_small(box, radius, k, cutoff):
     """Whether a box is so small that exact assignments pay: its displacements cost below `cutoff`."""
-    return k * (2.0 * math.atan(box.tangent) * radius + box.slack) ** 2 < cutoff
+    return k * (2.0 * math.atan(box.tangent) * radius + box.shift_radius) ** 2 < cutoff
 
 
 @jit
 def bound_boxes(lower, upper, cutoff, clouds, limits, found):
     """Bound boxes by caps and by exact assignments; return the number of assignments.
 
-    Boxes whose next step is a bound by duals are left to `price_boxes`. A second call bounds the boxes
-    that `price_boxes` leaves over.
+    Boxes whose next step is a bound by duals are left to `bound_boxes_by_duals`. A second call bounds the
+    boxes that `bound_boxes_by_duals` leaves over.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
             continue
         box = _geometry(lower[at], upper[at], centre, half, buffer)
         if steps[at] == _BEGIN and not few and box.tangent <= _WIDE:
-            steps[at] = PRICE
+            steps[at] = BY_DUALS
             continue
         look_from(clouds, centre, view)
         if steps[at] == _BEGIN:
@@ -177,7 +177,7 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
 
 
 @jit
-def price_boxes(lower, upper, cutoff, clouds, limits, found, work):
+def bound_boxes_by_duals(lower, upper, cutoff, clouds, limits, found, work):
     """Bound the boxes that `bound_boxes` leaves over; `work` is a `Workspace`."""
     m, k = clouds.target.shape[1], clouds.k
     view = empty_view(clouds)
@@ -187,14 +187,14 @@ def price_boxes(lower, upper, cutoff, clouds, limits, found, work):
     for at in range(lower.shape[0]):
         if clouds.stop[0]:
             break
-        if steps[at] != PRICE:
+        if steps[at] != BY_DUALS:
             continue
         steps[at] = _DONE
         box = _geometry(lower[at], upper[at], centre, half, buffer)
         look_from(clouds, centre, view)
         loss, joint = loss_of(box, limits), joint_loss_of(box, limits)
         goal = needed(joint.root, joint.rest, cutoff)
-        cost, found.estimates[at] = priced_bound(
+        cost, found.estimates[at] = dual_bound_of_box(
             view, box, farthest, goal, found.kept[at], work, boxes.costs[at]
         )
         bounds[at] = proven(loss.root, loss.rest, cost)
@@ -212,14 +212,14 @@ def price_boxes(lower, upper, cutoff, clouds, limits, found, work):
 @jit_part
 def _capped(view, box, cutoff, small, costs):
     """Return the bound by caps, and the number of assignments solved for it."""
-    slack = box.slack
+    shift_radius = box.shift_radius
     cap_costs(
         view.source, 2.0 * math.atan(box.tangent), view.target, view.infeasibility_penalty, costs
     )
-    nearest, narrowed = nearest_sums(costs, slack, view.k)
-    shift = view.k * slack * slack
-    bound, solved = max(narrowed, nearest - shift), 0
-    if bound < cutoff and (small or nearest > _WORTH_ASSIGNMENT * (cutoff + shift)):
+    nearest, narrowed = nearest_sums(costs, shift_radius, view.k)
+    loss = view.k * shift_radius * shift_radius
+    bound, solved = max(narrowed, nearest - loss), 0
+    if bound < cutoff and (small or nearest > _WORTH_ASSIGNMENT * (cutoff + loss)):
         value, _ = k_assignment(costs, view.k, view.stop)
-        bound, solved = max(bound, value - shift), 1
+        bound, solved = max(bound, value - loss), 1
     return bound, solved

@@ -142,7 +142,7 @@ def vertex_bound(view, vertices, half, floor, cutoff, col_of):
     n, m = view.source.shape[1], view.target.shape[1]
     low_box, high_box, delta = np.empty(6), np.empty(6), cleared(np.empty(6))
     scale = _step_box(vertices, half, low_box, high_box)
-    goal, hopeless, spent = cutoff * scale, False, 0
+    goal, cannot_improve, spent = cutoff * scale, False, 0
     terms, costs, low, b = np.empty((7, m, n)), np.empty((n, m)), np.empty(n), np.empty(m)
     for _ in range(_REFITS):
         fit_delta(view, col_of, low_box, high_box, delta)
@@ -150,8 +150,8 @@ def vertex_bound(view, vertices, half, floor, cutoff, col_of):
         linear_costs(terms, cleared(np.empty(6)), costs)
         value, matching, b = k_assignment_duals(costs, view.k, view.stop)
         spent += 1
-        hopeless = value <= floor * scale  # already at delta, which lies in the box
-        if hopeless or view.stop[0] or _same(matching, col_of):
+        cannot_improve = value <= floor * scale  # already at delta, which lies in the box
+        if cannot_improve or view.stop[0] or _same(matching, col_of):
             break
         col_of = matching
     n_shifts = 1
@@ -160,7 +160,7 @@ def vertex_bound(view, vertices, half, floor, cutoff, col_of):
     values = np.empty(vertices.shape[0] * n_shifts)
     steps = np.empty((values.size, 6))
     for at in range(values.size):
-        if hopeless or view.stop[0]:
+        if cannot_improve or view.stop[0]:
             break
         shift = at % n_shifts
         for c in range(3):
@@ -171,8 +171,8 @@ def vertex_bound(view, vertices, half, floor, cutoff, col_of):
                 steps[at, c] += high_box[c] if shift & 1 else low_box[c]
                 shift >>= 1
         values[at] = dual_bound_at(terms, steps[at], view.k, b, low)
-        hopeless = values[at] <= floor * scale
-    while not (hopeless or view.stop[0]) and least(values) < goal:
+        cannot_improve = values[at] <= floor * scale
+    while not (cannot_improve or view.stop[0]) and least(values) < goal:
         at = place_of_least(values)
         linear_costs(terms, steps[at], costs)
         values[at], _, b = k_assignment_duals(costs, view.k, view.stop)
@@ -182,7 +182,7 @@ def vertex_bound(view, vertices, half, floor, cutoff, col_of):
         for v in range(values.size):
             if values[v] < goal:
                 values[v] = max(values[v], dual_bound_at(terms, steps[v], view.k, b, low))
-    return -np.inf if hopeless else max(0.0, least(values)) / scale, spent
+    return -np.inf if cannot_improve else max(0.0, least(values)) / scale, spent
 
 
 @jit

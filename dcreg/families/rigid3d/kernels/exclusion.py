@@ -62,16 +62,16 @@ class Ellipsoid(NamedTuple):
 
     Attributes
     ----------
-    slack : float
-        Square of the semi-axis of t'. `Regions.slack` is the semi-axis itself.
-    swing : float
-        Factor of the squared semi-axes of w, which are ``swing * inverse``.
+    shift_square : float
+        Square of the semi-axis of t', a squared length. `Regions.shift_radius` is the semi-axis itself.
+    rotation_factor : float
+        Factor of the squared semi-axes of w, which are ``rotation_factor * inverse``, without unit.
     inverse : (3,) array
-        ``swing * inverse`` holds the squares of the semi-axes of w.
+        Inverse moments of inertia, or the squared semi-axes themselves with a factor of 1.
     """
 
-    slack: float
-    swing: float
+    shift_square: float
+    rotation_factor: float
     inverse: np.ndarray
 
 
@@ -81,14 +81,15 @@ class Rows(NamedTuple):
     Attributes
     ----------
     points : (n, 3) array
-    swings : (n,) array
-        A point moves by at most ``slack + swing * swings[i]``, squared, in an `Ellipsoid`.
+    rotation_squares : (n,) array
+        In an `Ellipsoid` the squared displacement of a point is at most ``shift_square + rotation_factor
+        * rotation_squares[i]``.
     squares : (n,) array
         From below, the squared distances from the target at the centre of a region, or reduced costs.
     """
 
     points: np.ndarray
-    swings: np.ndarray
+    rotation_squares: np.ndarray
     squares: np.ndarray
 
 
@@ -99,8 +100,8 @@ def rows_exclude(rows, B, centroid, field, k, goal, region):
     Fills ``rows.squares`` with the distances at the pose that moves the triple by B to `centroid`. The
     sum of the k smallest costs less displacements has to reach `goal`.
     """
-    points, swings, squares = rows
-    slack, swing, level = region.slack, region.swing, goal / k
+    points, rotation_squares, squares = rows
+    shift_square, rotation_factor, level = region.shift_square, region.rotation_factor, goal / k
     t0, t1, t2 = _LEVELS[0] * level, _LEVELS[1] * level, _LEVELS[2] * level
     w0 = w1 = w2 = 0.0
     for i in range(points.shape[0]):
@@ -112,7 +113,7 @@ def rows_exclude(rows, B, centroid, field, k, goal, region):
             B[2, 0] * u + B[2, 1] * v + B[2, 2] * w + centroid[2],
         )
         squares[i] = d * d
-        net = d * d - slack - swing * swings[i]
+        net = d * d - shift_square - rotation_factor * rotation_squares[i]
         w0 += max(0.0, t0 - net)
         w1 += max(0.0, t1 - net)
         w2 += max(0.0, t2 - net)
@@ -126,11 +127,11 @@ def _joint_loss(rows, tau, region):
     The displacements are those of one pose of the region. The bound is the maximum eigenvalue of a 6 x 6
     matrix, from above by the trace of its 16-th power.
     """
-    points, swings, squares = rows
-    slack, swing, inverse = region
+    points, rotation_squares, squares = rows
+    shift_square, rotation_factor, inverse = region
     A, P, moments = cleared(np.empty((6, 6))), np.empty((6, 6)), cleared(np.empty((4, 4)))
     for i in range(points.shape[0]):
-        over, most = squares[i] - tau, slack + swing * swings[i]
+        over, most = squares[i] - tau, shift_square + rotation_factor * rotation_squares[i]
         if over >= most:
             continue
         share = 1.0 if over <= 0.0 else 1.0 - over / most
@@ -146,14 +147,14 @@ def _joint_loss(rows, tau, region):
         moments[0, 2] += share * u * w
         moments[1, 2] += share * v * w
     trace = moments[0, 0] + moments[1, 1] + moments[2, 2]
-    mixed = math.sqrt(slack * swing)
+    mixed = math.sqrt(shift_square * rotation_factor)
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
-        A[a, a] = slack * moments[3, 3]
-        A[3 + a, 3 + a] = swing * inverse[a] * (trace - moments[a, a])
+        A[a, a] = shift_square * moments[3, 3]
+        A[3 + a, 3 + a] = rotation_factor * inverse[a] * (trace - moments[a, a])
         low, high = min(a, b), max(a, b)
         A[3 + a, 3 + b] = A[3 + b, 3 + a] = (
-            -swing * math.sqrt(inverse[a] * inverse[b]) * moments[low, high]
+            -rotation_factor * math.sqrt(inverse[a] * inverse[b]) * moments[low, high]
         )
         # e_a x z has the components -z_c along b and z_b along c
         A[b, 3 + a] = A[3 + a, b] = -mixed * math.sqrt(inverse[a]) * moments[c, 3]
@@ -195,8 +196,8 @@ def jointly_excluded(rows, k, goal, region):
 
 @jit
 def fill_displacements(rows, inverse):
-    """Fill ``rows.swings`` with the maximum eigenvalues of [z]^T M^-1 [z], for the inverse moments."""
-    points, swings, _ = rows
+    """Fill ``rows.rotation_squares``: the maximum eigenvalues of [z]^T M^-1 [z], for inverse moments."""
+    points, rotation_squares, _ = rows
     for i in range(points.shape[0]):
         u, v, w = points[i, 0], points[i, 1], points[i, 2]
         a = w * w * inverse[1] + v * v * inverse[2]
@@ -205,4 +206,4 @@ def fill_displacements(rows, inverse):
         trace = a + b + c
         minors = a * b + b * c + a * c
         minors -= (u * v * inverse[2]) ** 2 + (u * w * inverse[1]) ** 2 + (v * w * inverse[0]) ** 2
-        swings[i] = 0.5 * (trace + math.sqrt(max(0.0, trace * trace - 4.0 * minors)))
+        rotation_squares[i] = 0.5 * (trace + math.sqrt(max(0.0, trace * trace - 4.0 * minors)))

@@ -71,14 +71,14 @@ def add_penalty_by_target(penalty, out):
 
 
 @jit_inner
-def nearest_sums(caps, slack, k):
-    """Sum the k smallest row minima: of squared distances, and of (distance - slack)^2."""
+def nearest_sums(caps, shift_radius, k):
+    """Sum the k smallest row minima: of squared distances, and of (distance - shift_radius)^2."""
     low = np.empty(caps.shape[0])
     for i in range(low.size):
         low[i] = least(caps[i])
     whole = sum_of_smallest(low, k)
     for i in range(low.size):
-        low[i] = max(0.0, math.sqrt(low[i]) - slack) ** 2
+        low[i] = max(0.0, math.sqrt(low[i]) - shift_radius) ** 2
     return whole, sum_of_smallest(low, k)
 
 

@@ -118,7 +118,7 @@ def meeting_regions(lower, upper, starts, ids, frames, regions, out):
         Where the regions of each box begin in `out`.
     """
     found = np.zeros(lower.shape[0] + 1, np.int64)
-    centre, turned, inverse, relative = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    centre, rotated, inverse, relative = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     count = 0
     for box in range(lower.shape[0]):
         chord = box_chord(centre, lower[box], upper[box])
@@ -130,7 +130,7 @@ def meeting_regions(lower, upper, starts, ids, frames, regions, out):
             reach = 0.0
             for c in range(3):
                 reach += frame[4 + c] ** 2
-            reach = 2.0 * chord * math.sqrt(reach) + regions.slack[at]
+            reach = 2.0 * chord * math.sqrt(reach) + regions.shift_radius[at]
             for c in range(3):
                 moved = (
                     R[c, 0] * frame[4]
@@ -144,13 +144,13 @@ def meeting_regions(lower, upper, starts, ids, frames, regions, out):
                     break
             if not meets:
                 continue
-            product(centre, frame[:4], turned)
-            inverse[0] = regions.turn[at, 0]
+            product(centre, frame[:4], rotated)
+            inverse[0] = regions.rotation[at, 0]
             for c in range(1, 4):
-                inverse[c] = -regions.turn[at, c]
-            product(inverse, turned, relative)
+                inverse[c] = -regions.rotation[at, c]
+            product(inverse, rotated, relative)
             for c in range(3):
-                meets &= 2.0 * abs(relative[1 + c]) <= regions.swing[at, c] + 2.0 * chord
+                meets &= 2.0 * abs(relative[1 + c]) <= regions.rotation_radii[at, c] + 2.0 * chord
             if meets:
                 out[count] = at
                 count += 1

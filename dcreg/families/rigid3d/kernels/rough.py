@@ -40,7 +40,7 @@ def rough_minima(cost, b, low):
 
 
 @jit_reduction
-def settle(cost, low, ceiling, b):
+def lower_duals(cost, low, ceiling, b):
     """Lower the duals as far as no row minimum up to `ceiling` decreases.
 
     Duals from another pose that support no row minimum decrease. `low` is clipped at the ceiling, above

@@ -38,14 +38,16 @@ class BoxGeometry(NamedTuple):
         Gibbs vectors of the vertices of its rotations.
     half : (3,) array
         Half its widths in translation.
-    tangent, slack : float
-        The maximum length of a Gibbs vector, and of a shift.
+    tangent : float
+        The maximum length of a Gibbs vector: the tangent of half the maximum rotation angle.
+    shift_radius : float
+        The maximum length of a shift, in RMS radii of the target.
     """
 
     vertices: np.ndarray
     half: np.ndarray
     tangent: float
-    slack: float
+    shift_radius: float
 
 
 class Limits(NamedTuple):
@@ -72,7 +74,7 @@ def loss_of(box, limits):
     square = box.tangent * box.tangent
     return Loss(
         4.0 * square / (1.0 + square) * math.sqrt(limits.inertia),
-        4.0 * square / math.sqrt(1.0 + square) * box.slack * limits.drift,
+        4.0 * square / math.sqrt(1.0 + square) * box.shift_radius * limits.drift,
     )
 
 
@@ -82,7 +84,7 @@ def joint_loss_of(box, limits):
     square = box.tangent * box.tangent
     return Loss(
         2.0 * square * math.sqrt(limits.inertia),
-        2.0 * square / math.sqrt(1.0 + square) * box.slack * limits.drift
+        2.0 * square / math.sqrt(1.0 + square) * box.shift_radius * limits.drift
         + 0.77 * square * box.tangent * limits.spread
         + 0.5 * square * square * limits.inertia,
     )
@@ -104,7 +106,7 @@ def proven(root, rest, cost):
 
 
 @jit_reduction
-def _turn(moved, p, q, r, low, work):
+def _displace(moved, p, q, r, low, work):
     """Write displacements by a rotation to rows 1 to 3 of `work`, `low` minus their squares to row 4."""
     x, y, z = moved[0], moved[1], moved[2]
     u, v, w, net = work[1], work[2], work[3], work[4]
@@ -143,7 +145,9 @@ def costs_at_vertices(moved, low, k, box, level, work, out):
         out[at] = np.inf
     found = u = v = w = 0.0
     for a in range(vertices.shape[0]):
-        _turn(moved, 2.0 * vertices[a, 0], 2.0 * vertices[a, 1], 2.0 * vertices[a, 2], low, work)
+        _displace(
+            moved, 2.0 * vertices[a, 0], 2.0 * vertices[a, 1], 2.0 * vertices[a, 2], low, work
+        )
         if a == 0 or k == n:
             spacing = 0.02 * (abs(level) + abs(total(work[4])) / n)
             found, level = smallest_sum(work[4], k, level, spacing)

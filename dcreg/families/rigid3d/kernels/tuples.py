@@ -23,11 +23,11 @@ from dcreg.families.rigid3d.kernels.exclusion import (
 from dcreg.jit import jit, jit_part
 
 _THIN = 1e-3  # moment, or share of a moment, below which a triple excludes nothing
-_MAX_SWING = 2.0  # |w| = 2 sin(angle / 2) of a half-turn, the maximum of any rotation
+_MAX_CHORD = 2.0  # |w| = 2 sin(angle / 2) of a half-turn, the maximum of any rotation
 _TINY = 1e-12  # minimum moment that is divided by
 _ROUNDING = 1e-13  # of a sum of squares, relative
-_WIDE = 1.2  # swing about u1 from which a region is divided into quarters
-_QUARTER = 3.0**0.5 * 2.0 * math.sin(math.pi / 8.0)  # swing of an eighth of a turn, times sqrt(3)
+_WIDE = 1.2  # |w| about u1 from which a region is divided into quarters
+_QUARTER = 3.0**0.5 * 2.0 * math.sin(math.pi / 8.0)  # |w| of an eighth of a turn, times sqrt(3)
 
 
 class Thresholds(NamedTuple):
@@ -53,26 +53,28 @@ class Thresholds(NamedTuple):
 class Regions(NamedTuple):
     """Regions of poses near the best pose of a pair of triples.
 
-    A pose of the region moves the centroid of the source triple to within `slack` of `centroid`. Relative
-    to `turn`, its rotation has a vector w = 2 sin(angle / 2) axis, seen in the principal frame, with
-    components up to `swing`.
+    A pose of the region moves the centroid of the source triple to within `shift_radius` of `centroid`.
+    Relative to `rotation`, its rotation has the vector w = 2 sin(angle / 2) axis, seen in the principal
+    frame, with components up to `rotation_radii`. Lengths are in RMS radii of the target.
 
     Attributes
     ----------
     triple : (B,) int32 array
         Of the source.
-    turn : (B, 4) array
+    rotation : (B, 4) array
         Unit quaternion from the principal frame to the target.
     centroid : (B, 3) array
-    slack : (B,) array
-    swing : (B, 3) array
+    shift_radius : (B,) array
+        A length.
+    rotation_radii : (B, 3) array
+        Without unit, at most 2: |w| of a half-turn.
     """
 
     triple: np.ndarray
-    turn: np.ndarray
+    rotation: np.ndarray
     centroid: np.ndarray
-    slack: np.ndarray
-    swing: np.ndarray
+    shift_radius: np.ndarray
+    rotation_radii: np.ndarray
 
 
 def allocate_regions(room: int) -> Regions:
@@ -81,6 +83,18 @@ def allocate_regions(room: int) -> Regions:
         np.empty(room, np.int32), np.empty((room, 4)), np.empty((room, 3)), np.empty(room),
         np.empty((room, 3)),
     )  # fmt: skip
+
+
+@jit_part
+def _in_plane(vertex, p, q, r, axes):
+    """Return the coordinates of a vertex of a triple along the first two axes, from the centroid."""
+    point = p if vertex == 0 else (q if vertex == 1 else r)
+    u = v = 0.0
+    for c in range(3):
+        z = point[c] - (p[c] + q[c] + r[c]) / 3.0
+        u += z * axes[c, 0]
+        v += z * axes[c, 1]
+    return u, v
 
 
 @jit_part
@@ -97,16 +111,11 @@ def principal_frame(p, q, r, axes, local):
         return 0.0, 0.0
     s11 = s22 = s12 = 0.0
     for a in range(3):
-        point = p if a == 0 else (q if a == 1 else r)
-        u = v = 0.0
-        for c in range(3):
-            z = point[c] - (p[c] + q[c] + r[c]) / 3.0
-            u += z * axes[c, 0]
-            v += z * axes[c, 1]
+        u, v = _in_plane(a, p, q, r, axes)
         local[a, 0], local[a, 1] = u, v
         s11, s22, s12 = s11 + u * u, s22 + v * v, s12 + u * v
-    turn = 0.5 * math.atan2(2.0 * s12, s11 - s22)
-    co, si = math.cos(turn), math.sin(turn)
+    angle = 0.5 * math.atan2(2.0 * s12, s11 - s22)
+    co, si = math.cos(angle), math.sin(angle)
     for a in range(3):
         u, v = local[a, 0], local[a, 1]
         local[a, 0], local[a, 1] = co * u + si * v, co * v - si * u
@@ -140,7 +149,7 @@ def quaternion(B, out):
 
 
 @jit_part
-def _superpose(local, axes, p, q, r, G, B):
+def _superpose(local, p, q, r, G, B):
     """Fit the triple to the target triple (p, q, r) with the frame G.
 
     Fills B, the rotation from the principal frame to the target, and returns the symmetric factor S of
@@ -148,12 +157,7 @@ def _superpose(local, axes, p, q, r, G, B):
     """
     h11 = h12 = h21 = h22 = moments = 0.0
     for a in range(3):
-        point = p if a == 0 else (q if a == 1 else r)
-        u = v = 0.0
-        for c in range(3):
-            z = point[c] - (p[c] + q[c] + r[c]) / 3.0
-            u += z * G[c, 0]
-            v += z * G[c, 1]
+        u, v = _in_plane(a, p, q, r, G)
         moments += u * u + v * v
         h11, h12 = h11 + local[a, 0] * u, h12 + local[a, 0] * v
         h21, h22 = h21 + local[a, 1] * u, h22 + local[a, 1] * v
@@ -171,15 +175,15 @@ def _superpose(local, axes, p, q, r, G, B):
 
 
 @jit
-def store_region(regions, count, triple, B, centroid, slack, swing):
+def store_region(regions, count, triple, B, centroid, shift_square, rotation_radii):
     """Store a region if there is room; return the number of regions."""
     if count < regions.triple.size:
         regions.triple[count] = triple
-        regions.slack[count] = math.sqrt(slack)
-        quaternion(B, regions.turn[count])
+        regions.shift_radius[count] = math.sqrt(shift_square)
+        quaternion(B, regions.rotation[count])
         for c in range(3):
             regions.centroid[count, c] = centroid[c]
-            regions.swing[count, c] = min(_MAX_SWING, swing[c])
+            regions.rotation_radii[count, c] = min(_MAX_CHORD, rotation_radii[c])
     return count + 1
 
 
@@ -187,12 +191,12 @@ def store_region(regions, count, triple, B, centroid, slack, swing):
 def copy_region(regions, at, out, count):
     """Copy a region if there is room; return the number of regions."""
     if count < out.triple.size:
-        out.triple[count], out.slack[count] = regions.triple[at], regions.slack[at]
+        out.triple[count], out.shift_radius[count] = regions.triple[at], regions.shift_radius[at]
         for c in range(3):
             out.centroid[count, c] = regions.centroid[at, c]
-            out.swing[count, c] = regions.swing[at, c]
+            out.rotation_radii[count, c] = regions.rotation_radii[at, c]
         for c in range(4):
-            out.turn[count, c] = regions.turn[at, c]
+            out.rotation[count, c] = regions.rotation[at, c]
     return count + 1
 
 
@@ -255,12 +259,12 @@ def _cover(own, moments, corners, search, rows, regions, count):
     l1, l2, number = moments
     p, q, r = corners
     limit, cutoff, k = thresholds.triple, thresholds.cutoff, thresholds.k
-    G, B, centroid, swings = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+    G, B, centroid, radii = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for c in range(3):
-        centroid[c], swings[c] = (p[c] + q[c] + r[c]) / 3.0, _MAX_SWING
+        centroid[c], radii[c] = (p[c] + q[c] + r[c]) / 3.0, _MAX_CHORD
     if l2 <= _THIN or not frame(p, q, r, G):
-        return store_region(regions, count, number, own.axes, centroid, limit / 3.0, swings)
-    s11, s22, s12, others = _superpose(own.local, own.axes, p, q, r, G, B)
+        return store_region(regions, count, number, own.axes, centroid, limit / 3.0, radii)
+    s11, s22, s12, others = _superpose(own.local, p, q, r, G, B)
     moments_sum = l1 + l2 + others
     square = limit - (moments_sum - 2.0 * (s11 + s22)) + _ROUNDING * moments_sum  # rho^2
     if square < 0.0:
@@ -277,17 +281,17 @@ def _cover(own, moments, corners, search, rows, regions, count):
             rows, k, goal, region
         ):
             return count
-        if region.swing * own.inverse[0] < _WIDE * _WIDE:
+        if region.rotation_factor * own.inverse[0] < _WIDE * _WIDE:
             for c in range(3):
-                swings[c] = math.sqrt(region.swing * own.inverse[c])
-            return store_region(regions, count, number, B, centroid, region.slack, swings)
+                radii[c] = math.sqrt(region.rotation_factor * own.inverse[c])
+            return store_region(regions, count, number, B, centroid, region.shift_square, radii)
     if determinant <= 0.0:
-        return store_region(regions, count, number, own.axes, centroid, square / 3.0, swings)
+        return store_region(regions, count, number, own.axes, centroid, square / 3.0, radii)
     # any rotation about u1, in quarters, whose ellipsoids have the axes times sqrt(3)
-    swings[0] = _QUARTER
-    swings[1] = swings[2] = math.sqrt(3.0 * square * (s22 / determinant + 1.0 / (s11 + s22)))
+    radii[0] = _QUARTER
+    radii[1] = radii[2] = math.sqrt(3.0 * square * (s22 / determinant + 1.0 / (s11 + s22)))
     for _ in range(4):
-        count = store_region(regions, count, number, B, centroid, square, swings)
+        count = store_region(regions, count, number, B, centroid, square, radii)
         for c in range(3):  # a quarter turn about u1
             B[c, 1], B[c, 2] = B[c, 2], -B[c, 1]
     return count

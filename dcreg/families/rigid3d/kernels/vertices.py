@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcreg.families.rigid3d.kernels.dual_bounds import dual_bound_at_pose
 from dcreg.families.rigid3d.kernels.poses import empty_view, look_from
-from dcreg.families.rigid3d.kernels.priced import priced_value
 from dcreg.families.rigid3d.kernels.stationary import needed, proven
 from dcreg.families.rotation3d.kernels.geometry import extent
 from dcreg.jit import jit, jit_inner, jit_part
@@ -116,14 +116,14 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
             if cost < alone and _may_improve(known, boxes.slots[box, vertex], goal):
                 candidates[n_open] = vertex
                 n_open += 1
-        for turn in range(min(most, n_open)):
+        for rank in range(min(most, n_open)):
             if most < n_open:  # the next vertex in the order of C
-                best = turn
-                for other in range(turn + 1, n_open):
+                best = rank
+                for other in range(rank + 1, n_open):
                     if boxes.costs[box, candidates[other]] < boxes.costs[box, candidates[best]]:
                         best = other
-                candidates[turn], candidates[best] = candidates[best], candidates[turn]
-            at = candidates[turn]
+                candidates[rank], candidates[best] = candidates[best], candidates[rank]
+            at = candidates[rank]
             goal = 2.0 * together - boxes.costs[box, at]
             if boxes.slots[box, at] < 0:
                 vertex_pose(lower[box], upper[box], at, theta)
@@ -141,8 +141,8 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
 @jit_part
 def _slot_of(known, used, theta):
     """Return the slot of a vertex; the first free slot if it has none."""
-    turn, shift = _hashes(theta)
-    place = _place(known, theta, _joined(turn, shift))
+    rotation, shift = _hashes(theta)
+    place = _place(known, theta, _joined(rotation, shift))
     slot = known.table[place]
     if slot < 0:
         slot = np.int32(used)
@@ -174,10 +174,10 @@ def _may_improve(known, slot, goal):
 def _judged(known, lower, upper, boxes, box, cutoff, theta):
     """Return the state of a box by the known values."""
     alone, together = _goals(boxes, box, cutoff)
-    turns, shifts = np.empty(8, np.uint64), np.empty(8, np.uint64)
+    rotations, shifts = np.empty(8, np.uint64), np.empty(8, np.uint64)
     for part in range(8):
         vertex_pose(lower, upper, 9 * part, theta)
-        turns[part], shifts[part] = _hashes(theta)
+        rotations[part], shifts[part] = _hashes(theta)
     state = PRUNED
     for vertex in range(VERTICES):
         cost, slot = boxes.costs[box, vertex], boxes.slots[box, vertex]
@@ -185,7 +185,7 @@ def _judged(known, lower, upper, boxes, box, cutoff, theta):
             continue
         if slot < 0:
             vertex_pose(lower, upper, vertex, theta)
-            place = _place(known, theta, _joined(turns[vertex >> 3], shifts[vertex & 7]))
+            place = _place(known, theta, _joined(rotations[vertex >> 3], shifts[vertex & 7]))
             slot = boxes.slots[box, vertex] = known.table[place]
         if slot < 0 or math.isnan(known.values[slot]):
             state = VALUES_NEEDED
@@ -221,7 +221,7 @@ def bounds_by_vertices(known, boxes, cutoff, bounds):
 
 
 @jit
-def price_vertices(known, requests, duals, clouds, work):
+def bound_vertices_by_duals(known, requests, duals, clouds, work):
     """Compute the requested values from the duals (B, m) of the boxes that need them."""
     view, farthest = empty_view(clouds), extent(clouds.source)[1]
     for at in range(requests.slots.size):
@@ -229,20 +229,20 @@ def price_vertices(known, requests, duals, clouds, work):
             break
         slot, kept = requests.slots[at], duals[requests.boxes[at]]
         look_from(clouds, known.poses[slot], view)
-        value, is_final = priced_value(view, farthest, requests.goals[at], kept, work)
+        value, is_final = dual_bound_at_pose(view, farthest, requests.goals[at], kept, work)
         known.values[slot], known.is_final[slot] = value, is_final
 
 
 @jit_inner
 def vertex_pose(lower, upper, vertex, theta):
     """Return the pose of a vertex, in the order of `costs_at_vertices`."""
-    turn = vertex >> 3
+    rotation = vertex >> 3
     for axis in range(4):
         theta[axis] = lower[axis]
         if upper[axis] > lower[axis]:
-            if turn & 1:
+            if rotation & 1:
                 theta[axis] = upper[axis]
-            turn >>= 1
+            rotation >>= 1
     for axis in range(3):
         theta[4 + axis] = lower[4 + axis] if (vertex >> axis) & 1 else upper[4 + axis]
 
@@ -251,20 +251,21 @@ def vertex_pose(lower, upper, vertex, theta):
 def _hashes(theta):
     """Hash rotation and shift by their bits: shared vertices of boxes are equal to the last bit."""
     bits = theta.view(np.uint64)
-    turn = shift = np.uint64(0x9E3779B97F4A7C15)
+    rotation = shift = np.uint64(0x9E3779B97F4A7C15)
     for axis in range(7):
-        h = ((turn if axis < 4 else shift) ^ bits[axis]) * np.uint64(0xBF58476D1CE4E5B9)
+        h = ((rotation if axis < 4 else shift) ^ bits[axis]) * np.uint64(0xBF58476D1CE4E5B9)
         h ^= h >> np.uint64(29)
         if axis < 4:
-            turn = h
+            rotation = h
         else:
             shift = h
-    return turn, shift
+    return rotation, shift
 
 
 @jit_part
-def _joined(turn, shift):
-    h = (turn ^ (shift >> np.uint64(23)) ^ (shift << np.uint64(41))) * np.uint64(0x94D049BB133111EB)
+def _joined(rotation, shift):
+    h = rotation ^ (shift >> np.uint64(23)) ^ (shift << np.uint64(41))
+    h *= np.uint64(0x94D049BB133111EB)
     return h ^ (h >> np.uint64(31))
 
 

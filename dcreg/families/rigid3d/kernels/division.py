@@ -1,4 +1,4 @@
-"""Exclude regions of congruent triples by dual variables, whole or in parts.
+"""Divide regions of congruent triples until dual variables exclude their parts.
 
 A region is seen in its own coordinates: the source in the principal frame of its triple, and the target
 from the pose at the centre of the region. There a part of it is a box of Gibbs vectors and shifts, which
@@ -13,21 +13,21 @@ import numpy as np
 
 from dcreg.assignment.kernels.selection import total
 from dcreg.families.kernels import Clouds
-from dcreg.families.rigid3d.kernels.boxes import PRICE, price_boxes
+from dcreg.families.rigid3d.kernels.boxes import BY_DUALS, bound_boxes_by_duals
+from dcreg.families.rigid3d.kernels.dual_bounds import keep_duals, raise_duals, region_rounding
 from dcreg.families.rigid3d.kernels.exclusion import (
     Ellipsoid,
     Rows,
     fill_displacements,
     jointly_excluded,
 )
-from dcreg.families.rigid3d.kernels.priced import keep_duals, priced_minima, rounding_of
 from dcreg.families.rigid3d.kernels.regions import box_chord, product
 from dcreg.families.rigid3d.kernels.stationary import Limits
 from dcreg.families.rigid3d.kernels.tuples import copy_region
 from dcreg.families.rotation3d.kernels.geometry import chord_matrix
 from dcreg.jit import jit
 
-_WIDEST = 1.6  # maximum swing of a region that is divided here; wider ones are left to the search
+_WIDEST = 1.6  # maximum |w| of a region that is divided here; wider ones are left to the search
 _WIDE = 0.6  # tangent of parts that are divided without a bound, as in `bound_boxes`
 # A part is left to the search if its centre value is below _NEAR cutoffs and its longest edge is at most
 # _SMALL: many regions meet around the optimum, and the search divides each place only once.
@@ -37,7 +37,7 @@ _DEPTH = 24  # maximum size of the stack of parts
 
 
 @jit
-def _turn_back(M, offset, points, out):
+def _rotate_back(M, offset, points, out):
     """Write M^T (points - offset) to `out`, both (3, n)."""
     for i in range(points.shape[1]):
         x, y, z = points[0, i] - offset[0], points[1, i] - offset[1], points[2, i] - offset[2]
@@ -46,25 +46,28 @@ def _turn_back(M, offset, points, out):
 
 
 @jit
-def _at_centre(own, thresholds, swing, slack, work, rows, kept):
-    """Tell whether the dual variables at the centre of a region exclude it; fill `kept` with them."""
+def _excluded_at_centre(own, thresholds, radii, shift_radius, work, rows, kept):
+    """Tell whether the dual variables at the centre of a region exclude it; fill `kept` with them.
+
+    `radii` and `shift_radius` are those of `Regions`.
+    """
     inverse, widest, level, cutoff = np.empty(3), 0.0, 0.0, thresholds.cutoff
     for c in range(3):
-        inverse[c] = swing[c] * swing[c]
+        inverse[c] = radii[c] * radii[c]
         widest = max(widest, inverse[c])
         for i in range(rows.squares.size):
             rows.points[i, c] = own.source[c, i]
     fill_displacements(rows, inverse)
-    region = Ellipsoid(slack * slack, 1.0, inverse)
+    region = Ellipsoid(shift_radius * shift_radius, 1.0, inverse)
     goal = cutoff + widest * math.sqrt(cutoff * thresholds.inertia)
     is_excluded = False
-    for turn in range(_ROUNDS + 1):
-        found, level = priced_minima(own, turn, level, kept, work)
+    for attempt in range(_ROUNDS + 1):
+        found, level = raise_duals(own, attempt, level, kept, work)
         duals = total(work.columns[4])
-        off = duals + rounding_of(own, slack, math.sqrt(widest), found + duals, duals)
+        off = duals + region_rounding(own, shift_radius, math.sqrt(widest), found + duals, duals)
         for i in range(rows.squares.size):
             rows.squares[i] = work.rows[0, i]
-        if turn % 2 == 0 and jointly_excluded(rows, own.k, goal + off, region):
+        if attempt % 2 == 0 and jointly_excluded(rows, own.k, goal + off, region):
             is_excluded = True
             break
     keep_duals(work.columns[4], kept)
@@ -72,16 +75,16 @@ def _at_centre(own, thresholds, swing, slack, work, rows, kept):
 
 
 @jit
-def _is_outside(lower, upper, slack, swing):
+def _is_outside(lower, upper, shift_radius, radii):
     """Tell whether a box of (1, Gibbs vector, shift) lies outside the ellipsoid of a region."""
-    shift = turned = most = 0.0
+    shift = rotation = most = 0.0
     for c in range(3):
         least = max(0.0, lower[4 + c], -upper[4 + c])
         shift += least * least
         least = max(0.0, lower[1 + c], -upper[1 + c])
-        turned += (2.0 * least / swing[c]) ** 2
+        rotation += (2.0 * least / radii[c]) ** 2
         most += max(abs(lower[1 + c]), abs(upper[1 + c])) ** 2
-    return shift / (slack * slack) + turned / (1.0 + most) > 1.0
+    return shift / (shift_radius * shift_radius) + rotation / (1.0 + most) > 1.0
 
 
 @jit
@@ -100,33 +103,33 @@ def _longest_edge(low, high, weights):
 
 @jit
 def _store_part(low, high, region, left, count):
-    """Store a part as a separate region; `region` is (triple, turn, centroid)."""
-    triple, turn, centroid = region
-    part, M = np.empty(4), chord_matrix(turn, turn)
-    chord, slack, place = box_chord(part, low, high), 0.0, np.empty(3)
+    """Store a part as a separate region; `region` is (triple, rotation, centroid)."""
+    triple, rotation, centroid = region
+    part, M = np.empty(4), chord_matrix(rotation, rotation)
+    chord, square, place = box_chord(part, low, high), 0.0, np.empty(3)
     for c in range(3):
-        slack += 0.25 * (high[4 + c] - low[4 + c]) ** 2
+        square += 0.25 * (high[4 + c] - low[4 + c]) ** 2
         place[c] = centroid[c]
         for d in range(3):
             place[c] += M[c, d] * 0.5 * (low[4 + d] + high[4 + d])
     if count < left.triple.size:
-        left.triple[count], left.slack[count] = triple, math.sqrt(slack)
-        product(turn, part, left.turn[count])
+        left.triple[count], left.shift_radius[count] = triple, math.sqrt(square)
+        product(rotation, part, left.rotation[count])
         for c in range(3):
-            left.centroid[count, c], left.swing[count, c] = place[c], 2.0 * chord
+            left.centroid[count, c], left.rotation_radii[count, c] = place[c], 2.0 * chord
     return count + 1
 
 
 @jit
-def _first_part(own, swing, slack, stack):
+def _first_part(own, radii, shift_radius, stack):
     """Put the box around a region on the stack, and weigh its axes."""
     lower, upper, _, weights = stack
-    widest = max(swing[0], swing[1], swing[2])
+    widest = max(radii[0], radii[1], radii[2])
     lower[0, 0] = upper[0, 0] = 1.0
     for c in range(3):
-        half = 0.5 * swing[c] / math.sqrt(1.0 - 0.25 * widest * widest)
+        half = 0.5 * radii[c] / math.sqrt(1.0 - 0.25 * widest * widest)
         lower[0, 1 + c], upper[0, 1 + c] = -half, half
-        lower[0, 4 + c], upper[0, 4 + c] = -slack, slack
+        lower[0, 4 + c], upper[0, 4 + c] = -shift_radius, shift_radius
         weights[c] = 0.0
         for i in range(own.source.shape[1]):
             weights[c] += own.source[(c + 1) % 3, i] ** 2 + own.source[(c + 2) % 3, i] ** 2
@@ -138,26 +141,26 @@ def _in_parts(own, bounds, region, extent, scratch, stack, left, count):
     """Divide a region until its parts are excluded or stored.
 
     Returns the number of stored parts, with `count`, and that of bounded parts. `bounds` is the cutoff,
-    the `Limits` and the maximum number of parts to bound; `extent` the swing and the slack of the region.
+    the `Limits` and the maximum number of parts to bound; `extent` is (radii, shift_radius).
     """
     cutoff, limits, most = bounds
-    swing, slack = extent
+    radii, shift_radius = extent
     found, work = scratch
     lower, upper, kept, weights = stack
-    _first_part(own, swing, slack, stack)
+    _first_part(own, radii, shift_radius, stack)
     depth, bounded = 1, 0
     while depth > 0:
         depth -= 1
         low, high = lower[depth], upper[depth]
-        if _is_outside(low, high, slack, swing):
+        if _is_outside(low, high, shift_radius, radii):
             continue
         axis, longest, tangent = _longest_edge(low, high, weights)
         is_near = False
         if tangent < _WIDE:
             for j in range(kept.shape[1]):
                 found.kept[0, j] = kept[depth, j]
-            found.steps[0] = PRICE
-            price_boxes(
+            found.steps[0] = BY_DUALS
+            bound_boxes_by_duals(
                 lower[depth : depth + 1], upper[depth : depth + 1], cutoff, own, limits, found, work
             )
             bounded += 1
@@ -179,8 +182,8 @@ def _in_parts(own, bounds, region, extent, scratch, stack, left, count):
 
 
 @jit
-def settle_regions(regions, frames, limits, clouds, thresholds, most, scratch, left):
-    """Exclude regions by dual variables, whole or in parts.
+def divide_regions(regions, frames, limits, clouds, thresholds, most, scratch, left):
+    """Divide regions until dual variables exclude their parts, or the parts are left to the search.
 
     Parameters
     ----------
@@ -216,19 +219,20 @@ def settle_regions(regions, frames, limits, clouds, thresholds, most, scratch, l
     for at in range(regions.triple.size):
         if clouds.stop[0] or n_bounded > most[1]:
             break
-        triple, turn, centroid = regions.triple[at], regions.turn[at], regions.centroid[at]
-        swing, slack, frame = regions.swing[at], regions.slack[at], frames[triple]
-        if max(swing[0], swing[1], swing[2]) > _WIDEST:
+        triple, rotation, centroid = regions.triple[at], regions.rotation[at], regions.centroid[at]
+        radii, shift_radius = regions.rotation_radii[at], regions.shift_radius[at]
+        frame = frames[triple]
+        if max(radii[0], radii[1], radii[2]) > _WIDEST:
             count = copy_region(regions, at, left, count)
             continue
-        _turn_back(chord_matrix(frame[:4], frame[:4]), frame[4:], clouds.source, own.source)
-        _turn_back(chord_matrix(turn, turn), centroid, clouds.target, own.target)
-        if _at_centre(own, thresholds, swing, slack, scratch[1], rows, stack[2][0]):
+        _rotate_back(chord_matrix(frame[:4], frame[:4]), frame[4:], clouds.source, own.source)
+        _rotate_back(chord_matrix(rotation, rotation), centroid, clouds.target, own.target)
+        if _excluded_at_centre(own, thresholds, radii, shift_radius, scratch[1], rows, stack[2][0]):
             continue
         around = Limits(limits[triple, 0], limits[triple, 1], limits[triple, 2])
         count, bounded = _in_parts(
-            own, (thresholds.cutoff, around, most[0]), (triple, turn, centroid), (swing, slack), scratch,
-            stack, left, count,
+            own, (thresholds.cutoff, around, most[0]), (triple, rotation, centroid),
+            (radii, shift_radius), scratch, stack, left, count,
         )  # fmt: skip
         n_bounded += bounded
     return count, n_bounded

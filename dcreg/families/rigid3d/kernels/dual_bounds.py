@@ -1,6 +1,7 @@
-"""Bounds on matchings at a pose by dual variables that come from another pose, that of the parent box.
+"""Lower bounds by dual variables that come from another pose, without an exact assignment.
 
-They use single precision. Most boxes are pruned or divided without an exact assignment.
+The other pose is that of the parent box. The bounds use single precision. Most boxes are pruned or
+divided by them alone.
 """
 
 from __future__ import annotations
@@ -12,7 +13,13 @@ import numpy as np
 
 from dcreg.assignment.kernels.selection import smallest_sum, total
 from dcreg.families.kernels import add_penalty
-from dcreg.families.rigid3d.kernels.rough import Auction, auction, rough_costs, rough_minima, settle
+from dcreg.families.rigid3d.kernels.rough import (
+    Auction,
+    auction,
+    lower_duals,
+    rough_costs,
+    rough_minima,
+)
 from dcreg.families.rigid3d.kernels.stationary import costs_at_vertices
 from dcreg.families.rotation3d.kernels.geometry import extent
 from dcreg.jit import jit, jit_part
@@ -22,8 +29,9 @@ from dcreg.jit import jit, jit_part
 _KEPT = 0.7
 _STEPS = 2  # maximum number of auction steps per pair
 _ROUNDS = 2  # maximum number of rounds of auction steps
-# Auction steps continue while the bound is within this fraction of the loss from the pruning threshold.
-_HOPELESS, _CERTAIN = -0.4, 0.1
+# Auction steps continue while the bound minus the pruning threshold, divided by the loss, is between
+# these.
+_MIN_MARGIN, _MAX_MARGIN = -0.4, 0.1
 # Minimum raise of a dual, as a share of the k-th row's cost, so that ties between columns do not stall.
 _RAISE = 0.02
 # Rows that cost more than this multiple of the k-th row are not matched anywhere in a box.
@@ -73,7 +81,7 @@ def keep_duals(b, kept):
 
 
 @jit_part
-def priced_bound(view, box, farthest, goal, kept, work, out):
+def dual_bound_of_box(view, box, farthest, goal, kept, work, out):
     """Return a lower bound on C of `Loss` and an estimate of the sum of costs at the centre.
 
     Auction steps improve the bound if it may or may not reach `goal`. Afterwards ``work.columns[3]``
@@ -98,10 +106,10 @@ def priced_bound(view, box, farthest, goal, kept, work, out):
     improved = False
     for attempt in range(_ROUNDS + 1):
         if attempt > 0:
-            likely = (here - 0.5 * lost - goal) / (lost + goal) if goal < np.inf else 0.0
-            if not _HOPELESS < likely < _CERTAIN:
+            margin = (here - 0.5 * lost - goal) / (lost + goal) if goal < np.inf else 0.0
+            if not _MIN_MARGIN < margin < _MAX_MARGIN:
                 break
-            _raise(view, level, work)
+            _auction_steps(view, level, work)
         better, level = _evaluate(view, _CEILING, work)
         if attempt > 0 and better <= here:
             break
@@ -120,7 +128,7 @@ def priced_bound(view, box, farthest, goal, kept, work, out):
 
 
 @jit_part
-def priced_value(view, farthest, goal, kept, work):
+def dual_bound_at_pose(view, farthest, goal, kept, work):
     """Return a lower bound on the minimum sum of costs at a pose, and whether no better one is possible.
 
     The bound need not exceed `goal`.
@@ -132,7 +140,7 @@ def priced_value(view, farthest, goal, kept, work):
         if attempt > 0:
             if found - off >= goal:
                 break
-            _raise(view, level, work)
+            _auction_steps(view, level, work)
         better, level = _evaluate(view, _ONE, work)
         if attempt > 0:
             is_final = better <= found or attempt == _ROUNDS
@@ -155,7 +163,7 @@ def _begin(view, kept, work):
 
 
 @jit
-def _raise(view, level, work):
+def _auction_steps(view, level, work):
     """Raise the duals on trial by auction steps."""
     limits = Auction(int(_STEPS * view.k) + 1, np.float32(level), np.float32(_RAISE * level))
     auction(work.costs, work.columns[4], work.rows[0], limits, work.integers)
@@ -163,7 +171,7 @@ def _raise(view, level, work):
 
 @jit
 def _evaluate(view, ceiling, work):
-    """Settle the duals on trial; return their bound and a cost between the k-th and the next row."""
+    """Lower the duals on trial; return their bound and a cost between the k-th and the next row."""
     low, b, exact = work.rows[0], work.columns[4], work.exact[0]
     rough_minima(work.costs, b, low)
     mean = 0.0
@@ -175,7 +183,7 @@ def _evaluate(view, ceiling, work):
         level = exact[0]
         for i in range(low.size):
             level = max(level, exact[i])
-    settle(work.costs, low, ceiling * np.float32(level), b)
+    lower_duals(work.costs, low, ceiling * np.float32(level), b)
     return here - total(b), level
 
 
@@ -187,7 +195,7 @@ def _at_vertices(view, box, farthest, level, work, out):
         low[i] = work.rows[1, i]
     found = costs_at_vertices(view.source, low, view.k, box, level, work.exact, out)
     duals = total(work.columns[3])
-    reach = box.slack + 2.0 * box.tangent * farthest  # of a displacement
+    reach = box.shift_radius + 2.0 * box.tangent * farthest  # of a displacement
     off = duals + _rounding(view, farthest, reach, found, duals)
     for vertex in range(out.size):
         out[vertex] -= off
@@ -209,27 +217,27 @@ def _rounding(view, farthest, reach, found, duals):
 
 
 @jit
-def priced_minima(view, turn, level, kept, work):
-    """Raise the duals in turn `turn`; return their bound on the sum of costs, and the next `level`.
+def raise_duals(view, attempt, level, kept, work):
+    """Raise the duals by auction steps; return their bound on the sum of costs, and the next `level`.
 
-    Turn 0 takes duals of zero. ``work.columns[4]`` holds the duals, ``work.rows[0]`` the row minima.
+    Attempt 0 takes duals of zero. ``work.columns[4]`` holds the duals, ``work.rows[0]`` the row minima.
     """
-    if turn == 0:
+    if attempt == 0:
         for j in range(kept.size):
             kept[j] = 0
         _begin(view, kept, work)
     else:
-        _raise(view, level, work)
+        _auction_steps(view, level, work)
     found, level = _evaluate(view, _ONE, work)
-    rough_minima(work.costs, work.columns[4], work.rows[0])  # of all rows: `settle` clips them
+    rough_minima(work.costs, work.columns[4], work.rows[0])  # of all rows: `lower_duals` clips them
     return found, level
 
 
 @jit
-def rounding_of(view, slack, swing, found, duals):
-    """Bound the rounding error of single precision in a sum of k costs less displacements.
+def region_rounding(view, shift_radius, rotation_radius, found, duals):
+    """Bound the rounding error of single precision in a sum of k costs less squared displacements.
 
-    A point moves by at most `slack`, and by `swing` times its distance from the origin.
+    A point moves by at most `shift_radius` plus `rotation_radius` times its distance from the origin.
     """
     farthest = extent(view.source)[1]
-    return _rounding(view, farthest, slack + swing * farthest, found, duals)
+    return _rounding(view, farthest, shift_radius + rotation_radius * farthest, found, duals)
