@@ -1,8 +1,9 @@
-"""What a first call of `register` compiles: functions, specialisations and lines of LLVM's input.
+"""What is compiled when needed: functions, specialisations and lines of LLVM's input.
 
-``python -m tests.bench.compile_counters`` prints the counters of one 2D and one 3D call and the stored
-ones; ``--accept`` stores them. Compile time cannot be asserted on a shared machine, these counters can.
-Use the pinned version of Numba, because other versions generate other code.
+``python -m tests.bench.compile_counters`` prints the counters and the stored ones of a first call of
+`register` in 2D and in 3D, and of the covers, which only long searches compile. ``--accept`` stores the
+counters. Compile time cannot be asserted on a shared machine, these counters can. Use the pinned version
+of Numba, because other versions generate other code.
 """
 
 from __future__ import annotations
@@ -19,29 +20,43 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 STORED = Path(__file__).with_name("compile_counters.json")
 COMMAND = "python -m tests.bench.compile_counters --accept"
-CALLS = {"2d": "similarity2d", "3d": "rigid3d"}
+MODELS = {"2d": "similarity2d", "3d": "rigid3d"}
+CASES = (*MODELS, "covers")
 N_POINTS = 40  # above 1,000 pairs, a 3D search compiles all of its kernels
 MARGIN = 0.1
 
 
-def count(dimension: str) -> dict[str, int]:
-    """Count what one call compiles in a new process with an empty cache."""
+def count(case: str) -> dict[str, int]:
+    """Count what a case compiles in a new process with an empty cache."""
     with tempfile.TemporaryDirectory() as cache:
         done = subprocess.run(
-            [sys.executable, "-m", "tests.bench.compile_counters", "--here", dimension], cwd=ROOT,
+            [sys.executable, "-m", "tests.bench.compile_counters", "--here", case], cwd=ROOT,
             env=os.environ | {"NUMBA_CACHE_DIR": cache}, check=True, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
     counters: dict[str, int] = json.loads(done.stdout.splitlines()[-1])
     return counters
 
 
-def _count_here(dimension: str) -> dict[str, int]:
-    """Count what one call compiles in this process."""
-    import llvmlite.binding as llvm
+def _compile(case: str) -> None:
+    """Register a small problem, or confine small problems by the covers."""
     import numpy as np
-    from numba.core import event
 
     import dcreg
+    from dcreg.driver.warm_up import compile_covers
+
+    if case == "covers":
+        compile_covers()
+        return
+    generator = np.random.default_rng(0)
+    source = generator.standard_normal((N_POINTS, int(case[0])))
+    target = source + 0.01 * generator.standard_normal(source.shape)
+    dcreg.register(source, target, n_inliers=N_POINTS - 1, model=MODELS[case], node_limit=200)
+
+
+def _count_here(case: str) -> dict[str, int]:
+    """Count what a case compiles in this process."""
+    import llvmlite.binding as llvm
+    from numba.core import event
 
     lines, parse = [], llvm.parse_assembly
 
@@ -49,16 +64,11 @@ def _count_here(dimension: str) -> dict[str, int]:
         lines.append(text.count("\n"))
         return parse(text, *arguments)
 
-    generator = np.random.default_rng(0)
-    source = generator.standard_normal((N_POINTS, int(dimension[0])))
-    target = source + 0.01 * generator.standard_normal(source.shape)
     compiled = event.RecordingListener()
     llvm.parse_assembly = counting
     try:
         with event.install_listener("numba:compile", compiled):
-            dcreg.register(
-                source, target, n_inliers=N_POINTS - 1, model=CALLS[dimension], node_limit=200
-            )
+            _compile(case)
     finally:
         llvm.parse_assembly = parse
     codes = [
@@ -68,7 +78,7 @@ def _count_here(dimension: str) -> dict[str, int]:
 
 
 def stored() -> dict[str, dict[str, int]]:
-    """Return the accepted counters by dimension."""
+    """Return the accepted counters by case."""
     content: dict[str, dict[str, int]] = json.loads(STORED.read_text(encoding="utf-8"))
     return content
 
@@ -87,19 +97,19 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--accept", action="store_true", help="store the counters")
-    parser.add_argument("--here", choices=CALLS, help=argparse.SUPPRESS)
+    parser.add_argument("--here", choices=CASES, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.here:
         print(json.dumps(_count_here(arguments.here)))
         return
-    found = {dimension: count(dimension) for dimension in CALLS}
+    found = {case: count(case) for case in CASES}
     before = stored() if STORED.exists() else {}
-    for dimension, counters in found.items():
-        old = before.get(dimension, {})
+    for case, counters in found.items():
+        old = before.get(case, {})
         shown = (
             f"{name} {value} (stored {old.get(name, '-')})" for name, value in counters.items()
         )
-        print(f"{dimension}: {', '.join(shown)}")
+        print(f"{case}: {', '.join(shown)}")
     if arguments.accept:
         STORED.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
