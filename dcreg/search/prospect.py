@@ -13,7 +13,7 @@ from dcreg.search.budget import Budget, Interrupted
 
 ASKED_AFTER_S = 0.25  # of a search: most end before
 WATCHED_AFTER_S = 2.0  # ... if the estimate is for the listener only, because it costs time
-HOPELESS = 3.0  # estimated times, in times left, from which a proof is not expected
+MAX_TIME_RATIO = 3.0  # of estimated to remaining time; above it, a proof is not expected
 N_DESCENTS = 128
 _MAX_DEPTH = 80  # divisions; a descent that goes on so long contains the minimiser
 
@@ -86,10 +86,10 @@ class Prospect:
             return cls(0.0)
 
     def is_poor(self, n_nodes: int, spent_s: float, budget: Budget) -> bool:
-        """Tell whether the proof is expected to take `HOPELESS` times the remaining patience."""
+        """Tell whether the proof is expected to take over `MAX_TIME_RATIO` times the time left."""
         if budget.patience_s is None:
             return False
-        return self._needed_s(n_nodes, spent_s) > HOPELESS * _left_s(spent_s, budget)
+        return self._needed_s(n_nodes, spent_s) > MAX_TIME_RATIO * _left_s(spent_s, budget)
 
     def expected_s(self, n_nodes: int, spent_s: float, budget: Budget) -> float | None:
         """Return the seconds until the proof; inf: beyond the time for it; None: unknown.

@@ -13,7 +13,7 @@ from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem import Frame, Problem
 from dcreg.search import Budget, LongestEdge, Tolerance, branch_and_bound
 from dcreg.search.branch_and_bound import Search
-from dcreg.search.prospect import HOPELESS, Prospect, expected_boxes
+from dcreg.search.prospect import MAX_TIME_RATIO, Prospect, expected_boxes
 from tests.unit.test_congruent import partial_overlap
 from workflows.disturb import make_instance
 
@@ -54,7 +54,7 @@ def test_the_estimate_is_near_the_number_of_boxes(shape, test, level):
 def test_a_search_is_hopeless_if_it_needs_several_times_what_is_left(
     limits, patience_s, n_nodes, poor
 ):
-    assert HOPELESS == 3.0
+    assert MAX_TIME_RATIO == 3.0
     with Budget(**limits) as budget:
         prospect = Prospect(n_nodes=100_000.0)
         assert prospect.is_poor(n_nodes, 1.0, budget.with_patience(patience_s)) == poor
