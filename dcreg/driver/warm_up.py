@@ -26,6 +26,7 @@ from dcreg.problem.geometry import Frame
 from dcreg.search import Boxes, Budget, Tolerance
 
 _LOGGER = logging.getLogger("dcreg")
+_CUTOFF = 0.3  # for which no cover gives up, so that all of its kernels are compiled
 _MESSAGE = (
     "compiling the kernels that this search needs (only once; they are cached for later runs)"
 )
@@ -73,7 +74,7 @@ def compile_covers() -> None:
             points = generator.standard_normal((8, 2 if mode.model == "similarity2d" else 3))
             ranges = {"scale_range": (0.5, 1.5)} if "scale_range" in mode.needs else {}
             space = mode.space(points, points[:, ::-1].copy(), 6, **ranges)
-            mode.make_cover(space).confine(1.0, Budget(), np.inf)
+            mode.make_cover(space).confine(_CUTOFF, Budget(), np.inf)
 
 
 def _compile_mode(mode: Mode) -> None:

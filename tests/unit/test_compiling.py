@@ -13,6 +13,8 @@ import pytest
 import dcreg
 from dcreg.driver import warm_up
 from dcreg.driver.modes import find_mode
+from dcreg.families.rigid3d.cover import CongruentCover
+from dcreg.families.similarity2d.cover import NearestCover
 from dcreg.names import BOUND_NAMES, MODEL_DIM
 
 LIBRARY = Path(dcreg.__file__).parent
@@ -201,6 +203,21 @@ def test_a_warm_up_announces_that_it_compiles(monkeypatch, caplog):
     with caplog.at_level("INFO", logger="dcreg"):
         warm_up.warm_up_mode.__wrapped__(find_mode("similarity2d", "paper"), None)
     assert caplog.messages[0].startswith("compiling")
+
+
+@pytest.mark.parametrize("cover", [NearestCover, CongruentCover])
+def test_the_warm_up_of_a_cover_reaches_its_boxes(monkeypatch, cover):
+    """A cover that gives up leaves kernels uncompiled."""
+    found, confine = [], cover.confine
+
+    def recorded(*given):
+        found.append(confine(*given))
+        return found[-1]
+
+    monkeypatch.setattr(cover, "confine", recorded)
+    warm_up.compile_covers()
+    assert found
+    assert all(confined is not None and len(confined.boxes) for confined in found)
 
 
 def test_the_whole_warm_up_meets_every_bound(monkeypatch):
