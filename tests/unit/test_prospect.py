@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dcreg
+from dcreg.driver import solve
 from data.registry import dataset
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.space import Rigid3D
@@ -82,7 +83,7 @@ def test_the_estimate_is_reported_and_is_no_work_of_the_search(monkeypatch):
     for prove in (False, True):
         for name in ("ASKED_AFTER_S", "WATCHED_AFTER_S"):
             monkeypatch.setattr(sys.modules["dcreg.search.branch_and_bound"], name, 0.0)
-        monkeypatch.setattr(sys.modules["dcreg.driver.solve"], "PATIENCE_S", np.inf)
+        monkeypatch.setattr(solve, "PATIENCE_S", np.inf)
         options = dcreg.SolveOptions(prove=prove, listener=lambda event: False)
         asked = dcreg.register(raw.source, raw.target, **settings, options=options)
         assert any(event.expected_s is not None for event in asked.trace)
