@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import dcreg
-from dcreg.driver import solve
 from data.registry import dataset
+from dcreg.driver import solve
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem import Frame, Problem
