@@ -23,7 +23,7 @@ from dcreg.search import Budget
 from dcreg.status import Status
 
 _LOGGER = logging.getLogger("dcreg")
-HOPELESS = 4.0  # poses with more than this many times the best objective are not refined
+MAX_OBJECTIVE_RATIO = 4.0  # of a pose to the best one; worse poses are not refined
 # Share of the time for the search of a sample; the rest is for refining its pose on all points.
 SEARCH_SHARE = 0.8
 LEAST_SHARE = 0.5  # of huge clouds within a short limit
@@ -216,7 +216,7 @@ def _refined_large(
     for other, value in zip(others, near[1:], strict=True):
         if first.greedy or budget.is_over:
             break
-        if value > HOPELESS * min(near):  # the objectives differ about as these distances do
+        if value > MAX_OBJECTIVE_RATIO * min(near):  # the objectives differ about as these distances do
             ends.append((other, first.value * value / near[0]))
             continue
         found = descend(problem, other, budget, tree, prove=False)
@@ -240,7 +240,7 @@ def refine_poses(problem: Problem, poses: Sequence[Pose], budget: Budget) -> tup
     """
     refined, spent = sorted(poses, key=_value), 0
     for at, (value, T, known) in enumerate(refined):
-        if budget.is_over or value > HOPELESS * min(map(_value, refined)):
+        if budget.is_over or value > MAX_OBJECTIVE_RATIO * min(map(_value, refined)):
             break
         T, better, pairs, more = polish(problem, T, budget, (value, known))
         spent += more
