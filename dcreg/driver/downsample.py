@@ -86,16 +86,14 @@ def _check(count: int, problem: Problem, certificate: bool) -> None:
 def default_sample(problem: Problem, bound: str | None, certificate: bool) -> int | None:
     """Return the number of points to search with; None: all.
 
-    A sample of large clouds gives a better pose than all points. This does not hold in 3D if all points
-    match: then norms suffice.
+    A sample of large clouds gives a better pose than all points.
     """
     n, m = len(problem.source), len(problem.target)
     free = bound is None and not certificate and problem.candidates is None
-    by_norms = problem.dim == 3 and problem.n_inliers == n == m
     # a small cloud is not sampled to match a large one: that would leave it few partners
     is_lopsided = problem.dim == 3 and n * m <= NORM_PAIRS
     pairs = min(n, m) ** 2 if is_lopsided else n * m
-    if not free or by_norms or pairs <= LARGE_PAIRS[problem.dim]:
+    if not free or pairs <= LARGE_PAIRS[problem.dim]:
         return None
     return LARGE_SAMPLE[problem.dim]
 

@@ -27,7 +27,7 @@ MATRIX_FREE_BOUNDS = frozenset({"tight", "shared"})
 # some hundred points give as good an initial pose for all points as thousands, in a tenth of the time.
 LARGE_PAIRS = {2: 1_000_000, 3: 1_000_000}
 LARGE_SAMPLE = {2: 300, 3: 400}
-# In 3D, point pairs above which norms are searched; such clouds are sampled unless all points match.
+# In 3D, point pairs above which norms are searched, unless a sample is.
 NORM_PAIRS = 4_000_000
 # Share of the time for the translation search; the rotation search follows.
 TRANSLATION_SHARE = 0.8

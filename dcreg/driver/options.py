@@ -48,7 +48,7 @@ class SolveOptions:
         clouds and is scaled down with them. By default, all points are searched, except for large clouds
         if neither mode, bound, certificate nor candidates are given: 300 points in 2D above 1,000,000
         point pairs; 400 points in 3D if both clouds have more than 1,000 points, or above 4,000,000 point
-        pairs, unless all points match.
+        pairs.
     prove : bool
         Search to the time limit for a proof. By default, mode ``full`` and searches of samples end with
         status ``converged`` if a proof takes, or is expected to take, more than five seconds after the

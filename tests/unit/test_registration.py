@@ -335,8 +335,8 @@ def test_large_2d_clouds_are_searched_by_a_sample(rng):
     assert paper.downsampled is None
 
 
-def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
-    """With all points the mode would be `paper`, whose norms mislead there."""
+def test_large_clouds_are_searched_by_a_sample_in_3d(monkeypatch):
+    """Mode `paper` finds no right pose of very large clouds in time, even if all points match."""
     monkeypatch.setitem(LARGE_PAIRS, 3, 900)
     monkeypatch.setitem(LARGE_SAMPLE, 3, 25)
     monkeypatch.setattr(modes, "NORM_PAIRS", 900)
@@ -346,7 +346,7 @@ def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     part = dcreg.register(source, target, n_inliers=0.8, model="rigid3d", time_limit=5.0)
     assert (part.mode, part.downsampled) == ("full", (25, 25, 20))
     whole = dcreg.register(source, target, n_inliers=40, model="rigid3d", time_limit=5.0)
-    assert (whole.mode, whole.downsampled) == ("paper", None)
+    assert (whole.mode, whole.downsampled) == ("full", (25, 25, 25))
 
 
 @pytest.mark.parametrize(("model", "dim"), [("similarity2d", 2), ("rigid3d", 3)])
