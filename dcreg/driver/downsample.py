@@ -214,7 +214,8 @@ def _refined_large(
     for other, value in zip(others, near[1:], strict=True):
         if first.greedy or budget.is_over:
             break
-        if value > MAX_OBJECTIVE_RATIO * min(near):  # the objectives differ about as these distances do
+        # the objectives differ about as these distances do
+        if value > MAX_OBJECTIVE_RATIO * min(near):
             ends.append((other, first.value * value / near[0]))
             continue
         found = descend(problem, other, budget, tree, prove=False)
