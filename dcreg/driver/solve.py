@@ -189,8 +189,8 @@ class Finish:
         certificate = self._certificate(solution)
         solution, tolerance = solution.to_input(frame), normalised.tolerance.scaled(frame.area)
         before, greedy = self._matched(solution.T)
-        # no descent may have ended; norms differ by no more than the points do
-        upper_bound = before[0] if np.isinf(solution.upper_bound) else solution.upper_bound
+        self._complete(solution, before[0])
+        upper_bound = solution.upper_bound
         (final, T, pairs), stages = before, list(solution.stages)
         if self.setup.options.polish:
             began = self.placing.elapsed()
@@ -217,6 +217,15 @@ class Finish:
             trace=Trace(solution.events), stages=stages, certificate=certificate,
             runner_up=find_runner_up(problem, T, reached, solution.minima),
         )  # fmt: skip
+
+    def _complete(self, solution: Solution, value: float) -> None:
+        """Give the objective of the pose to searches in which no local search ended."""
+        if np.isinf(solution.upper_bound):
+            solution.upper_bound = value  # norms differ by no more than the points do
+        if solution.events and np.isinf(solution.events[-1].upper_bound):
+            last = replace(solution.events[-1], time_s=self.placing.elapsed(), upper_bound=value)
+            solution.events.append(last)
+            self.placing.report(last.scaled(1.0 / self.normalised.frame.area))
 
     def _matched(self, T: np.ndarray) -> tuple[Pose, bool]:
         """Return the pose with its pairs, and whether these were chosen greedily.

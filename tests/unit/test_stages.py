@@ -7,6 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
+from dcreg.families.rigid3d.bound import RigidBound
+from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.search import Interrupted
 from tests.problems import register
 
 
@@ -60,6 +63,22 @@ def test_events_of_the_start_do_not_refer_to_the_stage_before(solved):
     for event in result.trace:
         if event.stage == "start":
             assert (event.n_nodes, event.lower_bound) == (0, 0.0)
+
+
+def test_the_last_event_has_the_upper_bound_even_if_no_local_search_ended(clouds, monkeypatch):
+    def interrupted(*_):
+        raise Interrupted
+
+    settings = {"n_inliers": 4, "model": "rigid3d", "mode": "full"}
+    register(*clouds, **settings)  # the kernels are compiled
+    monkeypatch.setattr(Rigid3D, "refine", interrupted)
+    monkeypatch.setattr(RigidBound, "_evaluate", interrupted)
+    events = []
+    result = register(*clouds, **settings, listener=events.append)
+    assert result.status is dcreg.Status.TIME_LIMIT
+    assert events[-1].kind == "end"
+    assert events[-1].upper_bound == pytest.approx(result.upper_bound)
+    assert result.trace.events[-1].upper_bound == result.upper_bound
 
 
 def test_trace_file_and_page_name_all_stages(clouds, solved, tmp_path):
