@@ -437,7 +437,7 @@ def test_warnings_are_given_before_the_search(caplog):
     ]
 
 
-def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
+def test_large_clouds_are_searched_by_a_sample_in_3d(monkeypatch):
     monkeypatch.setitem(LARGE_PAIRS, 3, 900)
     monkeypatch.setitem(LARGE_SAMPLE, 3, 25)
     monkeypatch.setattr(modes, "NORM_PAIRS", 900)
@@ -458,7 +458,7 @@ def test_large_clouds_that_match_in_part_are_searched_by_a_sample(monkeypatch):
     assert part.results[0].upper_bound == pytest.approx(part.results[1].upper_bound)
     assert set(part.proven_by) <= {None, 30, 31, 32}  # as they were asked for
     whole = dcreg.sweep(source, target, [40], **options)
-    assert (whole.results[0].mode, whole.results[0].downsampled) == ("paper", None)
+    assert (whole.results[0].mode, whole.results[0].downsampled) == ("full", (25, 25, 25))
     asked = sweep(source, target, [30], **options, mode="full", downsample=20)
     assert asked.results[0].downsampled == (20, 20, 15)
 
