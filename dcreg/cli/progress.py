@@ -163,7 +163,9 @@ class Progress:
         self._last_upper = min(self._last_upper, event.upper_bound)
         # another stage may continue with the same pose
         if not math.isclose(event.upper_bound, self._found_upper, rel_tol=_SAME):
-            self._found_s, self._found_upper = event.time_s, event.upper_bound
+            is_known = math.isfinite(event.upper_bound)
+            self._found_s = event.time_s if is_known else math.inf
+            self._found_upper = event.upper_bound
 
     def _show_header(self) -> None:
         self.console.print(

@@ -24,6 +24,7 @@ from dcreg.status import Status
 
 _LOGGER = logging.getLogger("dcreg")
 MAX_OBJECTIVE_RATIO = 4.0  # of a pose to the best one; worse poses are not refined
+ALL_POINTS = "all points"  # the stage in which the pose of a sample is refined
 # Share of the time for the search of a sample; the rest is for refining its pose on all points.
 SEARCH_SHARE = 0.8
 LEAST_SHARE = 0.5  # of huge clouds within a short limit
@@ -133,7 +134,7 @@ def refined(
     found = refine(problem, T, others, budget, known)
     value, T, pairs = min(found.poses, key=_value)
     stage = Stage(
-        "all points", budget.elapsed() - began, n_assignments=found.n_assignments,
+        ALL_POINTS, budget.elapsed() - began, n_assignments=found.n_assignments,
         objective_before=found.before, objective_after=value, greedy_assignment=found.greedy or None,
     )  # fmt: skip
     ended = result.status in (Status.OPTIMAL, Status.CONVERGED)

@@ -13,7 +13,14 @@ from dcreg.assignment.objective import Matched, is_large, objective, quick_objec
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, find_runner_up, warnings_for
-from dcreg.driver.downsample import Pose, refine_poses, refined, share_of_search, to_search
+from dcreg.driver.downsample import (
+    ALL_POINTS,
+    Pose,
+    refine_poses,
+    refined,
+    share_of_search,
+    to_search,
+)
 from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
@@ -24,7 +31,7 @@ from dcreg.names import AUTO, START_BOXES
 from dcreg.problem import Problem
 from dcreg.problem.geometry import Frame, rounding_error
 from dcreg.result import Result, Stage
-from dcreg.search import Budget, Listener, Trace
+from dcreg.search import Budget, Event, Listener, Trace
 
 _LOGGER = logging.getLogger("dcreg")
 # Seconds for a proof by default. A proof about a sample says little about all points, so it gets less.
@@ -179,8 +186,15 @@ class Finish:
         problem, mode = self.setup.problems[self.at], self.setup.mode
         if self.setup.is_sampled:
             searched = self.setup.searched[self.at]
+            self._report_refinement(np.inf)
             result = refined(result, problem, searched, self.budget, self.known)
+            self._report_refinement(result.objective)
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
+
+    def _report_refinement(self, objective: float) -> None:
+        """Report the objective on all points; it is no bound of the search, so the trace omits it."""
+        budget, value = self.budget, objective / self.normalised.frame.area
+        budget.report(Event("heartbeat", ALL_POINTS, budget.elapsed(), 0, 0, 0, 0.0, value))
 
     def _of_search(self, solution: Solution) -> Result:
         """Return the result for the points that were searched."""

@@ -74,10 +74,11 @@ def test_the_pose_counts_as_found_until_its_bound_falls_by_a_thousandth():
     uppers = [math.inf, 2.0, 1.999, 1.0, 0.9999, 0.9995]
     events = [event(time_s=float(at), upper=upper) for at, upper in enumerate(uppers)]
     events.append(event("end", time_s=9.0, stage="all points", upper=0.9995))  # the same pose
+    events.append(event(time_s=9.4, stage="rotation", upper=math.inf))
     events.append(event("end", time_s=9.5, stage="rotation", upper=7.0))
     lines = show(events, interval_s=-1.0).splitlines()[4:]
     found = [line[29:38].strip() for line in lines]
-    assert found == ["-", "1.0s", "1.0s", "3.0s", "3.0s", "3.0s", "3.0s", "9.5s"]
+    assert found == ["-", "1.0s", "1.0s", "3.0s", "3.0s", "3.0s", "3.0s", "-", "9.5s"]
 
 
 @pytest.mark.parametrize("terminal", [True, False])

@@ -284,6 +284,18 @@ def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit
     assert last.objective_after < last.objective_before
 
 
+def test_progress_names_the_refinement_of_a_sample(rng):
+    source, events = rng.random((60, 3)) * [2.0, 1.0, 0.5], []
+    target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
+    settings = {"n_inliers": 50, "model": "rigid3d", "downsample": 30, "listener": events.append}
+    result = register(source, target, **settings)
+    assert {event.stage for event in result.trace} == {"start", "rigid"}
+    _, *refining = events[events.index(result.trace.events[-1]) :]
+    assert {event.stage for event in refining} == {"all points"}
+    assert np.isinf(refining[0].upper_bound)
+    assert refining[-1].upper_bound == pytest.approx(result.objective)
+
+
 def test_a_part_is_registered_in_a_whole_that_is_larger(rng):
     """The initial poses come from fewer points; the pairs are scaled with the smaller share of them."""
     turn = np.sort(2.0 * np.pi * rng.random(900))
