@@ -110,7 +110,7 @@ def _censored_median(
 ) -> tuple[intervals.Estimate, dict[str, bool]]:
     """Return the median of work; runs at a limit matter if they reach the upper end of its interval."""
     longest = intervals.median(np.where(limited, np.inf, values))
-    return intervals.median(values), {"rises": not np.isfinite(longest.draws[-1])}
+    return intervals.median(values), {"rises": np.isinf(longest.interval(intervals.LEVEL)[1])}
 
 
 @check("low")

@@ -56,7 +56,7 @@ def trend(source: Source, p: Parameters) -> Finding:
     return finding
 
 
-def _rank_correlation(level: pd.Series, work: pd.Series, then: pd.Series) -> intervals.Bootstrapped:
+def _rank_correlation(level: pd.Series, work: pd.Series, then: pd.Series) -> intervals.Figure:
     """Return the correlation of the ranks of the levels and of the work, ties ordered by `then`."""
     order = pd.Series(list(zip(work, then, strict=True)), work.index)
     y_ranks = order.map({key: at for at, key in enumerate(sorted(set(order)))}).rank()
