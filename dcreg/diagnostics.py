@@ -155,10 +155,8 @@ def rough_pairs(case: Case) -> str | None:
         )
     else:
         return None
-    return (
-        f"the time limit was hit before all pairs were matched: {what}. Allow more time, or use "
-        "downsample=200 (--downsample 200)"
-    )
+    fewer = "" if result.downsampled else ", or use downsample=200 (--downsample 200)"
+    return f"the time limit was hit before all pairs were matched: {what}. Allow more time{fewer}"
 
 
 def scale_at_limit(case: Case) -> str | None:
@@ -201,16 +199,31 @@ def other_size(case: Case) -> str | None:
 
 
 def loose_pairs(case: Case) -> str | None:
-    """Matched points are farther apart than neighbours, so some pairs are probably wrong."""
+    """Matched points are farther apart than neighbours, so some pairs are probably wrong.
+
+    Other causes come first: a search that was cut short, and clouds of different scales.
+    """
     problem, result = case.problem, case.result
     spacing = median_spacing(problem.target)
     if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_greedy:
+        return None
+    if _was_cut_short(result) or scale_at_limit(case) or other_size(case):
         return None
     return (
         f"the RMS residual of the pairs is {result.rmse_matched:.3g}, but the point spacing of the "
         f"target is only {spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. "
         "Try a smaller n_inliers (`dcreg sweep` tries several), or remove outliers first"
     )
+
+
+def _was_cut_short(result: Result) -> bool:
+    """Tell whether a limit ended the search before it bounded boxes, or while it found better poses."""
+    events = result.trace.events
+    if result.status in (Status.OPTIMAL, Status.CONVERGED) or not events:
+        return False
+    last = events[-1]
+    worse_s = [each.time_s for each in events if each.upper_bound > _ROUGH * last.upper_bound]
+    return result.n_nodes == 0 or 2.0 * max(worse_s, default=0.0) > last.time_s
 
 
 def ambiguous(case: Case) -> str | None:
@@ -231,8 +244,8 @@ def ambiguous(case: Case) -> str | None:
 def too_many_points(case: Case) -> str | None:
     """The points are too many for the time limit."""
     n, m = len(case.problem.source), len(case.problem.target)
-    solved = case.result.status in (Status.OPTIMAL, Status.CONVERGED)
-    if max(n, m) < _MANY_POINTS or solved or case.result.downsampled is not None:
+    is_late = case.result.status is Status.TIME_LIMIT
+    if max(n, m) < _MANY_POINTS or not is_late or case.result.downsampled is not None:
         return None
     return f"{n} x {m} points are too many for this time limit. {_REMEDY}"
 

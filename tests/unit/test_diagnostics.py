@@ -12,6 +12,7 @@ from dcreg.diagnostics import find_runner_up
 from dcreg.result import Sample
 from dcreg.status import Status
 from tests.problems import register
+from tests.results import event
 
 
 def clouds(dim=2, size=30, noise=0.01, seed=0):
@@ -132,12 +133,49 @@ def test_pairs_looser_than_the_points_are_spaced(spacings, warned):
     assert ("smaller n_inliers" in str(diagnostics.loose_pairs(loose))) == warned
 
 
+@pytest.mark.parametrize(
+    ("status", "uppers", "n_nodes", "warned"),
+    [
+        (Status.TIME_LIMIT, [9.0, 1.0, 1.0], 50, True),
+        (Status.TIME_LIMIT, [9.0, 9.0, 9.0, 1.0], 50, False),
+        (Status.TIME_LIMIT, [1.0], 0, False),
+        (Status.CONVERGED, [9.0, 9.0, 9.0, 1.0], 50, True),
+    ],
+)
+def test_pairs_are_not_called_too_many_if_the_search_was_cut_short(status, uppers, n_nodes, warned):
+    source, target = clouds()
+    trace = dcreg.Trace([event(time_s=float(at), upper=upper) for at, upper in enumerate(uppers)])
+    changes = {"objective": 100.0, "status": status, "trace": trace, "n_nodes": n_nodes}
+    loose = case(solve(source, target, 20), source, target, **changes)
+    assert bool(diagnostics.loose_pairs(loose)) == warned
+
+
+def test_pairs_are_not_called_too_many_if_the_scales_differ():
+    source, target = clouds(noise=0.05)
+    for factor in (3.0, 12.0):
+        lines = solve(source, factor * target, 30, time_limit=2.0).warnings
+        assert any("rescale one cloud" in line for line in lines)
+        assert not any(diagnostics.TOO_MANY_PAIRS in line for line in lines)
+
+
+def test_a_sampled_search_is_not_asked_for_a_sample():
+    source, target = clouds(3)
+    result = solve(source, target, 30)
+    late = [*result.stages, dcreg.Stage("all points", 0.1, greedy_assignment=True)]
+    sampled = case(result, source, target, stages=late, downsampled=Sample(9, 9, 9), objective=9.0)
+    line = diagnostics.rough_pairs(sampled)
+    assert "Allow more time" in line
+    assert "--downsample" not in line
+
+
 def test_too_many_points():
     source, target = clouds(size=1200)
     result = solve(source[:20], target[:20], 20)
     late = case(result, source, target, status=Status.TIME_LIMIT)
     assert "--downsample" in diagnostics.too_many_points(late)
     assert diagnostics.too_many_points(case(result, source, target)) is None
+    stopped = case(result, source, target, status=Status.STOPPED)  # not by the clock
+    assert diagnostics.too_many_points(stopped) is None
 
 
 def cluttered(n_true=25, n_clutter=55, seed=1):
