@@ -36,6 +36,7 @@ _ROUGH = 1.01  # objective in units of the upper bound; more than rounding
 _CLOSE = 1.5
 # RMSE in units of the target's spacing. Scans of one object stay below it if n_inliers is right.
 _LOOSE = 2.0
+_FEW_PAIRS = 20  # more pairs hardly fit by chance, except on surfaces
 _REMEDY = (
     "Use downsample=200 (--downsample 200): it searches with a sample of the points and refines the "
     "pose on all points"
@@ -198,16 +199,60 @@ def other_size(case: Case) -> str | None:
     )
 
 
+def few_pairs(case: Case) -> str | None:
+    """The pairs are so few that unrelated clouds of the same sizes fit as well."""
+    problem, k = case.problem, case.result.n_inliers
+    is_few = problem.dim <= k <= _FEW_PAIRS and 2 * k < min(
+        len(problem.source), len(problem.target)
+    )
+    if not is_few or _log_chance_fits(case) < 0.0:
+        return None
+    return (
+        f"{k} pairs are too few for a meaningful pose: unrelated clouds of these sizes would fit as well "
+        "by chance. Match more pairs (a larger n_inliers; `dcreg sweep` tries several)"
+    )
+
+
+def _log_chance_fits(case: Case) -> float:
+    """Return the log of the expected number of fits as good as this one between unrelated clouds.
+
+    It is the number of choices of k pairs times the probability that one choice fits. The points are
+    independent and uniform in a cube of the clouds' standard deviation. The k target points fit if they
+    are in a tube around all images of the source points. Its cross-section is a ball, whose squared
+    radius is the objective.
+    """
+    problem, k, d = case.problem, case.result.n_inliers, case.problem.dim
+    n, m = len(problem.source), len(problem.target)
+    variance = min(rms_radius(problem.source), rms_radius(problem.target)) ** 2 / d
+    if variance == 0.0:
+        return -math.inf
+    low, high = problem.scale_range
+    n_linear = d * (d - 1) // 2 + (low < high)  # parameters of rotation and scale
+    rotations = 8.0 * math.pi**2 if d == 3 else 2.0 * math.pi
+    # volume of the images: translations along the cube, rotations and scales as they move the points
+    images = 0.5 * d * (math.log(k) + math.log(12.0)) + 0.5 * n_linear * math.log(2.0 * k)
+    images += math.log(rotations) + (math.log(math.log(high / low)) if low < high else 0.0)
+    free = d * k - d - n_linear
+    rounding = rounding_error(problem.source, problem.target, k)
+    squared_radius = (case.result.objective + rounding) / variance
+    ball = 0.5 * free * math.log(math.pi * squared_radius) - math.lgamma(0.5 * free + 1.0)
+    chosen = math.lgamma(n + 1) - math.lgamma(n - k + 1) - math.lgamma(k + 1)
+    chosen += math.lgamma(m + 1) - math.lgamma(m - k + 1)
+    if problem.candidates is not None:
+        chosen += k * math.log(problem.candidates.mean())
+    return chosen + images + ball - 0.5 * d * k * math.log(12.0)
+
+
 def loose_pairs(case: Case) -> str | None:
     """Matched points are farther apart than neighbours, so some pairs are probably wrong.
 
-    Other causes come first: a search that was cut short, and clouds of different scales.
+    Other causes come first: a search that was cut short, clouds of different scales, too few pairs.
     """
     problem, result = case.problem, case.result
     spacing = median_spacing(problem.target)
     if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_greedy:
         return None
-    if _was_cut_short(result) or scale_at_limit(case) or other_size(case):
+    if _was_cut_short(result) or scale_at_limit(case) or other_size(case) or few_pairs(case):
         return None
     return (
         f"the RMS residual of the pairs is {result.rmse_matched:.3g}, but the point spacing of the "
@@ -257,6 +302,7 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
     scale_at_limit,
     undetermined,
     other_size,
+    few_pairs,
     loose_pairs,
     ambiguous,
     too_many_points,

@@ -124,6 +124,29 @@ def test_a_pose_that_the_pairs_do_not_determine(dim):
     assert diagnostics.undetermined(case(good, source, target)) is None
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(
+    ("size", "k", "warned"), [(60, 3, True), (60, 45, False), (10, 5, False), (10, 10, False)]
+)
+def test_pairs_that_unrelated_clouds_would_fit_as_well(dim, size, k, warned):
+    lines = solve(*clouds(dim, size), k, time_limit=2.0).warnings
+    assert any("too few" in line and "larger n_inliers" in line for line in lines) == warned
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("k", [3, 5, 9])
+def test_unrelated_clouds_fit_by_chance(dim, k):
+    generator = np.random.default_rng(k)
+    source, target = generator.random((2, 24, dim))
+    assert any("too few" in line for line in solve(source, target, k, time_limit=1.0).warnings)
+
+
+def test_few_pairs_that_fit_exactly_are_meaningful():
+    source, _ = clouds(3)
+    result = solve(source, source[::-1] + 1.0, 6)
+    assert diagnostics.few_pairs(case(result, source, source[::-1] + 1.0)) is None
+
+
 @pytest.mark.parametrize(("spacings", "warned"), [(1.5, False), (2.5, True)])
 def test_pairs_looser_than_the_points_are_spaced(spacings, warned):
     source, target = clouds()
