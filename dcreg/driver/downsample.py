@@ -17,7 +17,7 @@ from dcreg.assignment.sparse import tree_of
 from dcreg.diagnostics import find_runner_up
 from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE, NORM_PAIRS
 from dcreg.problem import InputError, Problem, representative_points
-from dcreg.problem.geometry import sampled_pairs
+from dcreg.problem.geometry import rounding_error, sampled_pairs
 from dcreg.result import Result, Sample, Stage
 from dcreg.search import Budget
 from dcreg.status import Status
@@ -212,12 +212,14 @@ def _refined_large(
     first = descend(problem, T, budget, tree)
     poses: list[Pose] = [(first.value, first.T_target_source, first.pairs)]
     ends, spent = [(first.T_target_source, first.value)], first.n_assignments
+    rounding = rounding_error(problem.source, problem.target, problem.n_inliers)
+    scale = (first.before + rounding) / (near[0] + rounding)  # both at the pose of the sample
     for other, value in zip(others, near[1:], strict=True):
         if first.greedy or budget.is_over:
             break
         # the objectives differ about as these distances do
         if value > MAX_OBJECTIVE_RATIO * min(near):
-            ends.append((other, first.value * value / near[0]))
+            ends.append((other, scale * value))
             continue
         found = descend(problem, other, budget, tree, prove=False)
         poses.append((found.value, found.T_target_source, found.pairs))

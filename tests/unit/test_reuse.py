@@ -127,6 +127,17 @@ def test_the_runner_up_of_a_sample_is_compared_on_all_points(clouds, sample, ang
     assert np.sqrt((apart**2).sum(axis=1).mean()) > 0.1
 
 
+def test_the_runner_up_of_an_exact_fit_costs_more(sample, rng):
+    """The pose of the sample is slightly wrong, as is the runner-up; only the former is refined."""
+    part, found = sample
+    source = rng.random((2100, 3)) * [2.0, 1.0, 0.5]
+    found.T_target_source[:] = turned(0.01)
+    found = replace(found, runner_up=RunnerUp(turned(3.0), 1.02, 172.0, 0.5))
+    result = refined(found, Problem(source, source, 2100, "rigid3d"), part, Budget())
+    assert result.rmse_matched < 1e-9
+    assert result.runner_up.objective_ratio > 1000.0
+
+
 def test_a_sample_whose_pose_is_not_refined_to_the_end_ended_at_the_limit(clouds):
     sample = Problem(clouds[0][:30], clouds[0][:30], 20, "rigid3d")
     found = dcreg.register(sample.source, sample.target, n_inliers=20, model="rigid3d")
