@@ -29,7 +29,7 @@ No front end returns more than `max_pairs` pairs: the least similar are dropped,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -259,6 +259,13 @@ def _signatures(
     return near / near_mean, far / far_mean
 
 
+def _surface(instance: Instance) -> Instance:
+    """Return a wavy surface for the warm-up: some libraries crash on clouds without descriptors."""
+    x, y = np.meshgrid(np.linspace(0.0, 6.0, 60), np.linspace(0.0, 6.0, 60))
+    points = np.column_stack([x.ravel(), y.ravel(), (np.sin(2.0 * x) * np.cos(y * y)).ravel()])
+    return replace(tiny(instance), source=points, target=points + 0.3, noise_bound=0.2)
+
+
 class CorrespondenceMethod(Baseline):
     """A method over putative pairs from a front end.
 
@@ -299,10 +306,10 @@ class CorrespondenceMethod(Baseline):
         return missing_matches(instance, front_end)
 
     def warm_up(self, instance: Instance) -> None:
-        small = tiny(instance)
         if self.options["front_end"] == OWN:
-            self.solve_clouds(small)
+            self.solve_clouds(_surface(instance))
             return
+        small = tiny(instance)
         if self.options["front_end"] not in ("oracle", *SHARED):
             putative_pairs(small, self.options)
         rows = np.arange(len(small.source))

@@ -286,3 +286,15 @@ def test_two_pairs_are_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
     solution = method.solve(planted("rigid3d", 200, 0.0)[0], LIMITS)
     assert solution.status is Status.FAILED
     assert solution.message == "2 correspondences; a pose needs at least 3"
+
+
+@pytest.mark.parametrize("name", ["fpfh_ransac", "fpfh_fgr", "kiss_matcher"])
+def test_the_warm_up_of_an_own_front_end_finds_a_pose(name: str) -> None:
+    """A library that crashes in its warm-up costs the first run of every worker."""
+    method = registry.load(name, front_end="own")
+    if reason := method.available():
+        pytest.skip(reason)
+    seen, solve = [], method.solve_clouds
+    method.solve_clouds = lambda instance: seen.append(solve(instance)) or seen[-1]
+    method.warm_up(planted("rigid3d", 200, 0.0)[0])
+    assert seen[0][0] is not None

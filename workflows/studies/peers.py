@@ -1,14 +1,13 @@
 """`dcreg` and methods with descriptors on the same raw pairs: ``python -m workflows.studies.peers OUT``.
 
 The pairs are those of ``walk --only-raw``. The peers use their own front ends and recipes, with voxels of
-1/50 and of 1/100 of the target's longest side; the table has both. Times of peers are those of the call,
-in a process that has loaded the library. The time of `dcreg` includes the start of its process; its
-column `call_s` does not. No method uses `n_inliers` but `dcreg`.
+1/50 and of 1/100 of the target's longest side; the table has both. Column `call_s` is the time of the
+call in a process that has loaded the library, with two threads; column `wall_s` of `dcreg` includes the
+start of its process. Only `dcreg` uses `n_inliers`.
 """
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Annotated
 
@@ -16,9 +15,10 @@ import numpy as np
 import pandas as pd
 import typer
 
-from baselines import registry
-from baselines.contract import Instance, Limits
+from baselines.contract import Instance
 from dcreg.names import DEFAULT_TIME_LIMIT_S
+from workflows.config import LimitSettings, MethodSettings
+from workflows.stages.sandbox import Sandbox
 from workflows.studies.walk import CloudPair, pose_errors, raw_pairs, sampled_clouds, walked
 
 PEERS = ("kiss_matcher", "fpfh_ransac", "fpfh_fgr")
@@ -36,7 +36,7 @@ def main(
     for pair in raw_pairs():
         rows.append({"method": "dcreg", **walked(pair, size, limit, out.resolve())})
         rows[-1]["call_s"] = rows[-1]["wall_s"] - rows[-1].get("before_solve_s", np.nan)
-        rows += [_solved(pair, size, name, voxel) for name in PEERS for voxel in VOXELS]
+        rows += [_solved(pair, size, name, voxel, out) for name in PEERS for voxel in VOXELS]
         print(pd.DataFrame(rows[-1 - len(PEERS) * len(VOXELS) :]).to_string(), flush=True)
     table = pd.DataFrame(rows)
     table.to_csv(out / "peers.csv", index=False)
@@ -56,7 +56,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _solved(pair: CloudPair, size: int, name: str, voxel: float) -> dict[str, object]:
+def _solved(pair: CloudPair, size: int, name: str, voxel: float, out: Path) -> dict[str, object]:
     source, target = sampled_clouds(pair, size)
     instance = Instance(
         instance_id=pair.name, source=source, target=target, model="rigid3d",
@@ -64,15 +64,14 @@ def _solved(pair: CloudPair, size: int, name: str, voxel: float) -> dict[str, ob
         noise_bound=voxel * float(np.ptp(target, axis=0).max()), seed=0,
     )  # fmt: skip
     row: dict[str, object] = {"method": name, "pair": pair.name, "voxel": voxel, "right": False}
-    method = registry.load(name, front_end="own")
-    if reason := method.available():
-        return row | {"status": f"unavailable: {reason}", "right": None}
-    method.warm_up(instance)
-    began = time.perf_counter()
-    found = method.solve(instance, Limits(time_s=DEFAULT_TIME_LIMIT_S))
-    row |= {"call_s": time.perf_counter() - began, "status": found.status.value}
-    T = found.T_target_source
-    return row if T is None else row | pose_errors(pair, T)
+    settings = MethodSettings(name=name, baseline=name, options={"front_end": "own"})
+    limits = LimitSettings(time_s=DEFAULT_TIME_LIMIT_S, memory_mb=8192, threads=2)
+    with Sandbox(settings, limits, out / "peers.log") as sandbox:  # some cannot share a process
+        answer = sandbox.solve(instance)
+    row |= {"status": str(answer["status"]), "call_s": answer.get("time_solve_s")}
+    row["message"] = answer.get("message", "")
+    T = answer.get("T_target_source")
+    return row if T is None else row | pose_errors(pair, np.array(T))
 
 
 if __name__ == "__main__":
