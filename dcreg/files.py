@@ -65,7 +65,8 @@ def plain(value: Any, digits: int | None = None) -> Any:
         case float() if not math.isfinite(value):
             return None
         case _ if hasattr(value, "tolist"):  # arrays and numbers of NumPy
-            return plain(value.tolist(), digits)
+            is_plain = value.dtype.kind in "iub"  # long lists of pairs, for instance
+            return value.tolist() if is_plain else plain(value.tolist(), digits)
         case float() if digits is not None:
             return float(f"{value:.{digits}g}")
         case _ if is_dataclass(value):
