@@ -74,7 +74,9 @@ def compile_covers() -> None:
             points = generator.standard_normal((8, 2 if mode.model == "similarity2d" else 3))
             ranges = {"scale_range": (0.5, 1.5)} if "scale_range" in mode.needs else {}
             space = mode.space(points, points[:, ::-1].copy(), 6, **ranges)
-            mode.make_cover(space).confine(_CUTOFF, Budget(), np.inf)
+            confined = mode.make_cover(space).confine(_CUTOFF, Budget(), np.inf)
+            if confined is not None:
+                confined.meeting(Boxes.of(space.roots()))
 
 
 def _compile_mode(mode: Mode) -> None:

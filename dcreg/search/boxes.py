@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dcreg.search import kernels as heap
+from dcreg.search import kernels
 
 
 @dataclass(frozen=True)
@@ -188,6 +188,14 @@ class Confined:
     n_tried: int = 0
     stage: str = ""
 
+    def meeting(self, boxes: Boxes) -> Boxes:
+        """Return the boxes that contain a part of the confined ones."""
+        if np.isinf(self.outside):  # all of the search region
+            return boxes
+        meets = np.empty(len(boxes), np.bool_)
+        kernels.meeting(boxes.lower, boxes.upper, self.boxes.lower, self.boxes.upper, meets)
+        return boxes if meets.all() else boxes[meets]
+
 
 class OpenNodes:
     """Priority queue of open boxes: lowest bound first, then the larger box, then the older one."""
@@ -230,14 +238,14 @@ class OpenNodes:
         self._sizes[slots] = (boxes.upper - boxes.lower).sum(axis=1)
         self._serials[slots] = np.arange(self._serial, self._serial + count)
         self._serial += count
-        self._length = heap.push(
+        self._length = kernels.push(
             self._heap, self._length, slots, self._bounds, self._sizes, self._serials
         )
 
     def pop(self, count: int, cutoff: float) -> Boxes:
         """Remove and return up to `count` best boxes with bounds below `cutoff`."""
         slots = np.empty(count, np.int64)
-        taken = heap.pop(
+        taken = kernels.pop(
             self._heap, self._length, cutoff, self._bounds, self._sizes, self._serials, slots
         )
         slots = slots[:taken]

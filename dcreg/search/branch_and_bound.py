@@ -173,16 +173,17 @@ class Search:
             self.terminate()
         while self.status is None and self.n_nodes < pause:
             boxes, self.boxes = self.boxes, self.boxes[:0]
-            try:
-                found = self.bound.evaluate(boxes, self.cutoff)
-            except Interrupted:
-                self.put_back(boxes)
-                break
-            self.update_incumbent(found)
-            self.prune(boxes, found)
+            if len(boxes):
+                try:
+                    found = self.bound.evaluate(boxes, self.cutoff)
+                except Interrupted:
+                    self.put_back(boxes)
+                    break
+                self.update_incumbent(found)
+                self.prune(boxes, found)
             self.terminate()
             if self.status is None:
-                self.boxes = self.branching(self.select())
+                self.boxes = self.confined.meeting(self.branching(self.select()))
 
     @property
     def cutoff(self) -> float:
@@ -206,6 +207,11 @@ class Search:
             self, tolerance=tolerance, start=start, confined=confined, prospect=None,
             n_begun=self.n_nodes, events=[], is_part=True,
         )  # fmt: skip
+
+    def narrow(self, confined: Confined) -> None:
+        """Bound only boxes that meet the `confined` ones from now on."""
+        self.confined, self.prospect, self.n_begun = confined, None, self.n_nodes
+        self.pruned_bound = min(self.pruned_bound, confined.outside)
 
     def take_over(self, part: Search) -> None:
         """Continue with the counts, the incumbent and the lower bound of a part."""

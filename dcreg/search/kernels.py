@@ -1,6 +1,7 @@
-"""A binary heap of open boxes: lowest bound first, among equals the larger box, then the older.
+"""Kernels of the search: the binary heap of open boxes, and which boxes meet others.
 
-The heap holds the slots of boxes. Bounds, sizes and serial numbers are in arrays indexed by slot.
+The heap has the lowest bound first, among equals the larger box, then the older. It holds the slots of
+boxes. Bounds, sizes and serial numbers are in arrays indexed by slot.
 """
 
 from __future__ import annotations
@@ -54,3 +55,25 @@ def pop(heap, length, cutoff, bounds, sizes, serials, slots):
             at = child
         heap[at] = last
     return count
+
+
+@jit
+def meeting(lower, upper, of_lower, of_upper, meets):
+    """Store which boxes contain a part of others. A common face is none, unless an axis has no width."""
+    for b in range(len(lower)):
+        meets[b] = False
+        for j in range(len(of_lower)):
+            if _overlap(lower[b], upper[b], of_lower[j], of_upper[j]):
+                meets[b] = True
+                break
+
+
+@jit
+def _overlap(lower, upper, of_lower, of_upper):
+    for c in range(len(lower)):
+        low, high = max(lower[c], of_lower[c]), min(upper[c], of_upper[c])
+        if low > high:
+            return False
+        if low == high and lower[c] < upper[c] and of_lower[c] < of_upper[c]:
+            return False
+    return True

@@ -135,6 +135,10 @@ def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outco
             search.resume(paused_s)
             continue
         parts.append(confined)
+        if share == 1.0:  # the boxes so far share vertices and warm starts with those that are left
+            search.narrow(confined)
+            search.resume(paused_s)
+            break
         part = search.confined_to(confined, tolerance)
         part.run()
         search.take_over(part)

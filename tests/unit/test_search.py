@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from dcreg.search import Box, Boxes, Budget, Evaluation, LongestEdge, Tolerance, branch_and_bound
+from dcreg.search import (
+    Box,
+    Boxes,
+    Budget,
+    Confined,
+    Evaluation,
+    LongestEdge,
+    Tolerance,
+    branch_and_bound,
+)
+from dcreg.search.branch_and_bound import Search, Start
 from dcreg.status import Status
 
 ROOT = [Box(-np.ones(2), np.ones(2))]
@@ -163,3 +173,48 @@ def test_children_cover_their_parent_along_the_weighted_longest_edge():
 def test_box_refuses_crossed_limits():
     with pytest.raises(ValueError, match="not a box"):
         Box(np.ones(2), np.zeros(2))
+
+
+def _overlap(lower, upper, of_lower, of_upper):
+    """Whether two boxes share more than a face; on an axis without width, whether they touch."""
+    low, high = np.maximum(lower, of_lower), np.minimum(upper, of_upper)
+    is_flat = (lower == upper) | (of_lower == of_upper)
+    return bool(np.where(is_flat, low <= high, low < high).all())
+
+
+def test_boxes_meet_those_with_which_they_share_more_than_a_face():
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        lower, of_lower = rng.integers(0, 6, (20, 3)), rng.integers(0, 6, (7, 3))
+        boxes = Boxes(lower * 1.0, lower + rng.integers(0, 3, lower.shape) * 1.0)
+        others = Boxes(of_lower * 1.0, of_lower + rng.integers(0, 3, of_lower.shape) * 1.0)
+        meeting = Confined(others, 1.0).meeting(boxes)
+        expected = [
+            any(_overlap(*box, *other) for other in zip(others.lower, others.upper, strict=True))
+            for box in zip(boxes.lower, boxes.upper, strict=True)
+        ]
+        np.testing.assert_array_equal(meeting.lower, boxes.lower[expected])
+        np.testing.assert_array_equal(meeting.upper, boxes.upper[expected])
+
+
+@pytest.mark.parametrize("keeps_minimum", [True, False])
+def test_a_narrowed_search_bounds_only_boxes_that_meet_the_confined_ones(keeps_minimum):
+    """The rest counts with the value that was proved for it."""
+    bound = Ripples()
+    search = Search(
+        bound, Budget(), LongestEdge(np.ones(2)), Tolerance(abs=1e-2), "search", None,
+        Start(np.zeros(2), 0.5), None, Confined(Boxes.of(ROOT), np.inf),
+    )  # fmt: skip
+    search.run(64)
+    half = np.array([0.25, 0.25])
+    centre = bound.centre if keeps_minimum else -bound.centre
+    outside = 0.4 if keeps_minimum else search.cutoff
+    search.narrow(Confined(Boxes((centre - half)[None], (centre + half)[None]), outside))
+    search.run()
+    found = search.outcome()
+    assert found.status is Status.OPTIMAL
+    assert found.n_nodes < solve().n_nodes
+    if keeps_minimum:
+        assert found.lower_bound <= dense_minimum() <= found.upper_bound + 1e-4
+    else:  # what the confined boxes were said to exclude is believed
+        assert found.lower_bound >= search.cutoff

@@ -1,0 +1,182 @@
+"""Archives of results: what is kept, what is refused, and the pages that they give."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from pandas.testing import assert_frame_equal
+from report_fixture import write_tables
+
+from reports.archive import crate, pages, read
+from reports.archive import write as writing
+from reports.tables import ReportError, Tables
+from workflows import records
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("results")
+    for name in ("one", "two"):
+        write_tables(root / name / "tables", name)
+    (root / "bounds").mkdir()
+    pd.DataFrame({"bound": ["dc", "tight"], "value": [0.5, 0.75]}).to_csv(
+        root / "bounds" / "boxes.csv", index=False
+    )
+    return root
+
+
+@pytest.fixture(scope="module")
+def archive(results, tmp_path_factory) -> Path:
+    return writing.write([results], tmp_path_factory.mktemp("archives") / "1.0", "1.0")
+
+
+def test_restored_tables_are_those_of_the_results(results, archive, tmp_path):
+    places = read.restore(archive, tmp_path)
+    assert [place.parent.name for place in places] == ["one", "two"]
+    for place in places:
+        stored, original = Tables.load(place), Tables.load(results / place.parent.name / "tables")
+        assert_frame_equal(stored.runs, original.runs)
+        assert_frame_equal(stored.accounting, original.accounting)
+        assert_frame_equal(stored.traces, writing.thinned(original.traces))
+        assert (stored.provenance, stored.overlays) == (original.provenance, original.overlays)
+    study = pd.read_csv(tmp_path / "bounds" / "boxes.csv")
+    assert_frame_equal(study, pd.read_csv(results / "bounds" / "boxes.csv"))
+
+
+def test_histories_keep_their_ends_and_at_most_the_stated_events():
+    many = 10 * writing.MOST_EVENTS
+    events = pd.DataFrame(
+        {"run_id": ["a"] * many + ["b"], "time_s": [*range(many), 0], "lower_bound": [*range(many), 0],
+         "upper_bound": 1.0}
+    )  # fmt: skip
+    kept = writing.thinned(events)
+    assert kept["run_id"].value_counts()["a"] <= writing.MOST_EVENTS
+    assert set(kept["run_id"]) == {"a", "b"}
+    assert list(kept["time_s"].iloc[[0, -2]]) == [0, many - 1]
+
+
+def test_an_archive_of_the_same_results_has_the_same_tables(results, archive, tmp_path):
+    again = writing.write([results], tmp_path / "again", "1.0")
+    names = [path.relative_to(archive) for path in archive.rglob("*") if path.is_file()]
+    same = [name for name in names if "crate" not in name.name and name.suffix != ".sha256"]
+    for name in set(same) - {Path("archive.json")}:  # which states when it was made
+        assert (again / name).read_bytes() == (archive / name).read_bytes(), name
+
+
+def test_every_file_is_described(archive):
+    crate.check(archive)
+    described = json.loads((archive / crate.METADATA).read_text())["@graph"]
+    runs = next(entity for entity in described if entity["@id"] == "runs.parquet")
+    assert runs["encodingFormat"] == "application/vnd.apache.parquet"
+
+
+def _copy(archive: Path, to: Path) -> Path:
+    for path in archive.rglob("*"):
+        if path.is_file():
+            place = to / path.relative_to(archive)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_bytes(path.read_bytes())
+    return to
+
+
+def test_a_file_without_a_description_is_refused(archive, tmp_path):
+    own = _copy(archive, tmp_path / "own")
+    (own / "more.json").write_text("{}")
+    with pytest.raises(ReportError, match=r"more\.json is not described"):
+        crate.check(own)
+
+
+@pytest.mark.parametrize(
+    "name", ["runs.parquet", "archive.json", "experiments/one/provenance.json"]
+)
+def test_a_damaged_or_missing_file_is_refused(archive, tmp_path, name):
+    own = _copy(archive, tmp_path / "own")
+    content = (own / name).read_bytes()
+    (own / name).write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    with pytest.raises(ReportError, match=f"{Path(name).name}: damaged"):
+        read.folder_of(str(own), tmp_path)
+    (own / name).unlink()
+    with pytest.raises(ReportError, match="missing"):
+        read.folder_of(str(own), tmp_path)
+
+
+def test_another_schema_is_refused(archive, tmp_path, monkeypatch):
+    monkeypatch.setattr(records, "SCHEMA_VERSION", records.SCHEMA_VERSION + 1)
+    with pytest.raises(records.SchemaError, match="use the checkout of its version"):
+        read.folder_of(str(archive), tmp_path)
+
+
+def _zipped(archive: Path, path: Path) -> Path:
+    with zipfile.ZipFile(path, "w") as packed:
+        for file in archive.rglob("*"):
+            packed.write(file, Path("1.0") / file.relative_to(archive))
+    return path
+
+
+def test_a_zip_file_is_read_if_its_checksum_is_right(archive, tmp_path):
+    packed = _zipped(archive, tmp_path / "results.zip")
+    folder = read.folder_of(str(packed), tmp_path / "cache", writing.digest(packed))
+    assert read.facts(folder)["version"] == "1.0"
+    with pytest.raises(ReportError, match=r"results\.zip: SHA-256 is"):
+        read.folder_of(str(packed), tmp_path / "cache", "0" * 64)
+
+
+@pytest.mark.parametrize("name", ["../out.txt", "/out.txt", "a/../../out.txt", "..\\out.txt"])
+def test_a_zip_file_cannot_write_outside_its_folder(archive, tmp_path, name):
+    packed = _zipped(archive, tmp_path / "results.zip")
+    with zipfile.ZipFile(packed, "a") as more:
+        more.writestr(name, "x")
+    with pytest.raises(ReportError, match="unsafe member"):
+        read.folder_of(str(packed), tmp_path / "cache")
+    assert not list(tmp_path.rglob("out.txt"))
+
+
+def test_a_zip_file_with_a_link_is_refused(archive, tmp_path):
+    packed = _zipped(archive, tmp_path / "results.zip")
+    with zipfile.ZipFile(packed, "a") as more:
+        link = zipfile.ZipInfo("1.0/link")
+        link.external_attr = 0o120777 << 16
+        more.writestr(link, "/etc/passwd")
+    with pytest.raises(ReportError, match="unsafe member"):
+        read.folder_of(str(packed), tmp_path / "cache")
+
+
+def test_a_zip_file_that_would_fill_the_disk_is_refused(archive, tmp_path, monkeypatch):
+    monkeypatch.setattr(read, "MOST_UNPACKED", 1000)
+    with pytest.raises(ReportError, match="unpacked, more than"):
+        read.folder_of(str(_zipped(archive, tmp_path / "results.zip")), tmp_path / "cache")
+
+
+def test_an_address_needs_a_checksum(tmp_path):
+    with pytest.raises(ReportError, match="SHA-256"):
+        read.folder_of("https://example.org/results.zip", tmp_path)
+
+
+def test_an_unknown_version_is_refused_with_those_that_exist(tmp_path):
+    with pytest.raises(ReportError, match="no such archive; stored versions"):
+        read.folder_of("0.0.0", tmp_path)
+
+
+def test_results_that_would_be_too_large_are_refused(results, tmp_path, monkeypatch):
+    monkeypatch.setattr(writing, "MOST_BYTES", 1000)
+    with pytest.raises(ReportError, match="archive fewer experiments"):
+        writing.write([results], tmp_path / "2.0", "2.0")
+    assert not (tmp_path / "2.0").exists()
+
+
+def test_no_results_are_refused(tmp_path):
+    with pytest.raises(ReportError, match="no results"):
+        writing.write([tmp_path], tmp_path / "2.0", "2.0")
+
+
+def test_all_pages_are_built_from_an_archive(archive, tmp_path):
+    index = pages.build(str(archive), tmp_path / "pages")
+    text = index.read_text()
+    reports = [f"{name}/report/index.html" for name in ("one", "two")]
+    for link in (*reports, "claims/claims.html", "figures/index.html"):
+        assert f'href="{link}"' in text
+        assert (index.parent / link).is_file()
