@@ -1,0 +1,69 @@
+"""Metadata of an archive in the form of RO-Crate, for programs that index research data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rocrate.rocrate import ROCrate
+
+from reports.tables import ReportError
+
+METADATA = "ro-crate-metadata.json"
+LICENCE = "https://spdx.org/licenses/MIT"
+FORMATS = {
+    ".parquet": "application/vnd.apache.parquet",
+    ".json": "application/json",
+    ".gz": "application/gzip",
+}
+MEANINGS = {
+    "archive.json": "Version, schema, lock file and experiments of this archive",
+    "runs.parquet": "One row per planned run; workflows/records.py documents the columns",
+    "traces.parquet": "Bound histories of the runs, thinned",
+    "provenance.json": "Config, methods, options, machine and versions of an experiment",
+    "overlays.json.gz": "Points and poses of the best, median and worst runs",
+}
+
+
+def describe(folder: Path, facts: Mapping[str, Any]) -> None:
+    """Write the metadata of all files in `folder`."""
+    crate = ROCrate()
+    crate.name = f"Results of the DC-Reg benchmark, version {facts['version']}"
+    crate.description = (
+        f"All {sum(each['runs'] for each in facts['experiments'].values())} planned runs of "
+        f"{len(facts['experiments'])} experiments on point cloud registration, with bound histories"
+    )
+    crate.license = LICENCE
+    crate.datePublished = facts["created"]
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            name = path.relative_to(folder).as_posix()
+            properties = {
+                "name": name,
+                "description": MEANINGS.get(path.name, "Table of the study of bounds"),
+                "encodingFormat": FORMATS[path.suffix],
+                "contentSize": str(path.stat().st_size),
+            }
+            crate.add_file(str(path), dest_path=name, properties=properties)
+    crate.metadata.write(folder)
+
+
+def check(folder: Path) -> None:
+    """Refuse metadata that the library cannot read, or that misses a file.
+
+    Raises
+    ------
+    ReportError
+    """
+    try:
+        crate = ROCrate(folder)
+    except (ValueError, KeyError, OSError) as error:
+        raise ReportError(f"{folder / METADATA}: not valid: {error}") from error
+    described = {entity.id for entity in crate.data_entities}
+    present = {
+        path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()
+    } - {METADATA, "checksums.sha256"}
+    for name in sorted(described ^ present):
+        what = "is not described" if name in present else "is missing"
+        raise ReportError(f"{folder / METADATA}: {name} {what}; write the archive again")

@@ -1,0 +1,49 @@
+"""Build every page from an archive: reports of experiments, ledger and figures, without a run."""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+from reports import claims, paper_page, templating
+from reports.archive import read
+from reports.build import build as build_report
+
+HERE = Path(__file__).parents[1]
+
+
+def build(archive: str, out: Path, sha256: str = "") -> Path:
+    """Write all pages of an archive to the folder `out`; return the path of their index.
+
+    Parameters
+    ----------
+    archive : str
+        As in `read.folder_of`.
+    out : Path
+    sha256 : str
+        Of a zip file.
+    """
+    folder = read.folder_of(archive, out / "cache", sha256)
+    places = read.restore(folder, out)
+    with ProcessPoolExecutor(mp_context=get_context("forkserver")) as pool:
+        pages = [place.parent / "report" / "index.html" for place in places]
+        reports = [pool.submit(build_report, *each) for each in zip(places, pages, strict=True)]
+        figures = pool.submit(paper_page.build, out / "figures", [out])
+        claims.check([out], out / "claims")
+        for report in reports:
+            report.result()
+        figures.result()
+    return _index(folder, out)
+
+
+def _index(folder: Path, out: Path) -> Path:
+    facts = read.facts(folder)
+    page = out / "index.html"
+    page.write_text(
+        templating.environment()
+        .get_template("archive.html")
+        .render(facts=facts, css=(HERE / "assets" / "report.css").read_text(encoding="utf-8")),
+        encoding="utf-8",
+    )
+    return page

@@ -1,0 +1,153 @@
+"""Read an archive: from its folder, a zip file or an address, checked by its checksums."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+import zipfile
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import pandas as pd
+
+from reports.archive.write import digest
+from reports.tables import ReportError
+from workflows import records
+from workflows.stages.aggregate import accounting
+
+ARCHIVES = Path(__file__).parent
+CHECKSUMS = "checksums.sha256"
+MOST_UNPACKED = 200_000_000  # bytes of a zip file's content
+
+
+def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
+    """Return the checked folder of an archive.
+
+    Parameters
+    ----------
+    archive : str
+        A version of `ARCHIVES`, a folder, a zip file, or an http(s) address of one.
+    cache : Path
+        Folder for downloaded and unpacked files.
+    sha256 : str
+        Of the zip file; required for an address.
+
+    Raises
+    ------
+    ReportError
+        There is no such archive, a file is damaged, or a zip file is unsafe.
+    """
+    if archive.startswith(("http://", "https://")):
+        archive = str(_download(archive, cache, sha256))
+    path = next((p for p in (ARCHIVES / archive, Path(archive)) if p.exists()), None)
+    if path is None:
+        known = ", ".join(versions()) or "none"
+        raise ReportError(f"{archive}: no such archive; stored versions: {known}")
+    if path.is_file():
+        if sha256 and digest(path) != sha256:
+            raise ReportError(f"{path}: SHA-256 is {digest(path)}, not {sha256}; get it again")
+        path = _unzipped(path, cache)
+    check(path)
+    return path
+
+
+def versions() -> list[str]:
+    """Return the stored versions, the latest last."""
+    found = [path.parent for path in ARCHIVES.glob("*/archive.json")]
+    created = {path.name: facts(path)["created"] for path in found}
+    return sorted(created, key=lambda name: created[name])
+
+
+def facts(folder: Path) -> dict[str, Any]:
+    """Return the content of ``archive.json``."""
+    return json.loads((folder / "archive.json").read_text(encoding="utf-8"))
+
+
+def check(folder: Path) -> None:
+    """Refuse an archive with a missing or damaged file, or of another version of the schema.
+
+    Raises
+    ------
+    ReportError, SchemaError
+    """
+    path = folder / CHECKSUMS
+    if not path.is_file():
+        raise ReportError(f"{path}: missing; {folder} is not an archive")
+    for line in path.read_text(encoding="utf-8").splitlines():
+        stated, _, name = line.partition("  ")
+        if not _is_inside(name) or not (folder / name).is_file():
+            raise ReportError(f"{folder / name}: listed in {CHECKSUMS} and missing; get it again")
+        if digest(folder / name) != stated:
+            raise ReportError(
+                f"{folder / name}: damaged, its SHA-256 is not {stated}; get it again"
+            )
+    records.check_version(
+        facts(folder)["schema_version"], str(folder), "use the checkout of its version"
+    )
+
+
+def restore(folder: Path, out: Path) -> list[Path]:
+    """Write the tables of an archive to ``out/EXPERIMENT/tables``; return these folders.
+
+    They are those of the original results, with thinned bound histories.
+    """
+    runs = pd.read_parquet(folder / "runs.parquet")
+    traces = pd.read_parquet(folder / "traces.parquet")
+    places = []
+    for name, own in runs.groupby("experiment", sort=False):
+        places.append(out / str(name) / "tables")
+        events = traces[traces["experiment"] == name].merge(
+            own[["run_id", "method", "instance_id"]], on="run_id", how="left"
+        )
+        _restore_one(folder / "experiments" / str(name), own, events, places[-1])
+    for path in sorted(folder.glob("bounds/*.parquet")):
+        (out / "bounds").mkdir(parents=True, exist_ok=True)
+        pd.read_parquet(path).to_csv(out / "bounds" / f"{path.stem}.csv", index=False)
+    return places
+
+
+def _restore_one(stored: Path, runs: pd.DataFrame, events: pd.DataFrame, tables: Path) -> None:
+    records.write(records.conform(runs, records.runs_columns(), "runs"), tables / "runs.parquet")
+    records.write(records.conform(events, records.TRACES, "traces"), tables / "traces.parquet")
+    accounting(runs).to_csv(tables / "accounting.csv", index=False)
+    shutil.copyfile(stored / "provenance.json", tables / "provenance.json")
+    overlays = gzip.decompress((stored / "overlays.json.gz").read_bytes())
+    (tables / "overlays.json").write_bytes(overlays)
+
+
+def _download(address: str, cache: Path, sha256: str) -> Path:
+    import pooch
+
+    if not sha256:
+        raise ReportError(f"{address}: give the SHA-256 of the file as well")
+    try:
+        return Path(pooch.retrieve(address, f"sha256:{sha256}", path=cache))
+    except (ValueError, OSError) as error:  # another checksum, or no connection
+        raise ReportError(f"{address}: {error}") from error
+
+
+def _unzipped(path: Path, cache: Path) -> Path:
+    """Unpack a zip file that holds only plain files of a reasonable size inside its folder."""
+    out = cache / digest(path)[:16]
+    with zipfile.ZipFile(path) as packed:
+        members = [entry for entry in packed.infolist() if not entry.is_dir()]
+        size = sum(entry.file_size for entry in members)
+        if size > MOST_UNPACKED:
+            raise ReportError(
+                f"{path}: {size / 1e6:.0f} MB unpacked, more than {MOST_UNPACKED / 1e6:g}"
+            )
+        for entry in members:
+            is_link = (entry.external_attr >> 28) == 0xA
+            if is_link or not _is_inside(entry.filename):
+                raise ReportError(f"{path}: unsafe member {entry.filename!r}; do not use this file")
+        packed.extractall(out, members=members)
+    roots = [found.parent for found in sorted(out.rglob(CHECKSUMS))]
+    if not roots:
+        raise ReportError(f"{path}: no {CHECKSUMS} inside; not an archive")
+    return roots[0]
+
+
+def _is_inside(name: str) -> bool:
+    path = PurePosixPath(name.replace("\\", "/"))
+    return bool(name) and not path.is_absolute() and ".." not in path.parts

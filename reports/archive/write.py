@@ -1,0 +1,135 @@
+"""Write an archive from the tables of experiments."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from reports.archive.crate import describe
+from reports.ledger.evidence import STUDY
+from reports.tables import ReportError, Tables, thin_trace
+from workflows import CHECKOUT, provenance, records
+
+MOST_EVENTS = 64  # of a run's bound history
+MOST_BYTES = 25_000_000  # of an archive
+LOCK = CHECKOUT / "requirements.lock"
+# Columns of a history that the runs have as well.
+_SHARED = ["method", "instance_id"]
+
+
+def write(results: Sequence[Path], out: Path, version: str) -> Path:
+    """Write the archive of all results in `results` to the folder `out`, replacing an earlier one.
+
+    Parameters
+    ----------
+    results : sequence of Path
+        Folders that contain folders of results, each with ``tables/`` or tables of the study of bounds.
+    out : Path
+    version : str
+
+    Raises
+    ------
+    ReportError
+        There are no results, or the archive would exceed `MOST_BYTES`.
+    """
+    folders = [place for root in results for place in sorted(root.glob("*"))]
+    tables = [
+        Tables.load(place / "tables")
+        for place in folders
+        if (place / "tables" / "accounting.csv").is_file()
+    ]
+    if not tables:
+        raise ReportError(f"{', '.join(map(str, results))}: no results; run an experiment first")
+    part = out.with_name(f".{out.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    _write_tables(tables, part)
+    for place in folders:
+        if place.name == STUDY:
+            _write_study(place, part / STUDY)
+    facts = _facts(tables, version)
+    (part / "archive.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    describe(part, facts)
+    _write_checksums(part)
+    size = sum(path.stat().st_size for path in part.rglob("*") if path.is_file())
+    if size > MOST_BYTES:
+        raise ReportError(
+            f"{part}: {size / 1e6:.1f} MB, more than {MOST_BYTES / 1e6:g}; archive fewer experiments"
+        )
+    shutil.rmtree(out, ignore_errors=True)
+    part.rename(out)
+    return out
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def thinned(traces: pd.DataFrame) -> pd.DataFrame:
+    """Return bound histories with at most `MOST_EVENTS` events a run, in the order of the runs."""
+    if traces.empty:
+        return traces
+    groups = traces.groupby("run_id", sort=False)
+    return pd.concat([thin_trace(part, MOST_EVENTS) for _, part in groups], ignore_index=True)
+
+
+def _write_tables(tables: Sequence[Tables], out: Path) -> None:
+    runs = pd.concat([each.runs for each in tables], ignore_index=True)
+    traces = pd.concat(
+        [thinned(each.traces).assign(experiment=each.experiment) for each in tables],
+        ignore_index=True,
+    )
+    _store(runs, out / "runs.parquet")
+    _store(traces.drop(columns=_SHARED), out / "traces.parquet")
+    for each in tables:
+        folder = out / "experiments" / each.experiment
+        folder.mkdir(parents=True)
+        (folder / "provenance.json").write_text(
+            json.dumps(each.provenance, indent=1), encoding="utf-8"
+        )
+        packed = gzip.compress(json.dumps(each.overlays).encode(), mtime=0)
+        (folder / "overlays.json.gz").write_bytes(packed)
+
+
+def _write_study(place: Path, out: Path) -> None:
+    for path in sorted(place.glob("*.csv")):
+        out.mkdir(exist_ok=True)
+        _store(pd.read_csv(path), out / f"{path.stem}.parquet")
+
+
+def _store(table: pd.DataFrame, path: Path) -> None:
+    table.to_parquet(path, index=False, compression="zstd", compression_level=19)
+
+
+def _facts(tables: Sequence[Tables], version: str) -> dict[str, Any]:
+    return {
+        "version": version,
+        "created": provenance.now(),
+        "schema_version": records.SCHEMA_VERSION,
+        "git": provenance.git_state(),
+        "lock_sha256": digest(LOCK),
+        "machines": sorted({str(each.provenance.get("machine", {}).get("cpu")) for each in tables}),
+        "experiments": {
+            each.experiment: {
+                "title": each.provenance.get("config", {}).get("title", ""),
+                "runs": len(each.runs),
+                "commands": each.provenance.get("commands", []),
+            }
+            for each in tables
+        },
+    }
+
+
+def _write_checksums(out: Path) -> None:
+    files = sorted(path for path in out.rglob("*") if path.is_file())
+    lines = [f"{digest(path)}  {path.relative_to(out).as_posix()}\n" for path in files]
+    (out / "checksums.sha256").write_text("".join(lines), encoding="utf-8")
