@@ -71,6 +71,21 @@ findings: setup
 	@$(BIN)/python -m workflows run findings --cores $(CORES) $(if $(TRIALS),--trials $(TRIALS))
 	@$(BIN)/python -m reports findings results/findings$(if $(TRIALS),/parts/trials-$(subst $(COMMA),+,$(TRIALS)))/tables
 
+## evidence: spend HOURS=2 on the runs that decide most claims; the same command continues (EXPERIMENTS=paper2d-40,paper3d-40)
+.PHONY: evidence
+evidence: setup
+	@$(BIN)/python -m reports evidence --cores $(CORES) $(if $(HOURS),--hours $(HOURS)) $(if $(EXPERIMENTS),--experiments $(EXPERIMENTS))
+
+## archive: write all results to reports/archive/VERSION (default: the version of dcreg)
+.PHONY: archive
+archive: setup
+	@$(BIN)/python -m reports archive $(if $(VERSION),--version $(VERSION))
+
+## report: build all pages from an archive without a run, ARCHIVE=version|folder|zip file|address (SHA256=… of a zip file)
+.PHONY: report
+report: setup
+	@$(BIN)/python -m reports archived $(ARCHIVE) $(if $(SHA256),--sha256 $(SHA256))
+
 ## plan: print the runs of CONFIG=… and their estimated time without running them
 .PHONY: plan
 plan: setup

@@ -115,6 +115,58 @@ def findings(
 
 @app.command()
 @user_errors
+def evidence(
+    hours: Annotated[float, typer.Option(help="Time to spend.", min=0.0)] = 2.0,
+    experiments: Annotated[
+        str, typer.Option(help="Experiments, comma-separated.")
+    ] = "paper2d-40,paper3d-40",
+    cores: Annotated[int, typer.Option(help="Number of cores.", min=1)] = 2,
+    directory: Annotated[Path, typer.Option(help="Folder that contains results/.")] = CHECKOUT,
+) -> None:
+    """Spend hours on the runs that decide most claims; the same command continues."""
+    from reports.campaign.run import collect
+
+    collect(hours, experiments.split(","), directory, cores, directory / "results" / "evidence")
+
+
+@app.command()
+@user_errors
+def archive(
+    results: Folders = None,
+    version: Annotated[str, typer.Option(help="Name; default: the version of dcreg.")] = "",
+) -> None:
+    """Write all results to reports/archive/VERSION, which ships with the repository."""
+    from dcreg import __version__
+    from reports.archive import crate, read
+    from reports.archive.write import write
+
+    name = version or __version__
+    folder = write(results or [Path("results")], read.ARCHIVES / name, name)
+    read.check(folder)
+    crate.check(folder)
+    size = sum(path.stat().st_size for path in folder.rglob("*"))
+    say(f"archive   {folder} ({size / 1e6:.1f} MB)")
+
+
+@app.command()
+@user_errors
+def archived(
+    archive: Annotated[
+        str, typer.Argument(help="A stored version, a folder, a zip file or its address.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the pages; default: results/archive/ARCHIVE.")
+    ] = None,
+    sha256: Annotated[str, typer.Option(help="SHA-256 of the zip file.")] = "",
+) -> None:
+    """Build all pages from an archive, without a run."""
+    from reports.archive.pages import build
+
+    say(f"pages     {build(archive, out or Path('results/archive', Path(archive).stem), sha256)}")
+
+
+@app.command()
+@user_errors
 def bounds(
     folder: Annotated[Path, typer.Argument(help="Folder with the tables of the study.")] = Path(
         "results/bounds"

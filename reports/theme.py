@@ -27,6 +27,7 @@ OUTCOME_COLOR = {
     "failed": "#c0392b",
     "unsupported": "#8d99a6",
     "unavailable": "#b9c1c9",
+    "not_needed": "#dfe3e7",
 }
 FALLBACK_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#6a51a3")
 

@@ -34,6 +34,9 @@ Select = Annotated[
     list[str] | None,
     typer.Option(help="Part of the grid, such as tests=noise,deformation; may be repeated."),
 ]
+Blocks = Annotated[
+    Path | None, typer.Option("--needs", help="File with the needed blocks of every method.")
+]
 Axis = Annotated[str, typer.Option(help="Only these, comma-separated.", rich_help_panel="Part")]
 Folder = Annotated[Path, typer.Argument(help="Results of an experiment: results/<name>.")]
 Out = Annotated[Path, typer.Option()]
@@ -241,12 +244,12 @@ def new_baseline(
 
 @app.command(hidden=True)
 @user_errors
-def plan(experiment: Experiment, out: Out, select: Select = None) -> None:
+def plan(experiment: Experiment, out: Out, select: Select = None, needs: Blocks = None) -> None:
     """Write the table of planned runs."""
     from workflows import records
     from workflows.stages.plan import plan_table
 
-    records.write(plan_table(_plan(experiment, select)), out)
+    records.write(plan_table(_plan(experiment, select, needs)), out)
 
 
 @app.command(hidden=True)
@@ -256,11 +259,12 @@ def fetch(
     chunk: Annotated[str, typer.Option()],
     out: Out,
     select: Select = None,
+    needs: Blocks = None,
 ) -> None:
     """Fetch and verify the files that the instances of a chunk need."""
     from workflows.stages.fetch import fetch as fetch_files
 
-    needed = _plan(experiment, select).chunk(chunk)
+    needed = _plan(experiment, select, needs).chunk(chunk)
     fetch_files(needed, out)
     say(f"fetch     {', '.join(needed.datasets)} for {chunk}")
 
@@ -273,11 +277,12 @@ def generate(
     instances: Out,
     truth: Out,
     select: Select = None,
+    needs: Blocks = None,
 ) -> None:
     """Make the instances of a chunk, and their ground truth in a separate file."""
     from workflows.stages.generate import generate as generate_chunk
 
-    specs = _plan(experiment, select).chunk(chunk)
+    specs = _plan(experiment, select, needs).chunk(chunk)
     generate_chunk(specs, instances, truth)
     say(f"generate  {chunk}: {len(specs.instances)} instances")
 
@@ -293,6 +298,7 @@ def solve(
         Path | None, typer.Option(help="Ground truth, for the oracle front end only.")
     ] = None,
     select: Select = None,
+    needs: Blocks = None,
 ) -> None:
     """Run a method on a chunk of instances."""
     # Raise, so that workers and their children are ended too.
@@ -325,20 +331,24 @@ def evaluate(folder: Folder, plan: Annotated[Path, typer.Option()], out: Out) ->
 
 @app.command(hidden=True)
 @user_errors
-def aggregate(experiment: Experiment, folder: Folder, select: Select = None) -> None:
+def aggregate(
+    experiment: Experiment, folder: Folder, select: Select = None, needs: Blocks = None
+) -> None:
     """Write the tables."""
     from workflows.stages.aggregate import aggregate as join
 
-    planned = _plan(experiment, select)
+    planned = _plan(experiment, select, needs)
     join(planned, folder)
     say(f"aggregate {folder / planned.view / 'tables'}")
 
 
-def _plan(experiment: str, select: list[str] | None = None) -> Plan:
+def _plan(experiment: str, select: list[str] | None = None, needs: Path | None = None) -> Plan:
+    from workflows.blocks import Needs
     from workflows.config import load, origin, parse_selection
     from workflows.stages.plan import expand
 
-    return expand(load(experiment), parse_selection(select or []), origin(experiment))
+    blocks = Needs.read(needs) if needs else None
+    return expand(load(experiment), parse_selection(select or []), origin(experiment), blocks)
 
 
 if __name__ == "__main__":

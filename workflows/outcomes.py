@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import NamedTuple
 
 import pandas as pd
@@ -17,6 +18,7 @@ class Group(NamedTuple):
     is_timed: bool = False  # time or memory decided: another execution may end elsewhere
 
 
+NOT_NEEDED = "not_needed"  # left out, because the claims that would use it are decided
 GROUPS: dict[Status, Group] = {
     Status.OPTIMAL: Group("finished"),
     Status.CONVERGED: Group("finished"),
@@ -28,6 +30,7 @@ GROUPS: dict[Status, Group] = {
     Status.FAILED: Group("failed"),
     Status.UNSUPPORTED: Group("unsupported"),
     Status.UNAVAILABLE: Group("unavailable"),
+    Status.NOT_RUN: Group(NOT_NEEDED),
 }
 OUTCOMES = tuple(dict.fromkeys(group.outcome for group in GROUPS.values()))
 STARTED = OUTCOMES[: OUTCOMES.index("failed") + 1]
@@ -36,8 +39,8 @@ TIMED = tuple(status.value for status, group in GROUPS.items() if group.is_timed
 
 def outcome(status: str) -> str:
     """Return the outcome that a status counts as."""
-    if group := GROUPS.get(Status(status)):
-        return group.outcome
+    with suppress(ValueError):
+        return GROUPS[Status(status)].outcome
     raise UserError(f"status {status!r} of a run has no outcome; solve the run again")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from dcreg.names import POSE_SCOPES
 from reports.tables import Tables, check_study
 from workflows.outcomes import attempted
 
+EVIDENCE = "evidence"  # folder of the tables of a campaign, in that of its experiment
 STUDY = "bounds"  # has no planned runs: its tables are next to those of the experiments
 QUICK = "-quick"
 _TIER = re.compile(rf"-(\d+)(?:{QUICK})?$")  # experiments with another number of points
@@ -115,23 +116,33 @@ class Experiment:
     def methods_in(self, role: Role) -> list[str]:
         """Return the attempted methods of the experiment that fit `role`, best first."""
         first = attempted(self.tables.runs).drop_duplicates("method")
+        options = [json.loads(text or "{}") for text in first["options_effective"]]
         settings = zip(
-            first["method"], first["baseline"], first["options_effective"],
-            first["n_inliers_ratio"], strict=True,
-        )  # fmt: skip
-        ranked = sorted(
-            (rank, place, label)
-            for place, (label, baseline, options, ratio) in enumerate(settings)
-            if (rank := role.fit(baseline, json.loads(options or "{}"), ratio)) is not None
+            first["method"], first["baseline"], options, first["n_inliers_ratio"], strict=True
         )
-        if role.every:
-            return [label for _, _, label in ranked]
-        if not role.choices:
-            return [label for _, _, label in ranked[:1]]
-        best: dict[tuple[int, ...], str] = {}
-        for rank, _, label in ranked:
-            best.setdefault(rank, label)
-        return list(best.values())
+        return methods_in(role, settings)
+
+
+def methods_in(
+    role: Role, settings: Iterable[tuple[str, str, Mapping[str, Any], float]]
+) -> list[str]:
+    """Return the methods that fit `role`, best first.
+
+    `settings` are name, baseline, effective options and n_inliers ratio of each method.
+    """
+    ranked = sorted(
+        (rank, place, label)
+        for place, (label, baseline, options, ratio) in enumerate(settings)
+        if (rank := role.fit(baseline, options, ratio)) is not None
+    )
+    if role.every:
+        return [label for _, _, label in ranked]
+    if not role.choices:
+        return [label for _, _, label in ranked[:1]]
+    best: dict[tuple[int, ...], str] = {}
+    for rank, _, label in ranked:
+        best.setdefault(rank, label)
+    return list(best.values())
 
 
 def _time(runs: pd.DataFrame, cards: Mapping[str, Mapping[str, Any]]) -> pd.Series:
@@ -180,7 +191,7 @@ class Evidence:
             (p.parent for p in tables.directory.parents if p.name == tables.experiment), None
         )
         study = _read_study(root / STUDY) if root else {}
-        return cls({_plain(tables.experiment): Experiment(tables)}, study)
+        return cls({plain_name(tables.experiment): Experiment(tables)}, study)
 
     @classmethod
     def of_folders(cls, folders: Sequence[Path]) -> Evidence:
@@ -192,18 +203,22 @@ class Evidence:
         found: dict[str, tuple[Path, Tables]] = {}
         study: dict[str, pd.DataFrame] = {}
         notes = []
-        places = [place for folder in folders for place in (folder, *sorted(folder.glob("*")))]
+        places = [
+            place
+            for folder in folders
+            for place in (folder, *sorted(folder.glob("*")), *sorted(folder.glob(f"*/{EVIDENCE}")))
+        ]
         tables = {
             place: Tables.load(place / "tables")
             for place in places
             if (place / "tables" / "accounting.csv").is_file()
         }
         for place in sorted(tables, key=lambda at: _rank(at, tables[at].experiment)):
-            name = _plain(tables[place].experiment)
+            name = plain_name(tables[place].experiment)
             taken, _ = found.setdefault(name, (place, tables[place]))
             if taken != place:
                 notes.append(f"{name}: the tables in {taken} are used, not those in {place}")
-            elif place.name != tables[place].experiment:
+            elif _home(place) != tables[place].experiment:
                 notes.append(f"{name}: the tables in {place}, a folder of another name, are used")
         for place in sorted(places, key=lambda path: path.name.endswith(QUICK)):
             study = study or _read_study(place)
@@ -213,10 +228,15 @@ class Evidence:
 
 def _rank(place: Path, experiment: str) -> tuple[bool, bool, bool]:
     """Sort key of folders with tables of one experiment: the preferred one first."""
-    return place.name != experiment, experiment.endswith(QUICK), bool(_TIER.search(experiment))
+    return _home(place) != experiment, experiment.endswith(QUICK), bool(_TIER.search(experiment))
 
 
-def _plain(name: str) -> str:
+def _home(place: Path) -> str:
+    """Return the name of the experiment whose results a folder holds."""
+    return place.parent.name if place.name == EVIDENCE else place.name
+
+
+def plain_name(name: str) -> str:
     """Return the name of an experiment without its number of points and its quick part."""
     return _TIER.sub("", name).removesuffix(QUICK)
 

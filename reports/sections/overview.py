@@ -9,7 +9,7 @@ import pandas as pd
 from reports.figures import profile
 from reports.page import Page
 from reports.tables import Tables, count_outcomes
-from workflows.outcomes import OUTCOMES, attempted
+from workflows.outcomes import NOT_NEEDED, OUTCOMES, attempted
 from workflows.summary import summarise
 
 ID = "overview"
@@ -22,7 +22,7 @@ def context(page: Page) -> dict[str, Any]:
     models = list(dict.fromkeys(page.tables.runs["model"]))
     solved = attempted(page.tables.runs)["model"]
     return {
-        "outcomes": OUTCOMES,
+        "outcomes": [name for name in OUTCOMES if name != NOT_NEEDED or counts[name].any()],
         "accounting": [(method, row) for method, row in counts.iterrows()],
         "total": counts.sum(),
         "summary": summary(page.tables),

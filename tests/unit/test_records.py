@@ -83,6 +83,7 @@ def test_accounting_adds_up_and_keeps_methods_that_never_ran():
     table = accounting(runs).set_index("method")
     assert table.loc["a"].to_dict() == {
         "planned": 3, "finished": 1, "limited": 1, "failed": 1, "unsupported": 0, "unavailable": 0,
+        "not_needed": 0,
     }  # fmt: skip
     assert table.loc["b", "unavailable"] == 1
 

@@ -11,6 +11,7 @@ from snakemake.exceptions import WorkflowError
 from snakemake.logging import logger
 
 from baselines import registry
+from workflows.blocks import Needs
 from workflows.config import ConfigError, load, origin, parse_selection
 from workflows.forking import run_stage
 from workflows.hashing import digest, digest_files
@@ -18,6 +19,7 @@ from workflows.stages.plan import expand, method_identity
 
 CONFIG = str(config.get("experiment", "demo"))
 SELECT = str(config.get("select") or "").split()  # as in "methods=icp,cpd tests=noise"
+NEEDS = str(config.get("needs") or "")  # file with the needed blocks of every method
 
 # Snakemake shows either all of its messages or none. `workflows run` shows none, and the errors on failure.
 if "errors" in config:
@@ -26,7 +28,8 @@ if "errors" in config:
     logger.addHandler(to_file)
 
 try:
-    PLAN = expand(load(CONFIG), parse_selection(SELECT), origin(CONFIG))
+    BLOCKS = Needs.read(Path(NEEDS)) if NEEDS else None
+    PLAN = expand(load(CONFIG), parse_selection(SELECT), origin(CONFIG), BLOCKS)
 except ConfigError as error:
     raise WorkflowError(str(error))
 
@@ -37,6 +40,7 @@ JOBS = [(method.name, chunk.name) for method, chunk in PLAN.jobs()]
 
 # Every stage is `python -m workflows <name> *CHOICE ...` in a separate process.
 CHOICE = [CONFIG, *(word for part in SELECT for word in ("--select", part))]
+CHOICE += ["--needs", NEEDS] if NEEDS else []
 os.environ["PYTHONPATH"] = os.pathsep.join(
     [workflow.basedir, *filter(None, [os.environ.get("PYTHONPATH")])]
 )

@@ -12,13 +12,20 @@ import pandas as pd
 
 from baselines import registry
 from dcreg.files import whole_file
+from dcreg.status import Status
 from workflows import attribution, outcomes, provenance, records
 from workflows.config import MethodSettings
 from workflows.instances import read_problems
+from workflows.metrics import METRICS
 from workflows.outcomes import OUTCOMES
 from workflows.stages.plan import Plan, plan_table
 
 MAX_OVERLAY_POINTS = 400  # per set
+# Facts about an instance in the row of a run.
+OF_INSTANCE = [
+    "instance_digest", "n_source", "n_target", "seed", "dim", "n_inliers_true", "noise_bound",
+    "T_reference",
+]  # fmt: skip
 
 
 def aggregate(plan: Plan, folder: Path) -> None:
@@ -52,6 +59,8 @@ def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
             f"{folder}: {len(without)} planned runs of {without.iloc[0]} have no result; "
             "run the experiment again"
         )
+    left_out = _left_out(plan, runs)
+    runs = pd.concat([runs, left_out], ignore_index=True) if len(left_out) else runs
     by_name = {method.name: method for method in plan.methods}
     cards = {name: registry.read_card(method.baseline) for name, method in by_name.items()}
     runs = runs.assign(
@@ -64,6 +73,14 @@ def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
     )
     runs = attribution.attribute(runs)
     return records.conform(runs, records.runs_columns(), "tables/runs.parquet")
+
+
+def _left_out(plan: Plan, runs: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each planned run that is not needed, with the facts about its instance."""
+    facts = runs.drop_duplicates("instance_id").set_index("instance_id")[OF_INSTANCE]
+    answers = {name: False for name, metric in METRICS.items() if metric.unit == "yes/no"}
+    left_out = plan_table(plan, plan.left_out()).join(facts, on="instance_id")
+    return left_out.assign(status=Status.NOT_RUN.value, n_inliers=0, **answers)
 
 
 def display_name(method: MethodSettings) -> str:
@@ -95,7 +112,7 @@ def accounting(runs: pd.DataFrame) -> pd.DataFrame:
     counts = counts.reindex(columns=list(OUTCOMES), fill_value=0)
     counts.insert(0, "planned", runs.groupby("method").size().reindex(counts.index))
     if not (counts["planned"] == counts[list(OUTCOMES)].sum(axis=1)).all():
-        raise AssertionError("planned = finished + limited + failed + unsupported + unavailable")
+        raise AssertionError(f"planned = {' + '.join(OUTCOMES)}")
     return counts.rename_axis("method").reset_index()
 
 

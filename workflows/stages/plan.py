@@ -20,6 +20,7 @@ from baselines import registry as methods
 from data import registry
 from dcreg.problem import suggestion
 from workflows import records
+from workflows.blocks import Needs
 from workflows.config import (
     ConfigError,
     DatasetSettings,
@@ -62,6 +63,11 @@ class Chunk:
     instances: tuple[InstanceSpec, ...]
 
     @property
+    def block(self) -> tuple[str, int]:
+        """Test and trial of a chunk that is a block."""
+        return self.instances[0].test, self.instances[0].trial
+
+    @property
     def datasets(self) -> list[str]:
         return sorted({instance.dataset for instance in self.instances})
 
@@ -85,19 +91,38 @@ class Plan:
     selection: Selection
     chunks: tuple[Chunk, ...]
     methods: tuple[MethodSettings, ...]
+    needs: Needs | None = None  # every chunk is then a block
 
     def jobs(self) -> Iterator[tuple[MethodSettings, Chunk]]:
         """Yield the methods with the chunks that they are run on."""
+        for method, chunk in self.pairs():
+            if self.is_needed(method, chunk):
+                yield method, chunk
+
+    def is_needed(self, method: MethodSettings, chunk: Chunk) -> bool:
+        return self.needs is None or self.needs.needs(method.name, *chunk.block)
+
+    def pairs(self) -> Iterator[tuple[MethodSettings, Chunk]]:
+        """Yield all planned methods and chunks, including those that are not needed."""
         for method, chunk in product(self.methods, self.chunks):
             if not method.models or chunk.model in method.models:
                 yield method, chunk
 
     def runs(self) -> Iterator[PlannedRun]:
-        """Yield all runs; takes seconds for an experiment of the paper, as each is hashed."""
+        """Yield all needed runs; takes seconds for an experiment of the paper, as each is hashed."""
         for method, chunk in self.jobs():
-            for instance in chunk.instances:
-                run_id = run_identity(self.experiment, method, instance.instance_id)
-                yield PlannedRun(run_id, chunk, method, instance)
+            yield from self._runs_of(method, chunk)
+
+    def left_out(self) -> Iterator[PlannedRun]:
+        """Yield the planned runs that are not needed."""
+        for method, chunk in self.pairs():
+            if not self.is_needed(method, chunk):
+                yield from self._runs_of(method, chunk)
+
+    def _runs_of(self, method: MethodSettings, chunk: Chunk) -> Iterator[PlannedRun]:
+        for instance in chunk.instances:
+            run_id = run_identity(self.experiment, method, instance.instance_id)
+            yield PlannedRun(run_id, chunk, method, instance)
 
     @property
     def view(self) -> Path:
@@ -106,6 +131,8 @@ class Plan:
         A part has a separate folder and never replaces tables of the whole. Instances and runs are
         shared.
         """
+        if self.needs is not None:
+            return Path("evidence")
         chosen = {axis: values for axis, values in self.selection if values}
         if not chosen:
             return Path()
@@ -135,8 +162,13 @@ def method_identity(experiment: Experiment, method: MethodSettings) -> dict[str,
     }
 
 
-def expand(experiment: Experiment, selection: Selection | None = None, config: str = "") -> Plan:
-    """Return the plan of the selected part of an experiment.
+def expand(
+    experiment: Experiment,
+    selection: Selection | None = None,
+    config: str = "",
+    needs: Needs | None = None,
+) -> Plan:
+    """Return the plan of the selected part of an experiment, or of the needed blocks.
 
     Raises
     ------
@@ -152,9 +184,11 @@ def expand(experiment: Experiment, selection: Selection | None = None, config: s
         for method in experiment.methods
         if not selection.methods or method.name in selection.methods
     )
-    chunks = tuple(_chunks(chosen, experiment.chunk_size))
-    plan = Plan(config or experiment.name, experiment, selection, chunks, chosen_methods)
-    if next(plan.jobs(), None) is None:
+    split = _chunks(chosen, experiment.chunk_size) if needs is None else _blocks(chosen, needs)
+    plan = Plan(
+        config or experiment.name, experiment, selection, tuple(split), chosen_methods, needs
+    )
+    if needs is None and next(plan.jobs(), None) is None:
         raise ConfigError(
             f"experiment {experiment.name}: the selection contains no run; "
             "select a method and tests of the same model"
@@ -162,8 +196,8 @@ def expand(experiment: Experiment, selection: Selection | None = None, config: s
     return plan
 
 
-def plan_table(plan: Plan) -> pd.DataFrame:
-    """Return the plan as a table with one row per planned run."""
+def plan_table(plan: Plan, runs: Iterable[PlannedRun] | None = None) -> pd.DataFrame:
+    """Return a table with one row per run: all needed ones, or those given."""
     effective = {
         method.name: json.dumps(
             methods.effective_options(method.baseline, method.options), sort_keys=True
@@ -182,7 +216,7 @@ def plan_table(plan: Plan) -> pd.DataFrame:
             **{axis: getattr(run.instance, axis) for axis in ("dataset", "shape", "test")},
             **{axis: getattr(run.instance, axis) for axis in ("level", "trial", "model")},
         }
-        for run in plan.runs()
+        for run in (plan.runs() if runs is None else runs)
     ]
     assert len({row["run_id"] for row in rows}) == len(rows)
     return records.frame(rows, records.PLAN)
@@ -223,6 +257,17 @@ def _chunks(instances: Sequence[InstanceSpec], size: int) -> Iterator[Chunk]:
             members = tuple(alike[index::n_chunks])
             content = digest([member.instance_id for member in members], 6)
             yield Chunk(f"{SHORT[model]}-{index:02d}-{content}", model, members)
+
+
+def _blocks(instances: Sequence[InstanceSpec], needs: Needs) -> Iterator[Chunk]:
+    """Yield a chunk for each needed block; models are never mixed."""
+    blocks: dict[tuple[str, str, int], list[InstanceSpec]] = {}
+    for each in instances:
+        if each.trial < needs.blocks(each.test):
+            blocks.setdefault((each.model, each.test, each.trial), []).append(each)
+    for (model, _, trial), members in blocks.items():
+        content = digest([member.instance_id for member in members], 6)
+        yield Chunk(f"{SHORT[model]}-{trial:02d}-{content}", model, tuple(members))
 
 
 def _selected(instance: InstanceSpec, selection: Selection) -> bool:

@@ -1,0 +1,128 @@
+"""Choose the next block: the claim that is expected to be decided in the shortest time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from baselines import registry
+from reports.campaign.forecast import Forecast, Times
+from reports.ledger.book import Claim, Ledger
+from reports.ledger.evidence import methods_in
+from reports.ledger.intervals import MIN_INSTANCES, MOST_NEEDED, NOT_RUN, OPEN
+from reports.ledger.judging import Judgement
+from reports.ledger.verdicts import FEW, WIDE
+from workflows.blocks import Needs
+from workflows.stages.plan import Plan, expand
+
+ROLES = ("subject", "reference", "methods", "rivals", "rival")
+
+
+@dataclass(frozen=True)
+class Option:
+    """A claim that more blocks may decide."""
+
+    claim: str
+    needs: Needs  # after its next block
+    block: Forecast
+    blocks: int  # expected to be needed
+    obstacle: str = ""  # why more blocks do not help
+
+    @property
+    def seconds(self) -> float:
+        """The expected time until the claim is decided."""
+        return self.blocks * self.block.seconds
+
+
+def options(
+    book: Ledger, judged: Sequence[Judgement], plan: Plan, times: Times, trials: int
+) -> list[Option]:
+    """Return the open claims about an experiment, the one expected to be decided first at the front.
+
+    `plan` has the needs so far; `trials` is the number of trials of the experiment's config.
+    """
+    claims = {claim.id: claim for claim in book.claims}
+    found = [
+        _option(book, claims[each.id], each, plan, times, trials)
+        for each in judged
+        if each.verdict in (OPEN, NOT_RUN)
+    ]
+    return sorted(found, key=lambda option: (bool(option.obstacle), option.seconds, option.claim))
+
+
+def _option(
+    book: Ledger, claim: Claim, found: Judgement, plan: Plan, times: Times, trials: int
+) -> Option:
+    assert plan.needs is not None
+    needs = plan.needs
+    tests = _methods_of_tests(book, claim, plan)
+    for test, methods in tests.items():
+        needs = needs.with_block(test, methods)
+    done = {run.run_id for run in plan.runs()}
+    ahead = expand(plan.experiment, plan.selection, plan.config, needs)
+    block = times.of_runs(run for run in ahead.runs() if run.run_id not in done)
+    count = max((needs.blocks(test) for test in tests), default=0)
+    blocks, obstacle = _blocks(found, max(1, count - 1))
+    if not tests:
+        obstacle = "no method of the experiment has its roles"
+    elif count > trials:
+        obstacle = f"all {trials} trials are run"
+    return Option(claim.id, needs, block, blocks, obstacle)
+
+
+def _blocks(found: Judgement, done: int) -> tuple[int, str]:
+    """Return the expected number of further blocks, and why they do not help."""
+    open_ones = [
+        each
+        for row in found.rows
+        for each in row.decided
+        if each.verdict == OPEN and not row.shown_only
+    ]
+    if not open_ones:  # no run yet, or something is missing
+        return 1, ""
+    lacking = [each for each in open_ones if each.why in (FEW, WIDE)]
+    if not lacking:
+        return 1, open_ones[0].why
+    counts = []
+    for each in lacking:
+        n, needed = each.part.estimate.n, each.needed
+        target = MIN_INSTANCES if needed is None else needed
+        counts.append(math.ceil(done * target / max(n, 1)) - done)
+    most = max(counts)
+    if any(each.needed == MOST_NEEDED for each in lacking):
+        return max(1, most), f"an effect so small that it needs more than {MOST_NEEDED} instances"
+    return max(1, most), ""
+
+
+def _methods_of_tests(book: Ledger, claim: Claim, plan: Plan) -> dict[str, list[str]]:
+    """Return the methods that the judged checks of a claim compare, by test."""
+    tests = list(dict.fromkeys(test for entry in plan.experiment.datasets for test in entry.tests))
+    settings = [
+        (method.name, method.baseline, registry.effective_options(method.baseline, method.options),
+         method.n_inliers_ratio)
+        for method in plan.methods
+    ]  # fmt: skip
+    found: dict[str, list[str]] = {}
+    for check in claim.checks:
+        if check.get("shown_only"):
+            continue
+        names = [name for role in _roles(check) for name in methods_in(book.roles[role], settings)]
+        for test in check.get("tests", tests) if names else ():
+            if test in tests:
+                found[test] = list(dict.fromkeys([*found.get(test, []), *names]))
+    return found
+
+
+def _roles(check: Mapping[str, Any]) -> Iterator[str]:
+    for key in ROLES:
+        value = check.get(key, ())
+        yield from [value] if isinstance(value, str) else value
+
+
+def shown(option: Option) -> str:
+    """Return an option as one line."""
+    hours = option.seconds / 3600
+    text = f"{option.claim}: {option.blocks} more blocks, {hours:.1f} h of CPU"
+    return f"{text}; {option.obstacle}" if option.obstacle else text

@@ -1,0 +1,97 @@
+"""Forecast the time of runs from the measured ones, per method, test and level."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from workflows.config import Experiment
+from workflows.stages.plan import PlannedRun
+
+CELL = ["method", "test", "level"]
+TIMED = [*CELL, "time_solve_s", "time_overhead_s"]
+RUN_BYTES = 4000  # of a finished run in journal and tables, with its bound history
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Expected CPU time and disk space of some runs, and how many have no measured cell."""
+
+    runs: int
+    seconds: float
+    unseen: int
+
+    @property
+    def megabytes(self) -> float:
+        return self.runs * RUN_BYTES / 1e6
+
+
+@dataclass(frozen=True)
+class Times:
+    """Measured seconds of an experiment's runs.
+
+    Attributes
+    ----------
+    cells : DataFrame
+        Number of runs, mean, median and 90th percentile per method, test and level.
+    limits : dict of method to seconds
+        What a method without any run is expected to take.
+    """
+
+    cells: pd.DataFrame
+    limits: dict[str, float]
+
+    @classmethod
+    def of(cls, tables: Sequence[pd.DataFrame], experiment: Experiment) -> Times:
+        """Return the times of runs, those of the harness included.
+
+        Of a cell in several tables, the first one counts.
+        """
+        limits = {each.name: experiment.limits_of(each).time_s for each in experiment.methods}
+        known = [_cells(runs) for runs in tables]
+        cells = pd.concat(known) if known else _cells(pd.DataFrame(columns=TIMED))
+        return cls(cells[~cells.index.duplicated()], limits)
+
+    @staticmethod
+    def as_limited(runs: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
+        """Return runs of the quick part; those at a limit take as long as the limit of the experiment."""
+        limits = {each.name: experiment.limits_of(each).time_s for each in experiment.methods}
+        limit = runs["method"].map(limits)
+        return runs.assign(
+            time_solve_s=runs["time_solve_s"].mask(runs["outcome"] == "limited", limit)
+        )
+
+    def of_runs(self, runs: Iterable[PlannedRun]) -> Forecast:
+        """Return the forecast of planned runs."""
+        count, seconds, unseen = 0, 0.0, 0
+        for run in runs:
+            expected, is_seen = self.of_cell(run.method.name, run.instance.test, run.instance.level)
+            count, seconds, unseen = count + 1, seconds + expected, unseen + (not is_seen)
+        return Forecast(count, seconds, unseen)
+
+    def of_cell(self, method: str, test: str, level: float) -> tuple[float, bool]:
+        """Return the expected seconds of a run, and whether its cell has been measured.
+
+        An unseen cell takes as long as the nearest level of its test, else as the slowest test of the
+        method, else as the method's limit.
+        """
+        if (method, test, level) in self.cells.index:
+            return float(self.cells["mean"].loc[(method, test, level)]), True
+        own = self.cells[self.cells.index.get_level_values("method") == method]
+        same = own[own.index.get_level_values("test") == test]
+        if len(same):
+            nearest = np.abs(same.index.get_level_values("level").to_numpy() - level).argmin()
+            return float(same["mean"].iloc[nearest]), False
+        if len(own):
+            return float(own.groupby("test")["mean"].mean().max()), False
+        return self.limits[method], False
+
+
+def _cells(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return number, mean, median and 90th percentile of the seconds of each cell."""
+    seconds = runs["time_solve_s"].astype(float) + runs["time_overhead_s"].fillna(0.0).astype(float)
+    grouped = runs.assign(seconds=seconds).dropna(subset="seconds").groupby(CELL)["seconds"]
+    return grouped.agg(["size", "mean", "median"]).assign(p90=grouped.quantile(0.9))
