@@ -16,6 +16,7 @@ QUICK = "-quick"  # ends the name of the quick part of an experiment
 TIER = re.compile(
     r"(?P<whole>.+)-(?P<points>[1-9][0-9]*)"
 )  # the name of a tier: fewer points per shape
+MOST_PARTS = 100_000  # of a config
 METHOD_LISTS = "methods"  # folder of shared lists, next to the configs
 OWN_LISTS = Path(__file__).parent / "configs" / METHOD_LISTS
 
@@ -98,8 +99,33 @@ def _yaml(path: Path) -> Any:
         raise ConfigError(f"{shown(path)}: {error.strerror}; make the file readable") from error
 
 
+def _size(node: Any, known: dict[int, int]) -> int:
+    """Return the number of entries with all aliases written out."""
+    if not isinstance(node.value, list):
+        return 1
+    if id(node) not in known:
+        parts = (
+            part
+            for entry in node.value
+            for part in (entry if isinstance(entry, tuple) else [entry])
+        )
+        known[id(node)] = 1 + sum(_size(part, known) for part in parts)
+    return known[id(node)]
+
+
 class _StrictLoader(yaml.SafeLoader):
-    """YAML in which a duplicate key is an error."""
+    """YAML in which a duplicate key is an error, and an alias of what contains it."""
+
+    def construct_document(self, node: Any) -> Any:
+        self.deep_construct = (
+            True  # otherwise the parts are filled later, and may contain themselves
+        )
+        content = super().construct_document(node)
+        if _size(node, {}) > MOST_PARTS:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"its aliases stand for more than {MOST_PARTS} entries", node.start_mark
+            )
+        return content
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         seen = set()

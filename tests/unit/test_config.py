@@ -408,6 +408,12 @@ def test_the_same_config_elsewhere_may_not_write_into_the_results_of_the_first(w
     assert config.load(write(text.replace("name: demo\n", "name: mine\n"))).name == "mine"
 
 
+# Each list repeats the one before nine times: 9^9 entries.
+LAUGHS = "k0: &k0 [x]\n" + "".join(
+    f"k{i}: &k{i} [{', '.join([f'*k{i - 1}'] * 9)}]\n" for i in range(1, 10)
+)
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -416,6 +422,8 @@ def test_the_same_config_elsewhere_may_not_write_into_the_results_of_the_first(w
         ("name: 2020-99-99", "not valid YAML"),
         (f"seed: {'9' * 5000}", "not valid YAML"),
         ("[" * 3000, "not valid YAML"),
+        ("name: &a {k: *a}", "recursive"),
+        (LAUGHS, "aliases stand for more than"),
         ("name: !!python/object:os.system x", "not valid YAML"),
     ],
 )
