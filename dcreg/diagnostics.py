@@ -1,7 +1,7 @@
 """Warnings and hints before a search, warnings about its result, and the runner-up pose.
 
-Each rule is a function from a solved problem to one line of text, or None. The line says what is wrong
-and what to do. `warnings_for` applies all `RULES`.
+Each rule about a result is a function from a solved problem to one line of text, or None if it does not
+apply. The line says what is wrong and what to do. `warnings_for` applies all `RULES`.
 """
 
 from __future__ import annotations
@@ -31,10 +31,11 @@ DISTINCT = 0.2
 _MUCH_LARGER = 100.0
 _OTHER_SIZE = 10.0
 TOO_MANY_PAIRS = "pairs are probably too many"  # part of the line of `loose_pairs`
-_ROUGH = 1.01  # objective in units of the upper bound; more than rounding
-# Of 180 problems of four shapes, all 45 wrong poses and 18 of 135 right ones had a runner-up below this.
+_ROUGH = 1.01  # objective divided by upper bound; a larger ratio is more than rounding
+# Objective ratio of the runner-up. In 180 problems of four shapes, all 45 wrong poses and 18 of 135 right
+# ones had a lower ratio.
 _CLOSE = 1.5
-# RMSE in units of the target's spacing. Scans of one object stay below it if n_inliers is right.
+# RMSE in units of the point spacing of the target. Scans of one object stay below if n_inliers is right.
 _LOOSE = 2.0
 _FEW_PAIRS = 20  # more pairs hardly fit by chance, except on surfaces
 _REMEDY = (
@@ -95,7 +96,7 @@ class Case:
 
 
 def _is_rounding(value: float, case: Case) -> bool:
-    """Tell whether a sum over the pairs is that of an exact fit."""
+    """Tell whether an objective is 0 up to rounding."""
     problem = case.problem
     return value <= EXACT * rounding_error(problem.source, problem.target, case.result.n_inliers)
 
@@ -114,7 +115,7 @@ def nothing_proven(case: Case) -> str | None:
         )
     if result.reason == NO_PROOF_EXPECTED:
         known = f"{known}, and no proof is expected soon"
-        is_sampled = result.downsampled is not None  # a proof would be about the sample
+        is_sampled = result.downsampled is not None  # a proof would refer to the sample only
         return known if is_sampled else f"{known}. Set prove=True (--prove) to search longer"
     return (
         f"{known}. Allow more time, use fewer points, or choose a mode that closes the gap (see the page "
@@ -139,7 +140,7 @@ def surrogate_mismatch(case: Case) -> str | None:
 
 
 def rough_pairs(case: Case) -> str | None:
-    """The pairs cost more than the best pairs at the pose, or may do so."""
+    """The pairs cost more than the best pairs at the pose, or may cost more."""
     result = case.result
     if _is_rounding(result.objective, case):
         return None
@@ -200,7 +201,7 @@ def other_size(case: Case) -> str | None:
 
 
 def few_pairs(case: Case) -> str | None:
-    """The pairs are so few that unrelated clouds of the same sizes fit as well."""
+    """The pairs are so few that unrelated clouds of the same sizes would fit as well."""
     problem, k = case.problem, case.result.n_inliers
     is_few = problem.dim <= k <= _FEW_PAIRS and 2 * k < min(
         len(problem.source), len(problem.target)
@@ -216,10 +217,10 @@ def few_pairs(case: Case) -> str | None:
 def _log_chance_fits(case: Case) -> float:
     """Return the log of the expected number of fits as good as this one between unrelated clouds.
 
-    It is the number of choices of k pairs times the probability that one choice fits. The points are
-    independent and uniform in a cube of the clouds' standard deviation. The k target points fit if they
-    are in a tube around all images of the source points. Its cross-section is a ball, whose squared
-    radius is the objective.
+    The expected number is the number of choices of k pairs times the probability that one choice fits.
+    The points of unrelated clouds are independent and uniform in a cube with the standard deviation of
+    the smaller cloud. The k target points of a choice fit if they lie in a tube around all images of the
+    source points. The cross-section of the tube is a ball whose squared radius is the objective.
     """
     problem, k, d = case.problem, case.result.n_inliers, case.problem.dim
     n, m = len(problem.source), len(problem.target)
@@ -229,7 +230,8 @@ def _log_chance_fits(case: Case) -> float:
     low, high = problem.scale_range
     n_linear = d * (d - 1) // 2 + (low < high)  # parameters of rotation and scale
     rotations = 8.0 * math.pi**2 if d == 3 else 2.0 * math.pi
-    # volume of the images: translations along the cube, rotations and scales as they move the points
+    # volume of all images: translations within the cube; rotations and scales weighted by how far they
+    # move the points
     images = 0.5 * d * (math.log(k) + math.log(12.0)) + 0.5 * n_linear * math.log(2.0 * k)
     images += math.log(rotations) + (math.log(math.log(high / low)) if low < high else 0.0)
     free = d * k - d - n_linear
@@ -246,7 +248,8 @@ def _log_chance_fits(case: Case) -> float:
 def loose_pairs(case: Case) -> str | None:
     """Matched points are farther apart than neighbours, so some pairs are probably wrong.
 
-    Other causes come first: a search that was cut short, clouds of different scales, too few pairs.
+    No line is returned if another cause is more likely: a search that was cut short, clouds of different
+    scales, or too few pairs.
     """
     problem, result = case.problem, case.result
     spacing = median_spacing(problem.target)
@@ -262,7 +265,7 @@ def loose_pairs(case: Case) -> str | None:
 
 
 def _was_cut_short(result: Result) -> bool:
-    """Tell whether a limit ended the search before it bounded boxes, or while it found better poses."""
+    """Tell whether a limit ended the search before it bounded boxes, or while poses still improved."""
     events = result.trace.events
     if result.status in (Status.OPTIMAL, Status.CONVERGED) or not events:
         return False
@@ -287,7 +290,7 @@ def ambiguous(case: Case) -> str | None:
 
 
 def too_many_points(case: Case) -> str | None:
-    """The points are too many for the time limit."""
+    """There are too many points for the time limit."""
     n, m = len(case.problem.source), len(case.problem.target)
     is_late = case.result.status is Status.TIME_LIMIT
     if max(n, m) < _MANY_POINTS or not is_late or case.result.downsampled is not None:
@@ -324,7 +327,7 @@ def find_runner_up(
     problem : Problem
     T : (d+1, d+1) array
     objective : float
-        At `T`.
+        The objective at `T`.
     ends : iterable of (pose, objective)
         Final poses of local searches, in the coordinates of the clouds.
     """

@@ -45,7 +45,7 @@ class Box:
 
 
 class Boxes:
-    """B boxes, and what a search knows about them.
+    """B boxes, with lower bounds and warm starts.
 
     Attributes
     ----------
@@ -89,10 +89,10 @@ class Boxes:
 
 
 class LongestEdge:
-    """Bisect the longest edge, with axes weighted by the residual that they cause.
+    """Bisect the longest edge, where axes are weighted by how far a unit step moves the source.
 
-    The weights make axes comparable: a unit step of a rotation entry moves the source by about its RMS
-    radius, a unit step of a translation by one.
+    The weights make axes comparable: a unit step of a rotation parameter moves the source by about its
+    RMS radius, a unit step of a translation by one.
     """
 
     def __init__(self, weights: np.ndarray) -> None:
@@ -120,7 +120,7 @@ class Evaluation:
     values : (B,) array
         Upper bounds on the objective at `thetas`; +inf if theta is not admissible.
     warm_start : (B, h) array, optional
-        Data from which the bound starts on the children of these boxes. The validity of a bound does not
+        Data from which the bounds of the children of these boxes start. The validity of a bound does not
         depend on it.
     """
 
@@ -136,7 +136,7 @@ class Evaluation:
 
 
 class Bound(Protocol):
-    """A lower bounding function over the boxes that bisection makes of `roots`."""
+    """A lower bounding function for the `roots` and for all boxes that bisection makes of them."""
 
     @property
     def roots(self) -> list[Box]:
@@ -154,32 +154,33 @@ class Bound(Protocol):
         ...
 
     def fresh(self) -> Bound:
-        """Return the same bound without what it has stored about the boxes so far."""
+        """Return the same bound without the data that it has stored about boxes so far."""
         ...
 
     def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         """Bound B boxes, which may have the warm starts of their parents.
 
-        A bound may stop early when it exceeds the cutoff, or when the cutoff is out of reach, because the
-        box is then divided in any case. None: no early stop.
+        The evaluation of a box may stop early: when its bound reaches the cutoff, or when the cutoff is
+        out of reach, because the box is then divided in any case. If `cutoff` is None, it never does.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Confined:
-    """Boxes outside which the objective of every optimum is at least `outside`.
+    """Boxes to which a stage confines a search, and a bound on all optima outside them.
 
     Attributes
     ----------
     boxes : Boxes
     outside : float
+        Lower bound on the objective of every optimum outside the boxes; inf if there is none.
     time_s : float
-        Time that this took.
+        Seconds that the stage took.
     n_tried : int
-        Work that this took, in units of the stage.
+        Units of work that the stage took. Each cover has its own unit, such as a box tested.
     stage : str
-        Its name.
+        Name of the stage.
     """
 
     boxes: Boxes
@@ -189,8 +190,8 @@ class Confined:
     stage: str = ""
 
     def meeting(self, boxes: Boxes) -> Boxes:
-        """Return the boxes that contain a part of the confined ones."""
-        if np.isinf(self.outside):  # all of the search region
+        """Return those of `boxes` that overlap a confined box."""
+        if np.isinf(self.outside):  # confined to the roots, so all boxes overlap
             return boxes
         meets = np.empty(len(boxes), np.bool_)
         kernels.meeting(boxes.lower, boxes.upper, self.boxes.lower, self.boxes.upper, meets)
@@ -215,7 +216,7 @@ class OpenNodes:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the open boxes."""
+        """Memory of the open boxes, in bytes."""
         extra = self._warm_starts.itemsize * self._warm_starts.shape[1]
         return self._length * (16 * self._lower.shape[1] + 40 + extra)
 
@@ -224,7 +225,7 @@ class OpenNodes:
         return float(self._bounds[self._heap[0]]) if self._length else np.inf
 
     def push(self, boxes: Boxes) -> None:
-        """Add boxes; either all boxes of a search have warm starts or none has."""
+        """Add boxes. Either all boxes of a search have warm starts, or none has."""
         count, warm_start = len(boxes), boxes.warm_start
         if warm_start is not None and not self._length:
             self._warm_starts = np.empty((len(self._heap), warm_start.shape[1]), warm_start.dtype)
@@ -243,7 +244,7 @@ class OpenNodes:
         )
 
     def pop(self, count: int, cutoff: float) -> Boxes:
-        """Remove and return up to `count` best boxes with bounds below `cutoff`."""
+        """Remove and return the best boxes with bounds below `cutoff`, at most `count`."""
         slots = np.empty(count, np.int64)
         taken = kernels.pop(
             self._heap, self._length, cutoff, self._bounds, self._sizes, self._serials, slots
@@ -264,7 +265,7 @@ class OpenNodes:
 
 
 class Leaves:
-    """The undivided boxes at the end of a search, a partition of the roots.
+    """The leaf boxes of a search: the boxes that it did not divide, a partition of the roots.
 
     An infinite bound means that the box contains no admissible parameter. Other boxes were pruned,
     with a bound within the tolerance of the upper bound, unless ``is_open``: then a limit ended the

@@ -2,8 +2,8 @@
 
 A bound maps boxes to lower bounds and offers candidate parameters with their objective. Each round
 divides the best open boxes, bounds the children and prunes those that cannot improve the incumbent by
-more than the tolerance. The problem fixes the size of a round, and its boxes are independent. The result
-therefore does not depend on the number of threads.
+more than the tolerance. The size of a round does not depend on the number of threads, and the boxes of a
+round are independent. The result therefore does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class Outcome:
     events : list of Event
         One for each change of a bound, and one at the end.
     leaves : Leaves, optional
-        The undivided boxes, if they were kept.
+        The leaf boxes, if they were kept.
     confined : list of Confined
-        What a cover contributed.
+        The boxes to which a cover confined the search, in the order of the stages.
     """
 
     status: Status
@@ -53,11 +53,12 @@ class Outcome:
     confined: list[Confined] = field(default_factory=list)
 
 
-# A local search starts if the best value of the round is at most that at the start of the last one, times
-# this factor for every round since. Local searches are frequent while the incumbent improves.
+# A local search starts from the best candidate of a round if its value is at most that from which the
+# last local search started, times this factor for every round since then. Local searches are therefore
+# frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
 
-UNASKED_SHARE = 0.2  # of the patience, for boxes before the prospect is estimated
+UNASKED_SHARE = 0.2  # share of the patience that may pass before the prospect is estimated
 _GRID = 1e-6  # step of rounded values, as a share of the allowed gap
 MIN_ROUND = 16  # minimum number of boxes divided in a round, if the bound allows it
 
@@ -93,11 +94,12 @@ def branch_and_bound(
     ----------
     bound : Bound
         Bounds a non-negative function; ``bound.roots`` are searched. A round divides a share of the open
-        boxes, at most ``bound.round_size``, so that the search stays close to best-first while few boxes
-        are open.
+        boxes, at most ``bound.round_size``. The search therefore stays close to best-first while few
+        boxes are open.
     budget : Budget
-        Its listener receives an event for every round; the search ends when the budget is spent. With a
-        patience it ends as ``converged`` if the proof is expected to take longer.
+        Its listener receives an event for every round; the search ends when the budget is spent. If it
+        has a patience, the search ends as ``converged`` when the patience is over, or when the proof is
+        expected to take much longer.
     branching : callable
         From boxes to their children, which inherit bounds and warm starts.
     tolerance : Tolerance
@@ -129,7 +131,7 @@ def branch_and_bound(
 class Search:
     """The state of one search; its methods are the steps of Algorithm 1.
 
-    The parameters are those of `branch_and_bound`.
+    Most parameters are those of `branch_and_bound`.
 
     Attributes
     ----------
@@ -147,8 +149,8 @@ class Search:
     leaves: Leaves | None
     confined: Confined
     floor: float = 0.0
-    n_begun: int = 0  # boxes bounded outside this search
-    n_unasked: int = 0  # boxes before the prospect is estimated, if they take little time
+    n_begun: int = 0  # of `n_nodes`, boxes that do not count for the prospect
+    n_unasked: int = 0  # boxes bounded before the prospect is estimated, if they take little time
     is_part: bool = False  # of a search that goes on afterwards
     prospect: Prospect | None = None
     n_nodes: int = 0
@@ -160,12 +162,12 @@ class Search:
 
     def __post_init__(self) -> None:
         self.theta, self.upper_bound = self.start.theta, self.start.value
-        # the patience starts again with each part
+        # each part of a search has the whole patience
         self.began = self.waited_from = self.budget.elapsed()
         self.nodes = OpenNodes(self.bound.roots[0].dim)
         # minimum over the pruned boxes: part of the certificate
         self.pruned_bound = self.confined.outside
-        self.boxes = self.confined.boxes  # to be bounded next; sums of squares are at least 0
+        self.boxes = self.confined.boxes  # to be bounded next; until then, 0 is their valid bound
 
     def run(self, pause: float = np.inf) -> None:
         """Search until a status is set, or until `pause` boxes are bounded."""
@@ -187,12 +189,12 @@ class Search:
 
     @property
     def cutoff(self) -> float:
-        """Boxes with this bound or more cannot improve the incumbent by more than the tolerance."""
+        """Lower bound from which a box cannot improve the incumbent by more than the tolerance."""
         return self.tolerance.cutoff(self.upper_bound)
 
     @property
     def lower_bound(self) -> float:
-        pending = float(self.boxes.bounds.min(initial=np.inf))  # of a paused search
+        pending = float(self.boxes.bounds.min(initial=np.inf))  # boxes of a paused search
         proven = min(self.nodes.lower_bound, pending, self.pruned_bound, self.upper_bound)
         return min(max(proven, self.floor), self.upper_bound)
 
@@ -201,7 +203,7 @@ class Search:
         return self.bound.n_assignments + self.n_refining
 
     def confined_to(self, confined: Confined, tolerance: Tolerance) -> Search:
-        """Return a search of other boxes that continues the counts of this one."""
+        """Return a search of the `confined` boxes that continues the counts of this one."""
         start = self.start._replace(theta=self.theta, value=self.upper_bound)
         return replace(
             self, tolerance=tolerance, start=start, confined=confined, prospect=None,
@@ -209,12 +211,12 @@ class Search:
         )  # fmt: skip
 
     def narrow(self, confined: Confined) -> None:
-        """Bound only boxes that meet the `confined` ones from now on."""
+        """From now on, bound only boxes that overlap the `confined` ones."""
         self.confined, self.prospect, self.n_begun = confined, None, self.n_nodes
         self.pruned_bound = min(self.pruned_bound, confined.outside)
 
     def take_over(self, part: Search) -> None:
-        """Continue with the counts, the incumbent and the lower bound of a part."""
+        """Adopt the counts, the incumbent and the lower bound of a part, which has ended."""
         self.take(part.theta, part.upper_bound)
         self.n_begun += part.n_nodes - self.n_nodes
         self.n_nodes, self.n_refining = part.n_nodes, part.n_refining
@@ -247,7 +249,7 @@ class Search:
             self.theta, self.upper_bound = theta.copy(), value
 
     def prune(self, boxes: Boxes, found: Evaluation) -> None:
-        """Keep the boxes that may contain a better parameter; no bound is below that of the parent."""
+        """Keep the boxes that may contain a better parameter. A bound is at least that of the parent."""
         bounds = np.maximum(self._settled(found.lower_bounds), boxes.bounds)
         boxes = Boxes(boxes.lower, boxes.upper, bounds, found.warm_start)
         self.n_nodes += len(bounds)
@@ -282,7 +284,7 @@ class Search:
             self._report("end")
 
     def _has_no_prospect(self) -> bool:
-        """Tell whether the patience is over, or the proof is expected to exceed it."""
+        """Tell whether the patience is over, or the proof is expected to exceed it by far."""
         budget = self.budget
         spent = budget.elapsed() - self.waited_from
         if budget.patience_s is not None and spent >= budget.patience_s:
@@ -302,7 +304,7 @@ class Search:
         return self.prospect.is_poor(done, spent, budget)
 
     def _is_fast(self, spent_s: float) -> bool:
-        """Tell whether `n_unasked` boxes are not reached yet, but soon will be."""
+        """Tell whether `n_unasked` boxes are not yet bounded, but will be soon."""
         patience_s = self.budget.patience_s
         if patience_s is None or self.n_nodes >= self.n_unasked:
             return False
@@ -337,8 +339,8 @@ class Search:
     def _settled(self, values: np.ndarray) -> np.ndarray:
         """Return the values rounded down to a grid much finer than the allowed gap.
 
-        Boxes that share a vertex often have equal bounds up to rounding. On the grid they are equal. The
-        order of the search, and with it every counter, then does not depend on the last bits.
+        Boxes that share a vertex often have bounds that are equal up to rounding. On the grid they are
+        equal, so the order of the search and all counters do not depend on the last bits.
         """
         step = _GRID * self.tolerance.allowed(self.upper_bound)
         return step * (np.round(values / step) - 1.0) if step > 0.0 else values

@@ -1,4 +1,4 @@
-"""When a search stops: its tolerance, its limits and the clock; and the events that report progress."""
+"""When a search stops (tolerance, limits, clock), and the events that report its progress."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Tolerance:
     abs : float
         In the units of the objective.
     exact : float, optional
-        An upper bound of at most this counts as 0, so that no lower bound is needed. A larger one is not
-        proven by a lower bound of 0, which holds for every sum of squares: a search whose gap closes
-        without more has converged. Default: the gap alone decides, as in Algorithm 1.
+        An upper bound of at most this value counts as 0, so no lower bound is needed. A lower bound of 0,
+        which holds for every sum of squares, does not prove a larger upper bound: if the gap closes with
+        this lower bound, the status is ``converged``. Default: the gap alone decides, as in Algorithm 1.
     """
 
     rel: float = 0.0
@@ -38,7 +38,7 @@ class Tolerance:
 
     @property
     def enough(self) -> float:
-        """An upper bound of at most this ends the search, whatever the lower bound."""
+        """An upper bound of at most this value ends the search, whatever the lower bound."""
         return max(self.abs, self.exact or 0.0)
 
     def is_exact(self, upper_bound: float) -> bool:
@@ -95,13 +95,13 @@ class Event:
     time_s : float
         Seconds since the solve began, the same clock for all stages.
     n_nodes, n_assignments, n_open : int
-        Of this stage: boxes bounded, exact assignments, open boxes.
+        Boxes bounded, exact assignments solved, and open boxes of this stage.
     lower_bound, upper_bound : float
     status : str
         How the search ended; empty until then.
     expected_s : float, optional
-        Estimated seconds from now until the proof; inf: the proof is not expected in the time for it;
-        None: unknown.
+        Estimated seconds from now until the proof; inf if this exceeds the time for a proof; None if
+        unknown.
     """
 
     kind: str
@@ -117,7 +117,7 @@ class Event:
 
     @property
     def gap(self) -> float:
-        """Absolute gap ``upper_bound - lower_bound``, never negative."""
+        """Absolute gap ``upper_bound - lower_bound``, at least 0."""
         return max(0.0, self.upper_bound - self.lower_bound)
 
     @property
@@ -164,9 +164,9 @@ class Trace:
 # Called with every event; returning True asks the solve to stop (status "stopped").
 Listener = Callable[[Event], bool | None]
 
-_GLANCE_S = 0.05  # interval at which the clock is read while a kernel runs
+_GLANCE_S = 0.05  # interval between readings of the clock while a kernel runs
 _SILENCE_S = 0.25  # time without an event after which the last one is repeated
-# Time after a limit for the objective of the final pose: a share of the limit, and a constant.
+# Seconds after a time limit for the objective of the final pose: a share of the limit plus a constant.
 _CLOSING_SHARE, _CLOSING_S = 0.05, 0.2
 
 
@@ -178,18 +178,18 @@ class Budget:
     """Limits on time, boxes, memory and assignments of a solve, handed down from stage to stage.
 
     As a context manager, it runs a thread that watches the clock, because kernels do not: at the limit
-    the thread sets `stop`. It also repeats the last event after a quarter of a second without events,
-    so that a caller sees progress and can stop at any time. The listener is then called from this
+    the thread sets `stop`. The thread also repeats the last event after a quarter of a second without
+    events, so that a caller can stop the search at any time. The listener is then called from this
     thread as well, but never concurrently.
 
     Parameters
     ----------
     time_s : float, optional
-        Seconds from now on; None or inf: no limit.
+        Time limit in seconds from now on; None or inf: no limit.
     nodes : int, optional
         Maximum number of boxes bounded by each search.
     memory_mb : float, optional
-        Memory of the open boxes of a search.
+        Maximum memory of the open boxes of a search, in MiB.
     listener : callable, optional
         Receives every event; returning True sets `stopped`.
     assignments : int, optional
@@ -198,16 +198,16 @@ class Budget:
     Attributes
     ----------
     stop : (1,) uint8 array
-        Set when the solve is over; kernels then return at once. Only within the context.
+        Set when the solve is over; kernels then return at once. It is set only within the context.
     hard_stop : (1,) uint8 array
-        The same for the steps that complete the result, which may take slightly longer.
+        The same for the steps that complete the result; it is set slightly later.
     is_watched : bool
         Whether a listener receives the events.
     history : list of Event
         Events of all stages except heartbeats.
     patience_s : float or None
-        Seconds that a search may take for a proof; inf: those of the budget; None: it goes on although
-        no proof is expected.
+        Seconds that a search may take for a proof; inf: only the time of the budget limits it; None: the
+        search continues even if no proof is expected.
     """
 
     def __init__(
@@ -227,9 +227,8 @@ class Budget:
         self._deadline = None if time_s is None else self._began + time_s
         closing_s = _CLOSING_S + _CLOSING_SHARE * (time_s or 0.0)
         self._closing = None if self._deadline is None else self._deadline + closing_s
-        self._root = (
-            self  # the budget that all parts derive from; it knows if the caller asked to stop
-        )
+        # the budget from which all parts derive; it knows whether the caller asked to stop
+        self._root = self
         self.patience_s: float | None = None
         self._stopped = False
         self._reports = True
@@ -238,7 +237,7 @@ class Budget:
         self._lock = threading.RLock()
         self._ended = threading.Event()
         self._watch: threading.Thread | None = None
-        self._stages: list[Budget] = []  # isolated parts, with stop flags of their own
+        self._stages: list[Budget] = []  # isolated parts, each with its own stop flags
         self._error: BaseException | None = None
 
     def __enter__(self) -> Self:
@@ -277,7 +276,7 @@ class Budget:
         return self._closing is not None and now >= self._closing
 
     def elapsed(self) -> float:
-        """Return the seconds since the solve began; all parts share this clock."""
+        """Return the seconds since the solve began. All parts share this clock."""
         return time.perf_counter() - self._began
 
     def left(self) -> float | None:
@@ -293,12 +292,12 @@ class Budget:
 
     @property
     def is_over(self) -> bool:
-        """Whether the time is up or the caller asked to stop, so that nothing new should begin."""
+        """Whether the time is up or the caller asked to stop. Nothing new should then begin."""
         late = self._deadline is not None and time.perf_counter() > self._deadline
         return late or self.stopped
 
     def spent(self, nodes: int, assignments: int, nbytes: float) -> Status | None:
-        """Return the limit of work or memory that a search has reached, or None."""
+        """Return the status of a search that has reached a limit of work or memory, or None."""
         if self.nodes is not None and nodes >= self.nodes:
             return Status.NODE_LIMIT
         if self.assignments is not None and assignments >= self.assignments:
@@ -309,7 +308,7 @@ class Budget:
 
     @property
     def ended_by(self) -> Status:
-        """Status of a search that this budget ended."""
+        """Status of a search that the clock or the caller ended."""
         return Status.STOPPED if self.stopped else Status.TIME_LIMIT
 
     def sub_budget(self, share: float) -> Budget:
@@ -321,7 +320,7 @@ class Budget:
         return part
 
     def isolated_sub_budget(self, share: float) -> Budget:
-        """Return a sub-budget with its own stop flags, so that it takes no time from the next stage."""
+        """Return a sub-budget with its own stop flags, which end its stage in time for the next one."""
         part, now = self.sub_budget(share), time.perf_counter()
         if self._closing is not None:
             part._closing = now + share * max(0.0, self._closing - now)
@@ -338,7 +337,8 @@ class Budget:
     def with_patience(self, patience_s: float | None) -> Budget:
         """Return the same budget with another patience.
 
-        A limit on boxes or assignments allows none: the end of the search must not depend on the clock.
+        If boxes or assignments are limited, the patience is None, because the end of the search must then
+        not depend on the clock.
         """
         part = self.sub_budget(1.0)
         part.patience_s = None if self.is_counted else patience_s
@@ -371,4 +371,4 @@ class Budget:
             if self._listener is not None and self._listener(event):
                 root._stopped = True
                 for part in (root, *root._stages) if root._watch is not None else ():
-                    part.stop[0] = 1  # at once, not at the next reading of the clock
+                    part.stop[0] = 1  # at once, without waiting for the next reading of the clock

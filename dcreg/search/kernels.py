@@ -1,7 +1,7 @@
-"""Kernels of the search: the binary heap of open boxes, and which boxes meet others.
+"""Kernels of the search: the binary heap of open boxes, and a test for overlapping boxes.
 
-The heap has the lowest bound first, among equals the larger box, then the older. It holds the slots of
-boxes. Bounds, sizes and serial numbers are in arrays indexed by slot.
+The order of the heap is: lowest bound first, then the larger box, then the older one. The heap holds the
+slots of boxes. Bounds, sizes and serial numbers are in arrays indexed by slot.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def _before(a, b, bounds, sizes, serials):
 
 @jit
 def push(heap, length, slots, bounds, sizes, serials):
-    """Add `slots`; returns the new length."""
+    """Add `slots` to the heap; return its new length."""
     for slot in slots:
         at = length
         length += 1
@@ -36,7 +36,7 @@ def push(heap, length, slots, bounds, sizes, serials):
 
 @jit
 def pop(heap, length, cutoff, bounds, sizes, serials, slots):
-    """Move the best to `slots` until it is full or no bound lies below `cutoff`. Returns how many."""
+    """Move the best boxes to `slots` until it is full or no bound is below `cutoff`; return how many."""
     count = 0
     while count < slots.size and length > 0 and bounds[heap[0]] < cutoff:
         slots[count] = heap[0]
@@ -59,7 +59,10 @@ def pop(heap, length, cutoff, bounds, sizes, serials, slots):
 
 @jit
 def meeting(lower, upper, of_lower, of_upper, meets):
-    """Store which boxes contain a part of others. A common face is none, unless an axis has no width."""
+    """Store in `meets` which boxes overlap at least one of the other boxes.
+
+    A common face is no overlap, unless one of the two boxes has zero width along this axis.
+    """
     for b in range(len(lower)):
         meets[b] = False
         for j in range(len(of_lower)):

@@ -11,11 +11,11 @@ import numpy as np
 from dcreg.search.boxes import Bound, Boxes
 from dcreg.search.budget import Budget, Interrupted
 
-ASKED_AFTER_S = 0.25  # of a search: most end before
-WATCHED_AFTER_S = 2.0  # ... if the estimate is for the listener only, because it costs time
-MAX_TIME_RATIO = 3.0  # of estimated to remaining time; above it, a proof is not expected
+ASKED_AFTER_S = 0.25  # seconds of search before the estimate; most searches end earlier
+WATCHED_AFTER_S = 2.0  # ... if only the listener needs the estimate, which costs time
+MAX_TIME_RATIO = 3.0  # estimated divided by remaining time above which no proof is expected
 N_DESCENTS = 128
-_MAX_DEPTH = 80  # divisions; a descent that goes on so long contains the minimiser
+_MAX_DEPTH = 80  # divisions; the boxes of a longer descent contain the minimiser
 
 
 def expected_boxes(
@@ -23,11 +23,11 @@ def expected_boxes(
 ) -> float:
     """Estimate how many boxes have to be bounded until every open box reaches `cutoff`.
 
-    A random descent divides a box and goes on with one of its halves until the bound reaches the cutoff.
-    Every box at depth d stands for 2^d boxes, so the sum of these weights is an unbiased estimate of the
-    size of the tree (Knuth, Mathematics of Computation 29, 1975). Large subtrees of a small share of the
-    volume, such as that around the minimiser, are seldom met: the mean of a few descents is usually too
-    low.
+    A random descent divides a box and continues with one of its halves until the bound reaches the
+    cutoff. Every box at depth d stands for 2^d boxes, so the sum of these weights is an unbiased estimate
+    of the size of the tree (Knuth, Mathematics of Computation 29, 1975). Descents seldom meet a large
+    subtree that covers a small share of the volume, such as that around the minimiser. The mean of a few
+    descents is therefore usually too low.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def expected_boxes(
     branching : callable
         From boxes to their children, two for each.
     cutoff : float
-        The lower bound at which a box is done.
+        The lower bound at which a box is pruned.
     roots : Boxes, optional
         Default: those of the bound.
 
@@ -76,9 +76,10 @@ class Prospect:
     def of(
         cls, bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: float, roots: Boxes
     ) -> Prospect:
-        """Estimate by random descents; without time for them, no boxes are expected.
+        """Estimate by random descents; without time for them, the estimate is 0 boxes.
 
-        `bound` must not be that of the search: what it stores about boxes would change the search.
+        `bound` must not be that of the search, because data that it stores about boxes would change the
+        search.
         """
         try:
             return cls(expected_boxes(bound, branching, cutoff, roots))
@@ -86,15 +87,15 @@ class Prospect:
             return cls(0.0)
 
     def is_poor(self, n_nodes: int, spent_s: float, budget: Budget) -> bool:
-        """Tell whether the proof is expected to take over `MAX_TIME_RATIO` times the time left."""
+        """Tell whether the proof is expected to take more than `MAX_TIME_RATIO` times the time left."""
         if budget.patience_s is None:
             return False
         return self._needed_s(n_nodes, spent_s) > MAX_TIME_RATIO * _left_s(spent_s, budget)
 
     def expected_s(self, n_nodes: int, spent_s: float, budget: Budget) -> float | None:
-        """Return the seconds until the proof; inf: beyond the time for it; None: unknown.
+        """Return the seconds until the proof; inf if they exceed the time left, None if unknown.
 
-        A search that has bounded more boxes than estimated does not know how many are left.
+        If the search has bounded more boxes than estimated, the number of boxes left is unknown.
         """
         needed_s = self._needed_s(n_nodes, spent_s)
         if needed_s <= 0.0:
@@ -102,12 +103,12 @@ class Prospect:
         return needed_s if needed_s <= _left_s(spent_s, budget) else math.inf
 
     def _needed_s(self, n_nodes: int, spent_s: float) -> float:
-        """Return the time for the boxes that are left, at the speed of the boxes so far."""
+        """Return the seconds for the boxes left, at the speed of the boxes bounded so far."""
         return (self.n_nodes - n_nodes) * spent_s / n_nodes
 
 
 def _left_s(spent_s: float, budget: Budget) -> float:
-    """Return the seconds that are left for a proof: of the budget, and of its patience."""
+    """Return the seconds left for a proof: those of the budget, or of its patience if fewer."""
     left, patience = budget.left(), budget.patience_s
     return min(
         math.inf if left is None else left, math.inf if patience is None else patience - spent_s

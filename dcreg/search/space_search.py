@@ -14,11 +14,10 @@ from dcreg.search.budget import Budget, Interrupted, Tolerance
 from dcreg.status import Status
 
 UNSURE = 5.0  # factor of the patience if the initial poses are not confirmed
-# Boxes bounded before a cover is tried.
-SHORT = 2048
-COVER_SHARE = 0.8  # of the time left, for one cover
-UNLIMITED_S = 120.0  # maximum nominal time for covers
-COUNTED_S = 5.0  # nominal time for a cover if boxes or assignments are limited
+SHORT = 2048  # boxes bounded before a cover is tried
+COVER_SHARE = 0.8  # share of the time left that one call of `Cover.confine` may take
+UNLIMITED_S = 120.0  # maximum number of seconds left from which this share is taken
+COUNTED_S = 5.0  # nominal seconds for one call if boxes or assignments are limited
 
 
 class Searchable(Protocol):
@@ -32,12 +31,12 @@ class Searchable(Protocol):
         ...
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Search locally from `theta`: return a better theta, its objective, assignments spent."""
+        """Search locally from `theta`; return a better theta, its objective, assignments spent."""
         ...
 
 
 class Cover(Protocol):
-    """Finds the few places where the objective can be small.
+    """Finds few boxes that contain every optimum with an objective below a value.
 
     Attributes
     ----------
@@ -48,18 +47,19 @@ class Cover(Protocol):
 
     @property
     def shares(self) -> Sequence[float]:
-        """Shares of the cutoff, proved in this order."""
+        """Shares of the cutoff to prove, in this order."""
         ...
 
     @property
     def applies(self) -> bool:
-        """Whether it may help in a long search."""
+        """Whether the cover may help if the search is long."""
         ...
 
     def confine(self, cutoff: float, budget: Budget, allowed_s: float) -> Confined | None:
         """Return boxes that contain every optimum with an objective below `cutoff`.
 
-        None if that is expected to take longer than `allowed_s`, a nominal time of all threads together.
+        None if this is expected to take longer than `allowed_s`, nominal CPU seconds of all threads
+        together.
         """
         ...
 
@@ -84,13 +84,13 @@ def minimise(
     bound : Bound
     budget : Budget
         Its patience applies if the initial poses are confirmed. If they are not, the search may find a
-        better incumbent: a finite patience is then `UNSURE` times as long, and inf has no effect.
+        better incumbent: a finite patience is then `UNSURE` times as long, and inf is ignored.
     tolerance : Tolerance
         In the units of the objective.
     start : (theta, value), optional
         A known parameter and its objective; default: the result of ``space.start``.
     make_cover : callable, optional
-        Returns what confines a long search to few boxes.
+        Returns the `Cover` that confines a long search to few boxes.
     stage, keep_leaves
         See `branch_and_bound`.
 
@@ -113,7 +113,7 @@ def minimise(
     if make_cover is None or keep_leaves:
         search.run()
         return search.outcome()
-    search.n_unasked = SHORT  # a cover can change the prospect
+    search.n_unasked = SHORT  # before, an estimate is premature, because a cover can change it
     search.run(SHORT)
     cover = make_cover() if search.status is None else None
     if cover is not None and cover.applies:
@@ -123,7 +123,7 @@ def minimise(
 
 
 def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outcome:
-    """Continue a long search: prove shares of the cutoff in the boxes of a cover, while time allows."""
+    """Continue a long search: prove shares of the cutoff by means of a cover, while time allows."""
     parts: list[Confined] = []
     for share in cover.shares:
         tolerance = _share_of(search.tolerance, share)
@@ -135,7 +135,8 @@ def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outco
             search.resume(paused_s)
             continue
         parts.append(confined)
-        if share == 1.0:  # the boxes so far share vertices and warm starts with those that are left
+        if share == 1.0:
+            # the open boxes share vertices and warm starts with the boxes that are left
             search.narrow(confined)
             search.resume(paused_s)
             break
@@ -156,9 +157,9 @@ def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outco
 def _confined(
     search: Search, cover: Cover, cutoff: float, patience_s: float | None
 ) -> Confined | None:
-    """Return the boxes with optima below the cutoff; None if they take too long.
+    """Return boxes that contain every optimum below the cutoff; None if this takes too long.
 
-    A cover finds no better incumbent, so `patience_s` is that for a confirmed one.
+    A cover finds no better incumbent, so `patience_s` is that for confirmed initial poses.
     """
     budget = search.budget
     times = [time_s for time_s in (budget.left(), patience_s) if time_s is not None]
@@ -172,7 +173,7 @@ def _confined(
 
 
 def _share_of(tolerance: Tolerance, share: float) -> Tolerance:
-    """Return the tolerance that proves a share of the cutoff; the whole cutoff to the last bit."""
+    """Return the tolerance at which a share of the cutoff is proved; a share of 1 changes no bit."""
     return replace(tolerance, rel=tolerance.rel + (1.0 - share) * (1.0 - tolerance.rel))
 
 

@@ -1,18 +1,18 @@
 """Estimates, their intervals and p-values, and the rule that turns them into decisions.
 
-All verdicts follow from one rule. It is valid however often the results are looked at, so that blocks of
+All verdicts follow from one rule. The rule is valid however often the results are examined, so blocks of
 runs can be added until a claim is decided:
 
-- A comparison has one figure over instances. Its intervals form a confidence sequence: with probability
-  1 - level, the intervals after every number of instances contain the true figure. The p-value of a side
-  is the smallest level at which the interval lies entirely on that side, so p-values and intervals always
-  agree. It is the inverse of an e-value:
+- A comparison has one estimate from instances. Its intervals form a confidence sequence: with probability
+  at least 1 - level, the intervals for all numbers of instances contain the true value. The p-value of a
+  side is the smallest level at which the interval lies entirely on that side, so p-values and intervals
+  always agree. It is the inverse of an e-value:
 
   - shares: beta-binomial mixture (Robbins, *Ann. Math. Statist.* 41, 1970), exact;
-  - medians: the same for the share of instances on either side;
-  - all other figures: the t-statistic with a normal prior on the effect (Wang and Ramdas, *Sequential
-    Anal.* 44, 2025). It is exact for means of normal values. For others it holds asymptotically, as a
-    central limit does (Waudby-Smith et al., *Ann. Statist.* 52, 2024); the standard error is that of
+  - medians: the same mixture for the share of instances on either side;
+  - all other estimates: the t-statistic with a normal prior on the effect (Wang and Ramdas, *Sequential
+    Anal.* 44, 2025). It is exact for means of normal values and holds asymptotically for others, as in a
+    central limit theorem (Waudby-Smith et al., *Ann. Statist.* 52, 2024). The standard error is that of
     bootstrap draws.
 
   A maximum over runs has no interval: one counterexample decides.
@@ -21,8 +21,7 @@ runs can be added until a claim is decided:
   at the first comparison that is not decided. Each interval is shown at the level that decides it.
 - Comparisons with fewer than `MIN_INSTANCES` instances are not decided and take no part in the
   correction.
-- `needed` estimates how many instances decide an open comparison, from the effect and the spread
-  observed.
+- `needed` estimates from the observed effect and spread how many instances decide an open comparison.
 """
 
 from __future__ import annotations
@@ -36,20 +35,20 @@ import numpy as np
 from scipy.special import betaln, xlog1py, xlogy
 from scipy.stats import norm
 
-DRAWS = 2000
+DRAWS = 2000  # of the bootstrap
 SEED = 20260326
 MIN_INSTANCES = 20  # fewer decide nothing
 MIN_SPREAD = 5  # fewer instances give no estimate of the spread
 MOST_NEEDED = 10_000  # larger estimates are shown as "more than"
 LEVEL = 0.05
 POWER = 0.8
-DECIMALS = 12  # removes slopes that are rounding only
-# Variance of the prior of an effect, in squared standard deviations of one instance. Intervals are
-# narrowest, compared with those for one look, at about 15 / PRIOR instances.
+DECIMALS = 12  # of estimates; removes slopes that are only rounding errors
+# Variance of the prior of an effect, in squared standard deviations of one instance. Compared with those
+# for a fixed number of instances, intervals are narrowest at about 15 / PRIOR instances.
 PRIOR = 0.3
 BETA = 0.5  # both parameters of the prior of a share
 
-TIME_OUTS = "time-outs could change the verdict: use a longer limit"  # why a figure of work is open
+TIME_OUTS = "time-outs could change the verdict: use a longer limit"  # why a value of work is open
 REPRODUCED, NOT, OPEN, NOT_RUN = "reproduced", "not reproduced", "open", "not run"
 VERDICTS = (REPRODUCED, NOT, OPEN, NOT_RUN)
 
@@ -57,7 +56,7 @@ Claimed = Mapping[str, Any]  # side -> threshold
 
 
 class Estimate(Protocol):
-    """A figure over `n` instances."""
+    """An estimate from `n` instances."""
 
     @property
     def value(self) -> float: ...
@@ -71,16 +70,16 @@ class Estimate(Protocol):
     def tails(self, threshold: float, *, tie_below: bool) -> tuple[float, float]:
         """Return the p-values of lying above and of lying below a threshold.
 
-        A tie counts as below, or as above.
+        A tie with the threshold counts as below if `tie_below`, else as above.
         """
 
     def needed(self, threshold: float, level: float) -> int | None:
-        """Return how many instances show on which side of the threshold the figure lies."""
+        """Return how many instances decide on which side of the threshold the true value lies."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A function of means, with the standard deviation of what one instance contributes."""
+    """A function of means, with the standard deviation of the contribution of one instance."""
 
     value: float
     n: int
@@ -112,7 +111,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Share:
-    """A share of ones."""
+    """A share of instances with the value 1."""
 
     value: float
     n: int
@@ -149,7 +148,7 @@ class Share:
 
 @dataclass(frozen=True)
 class Median:
-    """A median of sorted values."""
+    """The median of sorted values."""
 
     ordered: np.ndarray
 
@@ -164,7 +163,7 @@ class Median:
     def interval(self, level: float) -> tuple[float, float]:
         count = next(
             (c for c in range(self.n // 2 + 1, self.n + 1) if self._p_of(c) <= level), None
-        )  # of values on one side that is too many for a median
+        )  # minimum number of values on one side of a point that excludes it as the median
         if count is None:
             return -np.inf, np.inf
         return float(self.ordered[self.n - count]), float(self.ordered[count - 1])
@@ -182,7 +181,7 @@ class Median:
 
 @dataclass(frozen=True)
 class Exact:
-    """A figure without an interval, such as a maximum."""
+    """A value without an interval, such as a maximum."""
 
     value: float
     n: int
@@ -198,7 +197,7 @@ class Exact:
 
 
 class Extremes(NamedTuple):
-    """The least and the greatest figure that the tables allow, and why they show no more."""
+    """The minimum and the maximum estimate that the tables allow, and the reason for the range."""
 
     least: Estimate
     most: Estimate
@@ -220,7 +219,7 @@ def _p_of_t(n: int, t: float) -> float:
 
 
 def _critical_t(n: int, level: float) -> float:
-    """Return the least t-statistic whose p-value is at most `level`."""
+    """Return the minimum t-statistic whose p-value is at most `level`."""
     widened = 1.0 + n * PRIOR
     ratio = (np.sqrt(widened) / level) ** (2.0 / n)
     if n < 2 or ratio >= widened:
@@ -229,7 +228,7 @@ def _critical_t(n: int, level: float) -> float:
 
 
 def _p_of_share(share: float, n: int, threshold: float) -> float:
-    """Return the p-value of a share of ones among `n` instances against the true share `threshold`."""
+    """Return the p-value of an observed share among `n` instances if the true share is `threshold`."""
     ones = share * n
     log_e = betaln(BETA + ones, BETA + n - ones) - betaln(BETA, BETA)
     log_e -= xlogy(ones, threshold) + xlog1py(n - ones, -threshold)
@@ -237,7 +236,7 @@ def _p_of_share(share: float, n: int, threshold: float) -> float:
 
 
 def _least_number(is_shown: Callable[[int], bool]) -> int:
-    """Return the least number of instances that is enough, between the two limits."""
+    """Return the minimum sufficient number of instances, from `MIN_INSTANCES` to `MOST_NEEDED`."""
     low, high = MIN_INSTANCES, MOST_NEEDED
     if is_shown(low) or not is_shown(high):
         return low if is_shown(low) else high
@@ -249,7 +248,7 @@ def _least_number(is_shown: Callable[[int], bool]) -> int:
 
 @lru_cache(maxsize=6)
 def _weights(n: int) -> np.ndarray:
-    """Return how often each of `n` instances is in each bootstrap draw, as shares."""
+    """Return the share of each of `n` instances in each bootstrap draw, (draws, n)."""
     drawn = np.random.default_rng(SEED).multinomial(n, np.full(n, 1 / n), size=DRAWS)
     return (drawn / n).astype(np.float64)
 
@@ -257,8 +256,8 @@ def _weights(n: int) -> np.ndarray:
 def of_means(statistic: Callable[[np.ndarray], np.ndarray], columns: np.ndarray) -> Figure:
     """Return the estimate of a statistic of the means of `columns` (instances × quantities).
 
-    `statistic` maps means (draws × quantities) to a number per draw. If only some draws have a finite
-    value, the deviation is infinite.
+    `statistic` maps means (draws × quantities) to a number per draw. Draws without a value (NaN) are left
+    out. If only some of the others are finite, the deviation is infinite.
     """
     n = len(columns)
     with np.errstate(all="ignore"):
@@ -267,7 +266,7 @@ def of_means(statistic: Callable[[np.ndarray], np.ndarray], columns: np.ndarray)
     drawn = drawn[~np.isnan(drawn)]
     if len(drawn) == 0 or (drawn == drawn[0]).all():
         return Figure(value, n, 0.0)
-    # draws have the deviation of n values without correction
+    # the draws have the standard deviation for a divisor of n; correct it to n - 1
     per_instance = n / np.sqrt(n - 1)
     return Figure(value, n, drawn.std() * per_instance if np.isfinite(drawn).all() else np.inf)
 
@@ -305,11 +304,11 @@ def p_values(
     falls: bool = False,
     extremes: Extremes | None = None,
 ) -> tuple[float, float]:
-    """Return the p-values of lying on the claimed side, and on the other one.
+    """Return the p-values of lying on the claimed side and of lying on the other side.
 
-    `rises` and `falls`: runs at a limit could increase or decrease the figure, so it cannot be shown to
-    lie below, or above, anything. `extremes`: the least figure shows that it lies above a
-    threshold, the greatest one that it lies below.
+    If `rises`, runs at a limit could increase the value, so it cannot be shown to lie below a threshold.
+    If `falls`, they could decrease it, so it cannot be shown to lie above one. With `extremes`, the
+    minimum decides whether the value lies above a threshold, and the maximum whether it lies below.
     """
     ((side, threshold),) = claimed.items()
     least, most = (extremes.least, extremes.most) if extremes else (estimate, estimate)
@@ -332,7 +331,7 @@ def p_values(
 
 
 def holm(p_of: Sequence[float]) -> list[float]:
-    """Return the level at which each comparison is decided; decided are those with p <= level."""
+    """Return the level of each comparison, which is decided if its p-value is at most this level."""
     order = np.argsort(p_of, kind="stable")
     levels = [0.0] * len(order)
     stopped = None
@@ -345,15 +344,15 @@ def holm(p_of: Sequence[float]) -> list[float]:
 
 
 def decide(on_it: float, on_the_other: float, level: float) -> str:
-    """Return reproduced, not reproduced or open from the two p-values."""
+    """Return the verdict (reproduced, not reproduced or open) from the two p-values."""
     return REPRODUCED if on_it <= level else NOT if on_the_other <= level else OPEN
 
 
 def needed(estimate: Estimate, claimed: Claimed, level: float) -> int | None:
     """Return how many instances decide the comparison with probability `POWER`; None if unknown.
 
-    It is unknown for fewer than `MIN_SPREAD` instances and without a spread. Effects near 0 need more
-    than `MOST_NEEDED` instances, which is then returned.
+    The number is unknown for fewer than `MIN_SPREAD` instances and without a spread. If it exceeds
+    `MOST_NEEDED`, as for effects near 0, `MOST_NEEDED` is returned.
     """
     if estimate.n < MIN_SPREAD:
         return None
@@ -363,7 +362,10 @@ def needed(estimate: Estimate, claimed: Claimed, level: float) -> int | None:
 
 
 def distance(estimate: Estimate, claimed: Claimed) -> float:
-    """Return how far the figure lies inside the claimed side; of several, the minimum is shown."""
+    """Return how far the value lies on the claimed side, negative on the other side.
+
+    Of several comparisons, the minimum is shown.
+    """
     ((side, threshold),) = claimed.items()
     if side in ("below", "at_most"):
         return threshold - estimate.value

@@ -1,19 +1,19 @@
 """Compare lower bounds on the same boxes and problems: ``python -m workflows.studies.bounds OUT``.
 
-Compared are the library's bounds (`dcreg.families.registry`) and the bounds of every other
-method that can bound a box of poses (`baselines.contract.BoxBounding`). A new one of either kind takes
-part without a change here. Writes to OUT
+The study compares the bounds of the library (`dcreg.families.registry`) and those of every other method
+that can bound a box of poses (`baselines.contract.BoxBounding`). A new bound of either kind takes part
+without a change here. The study writes to OUT:
 
-- ``boxes.csv``: the bound of every box, and the minimum objective found in it. Boxes of one width are
-  centred on the certified optimum, contain it elsewhere, or lie away from it.
+- ``boxes.csv``: the bound of every box, and the minimum objective found in it. The boxes of each width
+  are centred on the certified optimum, contain it off their centre, or do not contain it.
 - ``losses.csv``: the mean of ``minimum - bound`` over the boxes of one width and place, and its ratio to
   the loss of the published DC bound.
 - ``orders.csv``: the empirical order of convergence, the slope of log loss against log width.
-- ``searches.csv``: gap against nodes and assignments, one search per bound of the library, and per bound
-  of methods that have several.
+- ``searches.csv``: gap against nodes and assignments, with one search per bound of the library, and one
+  per bound of methods that have several.
 
-Coordinates are normalised: centred, RMS radius of the target 1. In 3D the parameter is the translation
-and the objective that of point norms.
+Coordinates are normalised: centred, with a target of RMS radius 1. In 3D the parameter is the translation
+and the objective is that of point norms.
 """
 
 from __future__ import annotations
@@ -44,8 +44,9 @@ from workflows.disturb import make_instance
 from workflows.studies import N_FITTED, REFERENCE, SHOWING
 
 WIDTHS = np.geomspace(2.0, 0.0002, 13)  # of the whole box, in RMS radii of the target
-# Boxes per width that contain the optimum off their centre, and that lie away from it: about 120 boxes
-# of all cases. To show a share of 0.9 at every width takes 90.
+# Boxes per width and case that contain the optimum off their centre, and as many that do not contain it.
+# With the centred ones, these are about 120 boxes per width of all cases. To show a share of 0.9 at every
+# width takes 90.
 N_DRAWS = 10
 SEED = 20260326
 COMBINED = ("tight+interval", "dc+interval")  # take part in the searches
@@ -92,7 +93,7 @@ class Case:
 
 
 def placements(theta: np.ndarray, width: float) -> dict[str, list[Box]]:
-    """Return boxes of one width by the place of the optimum `theta`; random draws do not depend on it."""
+    """Return boxes of one width by the place of the optimum `theta`, always from the same draws."""
     rng = np.random.default_rng(SEED)
     half, dim = 0.5 * width, theta.size
     held = [theta + half * rng.uniform(-1.0, 1.0, dim) for _ in range(N_DRAWS)]
@@ -137,17 +138,17 @@ class Line(NamedTuple):
 
 
 def library_bound(name: str, case: Case, box: Box) -> tuple[float, float]:
-    """Return the bound called `name`, and its assignments."""
+    """Return the bound called `name`, and the number of assignments solved for it."""
     return bound_of_box(partial(make_bound, name), case.space, box)
 
 
 def method_bound(method: BoxBounding, case: Case, box: Box) -> tuple[float, float]:
-    """Return the bound of a method."""
+    """Return the bound of a method; its assignments are not counted."""
     return float(method.box_bound(case.instance, box.lower, box.upper)), np.nan
 
 
 def methods(instance: Instance) -> Iterator[tuple[str, BoxBounding]]:
-    """Yield the methods that bound boxes, each with its name; one with several bounds once per bound."""
+    """Yield each method that bounds boxes with its name, or once per bound with the bound's name."""
     for name in registry.names():
         bounds = getattr(registry.load(name), "bounds", ())
         for label, options in [(bound, {"bound": bound}) for bound in bounds] or [(name, {})]:
@@ -208,7 +209,7 @@ def losses_table(boxes: pd.DataFrame) -> pd.DataFrame:
 def orders_table(losses: pd.DataFrame) -> pd.DataFrame:
     """Return the slope of log loss over log width for boxes that contain the optimum.
 
-    NaN if fewer than three widths show a loss: an exact bound has no order.
+    It is NaN if fewer than three widths show a loss: an exact bound has no order.
     """
     held = losses[losses["place"] != "away"]
     rows = []
@@ -235,7 +236,7 @@ def search(make: MakeBound, space: FeatureSpace, share: float, budget: Budget) -
 
 
 def searched(case: Case) -> dict[str, MakeBound]:
-    """Bounds that take part in the searches: the library's, and those of methods with several."""
+    """Return the bounds to search with: those of the library, and of methods with several."""
     makers: dict[str, MakeBound] = {
         name: partial(make_bound, name) for name in (*BOUND_NAMES, *COMBINED)
     }
@@ -246,7 +247,7 @@ def searched(case: Case) -> dict[str, MakeBound]:
 
 
 def searches_table(name: str, case: Case, time_s: float) -> pd.DataFrame:
-    """Bound history of each search; a row per change, gaps in default tolerances."""
+    """Return the bound history of each search, a row per change, with gaps in default tolerances."""
     rows = []
     for bound, make in searched(case).items():
         found = search(make, case.space, 0.1, Budget(time_s=time_s))

@@ -1,8 +1,9 @@
 """Compare two tables of `walk`: ``python -m workflows.studies.curves BEFORE.csv AFTER.csv OUT.svg``.
 
-Three curves for each table show the share of runs whose right pose was found, that ended with a right
-pose, or that ended with a proof, against the time since the start of the process. Only runs that both
-tables have count.
+For each table, three curves show shares of runs against the seconds since the start of the process: runs
+whose right final pose had been found, runs that had ended with a right pose, and runs that had ended with
+a right pose and a proof. Only runs with known poses that are in both tables count. A table is named after
+its folder.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ def main(
     after: Annotated[Path, typer.Argument(help="another one")],
     out: Annotated[Path, typer.Argument(help="file for the figure, .svg or .png")],
 ) -> None:
-    """Draw the curves; print their values at some moments."""
+    """Draw the curves; print their values at `MOMENTS_S`."""
     tables = {path.parent.name: pd.read_csv(path) for path in (before, after)}
     times = pd.concat(
         {name: reached(_shared(table, list(tables.values()))) for name, table in tables.items()},
@@ -37,7 +38,7 @@ def main(
 
 
 def reached(table: pd.DataFrame) -> pd.DataFrame:
-    """Return for each run with a known pose when it reached the end of each curve, or infinity."""
+    """Return the seconds until each event of `CURVES`, per run with a known pose; inf: never."""
     known = table[table["right"].notna()]
     right = known["right"].astype(bool)
     known = known.assign(proof_s=known["wall_s"].where(known["status"] == "optimal"))
@@ -47,7 +48,7 @@ def reached(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def shares(times: pd.DataFrame) -> pd.DataFrame:
-    """Return per cent of the runs that reached each curve's end by each of `MOMENTS_S`."""
+    """Return the percentage of runs for which each event of `CURVES` had occurred by `MOMENTS_S`."""
     long = times.melt("version", var_name="curve", value_name="time_s")
     cells = long.groupby(["curve", "version"], sort=False)["time_s"]
     return pd.DataFrame(

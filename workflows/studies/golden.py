@@ -2,10 +2,10 @@
 
 ``python -m workflows.studies.golden [NAME ...] [--golden FOLDER] [--out FOLDER]`` solves every recorded
 case again and writes a table per comparison as CSV and Markdown. The cases are not part of this
-repository; without ``--golden`` they are searched in the folder ``golden`` next to that of
-``DCREG_DATA_MIRROR``. The exit code is 1 if a case that must agree does not.
+repository. Without ``--golden`` they are read from the folder ``golden`` next to the folder that the
+variable ``DCREG_DATA_MIRROR`` names. The exit code is 1 if a case that must agree does not agree.
 
-A comparison is a function from a case to a row, and an entry of `COMPARISONS`. A row has ``case``, the
+A comparison is an entry of `COMPARISONS`, with a function from a case to a row. A row has ``case``, the
 compared values, and at the end ``required`` and ``agrees``.
 """
 
@@ -27,7 +27,7 @@ from dcreg.problem import rotation_angle_deg
 from workflows.studies.threedmatch import MAX_ROTATION_DEG, MAX_TRANSLATION
 
 Case = dict[str, np.ndarray]
-REPEATS = 3  # the minimum time counts
+REPEATS = 3  # of a timed run; the minimum time counts
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ def pose_difference(first: np.ndarray | None, second: np.ndarray) -> tuple[float
 # --- TEASER ------------------------------------------------------------------------------------
 
 TEASER_ANGLE = 0.5  # degrees
-TEASER_SHIFT = 0.005  # of the longest side, synthetic
-TEASER_SHIFT_SCANS = 0.05  # metres, 3DMatch
+TEASER_SHIFT = 0.005  # in longest sides of the source; synthetic cases
+TEASER_SHIFT_SCANS = 0.05  # metres; cases of 3DMatch
 
 
 def teaser_row(name: str, case: Case) -> dict[str, Any]:
@@ -114,12 +114,12 @@ def teaser_row(name: str, case: Case) -> dict[str, Any]:
 
 # --- dcreg, mode full --------------------------------------------------------------------------
 
-GOICP_TOTAL_S = (7.6, 23.0)  # official runs: 7 to 9 s of distance transform, 0.6 to 14 s of search
+GOICP_TOTAL_S = (7.6, 23.0)  # official runs: distance transform 7 to 9 s, search 0.6 to 14 s
 FULL_LIMIT_S = 15.0
 
 
 def full_row(name: str, case: Case) -> dict[str, Any]:
-    """Run mode `full` at official Go-ICP's threshold; compare both poses by the one-to-one objective."""
+    """Run mode `full` at the threshold of official Go-ICP; compare poses by the one-to-one objective."""
     import dcreg
 
     source, target = case["source"], case["target"]

@@ -1,7 +1,8 @@
 """Success rate and time of each 3D mode: ``python -m workflows.studies.modes OUT``.
 
-The choice of mode ``auto`` is based on this study. It writes ``modes.csv``, a row per solve, and
-``modes_summary.csv``, a row per size, n_inliers over the true pairs, time limit and mode.
+The mode that ``auto`` selects is based on this study. The study writes ``modes.csv``, a row per solve,
+and ``modes_summary.csv``, a row per number of points, n_inliers divided by the number of true pairs, time
+limit and mode.
 """
 
 from __future__ import annotations
@@ -121,7 +122,7 @@ def _solved(problem: Labelled, mode: str, limit: float) -> dict[str, object]:
         (1.0, 1.0),
     )  # fmt: skip
     error = judged.rmse_excess
-    # in the other modes the upper bounds are of another objective
+    # in the other modes the upper bounds refer to another objective
     found = [event.time_s for event in trace if event.upper_bound <= SAME * result.upper_bound]
     first = min(found, default=np.nan) if result.mode == "full" else np.nan
     return {

@@ -1,9 +1,10 @@
 """`dcreg` and methods with descriptors on the same raw pairs: ``python -m workflows.studies.peers OUT``.
 
-The pairs are those of ``walk --only-raw``. The peers use their own front ends and recipes, with voxels of
-1/50 and of 1/100 of the target's longest side; the table has both. Column `call_s` is the time of the
-call in a process that has loaded the library, with two threads; column `wall_s` of `dcreg` includes the
-start of its process. Only `dcreg` uses `n_inliers`.
+The pairs are those of ``walk --only-raw``. The peers use their own front ends and parameters, once with
+voxels of 1/50 and once of 1/100 of the target's longest side; the table has a row for each. They may use
+two threads; `dcreg` uses its default number. Column `call_s` is the time of the call in seconds, in a
+process that has loaded the library. Column `wall_s` of `dcreg` includes the start of its process. Only
+`dcreg` uses `n_inliers`.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def main(
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
-    """Return right poses, and median and greatest time, for each method and voxel size."""
+    """Return right poses, median rotation error, and times for each method and voxel size."""
     groups = table.fillna({"voxel": 0.0}).groupby(["method", "voxel"], sort=False)
     return groups.agg(
         right=("right", "sum"),

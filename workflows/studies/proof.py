@@ -1,10 +1,11 @@
-"""How soon poses are proved: ``python -m workflows.studies.proof OUT``.
+"""How soon optima are proven: ``python -m workflows.studies.proof OUT``.
 
-Every problem has 100 points (``--points``) before its disturbance and all true pairs (or ``--share`` of
-them), and is searched to the time limit (``prove=True``). Poses are rigid in 3D. With ``--plane`` they
-are similarities of side views, which lack the axis of least extent. The study writes ``proof.csv``, a row
-per solve with the lower bound at several moments divided by the final upper bound, and
-``proof_summary.csv``, a row per test and level. Rows that exist are kept, so it can be continued.
+Every problem has 100 points (``--points``) before its disturbance. ``n_inliers`` is the number of true
+pairs, or ``--share`` of it. The search continues to the time limit (``prove=True``). Poses are rigid in
+3D. With ``--plane`` they are similarities of side views, which lack the axis of smallest extent. The
+study writes ``proof.csv``, a row per solve with the lower bound at several moments divided by the final
+upper bound, and ``proof_summary.csv``, a row per test and level. Existing rows are kept, so an
+interrupted study can be continued.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from workflows.metrics import Case
 from workflows.studies.modes import RIGHT, SHAPES, TESTS
 
 MOMENTS_S = 3.0, 10.0, 60.0
-QUARTER = 0.24  # minimum L/U of a useful lower bound: a quarter, up to the tolerance
+QUARTER = 0.24  # minimum L/U, lower divided by upper bound, of a useful bound: about a quarter
 
 
 class Cell(NamedTuple):
@@ -47,7 +48,7 @@ class Cell(NamedTuple):
 
 
 class SideView(PrototypeDataset):
-    """The shapes of a 3D dataset without the axis of their least extent."""
+    """The shapes of a 3D dataset without the axis of their smallest extent."""
 
     def __init__(self, solid: Dataset) -> None:
         assert isinstance(solid, PrototypeDataset)
@@ -107,7 +108,7 @@ def main(
 
 
 def summary(solves: pd.DataFrame) -> pd.DataFrame:
-    """Return the shares of proved problems and of useful bounds, a row per test and level."""
+    """Return the shares of proven optima and of useful bounds, a row per test and level."""
     moments = [s for s in MOMENTS_S if f"ratio_{s:g}" in solves]
     rows = []
     for (test, level), group in solves.groupby(["test", "level"], sort=False):

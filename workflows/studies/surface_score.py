@@ -1,10 +1,10 @@
-"""Both scores of `register_matches` on the official lists of scans, pair by pair.
+"""Compare both scores of `register_matches` on the official lists of scans, pair by pair.
 
 ``python -m workflows.studies.surface_score OUT`` registers every fourth pair of 3DMatch and of 3DLoMatch
-over the five nearest matches per point, once with each score. It writes ``pairs.csv``, a row per pair,
+from the five nearest matches per point, once with each score. It writes ``pairs.csv``, a row per pair,
 and ``summary.csv``, a row per list: the successes of each score, the pairs that only one of them
-registers, and an interval of the difference. A run that was interrupted continues with the missing
-pairs. ``--every 8`` and ``--every 8 --first 4`` divide the pairs into two halves.
+registers, and an interval of the difference of success rates. An interrupted run continues with the
+missing pairs. ``--every 8`` and ``--every 8 --first 4`` divide the pairs into two halves.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def compared(raw: RawInstance) -> dict[str, object]:
 
 
 def paired(pairs: pd.DataFrame) -> pd.DataFrame:
-    """Return a row per list: successes, pairs that one score registers alone, and their difference."""
+    """Return a row per list: successes, pairs that only one score registers, and the difference."""
     rows = []
     for name, group in pairs.groupby("list", sort=False):
         old, new = (group[f"{score}_right"].astype(bool) for score in (OLD, NEW))
@@ -123,9 +123,9 @@ class Difference(NamedTuple):
 def difference(gained: int, lost: int, n: int) -> Difference:
     """Return the difference of paired success rates with its exact conditional interval.
 
-    Given the number of pairs that exactly one score registers, the gained ones are binomial. The
-    p-value is that of McNemar's exact test. The interval is Clopper and Pearson's interval of the
-    gained share, converted to a difference.
+    Given the number of pairs that exactly one score registers, the number of gained pairs is binomial.
+    The p-value is that of McNemar's exact test. The interval is Clopper and Pearson's interval of the
+    gained share, converted to a difference in percentage points.
     """
     apart = gained + lost
     if not apart:

@@ -1,4 +1,4 @@
-"""Both published recalls on the official 3DMatch lists, and error against overlap per source.
+"""Compute both published recalls on the official 3DMatch lists, and errors against overlap per source.
 
 ``python -m reports threedmatch EXPERIMENT`` writes the tables and draws them.
 """
@@ -10,7 +10,8 @@ import pandas as pd
 from data.threedmatch.loader import Loader
 from workflows.outcomes import attempted
 
-MAX_ROTATION_DEG, MAX_TRANSLATION = 15.0, 0.3  # a pose within both is right
+# Errors below which a pose is right; the translation error is in metres.
+MAX_ROTATION_DEG, MAX_TRANSLATION = 15.0, 0.3
 SOURCES = {"7-scenes": "7-Scenes", "sun3d": "SUN3D"}
 
 
@@ -74,7 +75,7 @@ def not_attempted(runs: pd.DataFrame) -> dict[str, str]:
 def against_overlap(runs: pd.DataFrame) -> pd.DataFrame:
     """Return mean and median RMSE and recall per list, source, method and bin of overlap.
 
-    Recall is over all ``pairs``, errors over those for which the method returned one of the ``poses``.
+    Recall is over all ``pairs``; errors are over the ``poses``, the pairs for which a pose was returned.
     """
     groups = runs.groupby(["test", "source", "method", "display_name", "level"], sort=False)
     return groups.agg(

@@ -1,10 +1,12 @@
 """``dcreg register`` with default options on real clouds: ``python -m workflows.studies.walk OUT``.
 
-Every pair of clouds is written to files at several sizes and registered with nothing but the model and a
-share of pairs. For scans this share is 0.8 times the overlap at the true pose: a good guess, which users
-may not have. Scans are moved by a random pose, so that no start is near the true pose. The study writes
-``walk.csv``: pose error, status, time, warnings. It needs the data that `data/` fetches. ``--checkout``
-runs the `dcreg` of another checkout, such as an older version; `curves` compares two tables.
+Every pair of clouds is written to files at several sizes and registered with only the model, the time
+limit and `n_inliers` as a share. For scans this share is 0.8 times the overlap at the true pose: a good
+guess, which users may not have. Scans are moved by a random pose, so that the identity is not near the
+true pose. A pose is right if its rotation error is below 15 degrees and its translation error below a
+tenth of the target's longest side. The study writes ``walk.csv``: pose errors, status, times, warnings.
+It needs the data that `data/` fetches. ``--checkout`` runs the `dcreg` of another checkout, such as an
+older version; `curves` compares two tables.
 """
 
 from __future__ import annotations
@@ -33,28 +35,28 @@ from dcreg.names import DEFAULT_TIME_LIMIT_S
 from dcreg.problem import apply_pose, rotation_angle_deg
 
 SIZES = [100, 300, 1000, 5000, 0]
-KILLED_AFTER = 5.0  # time limits; a run that takes longer is killed and counts as a hang
-# Overlaps of the pairs of fragments, one per scene of 3DMatch.
+KILLED_AFTER = 5.0  # in time limits; a run that takes longer is killed and has the status ``hang``
+# Overlaps of the pairs of fragments, one pair per scene of 3DMatch.
 OVERLAPS = (0.55, 0.75, 0.4, 0.55, 0.4, 0.75, 0.55, 0.75)
-# Pairs of raw clouds, at full size, on which an answer should take seconds (`--only-raw`).
+# Pairs of raw clouds that should be registered within seconds at full size (`--only-raw`).
 RAW = (
     "7-scenes-redkitchen", "sun3d-home_at", "sun3d-hotel_uc", "sun3d-hotel_umd-maryland_hotel1",
     "sun3d-mit_lab", "bunny with missing ends", "bunny, half with clutter", "street",
 )  # fmt: skip
-SAME = 0.01  # change of the upper bound, as a share, that does not count as a better pose
-CLUTTER = 0.3  # points of a cluttered target without a partner, per point with one
+SAME = 0.01  # relative change of the upper bound up to which a pose counts as the same
+CLUTTER = 0.3  # clutter points of a target, per point of the object
 
 
 @dataclass(frozen=True)
 class CloudPair:
-    """Two whole clouds, n_inliers as a share of the smaller one, and the pose if it is known."""
+    """Two whole clouds, n_inliers as a share of the smaller one, and the true pose if it is known."""
 
     name: str
     source: np.ndarray
     target: np.ndarray
     share: float
     T_true: np.ndarray | None
-    at_random: bool = False  # samples; farthest points of a cluttered cloud are mostly clutter
+    at_random: bool = False  # sampling; farthest points of a cluttered cloud are mostly clutter
 
 
 def main(
@@ -82,7 +84,7 @@ def main(
 
 
 def cloud_pairs() -> Iterator[CloudPair]:
-    """Yield scans with published poses, and scans of one object moved by a random pose."""
+    """Yield pairs of clouds of one object, and scans with published poses."""
     rng = np.random.default_rng(7)
     bunny = _prototypes("bunny")
     model, data = bunny.points("goicp_model", 35_947), bunny.points("goicp_data", 30_379)
@@ -111,7 +113,7 @@ def _prototypes(name: str) -> PrototypeDataset:
 
 
 def _turned(name: str, cloud: np.ndarray, rng: np.random.Generator) -> CloudPair:
-    """Return two overlapping parts of an object, the second one with noise and moved."""
+    """Return two overlapping parts of an object; the second one is moved and has noise."""
     along = np.argsort(cloud @ rng.standard_normal(3))
     cut = len(cloud) // 10
     first, second = cloud[along[:-cut]], cloud[along[cut:]]
@@ -124,7 +126,7 @@ def _turned(name: str, cloud: np.ndarray, rng: np.random.Generator) -> CloudPair
 
 
 def _cluttered(name: str, cloud: np.ndarray, n_points: int, rng: np.random.Generator) -> CloudPair:
-    """Return two samples of one half of an object, the second one with noise and clutter, and moved."""
+    """Return two samples of one half of an object; the second is moved and has noise and clutter."""
     along = cloud @ rng.standard_normal(3)
     half = cloud[along > np.median(along)]
     first, second = (half[rng.permutation(len(half))[:n_points]] for _ in range(2))
@@ -141,7 +143,7 @@ def _cluttered(name: str, cloud: np.ndarray, n_points: int, rng: np.random.Gener
 
 def _summary(table: pd.DataFrame) -> str:
     """Return the share of right poses, times, and how many wrong poses have no warning."""
-    known = table[table["right"].notna()]  # runs without an answer are not right
+    known = table[table["right"].notna()]  # runs without an answer count as wrong
     wrong = known[~known["right"].astype(bool)]
     silent = wrong[wrong["n_warnings"] == 0]
     times = table["wall_s"]
@@ -163,7 +165,8 @@ def _scans(name: str, shape: str, test: str, level: float) -> CloudPair:
     reach = 0.02 * float(np.ptp(target, axis=0).max())
     near = cKDTree(target).query(apply_pose(raw.T_true, source))[0] < reach
     share = round(max(0.1, 0.8 * float(near.mean())), 2)
-    motion = np.eye(4)  # recorded scans are nearly aligned, and no start should profit from that
+    # recorded scans are nearly aligned, and no initial pose should profit from that
+    motion = np.eye(4)
     motion[:3, :3] = Rotation.random(random_state=11).as_matrix()
     motion[:3, 3] = -motion[:3, :3] @ source.mean(axis=0)
     return CloudPair(
@@ -173,7 +176,7 @@ def _scans(name: str, shape: str, test: str, level: float) -> CloudPair:
 
 
 def _cloud(path: Path, number: float | str | None) -> np.ndarray:
-    """Read a whole cloud of a dataset: a numbered fragment, or a file of points."""
+    """Return a whole cloud of a dataset: a numbered fragment, or a file of points."""
     return read_points(path) if number is None else fragment(path, int(number))
 
 
@@ -220,7 +223,7 @@ def walked(
 
 
 def _last_change_s(trace: Path) -> float:
-    """Return the time from which on the upper bound stayed within `SAME` of its last value."""
+    """Return the time in seconds since which the upper bound stayed within `SAME` of its last value."""
     events = pd.read_json(trace, lines=True)
     last = events["upper_bound"].iloc[-1]
     differs = (events["upper_bound"] - last).abs() > SAME * last
@@ -229,7 +232,11 @@ def _last_change_s(trace: Path) -> float:
 
 
 def pose_errors(pair: CloudPair, T: np.ndarray) -> dict[str, object]:
-    """Return residual and, if the pose is known, errors and whether the pose is right."""
+    """Return residual and, if the true pose is known, errors and whether the pose is right.
+
+    The residual is the RMS distance from the target of the best share of the source points. Residual and
+    shift are in longest sides of the target.
+    """
     moved = apply_pose(T, pair.source[:: max(1, len(pair.source) // 2000)])
     near = np.sort(cKDTree(pair.target).query(moved)[0])[: int(pair.share * len(moved))]
     extent = float(np.ptp(pair.target, axis=0).max())

@@ -2,47 +2,48 @@
 
 Let E* be the minimum of the sum of k squared residuals, and C the value to prove. The points of the
 source are divided into g groups of at most s points. If E* is small, some triple of a group is nearly
-congruent to its target triple. All such pairs of triples are listed, and all poses far from them are
-excluded.
+congruent to its target triple. All pairs of nearly congruent triples are listed. Each allows only few
+poses, and all other poses are excluded.
 
 Averages over triples
 ---------------------
 Suppose that every triple of a group, matched to any three target points in any order, has a sum of
 squared residuals above c at every pose. A group with k_a >= 3 matched points and the sum E_a has
-binom(k_a, 3) matched triples, and each of its points is in binom(k_a - 1, 2) of them. Hence E_a > c
-k_a / 3, and E_a >= 0 for smaller groups. For 0 <= k_a <= s, both are on or above the line through (2, 0)
-and (s, s c / 3). The sum of this line over the groups gives
+binom(k_a, 3) matched triples, and each of its matched points is in binom(k_a - 1, 2) of them. Hence
+E_a > c k_a / 3, and E_a >= 0 for smaller k_a. For 0 <= k_a <= s, both are on or above the line through
+(2, 0) and (s, s c / 3). The sum of this line over the groups gives
 
     E* > c v,    v = (s / 3) (k - 2 g) / (s - 2),
 
 where a group of one or two points contributes its size instead of 2 to the term 2 g. So with c = C / v, a
-pose with an objective of at most C moves at least one source triple of a group to within c of some
-target triple. This is that triple's *region*.
+pose with an objective of at most C moves at least one source triple of a group onto some target triple
+with a sum of squared residuals of at most c. The poses that do so form the *region* of the two triples.
 
 Congruence
 ----------
-For residuals e of a triple, the sum of |e_a - e_b|^2 over its three pairs is at most 3 sum |e|^2. A
-distance changes by at most |e_a - e_b|. So the sum of the squared differences of the three distances is
-at most 3 c, and only such target triples are tried.
+For residuals e of a triple, the sum of |e_a - e_b|^2 over its three pairs of points is at most 3 sum
+|e|^2. The distance between two points of the source triple differs from that in the target triple by at
+most |e_a - e_b|. So the squared differences of the three distances add up to at most 3 c, and only such
+target triples are tried.
 
 The region of two triples
 -------------------------
-Let c_0 be the minimum of the sum over all poses, at the pose (R_0, t_0), and S the symmetric factor of
-sum R_0^T y x^T, with both triples centred. Relative to R_0 a rotation has an axis and an angle, w = 2
-sin(angle / 2) axis, and the centroid of the triple is moved by t' from that of the target triple. Then
-the sum is, for every angle,
+Let c_0 be the minimum of the sum of squared residuals over all poses, attained at the pose (R_0, t_0),
+and S the symmetric factor of sum R_0^T y x^T, with both triples centred. Let a rotation have an axis and
+an angle relative to R_0, and let w = 2 sin(angle / 2) axis. Let t' be the displacement of the moved
+centroid of the source triple from that of the target triple. Then the sum is, for every angle,
 
     c_0 + 3 |t'|^2 + w^T M w,    M = tr(S) I - S,
 
-because R - I is 2 sin^2(angle / 2) (a a^T - I) plus an antisymmetric matrix. The region is the ellipsoid
-3 |t'|^2 + w^T M w <= rho^2 = c - c_0. S has rank two and no negative eigenvalue: if the target triple has
-the other orientation in its plane, the plane is turned over. M depends on the target triple; with phi
-the minimum generalised eigenvalue of S and the second moments of the source triple, M >= phi M_0, where
-M_0 depends on the source triple only.
+because R - I is 2 sin^2(angle / 2) (a a^T - I) plus an antisymmetric matrix, where a is the axis. The
+region is the ellipsoid 3 |t'|^2 + w^T M w <= rho^2 = c - c_0. S has rank two and no negative eigenvalue:
+if the target triple has the other orientation in its plane, R_0 turns the plane over. M depends on the
+target triple. With phi the minimum generalised eigenvalue of S and the second moments of the source
+triple, M >= phi M_0, where M_0 depends on the source triple only.
 
 Exclusion
 ---------
-A point z, from the centroid, is moved by t' + w x z up to a common rotation, so |R z - R_0 z| = |w x z|.
+A point at z from the centroid is moved by t' + w x z up to a common rotation, so |R z - R_0 z| = |w x z|.
 An optimum in the region is stationary in translation and rotation: its residuals and their moments sum
 to 0. With d_i the distance of a point from the target at the centre of the region and u_i its
 displacement, as in `dcreg.families.rigid3d.bound`,
@@ -64,13 +65,14 @@ M_0^-1 [z].
 with b the bound by rows. So the sum is at most a constant plus sum alpha_i |u_i|^2, which is a quadratic
 form in (t', w). On the ellipsoid it is at most rho^2 times an eigenvalue.
 
-Both also hold with costs reduced by dual variables. `kernels.division` tests these at the centre of a
-region, and then divides the region into parts, which `dcreg.families.rigid3d.bound` excludes.
+Both bounds also hold for costs reduced by dual variables. `kernels.division` tests these costs at the
+centre of a region, and then divides the region into parts, to which it applies the bounds of
+`dcreg.families.rigid3d.bound`.
 
 The remaining regions
 ---------------------
-Large boxes of the search are divided, and boxes that meet no region are dropped. Every optimum below C
-lies in a remaining box.
+The start boxes of the search are divided, and parts that meet no remaining region are dropped. Every
+optimum with an objective below C lies in a remaining box.
 """
 
 from __future__ import annotations
@@ -99,37 +101,38 @@ from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.jit import is_compiled
 from dcreg.search import Boxes, Budget, Confined, LongestEdge
 
-GROUP_SIZES = range(3, 9)
-SWAPS = 400  # tried per source point
-CELLS = 96  # of the distances along the longest side
-_PADDING = 0.3  # of the grid around the target, in RMS radii
-MANY_PAIRS = 500_000  # of points; above, the triples of one group take too long
+GROUP_SIZES = range(3, 9)  # source points per group
+SWAPS = 400  # exchanges between groups that are tried, per source point
+CELLS = 96  # of the grid of distances, along the longest side
+_PADDING = 0.3  # margin of the grid around the target, in RMS radii of the target
+MANY_PAIRS = 500_000  # point pairs above which the triples of one group take too long
 _MARGIN = 1e-9  # relative; covers rounding
-_ROUNDING = 1e-6  # of a distance in single precision
+_ROUNDING = 1e-6  # rounding error of a distance in single precision
 _SLICE, _SINGLE = 8, 16  # source triples per slice; number of slices of one triple at the start
-_ROOM = 300_000  # regions of a slice
-_UNLIMITED = 1e15
-MAX_PARTS = 4000  # of a region, bounded before it is left to the search
-MAX_LEFT = 20_000  # regions left to the search
-# Boxes of the search are divided until points move by this much in them, in RMS radii, or while there are
-# few.
+_ROOM = 300_000  # maximum number of regions of a slice
+_UNLIMITED = 1e15  # parts of the regions of a slice if the time is unlimited
+MAX_PARTS = 4000  # of a region that are bounded before the region is left to the search
+MAX_LEFT = 20_000  # regions that may be left to the search
+# Start boxes are divided until the RMS displacement along their longest edge is at most SMALL, in RMS
+# radii of the target, or until more than FEW_BOXES boxes or MAX_MEETINGS pairs of box and region exist.
 SMALL, FEW_BOXES, MAX_MEETINGS = 0.4, 20_000, 5_000_000
-# Nominal seconds, the same on every machine: per congruent triple and source point; per region and pair
-# of points; per part of a region and pair of points. The time allowed depends on limit and threads.
+# Nominal seconds, the same on every machine: per congruent triple and source point; per region and point
+# pair; per part of a region and point pair. The time allowed depends on the time limit and the threads.
 TRIPLE_S, REGION_S, PART_S = 5e-9, 4e-9, 6e-10
-SAMPLED = 0.1  # share of the allowed time that the first single triples may take
-COMPILE_S = 20.0  # time that must be left if the kernels have to be compiled first
+SAMPLED = 0.1  # share of the allowed time that the slices of one triple may take
+COMPILE_S = 20.0  # seconds that must be left if the kernels have to be compiled first
 
 
 @dataclass(frozen=True)
 class Grouping:
-    """Groups of source points, with the factor v of the module's docstring.
+    """Groups of source points; see the module's docstring.
 
     Attributes
     ----------
     groups : (g, s) int array
-        -1 where a group is smaller.
+        Indices of source points; -1 where a group has fewer than s.
     factor : float
+        The factor v.
     """
 
     groups: np.ndarray
@@ -155,7 +158,7 @@ def factor_of(sizes: np.ndarray, k: int) -> float:
 def best_grouping(points: np.ndarray, k: int) -> Grouping | None:
     """Return groups of (n, 3) points whose triples are far from collinear; None if k is too small.
 
-    The size balances the number of triples and the size of their regions.
+    The size of the groups balances the number of triples and the size of their regions.
     """
     options = []
     for size in GROUP_SIZES:
@@ -175,7 +178,7 @@ def best_grouping(points: np.ndarray, k: int) -> Grouping | None:
 
 
 def _dealt(count: int, size: int) -> np.ndarray:
-    """Deal points to groups of `size` in random order; -1 fills the last places."""
+    """Deal point indices to groups of `size` in random order; -1 fills the remaining places."""
     order = np.random.default_rng(0).permutation(count)
     groups = np.full(size * -(-count // size), -1)
     groups[:count] = order
@@ -197,7 +200,7 @@ def distances_to(target: np.ndarray) -> Distances:
 
 
 def limits_around(centres: np.ndarray, source: np.ndarray, k: int) -> np.ndarray:
-    """Return the (T, 3) `Limits` of k points of (n, 3) around each centre."""
+    """Return the (T, 3) `Limits` of any k of (n, 3) source points around each of T centres."""
     squares = ((source - centres[:, None]) ** 2).sum(axis=2)
     inertia = np.sort(squares, axis=1)[:, -k:].sum(axis=1)
     drift = k * (largest_subset_mean_3d(source, k) + np.linalg.norm(centres, axis=1))
@@ -208,7 +211,7 @@ def limits_around(centres: np.ndarray, source: np.ndarray, k: int) -> np.ndarray
 
 
 class CongruentCover:
-    """Confines optima below a value to few boxes; see the module's docstring.
+    """Finds few boxes that contain every optimum below a value; see the module's docstring.
 
     Parameters
     ----------
@@ -217,7 +220,8 @@ class CongruentCover:
     """
 
     stage = "triples"
-    # Small shares take little time. The last one is used only if the whole cutoff takes too long.
+    # Small shares of the cutoff take little time to prove. The last share is tried only if the whole
+    # cutoff takes too long.
     shares = 0.0625, 0.25, 1.0, 0.5
 
     def __init__(self, space: Rigid3D, threads: int = 1) -> None:
@@ -226,12 +230,12 @@ class CongruentCover:
         self._target = np.ascontiguousarray(space.clouds.target.T)
         self._limits = np.empty((0, 3))
         self._triples: np.ndarray | None = None
-        self._done = 0.0, 0.0  # the last cutoff, and its nominal time
+        self._done = 0.0, 0.0  # the last cutoff, and its nominal seconds
         self._spent_s = 0.0
 
     @property
     def applies(self) -> bool:
-        """Whether the search is long enough for a cover: translations vary, and there are many pairs."""
+        """Whether translations vary and the number of point pairs is in the useful range."""
         box = self._space.translations()
         is_long = FEW_PAIRS < self._space.n_pairs <= MANY_PAIRS
         return is_long and bool((box.lower < box.upper).any())
@@ -249,7 +253,7 @@ class CongruentCover:
         Returns
         -------
         Confined or None
-            None if that would take too long, or leaves too many regions.
+            None if this takes too long or leaves too many regions.
 
         Raises
         ------
@@ -275,7 +279,7 @@ class CongruentCover:
         return Confined(boxes, cutoff, budget.elapsed() - began, n_tried, self.stage)
 
     def _known_s(self, cutoff: float) -> float:
-        """Extrapolate the nominal time from that of the last cutoff (power 1.5); 0 if there is none."""
+        """Return the nominal seconds, extrapolated from the last cutoff (power 1.5); 0 if unknown."""
         done, spent_s = self._done
         return spent_s * (cutoff / done) ** 1.5 if done > 0.0 else 0.0
 
@@ -304,17 +308,17 @@ class CongruentCover:
         return True
 
     def _slices(self, cutoff: float, allowed_s: float) -> Iterator[tuple[int, Regions, bool]]:
-        """Yield the congruent triples, the regions that are left, and whether to go on, by slices."""
+        """Yield by slices the number of congruent triples, the regions left, and whether to continue."""
         assert self._triples is not None
         thresholds = Thresholds(
             cutoff / self._factor * (1.0 + _MARGIN), cutoff * (1.0 + _MARGIN),
             self._space.n_inliers, self._inertia,
         )  # fmt: skip
         total, done, self._spent_s = len(self._triples), 0, 0.0
-        # single triples first, because one of a large cloud can take seconds
+        # slices of one triple first, because a single triple of a large cloud can take seconds
         edges = [*range(min(_SINGLE, total)), *range(min(_SINGLE, total), total, _SLICE), total]
         parts = [slice(*ends) for ends in itertools.pairwise(edges)]
-        # a slice with more parts is abandoned: all triples together would take too long
+        # a slice that needs more parts is abandoned, because all slices together would take too long
         room = max(SAMPLED, _SLICE / total) * allowed_s / (PART_S * self._space.n_pairs)
         work = partial(self._slice, thresholds=thresholds, room=int(min(room, _UNLIMITED)))
         for part, (tried, found, spent_s) in zip(
@@ -327,9 +331,9 @@ class CongruentCover:
             yield tried, found, self._spent_s <= allowed_s * share
 
     def _slice(self, part: slice, thresholds: Thresholds, room: int) -> tuple[int, Regions, float]:
-        """Return the congruent triples of a slice, the regions that are left, and the nominal seconds.
+        """Return the number of congruent triples of a slice, the regions left, and the nominal seconds.
 
-        These are inf if there are too many regions, or more than `room` parts of them.
+        The latter are inf if there are too many regions, or more than `room` parts of them.
         """
         space, frames = self._space, self._frames
         assert self._triples is not None
@@ -357,7 +361,7 @@ class CongruentCover:
         return tried, Regions(*(values.copy() for values in kept)), spent_s
 
     def _boxes(self, regions: Regions) -> Boxes:
-        """Return the boxes that meet a region, divided until they are small or many."""
+        """Divide the start boxes until they are small or many; return those that meet a region."""
         boxes = Boxes.of(self._space.roots())
         weights, ids = self._space.axis_weights, np.arange(len(regions.triple), dtype=np.int32)
         starts, ids = np.arange(len(boxes) + 1) * len(ids), np.tile(ids, len(boxes))

@@ -1,27 +1,29 @@
 """A lower bound in 2D by distances to the nearest points: the few boxes with a small objective.
 
-Let C be the value to prove, and let a box have the centre (a_0, t_0). Relative to it a parameter moves
-the source point x_i by u_i = w x_i + t, with w and t in the box around 0, as complex numbers.
+Let C be the value to prove. Points and parameters are complex numbers. A box has the centre (a_0, t_0),
+which moves the source point x_i to a_0 x_i + t_0. A parameter (a_0 + w, t_0 + t) of the box displaces
+this image by u_i = w x_i + t. Let c_ij(a_0, t_0) be the squared residual of pair (i, j) at the centre.
 
 Let an optimum in the box have the objective E* < C and the matching P. The objective of P is quadratic
-in the parameters. Where the scale of the optimum lies inside its range, the optimum is stationary, hence
+in the parameters. If the scale of the optimum lies inside its range, the optimum is stationary, hence
 
     sum over P of c_ij(a_0, t_0)  =  E* + sum over P of |u_i|^2.
 
-If the scale is clipped, the derivative with respect to a is radial, outwards at the lower end and inwards
-at the upper end. Its norm is at most 2 sqrt(E* I), where I is the maximum sum of squared norms of k
-source points. The right-hand side then has a further term of at most
+If the scale is at an end of its range, the gradient with respect to a is radial: outwards at the lower
+end and inwards at the upper end. Its norm is at most 2 sqrt(E* I), where I is the maximum sum of squared
+norms of k source points. The right-hand side then has a further term of at most
 
     2 sqrt(C I) max(0, |a_0| - low)    or    sqrt(C I) max(0, high^2 - |a_0|^2 + max |w|^2) / high,
 
-because the product of a_0 with the direction of the optimum is at most |a_0|, and at least (|a_0|^2 +
-high^2 - |w|^2) / (2 high). With this term as l, the box is excluded if the minimum of the sum of c_ij -
-|u_i|^2 over all matchings of k pairs is at least C + l.
+where low and high are the ends of the range. The reason is that the inner product of a_0 with the
+direction of the optimum is at most |a_0|, and at least (|a_0|^2 + high^2 - |w|^2) / (2 high). With this
+term as l, the box is excluded if the minimum of the sum of c_ij - |u_i|^2 over all matchings of k pairs
+is at least C + l. Two tests bound this minimum from below.
 
 *From the target.* c_ij is at least the squared distance of the target point y_j from the moved source.
 The losses |u_i|^2 of any k points add up to at most k |t|^2 + |w|^2 I + 2 |t| |w| S, where S is the
-maximum norm of a sum of k source points. This excludes small scales, where many source points are close
-to the same target point.
+maximum norm of a sum of k source points. This test excludes small scales, where many source points are
+close to the same target point.
 
 *From the source.* c_ij is also at least d_i^2, the squared distance of the moved source point from the
 target. For any tau the sum of the k smallest d_i^2 - |u_i|^2 is at least k tau - sum max(0, tau - d_i^2 +
@@ -29,7 +31,8 @@ target. For any tau the sum of the k smallest d_i^2 - |u_i|^2 is at least k tau 
 |u|^2 <= b. So the loss is a quadratic form in (w, t), and its maximum is at a vertex of the box. The
 kernels choose the k-th smallest d_i^2 as tau.
 
-Boxes are divided until their parts are excluded, or until the distances at the centre fit to within C.
+A box is divided until all its parts are excluded, until both sums of the k smallest squared distances at
+its centre are below C, or until it is small.
 """
 
 from __future__ import annotations
@@ -45,18 +48,19 @@ from dcreg.families.similarity2d.space import Similarity2D, largest_subset_mean
 from dcreg.jit import is_compiled
 from dcreg.search import Boxes, Budget, Confined, LongestEdge
 
-CELLS = 640  # of the distances along the longest side
-_PADDING = 0.3  # of the grid around the points, as a share of the longest side
-_ROUNDING = 1e-6  # of a distance in single precision
+CELLS = 640  # of the grid of distances, along the longest side
+_PADDING = 0.3  # margin of the grid around the points, as a share of the longest side
+_ROUNDING = 1e-6  # rounding error of a distance in single precision
 _MARGIN = 1e-9  # relative; covers rounding
-FEW_PAIRS = 1000  # of points
-_SLICES = 256
-_UNLIMITED = 1e15  # boxes of a slice
-SMALL = 0.02  # motion at which a box is left to the search, in RMS radii
-MAX_LEFT = 100_000  # boxes left to the search
+FEW_PAIRS = 1000  # point pairs up to which boxes alone are fast
+_SLICES = 256  # minimum number of boxes that the start boxes are divided into; each is a slice
+_UNLIMITED = 1e15  # maximum number of boxes tested in a slice if the time is unlimited
+# RMS displacement along the longest edge at which a box is left to the search, in RMS radii of the target
+SMALL = 0.02
+MAX_LEFT = 100_000  # boxes that may be left to the search
 BOX_S = 6.5e-9  # nominal seconds per box and point, the same on every machine
-SAMPLED = 0.1  # share of the allowed time that a slice, or the first slices, may take
-COMPILE_S = 5.0  # time that must be left if the kernels have to be compiled first
+SAMPLED = 0.1  # share of the allowed time that one slice may take, or the first slices together
+COMPILE_S = 5.0  # seconds that must be left if the kernels have to be compiled first
 
 
 def distances_to(points: np.ndarray) -> Distances:
@@ -75,7 +79,7 @@ def distances_to(points: np.ndarray) -> Distances:
 
 
 def sides_of(space: Similarity2D) -> Sides:
-    """Return a problem as the tests take it."""
+    """Return the data of a problem that the tests need."""
     source, target = space.source, np.ascontiguousarray(space.clouds.target.T)
     squares, k = (source**2).sum(axis=1), space.n_inliers
     return Sides(
@@ -85,9 +89,9 @@ def sides_of(space: Similarity2D) -> Sides:
 
 
 class NearestCover:
-    """Confines optima below a value to few boxes; see the module's docstring.
+    """Finds few boxes that contain every optimum below a value; see the module's docstring.
 
-    A small value takes about as long as the whole cutoff, so that only the latter is proved.
+    A small value takes about as long to prove as the whole cutoff, so only the whole cutoff is proved.
 
     Parameters
     ----------
@@ -104,7 +108,7 @@ class NearestCover:
 
     @property
     def applies(self) -> bool:
-        """Whether there are many pairs, and points are left out: otherwise boxes alone are fast."""
+        """Whether there are many point pairs and some points have no partner; else boxes suffice."""
         space = self._space
         return space.n_pairs > FEW_PAIRS and space.n_inliers < max(space.n_source, space.n_target)
 
@@ -121,7 +125,7 @@ class NearestCover:
         Returns
         -------
         Confined or None
-            None if that would take too long, or leaves too many boxes.
+            None if this takes too long or leaves too many boxes.
 
         Raises
         ------
@@ -146,14 +150,14 @@ class NearestCover:
         return Confined(Boxes(lower, upper), cutoff, budget.elapsed() - began, n_tested, self.stage)
 
     def _slices(self, cutoff: float, allowed_s: float) -> Iterator[tuple[int, Boxes, bool]]:
-        """Yield the boxes tested, those that are left, and whether to go on, by slices."""
+        """Yield for each slice the number of boxes tested, the boxes left, and whether to continue."""
         if self._sides is None:
             self._sides = sides_of(self._space)
         starts, branching = Boxes.of(self._space.roots()), LongestEdge(self._space.axis_weights)
         while len(starts) < _SLICES:
             starts = branching(starts)
             starts = starts[np.flatnonzero(self._space.touches(starts.lower, starts.upper))]
-        # in random order, so that the first ones predict the time of all
+        # in random order, so that the first slices predict the time of all
         starts = starts[np.random.default_rng(0).permutation(len(starts))]
         box_s = BOX_S * (self._space.n_source + self._space.n_target)
         work = partial(
@@ -170,7 +174,7 @@ class NearestCover:
             yield tested, found, is_whole and spent_s <= share * allowed_s
 
     def _slice(self, start: Boxes, cutoff: float, most: int) -> tuple[int, Boxes, bool]:
-        """Return the boxes tested, those that are left, and whether none is missing."""
+        """Return the number of boxes tested, the boxes left, and whether these are complete."""
         assert self._sides is not None
         lower, upper = np.empty((2, MAX_LEFT, 4))
         n_left, n_tested = divide_boxes(
