@@ -111,7 +111,8 @@ def nothing_proven(case: Case) -> str | None:
         what = "norms fit" if case.in_norm_space else "pose fits"
         return (
             f"{known}. The search ended because the {what} within the tolerance "
-            f"(upper_bound={result.upper_bound:.3g}, gap_tol={result.gap_tol:.3g}). Omit abs_gap and tol"
+            f"(upper_bound={result.upper_bound:.3g}, gap_tol={result.gap_tol:.3g}). Omit abs_gap "
+            "and tol (--abs-gap, --tol)"
         )
     if result.reason == NO_PROOF_EXPECTED:
         known = f"{known}, and no proof is expected soon"

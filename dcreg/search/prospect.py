@@ -24,10 +24,10 @@ def expected_boxes(
     """Estimate how many boxes have to be bounded until every open box reaches `cutoff`.
 
     A random descent divides a box and continues with one of its halves until the bound reaches the
-    cutoff. Every box at depth d stands for 2^d boxes, so the sum of these weights is an unbiased estimate
-    of the size of the tree (Knuth, Mathematics of Computation 29, 1975). Descents seldom meet a large
-    subtree that covers a small share of the volume, such as that around the minimiser. The mean of a few
-    descents is therefore usually too low.
+    cutoff. Every box at depth d stands for 2^d boxes of each root, so the sum of these weights is an
+    unbiased estimate of the size of the tree (Knuth, Mathematics of Computation 29, 1975). Descents
+    seldom meet a large subtree that covers a small share of the volume, such as that around the
+    minimiser. The mean of a few descents is therefore usually too low.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ from workflows.studies import N_FITTED, REFERENCE, SHOWING
 WIDTHS = np.geomspace(2.0, 0.0002, 13)  # of the whole box, in RMS radii of the target
 # Boxes per width and case that contain the optimum off their centre, and as many that do not contain it.
 # With the centred ones, these are about 120 boxes per width of all cases. To show a share of 0.9 at every
-# width takes 90.
+# width takes 95 at the strictest level.
 N_DRAWS = 10
 SEED = 20260326
 COMBINED = ("tight+interval", "dc+interval")  # take part in the searches

@@ -22,10 +22,14 @@ CURVES = {"right pose found": "pose_s", "ended with a right pose": "wall_s", "pr
 
 def main(
     before: Annotated[Path, typer.Argument(help="a table of walk")],
-    after: Annotated[Path, typer.Argument(help="another one")],
+    after: Annotated[Path, typer.Argument(help="the table to compare with it")],
     out: Annotated[Path, typer.Argument(help="file for the figure, .svg or .png")],
 ) -> None:
     """Draw the curves; print their values at `MOMENTS_S`."""
+    if before.parent.name == after.parent.name:
+        raise typer.BadParameter(
+            "the two tables are named after their folders: give different ones"
+        )
     tables = {path.parent.name: pd.read_csv(path) for path in (before, after)}
     times = pd.concat(
         {name: reached(_shared(table, list(tables.values()))) for name, table in tables.items()},

@@ -27,9 +27,10 @@ close to the same target point.
 
 *From the source.* c_ij is also at least d_i^2, the squared distance of the moved source point from the
 target. For any tau the sum of the k smallest d_i^2 - |u_i|^2 is at least k tau - sum max(0, tau - d_i^2 +
-|u_i|^2). Here max(0, |u|^2 - over) is at most |u|^2 if over <= 0, and at most |u|^2 (1 - over / b) if
-|u|^2 <= b. So the loss is a quadratic form in (w, t), and its maximum is at a vertex of the box. The
-kernels choose the k-th smallest d_i^2 as tau.
+|u_i|^2). Let o_i = d_i^2 - tau, and let b_i be the maximum of |u_i|^2 in the box. The term max(0,
+|u_i|^2 - o_i) is |u_i|^2 - o_i if o_i <= 0, at most |u_i|^2 (1 - o_i / b_i) if 0 < o_i < b_i, and
+otherwise 0. So the sum is at most a quadratic form in (w, t) plus a constant, and its maximum is at a
+vertex of the box. The kernels choose the k-th smallest d_i^2 as tau.
 
 A box is divided until all its parts are excluded, until both sums of the k smallest squared distances at
 its centre are below C, or until it is small.
