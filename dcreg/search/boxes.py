@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -191,11 +192,24 @@ class Confined:
 
     def meeting(self, boxes: Boxes) -> Boxes:
         """Return those of `boxes` that overlap a confined box."""
-        if np.isinf(self.outside):  # confined to the roots, so all boxes overlap
-            return boxes
-        meets = np.empty(len(boxes), np.bool_)
-        kernels.meeting(boxes.lower, boxes.upper, self.boxes.lower, self.boxes.upper, meets)
+        meets = np.zeros(len(boxes), np.bool_)
+        kernels.meeting(boxes.lower, boxes.upper, *self._by_lower_end, meets)
         return boxes if meets.all() else boxes[meets]
+
+    @cached_property
+    def _by_lower_end(self) -> tuple[np.ndarray, np.ndarray, int, float]:
+        """Lower and upper ends in the order of one axis, that axis, and the largest width along it.
+
+        The axis is the one along which the boxes are the thinnest compared with their spread.
+        """
+        lower, upper = self.boxes.lower, self.boxes.upper
+        if not len(lower):
+            return lower, upper, 0, 0.0
+        widths = (upper - lower).max(axis=0)
+        spread = upper.max(axis=0) - lower.min(axis=0)
+        axis = int(np.argmin(np.where(spread > 0.0, widths / np.maximum(spread, 1e-300), np.inf)))
+        order = np.argsort(lower[:, axis], kind="stable")
+        return lower[order], upper[order], axis, float(widths[axis])
 
 
 class OpenNodes:

@@ -153,6 +153,7 @@ class Search:
     n_unasked: int = 0  # boxes bounded before the prospect is estimated, if they take little time
     is_part: bool = False  # of a search that goes on afterwards
     prospect: Prospect | None = None
+    region: Confined | None = None
     n_nodes: int = 0
     n_refining: int = 0
     worth_refining: float = np.inf
@@ -185,7 +186,7 @@ class Search:
                 self.prune(boxes, found)
             self.terminate()
             if self.status is None:
-                self.boxes = self.confined.meeting(self.branching(self.select()))
+                self.boxes = self.within_region(self.branching(self.select()))
 
     @property
     def cutoff(self) -> float:
@@ -211,9 +212,17 @@ class Search:
         )  # fmt: skip
 
     def narrow(self, confined: Confined) -> None:
-        """From now on, bound only boxes that overlap the `confined` ones."""
-        self.confined, self.prospect, self.n_begun = confined, None, self.n_nodes
+        """Continue with only the boxes that meet the `confined` ones, and with a new patience."""
+        self.region = confined
         self.pruned_bound = min(self.pruned_bound, confined.outside)
+        self.boxes = self.within_region(self.boxes)
+        self.nodes.push(self.within_region(self.nodes.pop(len(self.nodes), np.inf)))
+        self.prospect, self.n_begun = None, self.n_nodes
+        self.waited_from = self.budget.elapsed()
+
+    def within_region(self, boxes: Boxes) -> Boxes:
+        """Return the boxes that may contain an optimum below the cutoff, if the search was narrowed."""
+        return boxes if self.region is None else self.region.meeting(boxes)
 
     def take_over(self, part: Search) -> None:
         """Adopt the counts, the incumbent and the lower bound of a part, which has ended."""
@@ -295,12 +304,15 @@ class Search:
         if spent < asked_after_s or not (budget.patience_s is not None or budget.is_watched):
             return False
         done = self.n_nodes - self.n_begun
+        if not done:
+            return False
         if self.prospect is None:
             if Prospect(done + N_DESCENTS).is_poor(done, spent, budget):
                 return True  # the estimate alone would take too long
             self.prospect = Prospect.of(
-                self.bound.fresh(), self.branching, self.cutoff, self.confined.boxes
-            )
+                self.bound.fresh(), self.branching, self.cutoff, self.confined.boxes,
+                self.within_region,
+            )  # fmt: skip
         return self.prospect.is_poor(done, spent, budget)
 
     def _is_fast(self, spent_s: float) -> bool:

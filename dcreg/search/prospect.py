@@ -18,8 +18,16 @@ N_DESCENTS = 128
 _MAX_DEPTH = 80  # divisions; the boxes of a longer descent contain the minimiser
 
 
+def _all(boxes: Boxes) -> Boxes:
+    return boxes
+
+
 def expected_boxes(
-    bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: float, roots: Boxes | None = None
+    bound: Bound,
+    branching: Callable[[Boxes], Boxes],
+    cutoff: float,
+    roots: Boxes | None = None,
+    within_region: Callable[[Boxes], Boxes] = _all,
 ) -> float:
     """Estimate how many boxes have to be bounded until every open box reaches `cutoff`.
 
@@ -38,6 +46,8 @@ def expected_boxes(
         The lower bound at which a box is pruned.
     roots : Boxes, optional
         Default: those of the bound.
+    within_region : callable, optional
+        Returns those of some boxes that have to be bounded at all.
 
     Returns
     -------
@@ -56,7 +66,9 @@ def expected_boxes(
             break
         kept = Boxes(boxes.lower, boxes.upper, bounds, found.warm_start)[still]
         halves = branching(kept)
-        boxes = halves[2 * np.arange(len(kept)) + rng.integers(2, size=len(kept))]
+        boxes = within_region(halves[2 * np.arange(len(kept)) + rng.integers(2, size=len(kept))])
+        if not len(boxes):
+            break
         weight *= 2.0
     return total / N_DESCENTS
 
@@ -74,7 +86,12 @@ class Prospect:
 
     @classmethod
     def of(
-        cls, bound: Bound, branching: Callable[[Boxes], Boxes], cutoff: float, roots: Boxes
+        cls,
+        bound: Bound,
+        branching: Callable[[Boxes], Boxes],
+        cutoff: float,
+        roots: Boxes,
+        within_region: Callable[[Boxes], Boxes] = _all,
     ) -> Prospect:
         """Estimate by random descents; without time for them, the estimate is 0 boxes.
 
@@ -82,7 +99,7 @@ class Prospect:
         search.
         """
         try:
-            return cls(expected_boxes(bound, branching, cutoff, roots))
+            return cls(expected_boxes(bound, branching, cutoff, roots, within_region))
         except Interrupted:
             return cls(0.0)
 

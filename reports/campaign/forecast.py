@@ -75,8 +75,8 @@ class Times:
     def of_cell(self, method: str, test: str, level: float) -> tuple[float, bool]:
         """Return the expected seconds of a run, and whether its cell has been measured.
 
-        An unseen cell takes as long as the nearest level of its test, else as the slowest test of the
-        method, else as the method's limit.
+        An unseen cell takes as long as the nearest level of its test. In an unseen test, it takes the
+        geometric mean of the slowest test of the method and of its limit, otherwise the limit.
         """
         if (method, test, level) in self.cells.index:
             return float(self.cells["mean"].loc[(method, test, level)]), True
@@ -86,7 +86,8 @@ class Times:
             nearest = np.abs(same.index.get_level_values("level").to_numpy() - level).argmin()
             return float(same["mean"].iloc[nearest]), False
         if len(own):
-            return float(own.groupby("test")["mean"].mean().max()), False
+            slowest = float(own.groupby("test")["mean"].mean().max())
+            return float(np.sqrt(slowest * self.limits[method])), False
         return self.limits[method], False
 
 

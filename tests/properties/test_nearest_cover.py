@@ -41,18 +41,24 @@ def optima(space: Similarity2D) -> list[tuple[np.ndarray, float]]:
     return [space.refine(seed)[:2] for seed in seeds]
 
 
+SIZES = [(9, 10, 6), (6, 10, 6), (10, 6, 6), (5, 5, 4)]  # n, m, k: also all points of one cloud
+
+
+@pytest.mark.parametrize("sizes", SIZES)
 @given(SEEDS)
-def test_no_excluded_box_contains_an_optimum_below_the_cutoff(seed):
+def test_no_excluded_box_contains_an_optimum_below_the_cutoff(sizes, seed):
     """An end of a local search is stationary, except where its scale is clipped."""
-    space = make_space(seed)
+    noise = (0.05, 0.5, 2.0)[seed % 3]  # some matched points are then far from all others
+    space = make_space(seed, *sizes, noise)
     sides, rng = sides_of(space), np.random.default_rng(seed)
-    work = np.empty(9), np.empty(10)
+    work = np.empty(sizes[0]), np.empty(sizes[1])
     for theta, value in optima(space):
         for width in (0.02, 0.1, 0.3, 0.8):
             half = width * rng.uniform(0.1, 1.0, 4)
             centre = theta + rng.uniform(-1.0, 1.0, 4) * half
             cutoff = value * (1.0 + 1e-6) + 1e-9
-            assert not is_excluded(sides, centre, half, cutoff, work, np.ones(2))[0]
+            levels = np.full(2, 10.0 ** rng.integers(-3, 2))  # of an earlier box
+            assert not is_excluded(sides, centre, half, cutoff, work, levels)[0]
 
 
 @given(SEEDS)

@@ -105,8 +105,13 @@ def joint_loss(weights, half):
 
 @jit
 def _sum_of_smallest(values, k, levels, side):
-    """Return the sum of the k smallest numbers, beginning at the level of the last call of this side."""
+    """Return the sum of the k smallest numbers, beginning at the level of the last call of this side.
+
+    The level becomes the k-th smallest number, up to rounding.
+    """
     found, levels[side] = smallest_sum(values, k, levels[side], 0.05 * abs(levels[side]) / k)
+    if k == values.size:  # the sum of all has no level of its own
+        levels[side] = values.max()
     return found
 
 

@@ -1,0 +1,95 @@
+"""Campaigns: forecasts, the choice of the next block, and the verdicts that close a claim."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from reports.campaign.choice import options
+from reports.campaign.forecast import Times
+from reports.ledger.book import ledger
+from reports.ledger.evidence import Evidence, plain_name
+from reports.ledger.judging import judge
+from workflows.blocks import Needs
+from workflows.config import load
+from workflows.stages.plan import expand
+
+NAME = "paper2d-40"
+EXPERIMENT = load(NAME)
+NONE = Needs({})
+
+
+def times(*cells: tuple[str, str, float, float]) -> Times:
+    columns = ["method", "test", "level", "time_solve_s"]
+    runs = pd.DataFrame(cells, columns=columns).assign(time_overhead_s=0.0)
+    return Times.of([runs], EXPERIMENT)
+
+
+def ahead(known: Times, needs: Needs = NONE):
+    judged = judge(ledger(), Evidence({}, {}), {plain_name(NAME)})
+    plan = expand(EXPERIMENT, None, NAME, needs)
+    return options(ledger(), judged, plan, known, 100)
+
+
+def test_a_measured_cell_is_expected_to_take_its_mean():
+    known = times(("rpm_pa", "noise", 0.02, 1.0), ("rpm_pa", "noise", 0.02, 3.0))
+    assert known.of_cell("rpm_pa", "noise", 0.02) == (2.0, True)
+
+
+def test_unseen_cells_use_the_nearest_level_then_the_method_then_the_limit():
+    known = times(("rpm_pa", "noise", 0.02, 4.0), ("rpm_pa", "noise", 0.05, 9.0))
+    assert known.of_cell("rpm_pa", "noise", 0.03) == (4.0, False)
+    limit = known.limits["rpm_pa"]
+    assert known.of_cell("rpm_pa", "deformation", 0.0) == ((6.5 * limit) ** 0.5, False)
+    assert known.of_cell("rpm_cav", "noise", 0.02) == (known.limits["rpm_cav"], False)
+
+
+def test_runs_of_the_quick_part_at_a_limit_take_the_limit_of_the_experiment():
+    runs = pd.DataFrame(
+        {"method": ["rpm_pa"] * 2, "outcome": ["limited", "finished"], "time_solve_s": [1.0, 2.0]}
+    )
+    limit = EXPERIMENT.limits_of(EXPERIMENT.method("rpm_pa")).time_s
+    assert list(Times.as_limited(runs, EXPERIMENT)["time_solve_s"]) == [limit, 2.0]
+
+
+def test_every_claim_about_the_experiment_has_a_next_block():
+    found = ahead(times())
+    judged = {claim.id for claim in ledger().claims if claim.experiment == "paper2d"}
+    assert {option.claim for option in found} == judged
+    for option in found:
+        assert option.block.runs > 0
+        assert not option.obstacle
+
+
+def test_a_block_has_the_methods_that_its_claim_compares_and_no_others():
+    low = next(option for option in ahead(times()) if option.claim == "low-inlier")
+    assert set(low.needs.trials) == {"mixed_outliers", "separate_outliers"}
+    methods = {name for own in low.needs.trials.values() for name in own}
+    assert {EXPERIMENT.method(name).baseline for name in methods} == {"dcreg_paper"}
+
+
+def test_the_cheapest_claim_comes_first_and_the_order_does_not_depend_on_chance():
+    found = ahead(times())
+    assert [option.seconds for option in found] == sorted(option.seconds for option in found)
+    assert [option.claim for option in found] == [option.claim for option in ahead(times())]
+
+
+def test_finished_blocks_are_not_paid_again():
+    first = ahead(times())[0]
+    again = next(o for o in ahead(times(), first.needs) if o.claim == first.claim)
+    assert again.block.runs == first.block.runs  # one more trial, without the one before
+    for test, own in first.needs.trials.items():
+        assert again.needs.trials[test] == {name: number + 1 for name, number in own.items()}
+
+
+def test_a_claim_whose_trials_are_all_run_has_an_obstacle():
+    judged = judge(ledger(), Evidence({}, {}), {plain_name(NAME)})
+    plan = expand(EXPERIMENT, None, NAME, ahead(times())[0].needs)
+    found = options(ledger(), judged, plan, times(), 1)
+    assert any(option.obstacle == "all 1 trials are run" for option in found)
+    assert bool(found[-1].obstacle)
+
+
+@pytest.mark.parametrize("claim", ["low-inlier", "faster"])
+def test_claims_without_runs_are_open_to_more(claim):
+    assert next(option for option in ahead(times()) if option.claim == claim).blocks == 1
