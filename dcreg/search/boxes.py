@@ -192,24 +192,24 @@ class Confined:
 
     def meeting(self, boxes: Boxes) -> Boxes:
         """Return those of `boxes` that overlap a confined box."""
+        lower, upper, axis = self._sorted
+        ends, width = lower[:, axis], float((upper - lower)[:, axis].max(initial=0.0))
+        first = np.searchsorted(ends, boxes.lower[:, axis] - width * (1.0 + 1e-9))
+        last = np.searchsorted(ends, boxes.upper[:, axis], side="right")
         meets = np.zeros(len(boxes), np.bool_)
-        kernels.meeting(boxes.lower, boxes.upper, *self._by_lower_end, meets)
+        kernels.meeting(boxes.lower, boxes.upper, lower, upper, first, last, meets)
         return boxes if meets.all() else boxes[meets]
 
     @cached_property
-    def _by_lower_end(self) -> tuple[np.ndarray, np.ndarray, int, float]:
-        """Lower and upper ends in the order of one axis, that axis, and the largest width along it.
+    def _sorted(self) -> tuple[np.ndarray, np.ndarray, int]:
+        """Lower and upper ends in the order of the lower ends along an axis, and this axis.
 
-        The axis is the one along which the boxes are the thinnest compared with their spread.
+        It is the axis with the most different lower ends, so that few boxes share a part of it.
         """
-        lower, upper = self.boxes.lower, self.boxes.upper
-        if not len(lower):
-            return lower, upper, 0, 0.0
-        widths = (upper - lower).max(axis=0)
-        spread = upper.max(axis=0) - lower.min(axis=0)
-        axis = int(np.argmin(np.where(spread > 0.0, widths / np.maximum(spread, 1e-300), np.inf)))
+        lower = self.boxes.lower
+        axis = int(np.argmax([len(np.unique(ends)) for ends in lower.T]))
         order = np.argsort(lower[:, axis], kind="stable")
-        return lower[order], upper[order], axis, float(widths[axis])
+        return lower[order], self.boxes.upper[order], axis
 
 
 class OpenNodes:

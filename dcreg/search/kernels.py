@@ -6,8 +6,6 @@ slots of boxes. Bounds, sizes and serial numbers are in arrays indexed by slot.
 
 from __future__ import annotations
 
-import numpy as np
-
 from dcreg.jit import jit
 
 
@@ -60,18 +58,13 @@ def pop(heap, length, cutoff, bounds, sizes, serials, slots):
 
 
 @jit
-def meeting(lower, upper, of_lower, of_upper, axis, width, meets):
-    """Store which boxes contain a part of others. A common face is none, unless an axis has no width.
+def meeting(lower, upper, of_lower, of_upper, first, last, meets):
+    """Store in `meets` which boxes overlap one of the others, from `first` up to `last` (exclusive).
 
-    The others are in the order of their lower ends along `axis`, where none is wider than `width`.
+    A common face is no overlap, unless one of the two boxes has zero width along this axis.
     """
-    ends = of_lower[:, axis]
     for b in range(len(lower)):
-        margin = 1e-12 * (abs(lower[b, axis]) + width)
-        first = np.searchsorted(ends, lower[b, axis] - width - margin)
-        for j in range(first, len(of_lower)):
-            if ends[j] > upper[b, axis]:
-                break
+        for j in range(first[b], last[b]):
             if _overlap(lower[b], upper[b], of_lower[j], of_upper[j]):
                 meets[b] = True
                 break

@@ -138,7 +138,6 @@ def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outco
         if share == 1.0:
             # the open boxes share vertices and warm starts with the boxes that are left
             search.narrow(confined)
-            search.resume(paused_s)
             break
         part = search.confined_to(confined, tolerance)
         part.run()

@@ -12,6 +12,7 @@ from dcreg.search import (
     LongestEdge,
     Tolerance,
     branch_and_bound,
+    space_search,
 )
 from dcreg.search.branch_and_bound import Search, Start
 from dcreg.status import Status
@@ -197,24 +198,64 @@ def test_boxes_meet_those_with_which_they_share_more_than_a_face():
         np.testing.assert_array_equal(meeting.upper, boxes.upper[expected])
 
 
-@pytest.mark.parametrize("keeps_minimum", [True, False])
-def test_a_narrowed_search_bounds_only_boxes_that_meet_the_confined_ones(keeps_minimum):
-    """The rest counts with the value that was proved for it."""
-    bound = Ripples()
+def paused_search(budget=None):
     search = Search(
-        bound, Budget(), LongestEdge(np.ones(2)), Tolerance(abs=1e-2), "search", None,
+        Ripples(), budget or Budget(), LongestEdge(np.ones(2)), Tolerance(abs=1e-2), "search", None,
         Start(np.zeros(2), 0.5), None, Confined(Boxes.of(ROOT), np.inf),
     )  # fmt: skip
     search.run(64)
+    return search
+
+
+def around(centre, outside):
     half = np.array([0.25, 0.25])
-    centre = bound.centre if keeps_minimum else -bound.centre
-    outside = 0.4 if keeps_minimum else search.cutoff
-    search.narrow(Confined(Boxes((centre - half)[None], (centre + half)[None]), outside))
+    return Confined(Boxes((centre - half)[None], (centre + half)[None]), outside)
+
+
+def test_a_narrowed_search_bounds_only_boxes_that_meet_the_confined_ones():
+    search = paused_search()
+    search.narrow(around(Ripples.centre, 0.4))
     search.run()
     found = search.outcome()
     assert found.status is Status.OPTIMAL
+    assert found.lower_bound <= dense_minimum() <= found.upper_bound + 1e-4
     assert found.n_nodes < solve().n_nodes
-    if keeps_minimum:
-        assert found.lower_bound <= dense_minimum() <= found.upper_bound + 1e-4
-    else:  # what the confined boxes were said to exclude is believed
-        assert found.lower_bound >= search.cutoff
+
+
+def test_what_a_narrowed_search_leaves_out_has_the_bound_that_was_proved_for_it():
+    """Without boxes that are left, only this bound remains, here below all others."""
+    search = paused_search()
+    search.narrow(Confined(Boxes(np.empty((0, 2)), np.empty((0, 2))), 1e-4))
+    assert len(search.nodes) == len(search.boxes) == 0
+    assert search.lower_bound == 1e-4
+
+
+def test_a_narrowed_search_has_its_whole_patience_and_no_more(set_clock):
+    search = paused_search(Budget(time_s=100.0).with_patience(5.0))
+    set_clock.now += 3.0  # of a stage that confined it
+    search.narrow(around(Ripples.centre, 0.4))
+    set_clock.now += 4.9
+    assert not search._has_no_prospect()
+    set_clock.now += 0.2
+    assert search._has_no_prospect()
+
+
+class SlowCover:
+    """Takes three seconds and confines the search to a part of the roots."""
+
+    threads, applies, shares = 1, True, (1.0,)
+
+    def __init__(self, clock):
+        self.clock = clock
+
+    def confine(self, cutoff, budget, allowed_s):
+        self.clock.now += 3.0
+        return around(Ripples.centre, cutoff)
+
+
+def test_the_time_of_a_cover_is_counted_once(set_clock, monkeypatch):
+    found, waited, paused = solve(), [], paused_search(Budget(time_s=100.0).with_patience(5.0))
+    monkeypatch.setattr(Search, "run", lambda self: waited.append(self.waited_from))
+    monkeypatch.setattr(Search, "outcome", lambda self: found)
+    space_search._with_cover(paused, SlowCover(set_clock), 5.0)
+    assert waited == [paused.budget.elapsed()]
