@@ -92,25 +92,20 @@ def value(source: Source, p: Parameters) -> Finding:
             for place, part in groups(runs.dropna(subset=quantity), p):
                 values = part[quantity].to_numpy(dtype=float)
                 flags: dict[str, bool] = {}
+                between: intervals.Extremes | None = None
                 if is_share:
                     found: intervals.Estimate = intervals.share(values)
                 elif statistic == "median" and quantity in WORK:
-                    found, flags = _censored_median(values, part["limited"].to_numpy())
+                    found = intervals.median(values)
+                    longest = intervals.median(np.where(part["limited"], np.inf, values))
+                    between = intervals.Extremes(found, longest, intervals.TIME_OUTS)
                 else:
                     found = getattr(intervals, statistic)(values)
                     flags = limits(quantity, part)
                 finding.add(
-                    (name, ""), place, found, p["claimed"], part, extremes=None, **flags,
+                    (name, ""), place, found, p["claimed"], part, extremes=between, **flags,
                 )  # fmt: skip
     return finding
-
-
-def _censored_median(
-    values: np.ndarray, limited: np.ndarray
-) -> tuple[intervals.Estimate, dict[str, bool]]:
-    """Return the median of work; runs at a limit matter if they reach the upper end of its interval."""
-    longest = intervals.median(np.where(limited, np.inf, values))
-    return intervals.median(values), {"rises": np.isinf(longest.interval(intervals.LEVEL)[1])}
 
 
 @check("low")

@@ -19,8 +19,8 @@ runs can be added until a claim is decided:
 - Within a claim, Holm's procedure keeps the probability of any wrong decision below `LEVEL`. In the
   order of their p-values, comparison i of m is decided at ``LEVEL / (m - i + 1)``; the procedure stops
   at the first comparison that is not decided. Each interval is shown at the level that decides it.
-- Comparisons with fewer than `MIN_INSTANCES` instances are not decided and take no part in the
-  correction.
+- Comparisons with fewer than `MIN_INSTANCES` instances are not decided. They take part in the correction,
+  because their number must not depend on when the results are looked at.
 - `needed` estimates from the observed effect and spread how many instances decide an open comparison.
 """
 
@@ -46,6 +46,8 @@ DECIMALS = 12  # of estimates; removes slopes that are only rounding errors
 # Variance of the prior of an effect, in squared standard deviations of one instance. Compared with those
 # for a fixed number of instances, intervals are narrowest at about 15 / PRIOR instances.
 PRIOR = 0.3
+# Share of instances that must be shown to agree before values without any spread decide.
+ALIKE = 0.75
 BETA = 0.5  # both parameters of the prior of a share
 
 TIME_OUTS = "time-outs could change the verdict: use a longer limit"  # why a value of work is open
@@ -87,6 +89,8 @@ class Figure:
 
     def interval(self, level: float) -> tuple[float, float]:
         width = _critical_t(self.n, level)
+        if self.deviation == 0.0:  # the values agree, so that only unseen ones could differ
+            width = 0.0 if _p_of_share(1.0, self.n, ALIKE) <= level else np.inf
         if np.isinf(width) or not np.isfinite(self.value):
             return -np.inf, np.inf
         half = width * self.deviation / np.sqrt(self.n)
@@ -96,14 +100,17 @@ class Figure:
         distance = self.value - threshold
         if np.isnan(distance):
             return 1.0, 1.0
-        t = np.sqrt(self.n) * distance / self.deviation if self.deviation else np.inf
         is_below = distance < 0 or (distance == 0 and tie_below)
-        return _sides(_p_of_t(self.n, t), is_below)
+        if self.deviation == 0.0:
+            return _sides(_p_of_share(1.0, self.n, ALIKE), is_below)
+        return _sides(_p_of_t(self.n, np.sqrt(self.n) * distance / self.deviation), is_below)
 
     def needed(self, threshold: float, level: float) -> int | None:
         distance, margin = abs(self.value - threshold), norm.isf(1 - POWER)
         if not np.isfinite(distance) or not np.isfinite(self.deviation):
             return None
+        if self.deviation == 0.0:
+            return Share(1.0, self.n).needed(ALIKE, level)
         return _least_number(
             lambda n: np.sqrt(n) * distance >= (_critical_t(n, level) + margin) * self.deviation
         )
@@ -173,7 +180,10 @@ class Median:
         return _sides(self._p_of(below), 2 * below >= self.n)
 
     def needed(self, threshold: float, level: float) -> int | None:
-        return Share(float((self.ordered > threshold).mean()), self.n).needed(0.5, level)
+        sides = (self.ordered > threshold).mean(), (self.ordered < threshold).mean()
+        return Share(float(max(sides)), self.n).needed(
+            0.5, level
+        )  # ties may count for the other side
 
     def _p_of(self, count: int) -> float:
         return _p_of_share(count / self.n, self.n, 0.5)

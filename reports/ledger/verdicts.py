@@ -117,7 +117,10 @@ class Row:
 
 
 def decide(findings: Sequence[Finding], *, quick: bool) -> list[list[Decided]]:
-    """Decide the comparisons of a claim, with Holm's correction over those of its verdict."""
+    """Decide the comparisons of a claim, with Holm's correction over those of its verdict.
+
+    Comparisons that cannot be decided yet take part, so that their number is the same at every look.
+    """
     parts = [part for finding in findings for part in finding.parts]
     barred = [_barred(part, quick=quick) for part in parts]
     p_of = [
@@ -126,13 +129,12 @@ def decide(findings: Sequence[Finding], *, quick: bool) -> list[list[Decided]]:
         )
         for part in parts
     ]
-    family = [at for at, part in enumerate(parts) if not barred[at] and not part.shown_only]
-    count = max(1, sum(not part.shown_only for part in parts))
-    levels = [LEVEL if part.shown_only else LEVEL / count for part in parts]
-    for at, level in zip(family, intervals.holm([min(p_of[at]) for at in family]), strict=True):
-        levels[at] = level
+    family = [at for at, part in enumerate(parts) if not part.shown_only]
+    p_values = [1.0 if barred[at] else min(p_of[at]) for at in family]
+    levels = dict.fromkeys(range(len(parts)), LEVEL)
+    levels |= dict(zip(family, intervals.holm(p_values), strict=True))
     decided = []
-    for part, why, p, level in zip(parts, barred, p_of, levels, strict=True):
+    for part, why, p, level in zip(parts, barred, p_of, levels.values(), strict=True):
         verdict = OPEN if why else intervals.decide(*p, level)
         if verdict == OPEN and not why:
             why = _why(part, level)

@@ -189,3 +189,15 @@ def test_the_needed_number_is_honest_about_what_is_not_known():
     assert intervals.needed(ones, {"at_least": 0.9}, LEVEL) == 53
     assert decided(intervals.share(np.ones(53)), {"at_least": 0.9}) == REPRODUCED
     assert decided(intervals.share(np.ones(52)), {"at_least": 0.9}) == OPEN
+
+
+def test_values_without_spread_decide_only_if_most_instances_are_shown_to_agree():
+    """Of a quantity that differs in 5 % of the instances, 20 equal values are no surprise."""
+    assert decided(intervals.mean(np.zeros(20)), {"at_most": 0.0}, 0.01) == OPEN
+    assert decided(intervals.mean(np.zeros(60)), {"at_most": 0.0}, 0.01) == REPRODUCED
+
+
+def test_the_needed_number_of_a_median_does_not_count_ties():
+    tied = intervals.median(np.repeat([-1.0, 0.0], [12, 18]))
+    assert decided(tied, {"below": 0.0}) == OPEN
+    assert intervals.needed(tied, {"below": 0.0}, LEVEL) == MOST_NEEDED
