@@ -202,7 +202,7 @@ def other_size(case: Case) -> str | None:
 
 
 def few_pairs(case: Case) -> str | None:
-    """The pairs are so few that unrelated clouds of the same sizes would fit as well."""
+    """The pairs are so few that unrelated clouds of the same sizes may fit as well."""
     problem, k = case.problem, case.result.n_inliers
     is_few = problem.dim <= k <= _FEW_PAIRS and 2 * k < min(
         len(problem.source), len(problem.target)
@@ -210,7 +210,7 @@ def few_pairs(case: Case) -> str | None:
     if not is_few or _log_chance_fits(case) < 0.0:
         return None
     return (
-        f"{k} pairs are too few for a meaningful pose: unrelated clouds of these sizes would fit as well "
+        f"{k} pairs are too few for a meaningful pose: unrelated clouds of these sizes may fit as well "
         "by chance. Match more pairs (a larger n_inliers; `dcreg sweep` tries several)"
     )
 

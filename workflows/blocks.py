@@ -16,6 +16,8 @@ from typing import Any
 from dcreg.files import whole_file
 from workflows.compose import ConfigError
 
+EVIDENCE = "evidence"  # folder of the tables of blocks, in that of their experiment
+
 
 @dataclass(frozen=True)
 class Needs:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dcreg.files import whole_file
 from workflows import UserError
+from workflows.outcomes import OUTCOMES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,7 +132,7 @@ def runs_columns() -> dict[str, Column]:
             "inlier threshold given to all methods: 2 RMS residuals of the reference, or a minimum",
         ),
         "T_reference": Column(str, "JSON of the reference pose: the fit to the true pairs"),
-        "outcome": Column(str, "finished, limited, failed, unsupported or unavailable"),
+        "outcome": Column(str, f"one of {', '.join(OUTCOMES)}"),
     }
     metrics = {
         name: Column(bool if metric.unit == "yes/no" else float, metric.meaning, metric.recorded)

@@ -119,10 +119,3 @@ def _roles(check: Mapping[str, Any]) -> Iterator[str]:
     for key in ROLES:
         value = check.get(key, ())
         yield from [value] if isinstance(value, str) else value
-
-
-def shown(option: Option) -> str:
-    """Return an option as one line."""
-    hours = option.seconds / 3600
-    text = f"{option.claim}: {option.blocks} more blocks, {hours:.1f} h of CPU"
-    return f"{text}; {option.obstacle}" if option.obstacle else text

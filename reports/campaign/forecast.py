@@ -13,20 +13,15 @@ from workflows.stages.plan import PlannedRun
 
 CELL = ["method", "test", "level"]
 TIMED = [*CELL, "time_solve_s", "time_overhead_s"]
-RUN_BYTES = 4000  # of a finished run in journal and tables, with its bound history
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Expected CPU time and disk space of some runs, and how many have no measured cell."""
+    """Expected CPU time of some runs, and how many have no measured cell."""
 
     runs: int
     seconds: float
     unseen: int
-
-    @property
-    def megabytes(self) -> float:
-        return self.runs * RUN_BYTES / 1e6
 
 
 @dataclass(frozen=True)

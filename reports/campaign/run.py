@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
@@ -23,9 +22,10 @@ from reports.ledger.book import Ledger, ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.judging import Judgement, judge
 from reports.tables import Tables
-from workflows.blocks import Needs
+from workflows.blocks import EVIDENCE, Needs
 from workflows.compose import QUICK
 from workflows.config import Experiment, load, origin
+from workflows.outcomes import NOT_NEEDED
 from workflows.running import INTERRUPTED, run_snakemake
 from workflows.stages.plan import Plan, expand
 
@@ -53,7 +53,7 @@ class Campaign:
 
     @property
     def folder(self) -> Path:
-        return self.directory / "results" / self.experiment.name / "evidence"
+        return self.directory / "results" / self.experiment.name / EVIDENCE
 
     @property
     def needs_path(self) -> Path:
@@ -160,7 +160,7 @@ def _run(
     """Run the needed blocks of an experiment; return whether they ended before `end`."""
     console.print(
         f"block     {campaign.name}, {claim}: {expected.runs} runs, about "
-        f"{expected.seconds / 60:.0f} min of CPU, {expected.megabytes:.1f} MB "
+        f"{expected.seconds / 60:.0f} min of CPU "
         f"({expected.unseen} runs in unmeasured cells)",
         soft_wrap=True,
     )
@@ -178,7 +178,7 @@ def _run(
         what = "the time is over" if code == INTERRUPTED else "some stages failed; see above"
         console.print(f"stopped   {what}; the same command continues from here")
         return False
-    new = after.runs[~after.runs["run_id"].isin(known) & (after.runs["outcome"] != "not_needed")]
+    new = after.runs[~after.runs["run_id"].isin(known) & (after.runs["outcome"] != NOT_NEEDED)]
     actual = float((new["time_solve_s"] + new["time_overhead_s"].fillna(0.0)).sum())
     _append(
         out / LOG,
@@ -229,9 +229,3 @@ def _print(
                 row += [str(option.blocks), f"{option.seconds / 3600:.1f}", option.obstacle]
             table.add_row(*row)
     console.print(table)
-
-
-def forecasts(path: Path) -> pd.DataFrame:
-    """Return the log of blocks with the ratio of actual to forecast time."""
-    log = pd.read_csv(path)
-    return log.assign(ratio=log["actual_s"] / log["forecast_s"])

@@ -16,9 +16,9 @@ import pandas as pd
 
 from dcreg.names import POSE_SCOPES
 from reports.tables import Tables, check_study
+from workflows.blocks import EVIDENCE
 from workflows.outcomes import attempted
 
-EVIDENCE = "evidence"  # folder of the tables of a campaign, in that of its experiment
 STUDY = "bounds"  # has no planned runs: its tables are next to those of the experiments
 QUICK = "-quick"
 _TIER = re.compile(rf"-(\d+)(?:{QUICK})?$")  # experiments with another number of points

@@ -180,10 +180,9 @@ class Median:
         return _sides(self._p_of(below), 2 * below >= self.n)
 
     def needed(self, threshold: float, level: float) -> int | None:
-        sides = (self.ordered > threshold).mean(), (self.ordered < threshold).mean()
-        return Share(float(max(sides)), self.n).needed(
-            0.5, level
-        )  # ties may count for the other side
+        # ties may count for the other side
+        most = max((self.ordered > threshold).mean(), (self.ordered < threshold).mean())
+        return Share(float(most), self.n).needed(0.5, level) if most > 0.5 else MOST_NEEDED
 
     def _p_of(self, count: int) -> float:
         return _p_of_share(count / self.n, self.n, 0.5)

@@ -26,6 +26,7 @@ from typer.testing import CliRunner
 
 import workflows.metrics.errors
 from workflows.__main__ import app
+from workflows.blocks import Needs
 from workflows.running import the_only_run
 
 CHECKOUT = Path(__file__).parents[2]
@@ -193,6 +194,29 @@ def test_the_whole_path_leads_to_complete_tables(checkout):
     assert set(traces["run_id"]) == set(runs.loc[runs["method"] == "dcreg", "run_id"])
     report = (checkout.root / "results/tiny/report/index.html").read_text()
     assert "tiny" in report
+
+
+def test_a_run_that_is_not_needed_is_counted_and_not_made(checkout):
+    """Only `dcreg` needs the block; its runs are those of the whole experiment, and none is repeated."""
+    needs = checkout.root / "needs.json"
+    Needs({"noise": {"dcreg": 1}}).write(needs)
+    config = ("--config", "experiment=tiny", f"needs={needs}")
+    options = ("--cores", "2", "--nolock", "--force-use-threads", "--quiet", "all")
+    checkout.command("tables", *options, *config, module="snakemake")
+    tables = checkout.root / "results/tiny/evidence/tables"
+    runs = pd.read_parquet(tables / "runs.parquet").set_index("run_id")
+    outcomes = runs.groupby("method")["outcome"].agg(list).to_dict()
+    assert outcomes == {"dcreg": ["finished"] * 2, "icp": ["not_needed"] * 2}
+    counts = pd.read_csv(tables / "accounting.csv").set_index("method")
+    assert counts["planned"].to_dict() == {"dcreg": 2, "icp": 2}
+    assert counts["not_needed"].to_dict() == {"dcreg": 0, "icp": 2}
+    whole, made = checkout.runs().set_index("run_id"), runs[runs["method"] == "dcreg"]
+    assert set(runs.index) < set(whole.index)
+    times = whole.loc[made.index, "time_solve_s"]
+    np.testing.assert_array_equal(made["time_solve_s"], times)
+    assert not runs.loc[runs["method"] == "icp", "success"].any()
+    checkout.command("experiment", str(tables), "page.html", module="reports")
+    assert "not needed" in (checkout.root / "page.html").read_text()
 
 
 FIGURE = next((CHECKOUT / "reports" / "figures").glob("[a-z]*.py"))

@@ -20,7 +20,7 @@ from baselines import registry as methods
 from data import registry
 from dcreg.problem import suggestion
 from workflows import records
-from workflows.blocks import Needs
+from workflows.blocks import EVIDENCE, Needs
 from workflows.config import (
     ConfigError,
     DatasetSettings,
@@ -132,7 +132,7 @@ class Plan:
         shared.
         """
         if self.needs is not None:
-            return Path("evidence")
+            return Path(EVIDENCE)
         chosen = {axis: values for axis, values in self.selection if values}
         if not chosen:
             return Path()

@@ -30,7 +30,7 @@ def main(
         raise typer.BadParameter(
             "the two tables are named after their folders: give different ones"
         )
-    tables = {path.parent.name: pd.read_csv(path) for path in (before, after)}
+    tables = {path.parent.name: pd.read_csv(path).drop_duplicates(KEYS) for path in (before, after)}
     times = pd.concat(
         {name: reached(_shared(table, list(tables.values()))) for name, table in tables.items()},
         names=["version", "row"],

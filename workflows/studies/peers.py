@@ -36,7 +36,7 @@ def main(
     rows = []
     for pair in raw_pairs():
         rows.append({"method": "dcreg", **walked(pair, size, limit, out.resolve())})
-        rows[-1]["call_s"] = rows[-1]["wall_s"] - rows[-1].get("before_solve_s", np.nan)
+        rows[-1]["call_s"] = rows[-1]["wall_s"] - rows[-1].get("before_solve_s", 0.0)
         rows += [_solved(pair, size, name, voxel, out) for name in PEERS for voxel in VOXELS]
         print(pd.DataFrame(rows[-1 - len(PEERS) * len(VOXELS) :]).to_string(), flush=True)
     table = pd.DataFrame(rows)
