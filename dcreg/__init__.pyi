@@ -12,8 +12,8 @@ from .io import read_candidates, read_matches, read_points
 from .names import bound_names, mode_names
 from .plot import plot_registration, plot_sweep
 from .problem import Candidates, InputError, Problem
-from .result import Result, RunnerUp, Stage
-from .search import Event, Listener, Trace
+from .result import Result, RunnerUp, Stage, Trace
+from .search import Event, Listener
 from .status import Status
 from .sweep_result import SweepResult
 

@@ -16,8 +16,8 @@ from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, plain, write_text
 from dcreg.names import NO_PROOF_EXPECTED
 from dcreg.problem import InputError, rotation_angle_deg, scale_of
-from dcreg.result_parts import RunnerUp, Sample, Score
-from dcreg.search import Confined, Outcome, Trace, proven_share
+from dcreg.result_parts import RunnerUp, Sample, Score, Trace
+from dcreg.search import Confined, Outcome, proven_share
 from dcreg.status import Status
 
 

@@ -1,13 +1,45 @@
-"""Parts of a result: the sample that was searched, the score of matches, the runner-up pose."""
+"""Parts of a result: bound history, sample that was searched, score of matches, runner-up pose."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcreg.files import plain
+from dcreg.files import as_json, plain, write_text
+from dcreg.search.budget import Event
+
+
+@dataclass
+class Trace:
+    """Bound history of one run; iteration yields its events in order.
+
+    Attributes
+    ----------
+    events : list of Event
+    """
+
+    events: list[Event] = field(default_factory=list)
+
+    def __iter__(self) -> Iterator[Event]:
+        return iter(self.events)
+
+    def __len__(self) -> int:
+        return len(self.events)
+
+    def rows(self) -> list[dict[str, object]]:
+        """Return one dictionary of plain values per event, for tables and figures."""
+        return [dict(vars(event)) for event in self.events]
+
+    def write_jsonl(self, path: str | Path) -> None:
+        """Write one JSON object per line; the last one has kind ``end`` and the status.
+
+        An infinite bound becomes null.
+        """
+        write_text(path, "".join(as_json(row, indent=None) + "\n" for row in self.rows()))
 
 
 class Sample(NamedTuple):

@@ -31,7 +31,8 @@ from baselines.contract import Instance, Solution
 from dcreg.assignment.objective import objective, pairs_of
 from dcreg.problem import Frame, Problem, apply_pose
 from dcreg.problem.geometry import fit_pose
-from dcreg.search import Budget, Event, Trace
+from dcreg.result import Trace
+from dcreg.search import Budget, Event
 from dcreg.status import Status
 
 SCOPE = "similarity pose"

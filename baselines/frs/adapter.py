@@ -10,7 +10,7 @@ from baselines._shared.cubes import Incumbent, search_cubes, with_bounds
 from baselines._shared.poses import homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.frs.search import TranslationCubes, matching_translations
-from dcreg.search import Trace
+from dcreg.result import Trace
 
 SCOPE = (
     "rigid pose, many-to-one consensus: most source points within xi of the target, all rotations and "

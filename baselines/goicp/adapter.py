@@ -8,7 +8,7 @@ from baselines._shared.cubes import with_bounds
 from baselines._shared.poses import homogeneous
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.goicp.search import GoICP, Settings
-from dcreg.search import Trace
+from dcreg.result import Trace
 
 SCOPE = (
     "rigid pose, many-to-one objective: sum of the n_inliers smallest squared distances from moved "

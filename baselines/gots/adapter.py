@@ -10,7 +10,8 @@ from baselines._shared.poses import homogeneous
 from baselines._shared.rotation_search import most_matches
 from baselines.contract import Baseline, Instance, Limits, Solution
 from baselines.gots.search import TranslationCubes, matching_translations, points_of
-from dcreg.search import Budget, Trace
+from dcreg.result import Trace
+from dcreg.search import Budget
 from dcreg.status import Status
 
 SCOPE = (

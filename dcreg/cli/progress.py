@@ -157,12 +157,15 @@ class Progress:
             self._pending = event
 
     def _note_improvement(self, event: dcreg.Event) -> None:
-        if event.stage != self._stage:  # another objective
-            self._stage, self._last_upper = event.stage, math.inf
+        is_same = math.isclose(event.upper_bound, self._found_upper, rel_tol=_SAME)
+        if event.stage != self._stage:
+            self._stage = event.stage
+            if not is_same:  # another objective
+                self._last_upper = math.inf
         self._improved |= event.upper_bound < self._last_upper
         self._last_upper = min(self._last_upper, event.upper_bound)
         # another stage may continue with the same pose
-        if not math.isclose(event.upper_bound, self._found_upper, rel_tol=_SAME):
+        if not is_same:
             is_known = math.isfinite(event.upper_bound)
             self._found_s = event.time_s if is_known else math.inf
             self._found_upper = event.upper_bound

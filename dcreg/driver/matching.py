@@ -15,8 +15,8 @@ from dcreg.families.matches.start import is_near, promising_poses, surface_consi
 from dcreg.families.matches.warnings import warnings_of
 from dcreg.names import SCORES
 from dcreg.problem import InputError, suggestion
-from dcreg.result import Result, Score, Stage
-from dcreg.search import Budget, Trace
+from dcreg.result import Result, Score, Stage, Trace
+from dcreg.search import Budget
 from dcreg.status import Status
 
 MODE, BOUND = "matches", "nested"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import logging
+from itertools import starmap
 from operator import attrgetter
 from typing import Any
 
@@ -12,12 +14,21 @@ from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.families.mode import Mode, all_modes
 from dcreg.families.registry import bound_parts, make_bound
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.names import AUTO, DEFAULT_BOUND, mode_names
+from dcreg.jit import when_compiling
+from dcreg.names import AUTO, DEFAULT_BOUND, MODEL_DIM, mode_names
 from dcreg.problem import InputError, Problem, suggestion
 from dcreg.result import Stage
-from dcreg.search import Bound, Budget, minimise
+from dcreg.search import Bound, Boxes, Budget, minimise
+from dcreg.search.space_search import Cover
 from dcreg.status import Status
 
+_LOGGER = logging.getLogger("dcreg")
+COMPILING = (
+    "compiling the kernels that this search needs (only once; they are cached for later runs)"
+)
+_CUTOFF = (
+    0.3  # for which no cover of a tiny problem gives up, so that all of its kernels are compiled
+)
 # A dense cost matrix of more pairs than this does not fit into the memory of a common machine.
 MAX_PAIRS = 100_000_000
 # In norm space these match sorted norms and need no cost matrix.
@@ -120,6 +131,29 @@ def bound_of(mode: Mode, problem: NormalisedProblem, space: Any) -> Bound:
     return make_bound(problem.bound, space, threads=problem.threads)
 
 
+def cover_of(mode: Mode, space: Any, threads: int, budget: Budget) -> Cover:
+    """Return the cover of a mode; if it applies, compile it while the clock stands still."""
+    assert mode.make_cover is not None
+    cover = mode.make_cover(space, threads)
+    if cover.applies and not cover.is_compiled:
+        with budget.clock.preparing():
+            compile_cover(mode)
+    return cover
+
+
+def compile_cover(mode: Mode) -> None:
+    """Compile the kernels of a mode's cover, or load them, by confining a tiny problem."""
+    if mode.make_cover is None:
+        return
+    points = np.random.default_rng(0).standard_normal((8, MODEL_DIM[mode.model]))
+    ranges = {"scale_range": (0.5, 1.5)} if "scale_range" in mode.needs else {}
+    space = mode.space(points, points[:, ::-1].copy(), 6, **ranges)
+    with when_compiling(lambda: _LOGGER.info(COMPILING)):
+        confined = mode.make_cover(space).confine(_CUTOFF, Budget(), np.inf)
+        if confined is not None:
+            confined.meeting(Boxes.of(space.roots()))
+
+
 def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     """Search the space of the mode, then recover the pose."""
     space = space_of(mode, problem)
@@ -130,7 +164,7 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     if (
         mode.make_cover is not None and problem.bound == mode.own_bound
     ):  # a chosen bound works alone
-        make_cover = functools.partial(mode.make_cover, space, problem.threads)
+        make_cover = functools.partial(cover_of, mode, space, problem.threads, budget)
     found = minimise(
         space, bound, searching, tolerance=problem.tolerance, stage=mode.stage,
         keep_leaves=problem.keep_leaves, make_cover=make_cover,
@@ -141,6 +175,7 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     )  # fmt: skip
     solution.add(mode.stage, found)
     solution.stages += map(Stage.confining, found.confined)
+    solution.stages += starmap(Stage, found.given_up_s.items())
     recover_pose(mode, problem, space, found.theta, budget, solution)
     return solution
 

@@ -30,8 +30,8 @@ from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, START_BOXES
 from dcreg.problem import Problem
 from dcreg.problem.geometry import Frame, rounding_error
-from dcreg.result import Result, Stage
-from dcreg.search import Budget, Event, Listener, Trace
+from dcreg.result import Result, Stage, Trace
+from dcreg.search import Budget, Event, Listener
 
 _LOGGER = logging.getLogger("dcreg")
 # Seconds for a proof by default. A proof about a sample says little about all points, so it gets less.
@@ -227,7 +227,8 @@ class Finish:
             objective=final, objective_certified=before[0],
             n_nodes=sum(stage.n_nodes for stage in solution.stages),
             n_assignments=sum(stage.n_assignments for stage in solution.stages),
-            time_setup_s=self.setup.time_s, time_solve_s=self.placing.elapsed(),
+            time_setup_s=self.setup.time_s + self.budget.clock.prepared_s,
+            time_solve_s=self.placing.elapsed(),
             trace=Trace(solution.events), stages=stages, certificate=certificate,
             runner_up=find_runner_up(problem, T, reached, solution.minima),
         )  # fmt: skip

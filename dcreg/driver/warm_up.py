@@ -12,7 +12,7 @@ import numpy as np
 from dcreg.assignment.descent import polish
 from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import sparse_matching
-from dcreg.driver.modes import run_mode
+from dcreg.driver.modes import COMPILING, compile_cover, run_mode
 from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.mode import Mode, all_modes
 from dcreg.families.rigid3d.bound import RigidBound
@@ -26,10 +26,6 @@ from dcreg.problem.geometry import Frame
 from dcreg.search import Boxes, Budget, Tolerance
 
 _LOGGER = logging.getLogger("dcreg")
-_CUTOFF = 0.3  # for which no cover gives up, so that all of its kernels are compiled
-_MESSAGE = (
-    "compiling the kernels that this search needs (only once; they are cached for later runs)"
-)
 
 
 def warm_up(processes: int = 1) -> None:
@@ -68,15 +64,8 @@ def _works() -> Iterator[functools.partial[None]]:
 
 def compile_covers() -> None:
     """Compile what a long search needs; other searches do not wait for it."""
-    generator = np.random.default_rng(0)
     for mode in all_modes():
-        if mode.make_cover is not None:
-            points = generator.standard_normal((8, 2 if mode.model == "similarity2d" else 3))
-            ranges = {"scale_range": (0.5, 1.5)} if "scale_range" in mode.needs else {}
-            space = mode.space(points, points[:, ::-1].copy(), 6, **ranges)
-            confined = mode.make_cover(space).confine(_CUTOFF, Budget(), np.inf)
-            if confined is not None:
-                confined.meeting(Boxes.of(space.roots()))
+        compile_cover(mode)
 
 
 def _compile_mode(mode: Mode) -> None:
@@ -116,7 +105,7 @@ def warm_up_mode(
     points = generator.standard_normal((8, dim))
     moved = points[:, ::-1].copy()
     candidates = ~np.eye(8, dtype=bool) if restricted else None
-    with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
+    with when_compiling(lambda: _LOGGER.info(COMPILING)):
         run_mode(
             mode,
             NormalisedProblem(
@@ -149,7 +138,7 @@ def warm_up_matches() -> None:
     points = np.random.default_rng(0).standard_normal((8, 3))
     rows = np.arange(8)
     problem = MatchProblem(points, points, np.column_stack([rows, rows]), 0.5)
-    with when_compiling(lambda: _LOGGER.info(_MESSAGE)):
+    with when_compiling(lambda: _LOGGER.info(COMPILING)):
         promising_poses(problem, Budget())
         surface_consistent_poses(problem, Budget())
         worst = problem.inlier_threshold**2 * problem.max_cardinality

@@ -8,7 +8,6 @@ from dcreg.search.budget import (
     Interrupted,
     Listener,
     Tolerance,
-    Trace,
     proven_share,
 )
 from dcreg.search.space_search import minimise
@@ -27,7 +26,6 @@ __all__ = [
     "LongestEdge",
     "Outcome",
     "Tolerance",
-    "Trace",
     "branch_and_bound",
     "minimise",
     "proven_share",

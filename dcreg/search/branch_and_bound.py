@@ -39,6 +39,8 @@ class Outcome:
         The leaf boxes, if they were kept.
     confined : list of Confined
         The boxes to which a cover confined the search, in the order of the stages.
+    given_up_s : dict of str to float
+        By name of the cover: seconds of attempts that took too long or left too many boxes.
     """
 
     status: Status
@@ -51,6 +53,7 @@ class Outcome:
     events: list[Event] = field(default_factory=list)
     leaves: Leaves | None = None
     confined: list[Confined] = field(default_factory=list)
+    given_up_s: dict[str, float] = field(default_factory=dict)
 
 
 # A local search starts from the best candidate of a round if its value is at most that from which the

@@ -6,13 +6,12 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
-from dcreg.files import as_json, write_text
 from dcreg.status import Status
 
 
@@ -132,35 +131,6 @@ class Event:
         )
 
 
-@dataclass
-class Trace:
-    """Bound history of one run; iteration yields its events in order.
-
-    Attributes
-    ----------
-    events : list of Event
-    """
-
-    events: list[Event] = field(default_factory=list)
-
-    def __iter__(self) -> Iterator[Event]:
-        return iter(self.events)
-
-    def __len__(self) -> int:
-        return len(self.events)
-
-    def rows(self) -> list[dict[str, object]]:
-        """Return one dictionary of plain values per event, for tables and figures."""
-        return [dict(vars(event)) for event in self.events]
-
-    def write_jsonl(self, path: str | Path) -> None:
-        """Write one JSON object per line; the last one has kind ``end`` and the status.
-
-        An infinite bound becomes null.
-        """
-        write_text(path, "".join(as_json(row, indent=None) + "\n" for row in self.rows()))
-
-
 # Called with every event; returning True asks the solve to stop (status "stopped").
 Listener = Callable[[Event], bool | None]
 
@@ -172,6 +142,30 @@ _CLOSING_SHARE, _CLOSING_S = 0.05, 0.2
 
 class Interrupted(Exception):  # noqa: N818 (not an error: it never leaves the library)
     """A kernel was stopped before its end. Raised and caught within the library."""
+
+
+class Clock:
+    """Seconds of one process, without those of preparations."""
+
+    def __init__(self) -> None:
+        self.prepared_s = 0.0
+        self._paused_at: float | None = None
+
+    def now(self) -> float:
+        """Return the seconds since some moment; they stand still during a preparation."""
+        paused_at = self._paused_at
+        return (time.perf_counter() if paused_at is None else paused_at) - self.prepared_s
+
+    @contextmanager
+    def preparing(self) -> Iterator[None]:
+        """Stop the clock, as while kernels are compiled."""
+        self._paused_at = began = time.perf_counter()
+        try:
+            yield
+        finally:
+            # in this order, other threads never see a later moment
+            self.prepared_s += time.perf_counter() - began
+            self._paused_at = None
 
 
 class Budget:
@@ -205,6 +199,8 @@ class Budget:
         Whether a listener receives the events.
     history : list of Event
         Events of all stages except heartbeats.
+    clock : Clock
+        Of all parts; it stands still during preparations.
     patience_s : float or None
         Seconds that a search may take for a proof; inf: only the time of the budget limits it; None: the
         search continues even if no proof is expected.
@@ -222,7 +218,8 @@ class Budget:
         self.history: list[Event] = []
         self.stop, self.hard_stop = np.zeros(1, np.uint8), np.zeros(1, np.uint8)
         self._listener, self.is_watched = listener, listener is not None
-        self._began = self._reported_at = time.perf_counter()
+        self.clock = Clock()
+        self._began, self._reported_at = self.clock.now(), time.perf_counter()
         time_s = None if time_s == np.inf else time_s
         self._deadline = None if time_s is None else self._began + time_s
         closing_s = _CLOSING_S + _CLOSING_SHARE * (time_s or 0.0)
@@ -256,9 +253,9 @@ class Budget:
     def _keep_watch(self) -> None:
         over_s: float | None = None
         while not self._ended.wait(_GLANCE_S):
-            now = time.perf_counter()
+            now = self.clock.now()
             try:
-                if now - self._reported_at >= _SILENCE_S and over_s is None:
+                if time.perf_counter() - self._reported_at >= _SILENCE_S and over_s is None:
                     self.report(
                         replace(self._event, kind="heartbeat", time_s=self.elapsed(), status="")
                     )
@@ -277,13 +274,13 @@ class Budget:
 
     def elapsed(self) -> float:
         """Return the seconds since the solve began. All parts share this clock."""
-        return time.perf_counter() - self._began
+        return self.clock.now() - self._began
 
     def left(self) -> float | None:
         """Return the seconds left, never negative; None without a limit."""
         if self._deadline is None:
             return None
-        return max(0.0, self._deadline - time.perf_counter())
+        return max(0.0, self._deadline - self.clock.now())
 
     @property
     def stopped(self) -> bool:
@@ -293,7 +290,7 @@ class Budget:
     @property
     def is_over(self) -> bool:
         """Whether the time is up or the caller asked to stop. Nothing new should then begin."""
-        late = self._deadline is not None and time.perf_counter() > self._deadline
+        late = self._deadline is not None and self.clock.now() > self._deadline
         return late or self.stopped
 
     def spent(self, nodes: int, assignments: int, nbytes: float) -> Status | None:
@@ -316,12 +313,12 @@ class Budget:
         part = object.__new__(Budget)
         part.__dict__.update(self.__dict__)
         left = self.left()
-        part._deadline = None if left is None else time.perf_counter() + share * left
+        part._deadline = None if left is None else self.clock.now() + share * left
         return part
 
     def isolated_sub_budget(self, share: float) -> Budget:
         """Return a sub-budget with its own stop flags, which end its stage in time for the next one."""
-        part, now = self.sub_budget(share), time.perf_counter()
+        part, now = self.sub_budget(share), self.clock.now()
         if self._closing is not None:
             part._closing = now + share * max(0.0, self._closing - now)
         part.stop, part.hard_stop = self.stop.copy(), self.hard_stop | part._is_closing(now)

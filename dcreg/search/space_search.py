@@ -10,7 +10,7 @@ import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Confined, Leaves, LongestEdge
 from dcreg.search.branch_and_bound import Outcome, Search, Start
-from dcreg.search.budget import Budget, Interrupted, Tolerance
+from dcreg.search.budget import Budget, Event, Interrupted, Tolerance
 from dcreg.status import Status
 
 UNSURE = 5.0  # factor of the patience if the initial poses are not confirmed
@@ -40,9 +40,12 @@ class Cover(Protocol):
 
     Attributes
     ----------
+    stage : str
+        Name in events and results.
     threads : int
     """
 
+    stage: str
     threads: int
 
     @property
@@ -53,6 +56,11 @@ class Cover(Protocol):
     @property
     def applies(self) -> bool:
         """Whether the cover may help if the search is long."""
+        ...
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether nothing remains to be compiled."""
         ...
 
     def confine(self, cutoff: float, budget: Budget, allowed_s: float) -> Confined | None:
@@ -125,6 +133,7 @@ def minimise(
 def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outcome:
     """Continue a long search: prove shares of the cutoff by means of a cover, while time allows."""
     parts: list[Confined] = []
+    given_up_s: dict[str, float] = {}
     for share in cover.shares:
         tolerance = _share_of(search.tolerance, share)
         if tolerance.cutoff(search.upper_bound) <= search.floor:
@@ -132,6 +141,8 @@ def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outco
         paused_s = search.budget.elapsed()
         confined = _confined(search, cover, tolerance.cutoff(search.upper_bound), patience_s)
         if confined is None:
+            spent_s = search.budget.elapsed() - paused_s
+            given_up_s[cover.stage] = given_up_s.get(cover.stage, 0.0) + spent_s
             search.resume(paused_s)
             continue
         parts.append(confined)
@@ -150,7 +161,7 @@ def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outco
         if search.status is not None:
             break
     search.run()
-    return replace(search.outcome(), confined=parts)
+    return replace(search.outcome(), confined=parts, given_up_s=given_up_s)
 
 
 def _confined(
@@ -165,6 +176,12 @@ def _confined(
     allowed_s = COVER_SHARE * min([UNLIMITED_S, *times]) * cover.threads
     if budget.is_counted:  # neither the clock nor the threads may change the result
         allowed_s = COUNTED_S
+    budget.report(
+        Event(
+            "heartbeat", cover.stage, budget.elapsed(), search.n_nodes, search.n_assignments,
+            len(search.nodes), search.lower_bound, search.upper_bound,
+        )
+    )  # fmt: skip
     try:
         return cover.confine(cutoff, budget, allowed_s)
     except Interrupted:

@@ -60,6 +60,12 @@ def test_infinite_bounds_and_new_stage_marks():
     assert third.startswith("* rotation")  # a larger value, but of another objective
 
 
+def test_a_stage_that_keeps_the_pose_is_not_marked():
+    events = [event(upper=2.0), event(stage="triples", upper=2.0), event(upper=2.0)]
+    lines = show([*events, event(upper=1.0)], interval_s=-1.0).splitlines()[4:]
+    assert [line[0] for line in lines] == ["*", " ", " ", "*"]
+
+
 def test_the_last_event_is_shown_even_without_an_end():
     lines = show([event(n_nodes=1), event(n_nodes=2), event(n_nodes=3)]).splitlines()
     assert [line.split()[-8] for line in lines[4:]] == ["1", "3"]

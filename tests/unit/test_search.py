@@ -243,7 +243,7 @@ def test_a_narrowed_search_has_its_whole_patience_and_no_more(set_clock):
 class SlowCover:
     """Takes three seconds and confines the search to a part of the roots."""
 
-    threads, applies, shares = 1, True, (1.0,)
+    stage, threads, applies, shares = "slow", 1, True, (1.0,)
 
     def __init__(self, clock):
         self.clock = clock
@@ -259,3 +259,23 @@ def test_the_time_of_a_cover_is_counted_once(set_clock, monkeypatch):
     monkeypatch.setattr(Search, "outcome", lambda self: found)
     space_search._with_cover(paused, SlowCover(set_clock), 5.0)
     assert waited == [paused.budget.elapsed()]
+
+
+def test_a_cover_that_gives_up_is_shown_and_its_time_is_kept(set_clock, monkeypatch):
+    class GivesUp(SlowCover):
+        shares = (0.5, 1.0)
+
+        def confine(self, cutoff, budget, allowed_s):
+            self.clock.now += 3.0
+
+    events = []
+    paused = paused_search(Budget(time_s=100.0, listener=events.append).with_patience(5.0))
+    ended, n_known = solve(), len(events)
+    monkeypatch.setattr(Search, "run", lambda self: None)
+    monkeypatch.setattr(Search, "outcome", lambda self: ended)
+    found = space_search._with_cover(paused, GivesUp(set_clock), 5.0)
+    assert found.given_up_s == {"slow": 6.0}
+    assert not found.confined
+    shown = [event for event in events[n_known:] if event.stage == "slow"]
+    assert [event.kind for event in shown] == ["heartbeat"] * 2
+    assert {event.upper_bound for event in shown} == {paused.upper_bound}

@@ -13,7 +13,10 @@ import pytest
 
 from dcreg.assignment.descent import polish
 from dcreg.assignment.kernels.sorting import COLUMNS
+from dcreg.driver import modes
+from dcreg.families.rigid3d.cover import CongruentCover
 from dcreg.families.rotation3d.space import Rotation3D
+from dcreg.families.similarity2d.cover import NearestCover
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.jit import NEVER
 from dcreg.names import MODEL_DIM
@@ -41,6 +44,44 @@ class Parabola:
 
     def evaluate(self, boxes, cutoff):
         return Evaluation(boxes.bounds, boxes.centres, (boxes.centres**2).sum(axis=1))
+
+
+def test_a_preparation_takes_nothing_from_any_part_of_a_budget():
+    budget = Budget(1.0)
+    parts = budget.sub_budget(0.5), budget.isolated_sub_budget(0.5), budget.named("other")
+    began, left = budget.elapsed(), [part.left() for part in parts]
+    with budget.clock.preparing():
+        stopped = budget.elapsed()
+        time.sleep(0.6)
+        assert budget.elapsed() == stopped
+    assert budget.clock.prepared_s >= 0.6
+    assert budget.elapsed() - began < 0.3
+    for part, before in zip(parts, left, strict=True):
+        assert not part.is_over
+        assert before - 0.3 < part.left() <= before
+
+
+@pytest.mark.parametrize("model", MODEL_DIM)
+def test_a_cover_is_compiled_outside_of_the_time_limit(model, monkeypatch):
+    compiled = []
+
+    def compile_slowly(mode):
+        compiled.append(mode.name)
+        time.sleep(1.0)
+
+    monkeypatch.setattr(modes, "compile_cover", compile_slowly)
+    for cover in NearestCover, CongruentCover:
+        monkeypatch.setattr(cover, "is_compiled", property(lambda self: bool(compiled)))
+    points = np.random.default_rng(0).standard_normal((60, MODEL_DIM[model]))
+    moved = points + 0.01 * np.random.default_rng(1).standard_normal(points.shape)
+    moved[40:] = np.random.default_rng(2).standard_normal((20, MODEL_DIM[model]))
+    began = time.perf_counter()
+    result = register(points, moved, n_inliers=40, model=model, node_limit=6000, prove=True)
+    total_s = time.perf_counter() - began
+    assert compiled == [result.mode]
+    assert result.time_setup_s >= 1.0
+    assert result.time_solve_s <= total_s - 1.0
+    assert result.trace.events[-1].time_s <= result.time_solve_s + 1e-6
 
 
 @pytest.mark.parametrize(("time_s", "descends"), [(0.0, False), (60.0, True)])

@@ -120,7 +120,6 @@ SMALL, FEW_BOXES, MAX_MEETINGS = 0.4, 20_000, 5_000_000
 # pair; per part of a region and point pair. The time allowed depends on the time limit and the threads.
 TRIPLE_S, REGION_S, PART_S = 5e-9, 4e-9, 6e-10
 SAMPLED = 0.1  # share of the allowed time that the slices of one triple may take
-COMPILE_S = 20.0  # seconds that must be left if the kernels have to be compiled first
 
 
 @dataclass(frozen=True)
@@ -240,6 +239,11 @@ class CongruentCover:
         is_long = FEW_PAIRS < self._space.n_pairs <= MANY_PAIRS
         return is_long and bool((box.lower < box.upper).any())
 
+    @property
+    def is_compiled(self) -> bool:
+        """Whether nothing remains to be compiled."""
+        return is_compiled(divide_regions)
+
     def confine(self, cutoff: float, budget: Budget, allowed_s: float) -> Confined | None:
         """Return boxes that contain every optimum with an objective below `cutoff`.
 
@@ -259,10 +263,6 @@ class CongruentCover:
         ------
         Interrupted
         """
-        left = budget.left()
-        is_late = left is not None and left < COMPILE_S and not budget.is_counted
-        if is_late and not is_compiled(divide_regions):
-            return None
         if not self._prepare() or self._known_s(cutoff) > allowed_s:
             return None
         began, n_tried, regions = budget.elapsed(), 0, []

@@ -61,7 +61,6 @@ SMALL = 0.02
 MAX_LEFT = 100_000  # boxes that may be left to the search
 BOX_S = 6.5e-9  # nominal seconds per box and point, the same on every machine
 SAMPLED = 0.1  # share of the allowed time that one slice may take, or the first slices together
-COMPILE_S = 5.0  # seconds that must be left if the kernels have to be compiled first
 
 
 def distances_to(points: np.ndarray) -> Distances:
@@ -113,6 +112,11 @@ class NearestCover:
         space = self._space
         return space.n_pairs > FEW_PAIRS and space.n_inliers < max(space.n_source, space.n_target)
 
+    @property
+    def is_compiled(self) -> bool:
+        """Whether nothing remains to be compiled."""
+        return is_compiled(divide_boxes)
+
     def confine(self, cutoff: float, budget: Budget, allowed_s: float) -> Confined | None:
         """Return boxes that contain every optimum with an objective below `cutoff`.
 
@@ -132,10 +136,6 @@ class NearestCover:
         ------
         Interrupted
         """
-        left = budget.left()
-        is_late = left is not None and left < COMPILE_S and not budget.is_counted
-        if is_late and not is_compiled(divide_boxes):
-            return None
         began, n_tested, kept = budget.elapsed(), 0, []
         for tested, found, is_affordable in self._slices(cutoff * (1.0 + _MARGIN), allowed_s):
             is_late = not budget.is_counted and budget.elapsed() - began > allowed_s / self.threads
