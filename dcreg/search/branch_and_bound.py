@@ -155,6 +155,7 @@ class Search:
     n_begun: int = 0  # of `n_nodes`, boxes that do not count for the prospect
     n_unasked: int = 0  # boxes bounded before the prospect is estimated, if they take little time
     is_part: bool = False  # of a search that goes on afterwards
+    aside_s: float = 0.0  # since `waited_from`: seconds of local searches and estimates
     prospect: Prospect | None = None
     region: Confined | None = None
     n_nodes: int = 0
@@ -211,7 +212,7 @@ class Search:
         start = self.start._replace(theta=self.theta, value=self.upper_bound)
         return replace(
             self, tolerance=tolerance, start=start, confined=confined, prospect=None,
-            n_begun=self.n_nodes, events=[], is_part=True,
+            n_begun=self.n_nodes, events=[], is_part=True, aside_s=0.0,
         )  # fmt: skip
 
     def narrow(self, confined: Confined) -> None:
@@ -221,7 +222,7 @@ class Search:
         self.boxes = self.within_region(self.boxes)
         self.nodes.push(self.within_region(self.nodes.pop(len(self.nodes), np.inf)))
         self.prospect, self.n_begun = None, self.n_nodes
-        self.waited_from = self.budget.elapsed()
+        self.waited_from, self.aside_s = self.budget.elapsed(), 0.0
 
     def within_region(self, boxes: Boxes) -> Boxes:
         """Return the boxes that may contain an optimum below the cutoff, if the search was narrowed."""
@@ -247,11 +248,13 @@ class Search:
         self.is_over = self.budget.is_over
         if self.refine is not None and not self.is_over and value <= self.worth_refining:
             self.worth_refining = value
+            began = self.budget.elapsed()
             try:
                 theta, value, spent = self.refine(found.thetas[best])
             except Interrupted:
                 self.is_over = True
                 return
+            self.aside_s += self.budget.elapsed() - began
             self.n_refining += spent
             self.take(theta, value)
         self.worth_refining *= REFINING_PATIENCE
@@ -310,13 +313,15 @@ class Search:
         if not done:
             return False
         if self.prospect is None:
-            if Prospect(done + N_DESCENTS).is_poor(done, spent, budget):
+            if Prospect(done + N_DESCENTS).is_poor(done, spent, budget, self.aside_s):
                 return True  # the estimate alone would take too long
             self.prospect = Prospect.of(
                 self.bound.fresh(), self.branching, self.cutoff, self.confined.boxes,
                 self.within_region,
             )  # fmt: skip
-        return self.prospect.is_poor(done, spent, budget)
+            estimating_s = budget.elapsed() - self.waited_from - spent
+            self.aside_s, spent = self.aside_s + estimating_s, spent + estimating_s
+        return self.prospect.is_poor(done, spent, budget, self.aside_s)
 
     def _is_fast(self, spent_s: float) -> bool:
         """Tell whether `n_unasked` boxes are not yet bounded, but will be soon."""
@@ -330,8 +335,9 @@ class Search:
         if self.prospect is None or self.status is not None:
             return None
         return self.prospect.expected_s(
-            self.n_nodes - self.n_begun, self.budget.elapsed() - self.waited_from, self.budget
-        )
+            self.n_nodes - self.n_begun, self.budget.elapsed() - self.waited_from, self.budget,
+            self.aside_s,
+        )  # fmt: skip
 
     def select(self) -> Boxes:
         """Return the best open boxes, which are divided next."""

@@ -103,18 +103,33 @@ class Prospect:
         except Interrupted:
             return cls(0.0)
 
-    def is_poor(self, n_nodes: int, spent_s: float, budget: Budget) -> bool:
-        """Tell whether the proof is expected to take more than `MAX_TIME_RATIO` times the time left."""
+    def is_poor(self, n_nodes: int, spent_s: float, budget: Budget, aside_s: float = 0.0) -> bool:
+        """Tell whether the proof is expected to take more than `MAX_TIME_RATIO` times the time left.
+
+        Parameters
+        ----------
+        n_nodes : int
+            Boxes bounded so far.
+        spent_s : float
+            Seconds since the search began.
+        budget : Budget
+        aside_s : float
+            Of these seconds, those of other work than bounding boxes. There is little of it later.
+        """
         if budget.patience_s is None:
             return False
-        return self._needed_s(n_nodes, spent_s) > MAX_TIME_RATIO * _left_s(spent_s, budget)
+        needed_s = self._needed_s(n_nodes, spent_s - aside_s)
+        return needed_s > MAX_TIME_RATIO * _left_s(spent_s, budget)
 
-    def expected_s(self, n_nodes: int, spent_s: float, budget: Budget) -> float | None:
+    def expected_s(
+        self, n_nodes: int, spent_s: float, budget: Budget, aside_s: float = 0.0
+    ) -> float | None:
         """Return the seconds until the proof; inf if they exceed the time left, None if unknown.
 
-        If the search has bounded more boxes than estimated, the number of boxes left is unknown.
+        If the search has bounded more boxes than estimated, the number of boxes left is unknown. The
+        parameters are those of `is_poor`.
         """
-        needed_s = self._needed_s(n_nodes, spent_s)
+        needed_s = self._needed_s(n_nodes, spent_s - aside_s)
         if needed_s <= 0.0:
             return None
         return needed_s if needed_s <= _left_s(spent_s, budget) else math.inf

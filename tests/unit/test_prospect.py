@@ -61,6 +61,16 @@ def test_a_search_is_hopeless_if_it_needs_several_times_what_is_left(
         assert prospect.is_poor(n_nodes, 1.0, budget.with_patience(patience_s)) == poor
 
 
+def test_local_searches_and_estimates_say_nothing_about_the_time_of_boxes():
+    """Otherwise a few first boxes between many local searches would let a short proof seem hopeless."""
+    with Budget(10.0) as budget:
+        waiting = budget.with_patience(5.0)
+        prospect = Prospect(n_nodes=3000.0)
+        assert prospect.is_poor(100, 1.0, waiting)
+        assert not prospect.is_poor(100, 1.0, waiting, aside_s=0.9)
+        assert prospect.expected_s(100, 1.0, waiting, aside_s=0.9) == pytest.approx(2.9)
+
+
 def test_a_hopeless_search_ends_with_its_reason_unless_a_proof_is_requested():
     source, target, _ = partial_overlap(0, n_common=60, n_clutter=200)
     settings = {"n_inliers": 60, "model": "rigid3d"}

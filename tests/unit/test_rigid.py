@@ -9,8 +9,10 @@ from dcreg.assignment.objective import objective
 from dcreg.driver.modes import find_mode, run_mode
 from dcreg.families.rigid3d import vertex_values
 from dcreg.families.rigid3d.kernels.vertices import bound_vertices_by_duals
-from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.families.rigid3d.space import FEW_DESCENTS, Rigid3D
+from dcreg.families.rigid3d.starts import ALIKE
 from dcreg.problem.geometry import fit_pose
+from dcreg.search import Budget
 from dcreg.status import Status
 from tests.fuzz import reference
 from tests.problems import KINDS, cloud, register
@@ -185,3 +187,43 @@ def test_vertex_values_see_the_stop_flag(rng, monkeypatch):
     run_mode(find_mode("rigid3d", "full"), given)
     assert untouched
     assert all(untouched)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.3])
+def test_local_searches_from_a_grid_end_when_they_agree(noise, rng):
+    """All points match. Only for large clouds, and only if nothing else fits nearly as well."""
+    points = rng.standard_normal((210, 3)) * [3.0, 2.0, 1.0]
+    moved = points @ Rotation.random(random_state=3).as_matrix().T
+    moved += noise * rng.standard_normal(moved.shape)
+    few, many = (
+        Rigid3D(points[:n] - points[:n].mean(axis=0), moved[:n] - moved[:n].mean(axis=0), n)
+        for n in (150, 210)
+    )
+    few.start(Budget())
+    assert len(few.ends) == Rigid3D.n_descents
+    _, value, _ = many.start(Budget())
+    assert many.is_confirmed
+    assert FEW_DESCENTS <= len(many.ends) < Rigid3D.n_descents
+    ends = sorted(end for _, end in many.ends)
+    assert ends[0] == value
+    assert ends[1] <= ALIKE * value
+
+
+def test_local_searches_of_a_symmetric_cloud_do_not_agree(rng):
+    half = rng.standard_normal((105, 3))
+    points = np.concatenate([half, half * [-1.0, -1.0, 1.0]])
+    moved = points + 0.01 * rng.standard_normal(points.shape)
+    space = Rigid3D(points - points.mean(axis=0), moved - moved.mean(axis=0), len(points))
+    space.start(Budget())
+    assert not space.is_confirmed
+    assert len(space.ends) == Rigid3D.n_descents
+
+
+@pytest.mark.parametrize("k", [9, 14])
+def test_a_local_search_gives_a_pose_with_its_objective(k, rng):
+    """Its assignments start from dual variables of the previous pose."""
+    space = Rigid3D(rng.standard_normal((14, 3)), rng.standard_normal((16, 3)), k)
+    for seed in space.seeds()[::100]:
+        theta, value, _ = space.refine(seed)
+        assert value == pytest.approx(space.objective(theta)[0], rel=1e-9)
+        assert value <= space.objective(seed)[0]

@@ -15,6 +15,7 @@ from dcreg.search import (
     space_search,
 )
 from dcreg.search.branch_and_bound import Search, Start
+from dcreg.search.prospect import Prospect
 from dcreg.status import Status
 
 ROOT = [Box(-np.ones(2), np.ones(2))]
@@ -238,6 +239,29 @@ def test_a_narrowed_search_has_its_whole_patience_and_no_more(set_clock):
     assert not search._has_no_prospect()
     set_clock.now += 0.2
     assert search._has_no_prospect()
+
+
+def test_local_searches_and_the_estimate_are_set_aside(set_clock, monkeypatch):
+    """They say nothing about the time that boxes take."""
+    search, asked = paused_search(Budget(time_s=1000.0).with_patience(900.0)), []
+
+    def refine(theta):
+        set_clock.now += 2.0
+        return theta, np.inf, 1
+
+    def estimate(*_):
+        set_clock.now += 3.0
+        return Prospect(1e6)
+
+    monkeypatch.setattr(Prospect, "of", estimate)
+    monkeypatch.setattr(Prospect, "is_poor", lambda *given: asked.append(given[1:]))
+    monkeypatch.setattr(Ripples, "fresh", lambda self: self, raising=False)
+    search.refine, search.worth_refining = refine, np.inf
+    search.run(search.n_nodes + 1)
+    n_nodes, spent_s, _, aside_s = asked[-1]
+    assert n_nodes == search.n_nodes
+    assert aside_s == search.aside_s == 5.0
+    assert spent_s == search.budget.elapsed() - search.waited_from >= aside_s
 
 
 class SlowCover:

@@ -24,7 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.assignment.alternation import alternate
+from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
 from dcreg.families.parallel import in_threads
 from dcreg.families.protocol import means_of_subsets, radius
 from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
@@ -55,6 +56,7 @@ _CONGRUENT_SHARE = 0.5  # maximum share of the time for the poses of congruent t
 DENSE_DESCENTS = 40_000  # pairs beyond which local searches begin with nearest neighbours
 COARSE_PAIRS = 200_000  # beyond which the first local searches are on few points
 COARSE_POINTS, MAX_COARSE = 300, 1200  # of the smaller and of the larger cloud
+FEW_DESCENTS = 6  # from poses of the grid, after which two may agree on the best one
 MAX_FINE = 5  # poses of the few points that are refined on all
 MAX_CONFIRMED = 2  # ... if they are confirmed: the best one and a runner-up
 
@@ -143,11 +145,30 @@ class Rigid3D(CloudSpace):
         ]
 
     def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
-        cost = np.empty((self.n_source, self.n_target))
-        pose_costs(theta, self.clouds, cost)
-        value, col_of, _ = cheapest_pairs(cost, self.n_inliers, self.stop_flag)
+        value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop_flag)
         self.check()
         return float(value), col_of
+
+    def _costs(self, theta: np.ndarray) -> np.ndarray:
+        cost = np.empty((self.n_source, self.n_target))
+        pose_costs(theta, self.clouds, cost)
+        return cost
+
+    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """Alternate matching and fit; each assignment starts from the previous dual variables."""
+        value, col_of, duals = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop_flag)
+        self.check()
+
+        def evaluate(trial: np.ndarray) -> tuple[float, np.ndarray]:
+            costs = self._costs(trial)
+            value, col_of = improve_assignment(costs, self.n_inliers, duals, self.stop_flag)
+            self.check()
+            return float(value), col_of
+
+        theta, value, _, spent = alternate(
+            theta, float(value), col_of, self.fit_matching, evaluate, self.min_gain
+        )
+        return self.normalised(theta), value, spent + 1
 
     @staticmethod
     def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -170,13 +191,25 @@ class Rigid3D(CloudSpace):
         """
         box = self.translations()
         if (box.lower == box.upper).all():
-            yield from super().starts(budget)
+            yield from self._grid_starts(budget)
         elif self._is_dense and self.candidates is None:
             yield from self._coarse_starts(budget)
         else:
             yield from self._congruent_starts(budget.sub_budget(_CONGRUENT_SHARE))
             if not self.is_confirmed:
                 yield from super().starts(budget)
+
+    def _grid_starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
+        """Yield poses of a regular grid; of large clouds until the first ones agree."""
+        for tried, start in enumerate(super().starts(budget)):
+            if tried >= FEW_DESCENTS and self.n_pairs > DENSE_DESCENTS and self._do_ends_agree():
+                break
+            yield start
+        self.is_confirmed = self.n_inliers >= MIN_CONFIRMED and self._do_ends_agree()
+
+    def _do_ends_agree(self) -> bool:
+        """Tell whether local searches from different poses found the best one, as `is_confirmed`."""
+        return is_confirmed([[(self._vertices(theta), value)] for theta, value in self.ends])
 
     def _congruent_starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
         """Yield poses of rounds of congruent triples until they are confirmed."""

@@ -15,10 +15,12 @@ from dcreg.families.protocol import means_of_subsets, radius
 from dcreg.families.similarity2d.starts import similar_poses
 from dcreg.jit import NEVER
 from dcreg.names import SIMILARITY_POSE
+from dcreg.problem.geometry import representative_points, sampled_pairs
 from dcreg.search import Box, Budget
 
 # Shares of the pairs beyond k with which local searches begin; they end with k pairs.
 _SURPLUS = (0.75, 0.5, 0.25)
+MAX_SCORED = 300  # points of each cloud by which seeds are scored
 
 
 def largest_subset_mean(points: np.ndarray, count: int, n_directions: int = 64) -> float:
@@ -99,13 +101,17 @@ class Similarity2D(FeatureSpace):
         return objectives(self.clouds, thetas, values)
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
-        """Score by the objective."""
+        """Score by the objective, of a sample of large clouds."""
         return self._score(seeds, self.n_inliers)
 
     def _score(self, seeds: np.ndarray, count: int) -> tuple[np.ndarray, int]:
+        clouds = self.source, self.clouds.target.T
+        rows, columns = (representative_points(points, MAX_SCORED) for points in clouds)
+        count = sampled_pairs(count, clouds, (rows, columns))
         values = np.empty(len(seeds))
         for at, seed in enumerate(seeds):
-            values[at], _, _ = cheapest_pairs(self._costs(seed), count, self.stop_flag)
+            costs = np.ascontiguousarray(self._costs(seed)[np.ix_(rows, columns)])
+            values[at], _, _ = cheapest_pairs(costs, count, self.stop_flag)
             self.check()
         return values, len(seeds)
 
