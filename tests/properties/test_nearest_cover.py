@@ -8,7 +8,12 @@ from hypothesis import strategies as st
 from dcreg.families.similarity2d import cover as cover_2d
 from dcreg.families.similarity2d.bound import TightBound
 from dcreg.families.similarity2d.cover import NearestCover, distances_to, sides_of
-from dcreg.families.similarity2d.kernels.exclusion import _squared_distance, is_excluded, joint_loss
+from dcreg.families.similarity2d.kernels.exclusion import (
+    _squared_distance,
+    _target_loss,
+    is_excluded,
+    joint_loss,
+)
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Budget, Interrupted, Tolerance, minimise
 
@@ -62,6 +67,21 @@ def test_no_excluded_box_contains_an_optimum_below_the_cutoff(sizes, seed):
 
 
 @given(SEEDS)
+def test_target_loss_is_not_below_that_of_any_subset(seed):
+    """It is attained if all points are equal."""
+    rng = np.random.default_rng(seed)
+    space = make_space(seed)
+    x = space.source @ np.array([1.0, 1.0j])
+    reach, shift = rng.random(2)
+    found = plain(_target_loss)(sides_of(space), reach, shift)
+    w, t = (size * np.exp(2j * np.pi * rng.random(100))[:, None] for size in (reach, shift))
+    subsets = np.sort(abs(w * x + t) ** 2, axis=1)[:, -space.n_inliers :]
+    assert subsets.sum(axis=1).max() <= found
+    equal = sides_of(space)._replace(sum=6.0 * 0.7, square_sum=6.0 * 0.49)
+    assert plain(_target_loss)(equal, reach, shift) == pytest.approx(6 * (shift + 0.7 * reach) ** 2)
+
+
+@given(SEEDS)
 def test_joint_loss_is_the_maximum_over_the_vertices(seed):
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((7, 2)) @ np.array([1.0, 1.0j])
@@ -86,15 +106,16 @@ def test_grid_distances_are_lower_bounds(seed):
     field = distances_to(points)
     for place in rng.uniform(-4.0, 4.0, (50, 2)):
         true = float(np.sqrt(((points - place) ** 2).sum(axis=1)).min())
-        found = float(_squared_distance_of(field, place)) ** 0.5
+        found = float(plain(_squared_distance)(field, *place)) ** 0.5
         assert found <= true + 1e-12
         cells = (place - field.origin) * field.density
         if (cells >= 0.0).all() and (cells < field.squares.shape).all():
             assert found >= true - 2.0 / field.density
 
 
-def _squared_distance_of(field, place):
-    return getattr(_squared_distance, "py_func", _squared_distance)(field, *place)
+def plain(kernel):
+    """Return the Python function of a kernel that has no entry of its own."""
+    return getattr(kernel, "py_func", kernel)
 
 
 @settings(max_examples=25)

@@ -155,6 +155,13 @@ def _source_loss(sides, half, squares, tau):
     return joint_loss((s0, s1, s2, s3), half)
 
 
+@jit_part
+def _target_loss(sides, reach, shift):
+    """Return the maximum of sum |t + w x_i|^2 of k source points for |w| <= reach, |t| <= shift."""
+    own = sides.k * shift * shift + sides.square_sum * reach * reach
+    return own + 2.0 * shift * reach * sides.sum
+
+
 @jit
 def is_excluded(sides, centre, half, cutoff, work, levels):
     """Tell whether no optimum below the cutoff lies in a box, and whether division is of no use.
@@ -166,8 +173,7 @@ def is_excluded(sides, centre, half, cutoff, work, levels):
     reach = math.sqrt(half[0] * half[0] + half[1] * half[1])
     shift = math.sqrt(half[2] * half[2] + half[3] * half[3])
     to_source = _target_sum(sides, centre, work[1], levels)
-    loss = sides.k * shift * shift + sides.square_sum * reach * reach
-    if to_source - loss - 2.0 * shift * reach * sides.sum >= goal:
+    if to_source - _target_loss(sides, reach, shift) >= goal:
         return True, False
     to_target = _source_sum(sides, centre, work[0], levels)
     if to_target >= goal and to_target - _source_loss(sides, half, work[0], levels[0]) >= goal:
