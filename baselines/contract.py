@@ -109,6 +109,8 @@ class Card(BaseModel):
 
     display_name: str
     summary: str
+    # Raised by the author when results change; `python -m workflows versions` checks it.
+    version: int = Field(default=1, ge=1)
     models: list[ModelName]
     # official: the authors' own code; library: code of a general package; port: our code for a published
     # algorithm; reconstruction: our code for a paper whose body was not read, a member of the described

@@ -32,11 +32,12 @@ from dcreg.problem.problem import suggestion
 
 ROOT = Path(__file__).resolve().parent
 TEMPLATE = ROOT / "_template"
+VERSIONS = "versions.json"
 
 # Facts of a card that do not affect a solve: a change of them repeats no run.
 PRESENTATION = {
     "display_name", "summary", "input", "provenance", "language", "how_to_get", "citation", "licence",
-    "url", "color", "marker", "ranges", "solves_assignments",
+    "url", "color", "marker", "ranges", "solves_assignments", "version",
 }  # fmt: skip
 
 
@@ -186,19 +187,41 @@ def version(card: Card) -> str:
 
 
 def fingerprint(name: str, root: Path | None = None) -> str:
-    """Hash everything that determines the results of method `name`.
+    """Return what identifies the results of method `name`.
 
-    This is its folder, all code of this checkout that it imports, and the version of the package that
-    it requires. It depends on files only: no adapter is imported. Facts of the card that are only
-    shown (`PRESENTATION`) do not count, so a new colour repeats no run.
+    This is its declared version, if its code is known to give the results of that version
+    (`known_codes`), otherwise the hash of its code. The version of the package that it requires is part
+    of both.
+    """
+    root = root or root_of(name)
+    card, code = read_card(name, root), code_hash(name, root)
+    package = f" {card.requires} {version(card)}" if card.requires else ""
+    known = known_codes(root).get(name, {})
+    if known.get("version") == card.version and code in known["codes"]:
+        return f"{name} {card.version}{package}"
+    return f"{code}{package}"
+
+
+def known_codes(root: Path | None = None) -> dict[str, Any]:
+    """Return, by method, the declared version, the hashes of code with its results, and these results.
+
+    `workflows.versions` writes them.
+    """
+    path = (root or ROOT) / VERSIONS
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+
+
+def code_hash(name: str, root: Path | None = None) -> str:
+    """Hash all code and defaults that determine the results of method `name`.
+
+    This is its folder and all code of this checkout that it imports. It depends on files only: no
+    adapter is imported. Facts of the card that are only shown (`PRESENTATION`) do not count.
     """
     root = root or root_of(name)
     card = read_card(name, root)
     digest = hashlib.sha256()
     solving = card.model_dump(exclude=PRESENTATION)
     digest.update(json.dumps(solving, sort_keys=True, default=str).encode())
-    if card.requires:
-        digest.update(f"{card.requires}={version(card)}".encode())
     for path in code_of(name, root):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]

@@ -139,9 +139,10 @@ def archive(
     from dcreg import __version__
     from reports.archive import crate, read
     from reports.archive.write import write
+    from workflows.archives import HERE
 
     name = version or __version__
-    folder = write(results or [Path("results")], read.ARCHIVES / name, name)
+    folder = write(results or [Path("results")], HERE / name, name)
     read.check(folder)
     crate.check(folder)
     size = sum(path.stat().st_size for path in folder.rglob("*"))

@@ -18,7 +18,7 @@ import typer
 from dcreg.problem import suggestion
 from dcreg.status import Status
 from workflows import CHECKOUT, UserError
-from workflows.cli import Experiment, say, user_errors
+from workflows.cli import Experiment, say, stop, user_errors
 
 if TYPE_CHECKING:
     from workflows.stages.plan import Plan
@@ -182,6 +182,32 @@ def compare(
     if json_out:
         json_out.write_text(table.to_json(orient="records", indent=1), encoding="utf-8")
     raise typer.Exit(1 if failed else 0)
+
+
+@app.command()
+@user_errors
+def versions(
+    methods: Axis = "",
+    accept: Annotated[
+        bool, typer.Option("--accept", help="Store new versions, and code with the same results.")
+    ] = False,
+    reviewed: Annotated[
+        str,
+        typer.Option(help="Methods that cannot be checked here and whose results did not change."),
+    ] = "",
+) -> None:
+    """Check that the declared version of every method fits its code."""
+    from baselines import registry
+    from workflows.versions import check
+
+    names = methods.split(",") if methods else registry.names(registry.ROOT)
+    unsettled = []
+    for found in check(names, reviewed.split(","), accept=accept):
+        print(f"{found.name:<16} {found.state}", flush=True)
+        if not found.is_settled:
+            unsettled.append(f"{found.name}: {found.state}: {found.remedy}")
+    if unsettled:
+        stop("\n".join(unsettled))
 
 
 @app.command()

@@ -19,6 +19,7 @@ from baselines import registry
 from dcreg.status import Status
 from dcreg.text import percent
 from workflows import records
+from workflows.archives import archived
 from workflows.compose import QUICK, ConfigError
 from workflows.config import Experiment, MethodSettings, load
 from workflows.metrics import METRICS
@@ -175,7 +176,8 @@ def _kept(plan: Plan, folder: Path) -> dict[str, dict[str, Any]]:
     kept: dict[str, dict[str, Any]] = {}
     for method in plan.methods:
         fingerprint = registry.fingerprint(method.baseline)
-        for row in journalled(folder / "runs" / method.name).values():
+        finished = {**archived(method.name), **journalled(folder / "runs" / method.name)}
+        for row in finished.values():
             if kept.get(row["run_id"], {}).get("fingerprint") != fingerprint:
                 kept[row["run_id"]] = row
     return kept

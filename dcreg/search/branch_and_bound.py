@@ -313,11 +313,11 @@ class Search:
         if not done:
             return False
         if self.prospect is None:
-            if Prospect(done + N_DESCENTS).is_poor(done, spent, budget, self.aside_s):
+            if Prospect(done + N_DESCENTS).is_poor(done, spent, budget):
                 return True  # the estimate alone would take too long
             self.prospect = Prospect.of(
                 self.bound.fresh(), self.branching, self.cutoff, self.confined.boxes,
-                self.within_region,
+                self.within_region, budget, spent,
             )  # fmt: skip
             estimating_s = budget.elapsed() - self.waited_from - spent
             self.aside_s, spent = self.aside_s + estimating_s, spent + estimating_s

@@ -15,6 +15,7 @@ ASKED_AFTER_S = 0.25  # seconds of search before the estimate; most searches end
 WATCHED_AFTER_S = 2.0  # ... if only the listener needs the estimate, which costs time
 MAX_TIME_RATIO = 3.0  # estimated divided by remaining time above which no proof is expected
 N_DESCENTS = 128
+ESTIMATE_SHARE = 0.2  # of the time left, for the estimate; a longer one means that no proof is near
 _MAX_DEPTH = 80  # divisions; the boxes of a longer descent contain the minimiser
 
 
@@ -28,6 +29,7 @@ def expected_boxes(
     cutoff: float,
     roots: Boxes | None = None,
     within_region: Callable[[Boxes], Boxes] = _all,
+    is_late: Callable[[], bool] = bool,
 ) -> float:
     """Estimate how many boxes have to be bounded until every open box reaches `cutoff`.
 
@@ -48,10 +50,13 @@ def expected_boxes(
         Default: those of the bound.
     within_region : callable, optional
         Returns those of some boxes that have to be bounded at all.
+    is_late : callable, optional
+        Whether to end the estimate. Default: never.
 
     Returns
     -------
     float
+        inf if the estimate was ended.
     """
     rng = np.random.default_rng(0)
     roots = Boxes.of(bound.roots) if roots is None else roots
@@ -64,6 +69,8 @@ def expected_boxes(
         still = bounds < cutoff
         if not still.any():
             break
+        if is_late():
+            return math.inf
         kept = Boxes(boxes.lower, boxes.upper, bounds, found.warm_start)[still]
         halves = branching(kept)
         boxes = within_region(halves[2 * np.arange(len(kept)) + rng.integers(2, size=len(kept))])
@@ -91,15 +98,25 @@ class Prospect:
         branching: Callable[[Boxes], Boxes],
         cutoff: float,
         roots: Boxes,
-        within_region: Callable[[Boxes], Boxes] = _all,
+        within_region: Callable[[Boxes], Boxes],
+        budget: Budget,
+        spent_s: float,
     ) -> Prospect:
         """Estimate by random descents; without time for them, the estimate is 0 boxes.
 
         `bound` must not be that of the search, because data that it stores about boxes would change the
-        search.
+        search. If the search can end without a proof, and the descents take more than `ESTIMATE_SHARE`
+        of the time left, the estimate is inf.
         """
+        late_s = math.inf
+        if budget.patience_s is not None:
+            late_s = budget.elapsed() + ESTIMATE_SHARE * _left_s(spent_s, budget)
+
+        def is_late() -> bool:
+            return budget.elapsed() > late_s
+
         try:
-            return cls(expected_boxes(bound, branching, cutoff, roots, within_region))
+            return cls(expected_boxes(bound, branching, cutoff, roots, within_region, is_late))
         except Interrupted:
             return cls(0.0)
 

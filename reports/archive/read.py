@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import gzip
-import json
 import shutil
 import zipfile
-from pathlib import Path, PurePosixPath
-from typing import Any
+from pathlib import Path
 
 import pandas as pd
 
-from reports.archive.write import digest
 from reports.tables import ReportError
 from workflows import records
+from workflows.archives import CHECKSUMS, HERE, RUNS, TRACES, check, digest, facts, is_inside
 from workflows.stages.aggregate import accounting
 
-ARCHIVES = Path(__file__).parent
-CHECKSUMS = "checksums.sha256"
 MOST_UNPACKED = 200_000_000  # bytes of a zip file's content
 
 
@@ -27,7 +23,7 @@ def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
     Parameters
     ----------
     archive : str
-        A version of `ARCHIVES`, a folder, a zip file, or an http(s) address of one.
+        A version of `HERE`, a folder, a zip file, or an http(s) address of one.
     cache : Path
         Folder for downloaded and unpacked files.
     sha256 : str
@@ -40,7 +36,7 @@ def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
     """
     if archive.startswith(("http://", "https://")):
         archive = str(_download(archive, cache, sha256))
-    path = next((p for p in (ARCHIVES / archive, Path(archive)) if p.exists()), None)
+    path = next((p for p in (HERE / archive, Path(archive)) if p.exists()), None)
     if path is None:
         known = ", ".join(versions()) or "none"
         raise ReportError(f"{archive}: no such archive; stored versions: {known}")
@@ -54,37 +50,9 @@ def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
 
 def versions() -> list[str]:
     """Return the stored versions, the latest last."""
-    found = [path.parent for path in ARCHIVES.glob("*/archive.json")]
+    found = [path.parent for path in HERE.glob("*/archive.json")]
     created = {path.name: facts(path)["created"] for path in found}
     return sorted(created, key=lambda name: created[name])
-
-
-def facts(folder: Path) -> dict[str, Any]:
-    """Return the content of ``archive.json``."""
-    return json.loads((folder / "archive.json").read_text(encoding="utf-8"))
-
-
-def check(folder: Path) -> None:
-    """Refuse an archive with a missing or damaged file, or of another version of the schema.
-
-    Raises
-    ------
-    ReportError, SchemaError
-    """
-    path = folder / CHECKSUMS
-    if not path.is_file():
-        raise ReportError(f"{path}: missing; {folder} is not an archive")
-    for line in path.read_text(encoding="utf-8").splitlines():
-        stated, _, name = line.partition("  ")
-        if not _is_inside(name) or not (folder / name).is_file():
-            raise ReportError(f"{folder / name}: listed in {CHECKSUMS} and missing; get it again")
-        if digest(folder / name) != stated:
-            raise ReportError(
-                f"{folder / name}: damaged, its SHA-256 is not {stated}; get it again"
-            )
-    records.check_version(
-        facts(folder)["schema_version"], str(folder), "use the checkout of its version"
-    )
 
 
 def restore(folder: Path, out: Path) -> list[Path]:
@@ -92,8 +60,8 @@ def restore(folder: Path, out: Path) -> list[Path]:
 
     They are those of the original results, with thinned bound histories.
     """
-    runs = pd.read_parquet(folder / "runs.parquet")
-    traces = pd.read_parquet(folder / "traces.parquet")
+    runs = pd.read_parquet(folder / RUNS)
+    traces = pd.read_parquet(folder / TRACES)
     places = []
     for name, own in runs.groupby("experiment", sort=False):
         places.append(out / str(name) / "tables")
@@ -139,15 +107,10 @@ def _unzipped(path: Path, cache: Path) -> Path:
             )
         for entry in members:
             is_link = (entry.external_attr >> 28) == 0xA
-            if is_link or not _is_inside(entry.filename):
+            if is_link or not is_inside(entry.filename):
                 raise ReportError(f"{path}: unsafe member {entry.filename!r}; do not use this file")
         packed.extractall(out, members=members)
     roots = [found.parent for found in sorted(out.rglob(CHECKSUMS))]
     if not roots:
         raise ReportError(f"{path}: no {CHECKSUMS} inside; not an archive")
     return roots[0]
-
-
-def _is_inside(name: str) -> bool:
-    path = PurePosixPath(name.replace("\\", "/"))
-    return bool(name) and not path.is_absolute() and ".." not in path.parts

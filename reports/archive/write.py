@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import hashlib
 import json
 import shutil
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from reports.archive.crate import describe
 from reports.ledger.evidence import STUDY
 from reports.tables import ReportError, Tables, thin_trace
 from workflows import CHECKOUT, provenance, records
+from workflows.archives import CHECKSUMS, RUNS, TRACES, digest
 
 MOST_EVENTS = 64  # of a run's bound history
 MOST_BYTES = 25_000_000  # of an archive
@@ -68,12 +68,6 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
     return out
 
 
-def digest(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def thinned(traces: pd.DataFrame) -> pd.DataFrame:
     """Return bound histories with at most `MOST_EVENTS` events a run, in the order of the runs."""
     if traces.empty:
@@ -88,8 +82,8 @@ def _write_tables(tables: Sequence[Tables], out: Path) -> None:
         [thinned(each.traces).assign(experiment=each.experiment) for each in tables],
         ignore_index=True,
     )
-    _store(runs, out / "runs.parquet")
-    _store(traces.drop(columns=_SHARED), out / "traces.parquet")
+    _store(runs, out / RUNS)
+    _store(traces.drop(columns=_SHARED), out / TRACES)
     for each in tables:
         folder = out / "experiments" / each.experiment
         folder.mkdir(parents=True)
@@ -132,4 +126,4 @@ def _facts(tables: Sequence[Tables], version: str) -> dict[str, Any]:
 def _write_checksums(out: Path) -> None:
     files = sorted(path for path in out.rglob("*") if path.is_file())
     lines = [f"{digest(path)}  {path.relative_to(out).as_posix()}\n" for path in files]
-    (out / "checksums.sha256").write_text("".join(lines), encoding="utf-8")
+    (out / CHECKSUMS).write_text("".join(lines), encoding="utf-8")

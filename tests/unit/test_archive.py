@@ -15,6 +15,7 @@ from reports.archive import crate, pages, read
 from reports.archive import write as writing
 from reports.tables import ReportError, Tables
 from workflows import records
+from workflows.archives import ArchiveError, archived
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +98,10 @@ def test_a_damaged_or_missing_file_is_refused(archive, tmp_path, name):
     own = _copy(archive, tmp_path / "own")
     content = (own / name).read_bytes()
     (own / name).write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    with pytest.raises(ReportError, match=f"{Path(name).name}: damaged"):
+    with pytest.raises(ArchiveError, match=f"{Path(name).name}: damaged"):
         read.folder_of(str(own), tmp_path)
     (own / name).unlink()
-    with pytest.raises(ReportError, match="missing"):
+    with pytest.raises(ArchiveError, match="missing"):
         read.folder_of(str(own), tmp_path)
 
 
@@ -180,3 +181,30 @@ def test_all_pages_are_built_from_an_archive(archive, tmp_path):
     for link in (*reports, "claims/claims.html", "figures/index.html"):
         assert f'href="{link}"' in text
         assert (index.parent / link).is_file()
+
+
+def test_archived_runs_are_found_again_with_their_histories(results, archive, monkeypatch):
+    monkeypatch.setenv("DCREG_ARCHIVES", str(archive.parent))
+    tables = Tables.load(results / "two" / "tables")
+    for name, own in tables.runs.groupby("method"):
+        usable = own[own["outcome"].isin(["finished", "limited"])].drop_duplicates("run_id")
+        found = archived(str(name))
+        assert {key[0] for key in found} == set(usable["run_id"])
+        for row in found.values():
+            (original,) = usable[usable["run_id"] == row["run_id"]].to_dict("records")
+            assert all(original[column] == row[column] for column in row if column != "trace")
+            events = tables.traces[tables.traces["run_id"] == row["run_id"]]
+            kept = writing.thinned(events)["upper_bound"].dropna().tolist()
+            assert [
+                event["upper_bound"] for event in row["trace"] if "upper_bound" in event
+            ] == kept
+    monkeypatch.setenv("DCREG_ARCHIVES", "")
+    assert archived("dcreg") == {}
+
+
+def test_no_run_is_taken_from_a_damaged_archive(archive, tmp_path, monkeypatch):
+    own = _copy(archive, tmp_path / "archives" / "own")
+    (own / "traces.parquet").write_bytes(b"")
+    monkeypatch.setenv("DCREG_ARCHIVES", str(own.parent))
+    with pytest.raises(ArchiveError, match="damaged"):
+        archived("dcreg")

@@ -264,6 +264,28 @@ def test_local_searches_and_the_estimate_are_set_aside(set_clock, monkeypatch):
     assert spent_s == search.budget.elapsed() - search.waited_from >= aside_s
 
 
+class SlowRipples(Ripples):
+    """Takes a second for each call."""
+
+    def __init__(self, clock):
+        super().__init__()
+        self.clock = clock
+
+    def evaluate(self, boxes, cutoff):
+        self.clock.now += 1.0
+        return super().evaluate(boxes, cutoff)
+
+
+@pytest.mark.parametrize(("patience_s", "is_ended"), [(5.0, True), (500.0, False), (None, False)])
+def test_an_estimate_that_takes_long_is_ended(set_clock, patience_s, is_ended):
+    """Unless the search goes on in any case; here the estimate takes several seconds."""
+    budget, bound = Budget(time_s=1000.0).with_patience(patience_s), SlowRipples(set_clock)
+    found = Prospect.of(
+        bound, LongestEdge(np.ones(2)), 0.1, Boxes.of(ROOT), lambda boxes: boxes, budget, 0.0
+    )
+    assert (found.n_nodes == np.inf) == is_ended
+
+
 class SlowCover:
     """Takes three seconds and confines the search to a part of the roots."""
 

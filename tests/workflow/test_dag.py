@@ -196,6 +196,21 @@ def test_the_whole_path_leads_to_complete_tables(checkout):
     assert "tiny" in report
 
 
+def test_a_run_of_an_archive_is_not_repeated(checkout, tmp_path):
+    before, runs = checkout.runs(), checkout.root / "results/tiny/runs"
+    checkout.command("archive", "--version", "1", module="reports")
+    archive = checkout.root / "reports/archive/1"
+    shutil.move(runs, tmp_path / "runs")
+    try:
+        assert {"solve dcreg", "solve icp"} <= set(checkout.run())
+        assert not [line for path in runs.glob("*/*.journal.jsonl") for line in _lines(path)]
+        pd.testing.assert_frame_equal(checkout.runs(), before)  # times as well
+    finally:
+        shutil.rmtree(archive)
+        shutil.rmtree(runs)
+        shutil.move(tmp_path / "runs", runs)
+
+
 def test_a_run_that_is_not_needed_is_counted_and_not_made(checkout):
     """Only `dcreg` needs the block; its runs are those of the whole experiment, and none is repeated."""
     needs = checkout.root / "needs.json"

@@ -1,8 +1,8 @@
 """One solve job: a method on a chunk of instances; every finished run is stored at once.
 
 Next to the final file is a journal with one line per finished run. A job that was interrupted, or whose
-chunk has changed, takes from the journals of the method all runs with the same run_id, input and method
-fingerprint, and solves the rest.
+chunk has changed, takes from the journals of the method, and from archives, all runs with the same
+run_id, input and method fingerprint, and solves the rest.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from dcreg.problem import EXACT, rounding_error
 from dcreg.search import proven_share
 from dcreg.status import Status
 from workflows import provenance, records
+from workflows.archives import archived
 from workflows.config import Experiment, MethodSettings
 from workflows.instances import content_digest, read_problems, read_truths, with_oracle
 from workflows.stages.plan import run_identity
@@ -101,7 +102,7 @@ def _rows(
         "machine_id": provenance.machine_card()["machine_id"],
         "parallel_jobs": float(os.environ.get("DCREG_PARALLEL_JOBS", 1)),
     }
-    finished = journalled(runs_path.parent)
+    finished = {**archived(method.name), **journalled(runs_path.parent)}
     log = runs_path.with_suffix(".log")
     journal_path = runs_path.with_suffix(".journal.jsonl")
     limits = experiment.limits_of(method)

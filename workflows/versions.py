@@ -1,0 +1,136 @@
+"""Declared versions of methods, and the code that is known to give the results of a version.
+
+``baselines/versions.json`` has, for each method, the version that its card declares, the hashes of code
+with the results of this version, and these results for a few small problems. Runs of the same version
+are comparable and need not be repeated, also if code was moved in between.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines import registry
+from dcreg.files import whole_file
+from dcreg.status import Status
+from workflows.config import LimitSettings, MethodSettings
+from workflows.stages.generate import instance_of
+from workflows.stages.plan import InstanceSpec
+from workflows.stages.sandbox import Sandbox
+from workflows.stages.worker import COUNTERS
+
+KNOWN, SAME, NEW, CHANGED, UNKNOWN, LOWERED = (
+    "known", "same results", "new version", "results changed", "cannot be checked", "version lowered",
+)  # fmt: skip
+REMEDIES = {
+    CHANGED: "raise `version` in its card.yaml, and run this command again",
+    UNKNOWN: "raise `version` in its card.yaml, or give --reviewed {name} if no result changes",
+    LOWERED: "restore `version` in its card.yaml",
+}
+PROBLEMS = [
+    InstanceSpec("embedded", shape, test, 0.2, trial=0, n_points=12, model=model)
+    for model, shape in (("similarity2d", "fish"), ("rigid3d", "pony"))
+    for test in ("separate_outliers", "occlusion_outliers")
+]
+# The limit of assignments ends a search before that of time does.
+LIMITS = LimitSettings(time_s=120.0, memory_mb=8192, assignments=2000)
+MOST_CODES = 20  # hashes kept for each version
+_DIGITS = 6  # of a pose: the last bits differ between machines
+
+
+@dataclass(frozen=True)
+class Check:
+    """What became of the version of one method."""
+
+    name: str
+    state: str
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the code of the method is known, or may be stored as known."""
+        return self.state not in REMEDIES
+
+    @property
+    def remedy(self) -> str:
+        return REMEDIES.get(self.state, "").format(name=self.name)
+
+
+def results_of(name: str) -> list[dict[str, Any]] | None:
+    """Return the results of a method for `PROBLEMS`; None if they cannot be compared.
+
+    This is so if the method is not available here, or not deterministic.
+    """
+    if not registry.read_card(name).deterministic:
+        return None
+    found = []
+    outliers = registry.oracle_outliers(name, {})
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "log"
+        with Sandbox(MethodSettings(name=name, baseline=name), LIMITS, log) as sandbox:
+            for spec in PROBLEMS:
+                answer = sandbox.solve(instance_of(spec, 1.0, 0, outliers))
+                if answer["status"] == Status.UNAVAILABLE:
+                    return None
+                found.append(_result(answer))
+    return found
+
+
+def _result(answer: dict[str, Any]) -> dict[str, Any]:
+    pose = answer.get("T_target_source")
+    rounded = None if pose is None else (np.round(pose, _DIGITS) + 0.0).tolist()
+    counters = {name: answer[name] for name in COUNTERS if answer.get(name) is not None}
+    return {"status": Status(answer["status"]).value, **counters, "pose": rounded}
+
+
+def check(names: Iterable[str], reviewed: Iterable[str] = (), *, accept: bool) -> Iterator[Check]:
+    """Compare the code of methods with what is stored, and with `accept` store what is settled.
+
+    Parameters
+    ----------
+    names : iterable of str
+    reviewed : iterable of str
+        Methods whose results cannot be compared here, and are said not to have changed.
+    accept : bool
+    """
+    reviewed = set(reviewed)
+    for name in names:
+        stored = registry.known_codes()
+        found, entry = _checked(name, stored.get(name), name in reviewed)
+        if accept and found.is_settled and entry != stored.get(name):
+            _write({**stored, name: entry})
+        yield found
+
+
+def _checked(
+    name: str, known: dict[str, Any] | None, reviewed: bool
+) -> tuple[Check, dict[str, Any] | None]:
+    """Return the state of a method, and its entry in the file if the state is accepted."""
+    code, version = registry.code_hash(name), registry.read_card(name).version
+    if known is None or version > known["version"]:
+        entry = {"version": version, "codes": [code], "results": results_of(name)}
+        return Check(name, NEW), entry
+    if version < known["version"]:
+        return Check(name, LOWERED), known
+    if code in known["codes"]:
+        return Check(name, KNOWN), known
+    extended = {**known, "codes": [*known["codes"], code][-MOST_CODES:]}
+    if reviewed:
+        return Check(name, SAME), extended
+    results = results_of(name)
+    if results is None or known["results"] is None:
+        return Check(name, UNKNOWN), known
+    if results == known["results"]:
+        return Check(name, SAME), extended
+    return Check(name, CHANGED), known
+
+
+def _write(entries: dict[str, Any]) -> None:
+    lines = (f"{json.dumps(name)}: {json.dumps(entries[name])}" for name in sorted(entries))
+    with whole_file(registry.ROOT / registry.VERSIONS) as part:
+        part.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
