@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parent
 TEMPLATE = ROOT / "_template"
 VERSIONS = "versions.json"
 
-# Facts of a card that do not affect a solve: a change of them repeats no run.
+# Facts of a card that are not part of the hash of a method's code. All but `version` are only shown.
 PRESENTATION = {
     "display_name", "summary", "input", "provenance", "language", "how_to_get", "citation", "licence",
     "url", "color", "marker", "ranges", "solves_assignments", "version",

@@ -306,8 +306,11 @@ def is_compiled(kernel: Any) -> bool:
     """Tell whether a kernel need not be compiled, in this process or in an earlier one."""
     if INTERPRETED or kernel.signatures:
         return True
-    folder, name = Path(kernel._cache.cache_path), kernel.py_func.__name__
-    return any(folder.glob(f"*.{name}-*.nbi"))
+    folder, name = (
+        kernel._cache.cache_path,
+        kernel.py_func.__name__,
+    )  # no folder: compiled only here
+    return folder is not None and any(Path(folder).glob(f"*.{name}-*.nbi"))
 
 
 def intrinsic(stand_in: Any) -> Any:

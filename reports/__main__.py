@@ -139,10 +139,10 @@ def archive(
     from dcreg import __version__
     from reports.archive import crate, read
     from reports.archive.write import write
-    from workflows.archives import HERE
+    from workflows.archives import ARCHIVES
 
     name = version or __version__
-    folder = write(results or [Path("results")], HERE / name, name)
+    folder = write(results or [Path("results")], ARCHIVES / name, name)
     read.check(folder)
     crate.check(folder)
     size = sum(path.stat().st_size for path in folder.rglob("*"))

@@ -63,6 +63,7 @@ def run(
     ] = False,
     timing: Annotated[bool, typer.Option("--timing", help="Run one solve job at a time.")] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Stop after the tables.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Use no runs of archives.")] = False,
 ) -> None:
     """Run an experiment, or a selected part of it, and print the summary.
 
@@ -76,6 +77,8 @@ def run(
         "levels": levels,
         "trials": trials,
     }
+    if fresh:
+        os.environ["DCREG_ARCHIVES"] = ""
     select = [f"{axis}={values}" for axis, values in axes.items() if values]
     if cores != "all" and not (cores.isdecimal() and int(cores)):
         raise UserError(f"--cores {cores}: give a positive number, or all")
@@ -193,7 +196,7 @@ def versions(
     ] = False,
     reviewed: Annotated[
         str,
-        typer.Option(help="Methods that cannot be checked here and whose results did not change."),
+        typer.Option(help="Methods to accept if they cannot be compared here, comma-separated."),
     ] = "",
 ) -> None:
     """Check that the declared version of every method fits its code."""
@@ -228,7 +231,10 @@ def forget(
     folder: Folder,
     status: Annotated[str, typer.Option(help="Statuses, comma-separated.")] = "failed",
 ) -> None:
-    """Delete runs with the given statuses, so that the next `run` repeats only them."""
+    """Delete runs with the given statuses, so that the next `run` repeats only them.
+
+    Runs of archives are not deleted; `run --fresh` does not use them.
+    """
     import shutil
 
     from workflows.stages.solve import forget as drop

@@ -1,22 +1,26 @@
-"""Runs of archives, which are used instead of repeating them.
+"""Reuse runs that are stored in archives.
 
 Archives lie in ``reports/archive/VERSION`` (`reports.archive` describes the files). The environment
-variable ``DCREG_ARCHIVES`` names other folders of archives, or none if it is empty.
+variable ``DCREG_ARCHIVES`` names the folders to search instead, separated as in ``PATH``; if it is empty,
+no archive is used.
 """
 
 from __future__ import annotations
 
 import functools
-import hashlib
 import json
 import os
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from workflows import CHECKOUT, UserError, records
+from workflows.integrity import digest
 
-HERE = CHECKOUT / "reports" / "archive"
+if TYPE_CHECKING:
+    import pandas as pd
+
+ARCHIVES = CHECKOUT / "reports" / "archive"
 CHECKSUMS, RUNS, TRACES = "checksums.sha256", "runs.parquet", "traces.parquet"
 REUSED = ("finished", "limited")  # outcomes; a failed run is tried again
 Key = tuple[str, str, str]
@@ -29,7 +33,7 @@ class ArchiveError(UserError):
 def folders() -> list[Path]:
     """Return the folders of archives, the latest last."""
     chosen = os.environ.get("DCREG_ARCHIVES")
-    places = [HERE] if chosen is None else [Path(p) for p in chosen.split(os.pathsep) if p]
+    places = [ARCHIVES] if chosen is None else [Path(p) for p in chosen.split(os.pathsep) if p]
     found = [path.parent for place in places for path in place.glob("*/archive.json")]
     return sorted(found, key=lambda folder: facts(folder)["created"])
 
@@ -37,12 +41,6 @@ def folders() -> list[Path]:
 def facts(folder: Path) -> dict[str, Any]:
     """Return the content of ``archive.json``."""
     return json.loads((folder / "archive.json").read_text(encoding="utf-8"))
-
-
-def digest(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def check(folder: Path) -> None:
@@ -64,7 +62,7 @@ def check(folder: Path) -> None:
                 f"{folder / name}: damaged, its SHA-256 is not {stated}; get it again"
             )
     records.check_version(
-        facts(folder)["schema_version"], str(folder), "use the checkout of its version"
+        facts(folder)["schema_version"], str(folder), "read it with the checkout that wrote it"
     )
 
 
@@ -77,8 +75,8 @@ def is_inside(name: str) -> bool:
 def archived(method: str) -> dict[Key, dict[str, Any]]:
     """Return the archived runs of a method by run_id, input and fingerprint, in the form of a journal.
 
-    Only finished and limited ones. Their bound histories are thinned. Of equal runs, that of the latest
-    archive counts.
+    Only finished and limited ones. Their bound histories are thinned. If several archives have the same
+    run, the latest one counts.
 
     Raises
     ------
@@ -91,22 +89,42 @@ def archived(method: str) -> dict[Key, dict[str, Any]]:
     return found
 
 
+def runs_of(experiment: str) -> pd.DataFrame | None:
+    """Return the runs of an experiment in the latest archive that has some; None if none has.
+
+    Raises
+    ------
+    ArchiveError, SchemaError
+    """
+    import pandas as pd
+
+    for folder in reversed(folders()):
+        _checked(folder)
+        runs = pd.read_parquet(folder / RUNS, filters=[("experiment", "==", experiment)])
+        if len(runs):
+            return runs
+    return None
+
+
 def _rows(folder: Path, method: str) -> Iterator[dict[str, Any]]:
     import pandas as pd
 
     _checked(folder)
     wanted = [("method", "==", method), ("outcome", "in", REUSED)]
-    runs = pd.read_parquet(folder / RUNS, columns=list(records.RAW), filters=wanted)
+    columns = ["experiment", *records.RAW]
+    runs = pd.read_parquet(folder / RUNS, columns=columns, filters=wanted)
     if runs.empty:
         return
     ids = set(runs["run_id"])
     events = pd.read_parquet(folder / TRACES, filters=[("run_id", "in", ids)])
     shown = [name for name in records.RAW_TRACES if name not in ("run_id", "instance_id")]
+    # several experiments may have the same run
     histories = {
-        run_id: _plain(part[shown]) for run_id, part in events.groupby("run_id", sort=False)
+        place: _plain(part[shown])
+        for place, part in events.groupby(["experiment", "run_id"], sort=False)
     }
     for row in _plain(runs):
-        yield {**row, "trace": histories.get(row["run_id"], [])}
+        yield {**row, "trace": histories.get((row.pop("experiment"), row["run_id"]), [])}
 
 
 @functools.cache

@@ -17,6 +17,7 @@ from dcreg.files import whole_file
 from workflows.compose import ConfigError
 
 EVIDENCE = "evidence"  # folder of the tables of blocks, in that of their experiment
+NEEDS = "needs.json"  # file of `Needs` in it
 
 
 @dataclass(frozen=True)

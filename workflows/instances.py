@@ -11,8 +11,8 @@ import numpy as np
 
 from baselines.contract import Instance
 from data.sampling import farthest_points
-from dcreg.files import whole_file
 from workflows.hashing import digest_arrays, seed
+from workflows.integrity import sealed_file
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def write_problems(path: Path, problems: Iterable[Problem]) -> None:
 
     problems = list(problems)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as part, part.open("wb") as stream:
+    with sealed_file(path) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
             instance_id=[p.instance_id for p in problems],
@@ -146,7 +146,7 @@ def read_problems(path: Path) -> list[Problem]:
 def write_truths(path: Path, truths: Iterable[Truth]) -> None:
     truths = list(truths)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as part, part.open("wb") as stream:
+    with sealed_file(path) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
             instance_id=[t.instance_id for t in truths],

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dcreg.files import whole_file
 from workflows import UserError
+from workflows.integrity import sealed_file
 from workflows.outcomes import OUTCOMES
 
 if TYPE_CHECKING:
@@ -89,7 +90,11 @@ RAW: dict[str, Column] = {
     ),
     "time_overhead_s": Column(float, "wall time of the run in the harness minus time_solve_s"),
     "peak_memory_mb": Column(float, "maximum resident memory of the worker during the run"),
-    "fingerprint": Column(str, "hash of the sources that determine the method's results", True),
+    "fingerprint": Column(
+        str,
+        "declared version of the method, or the hash of code that is not known to give its results",
+        True,
+    ),
     "machine_id": Column(str, "hash of the machine card; times compare only within one", True),
     "parallel_jobs": Column(float, "maximum number of jobs that ran at the same time"),
     "extra": Column(str, "JSON of further numbers that the method reports"),
@@ -202,7 +207,7 @@ def conform(table: pd.DataFrame, columns: Mapping[str, Column], where: str) -> p
 def write(table: pd.DataFrame, path: Path, *, csv: bool = False) -> None:
     """Write ``path`` as Parquet and, with `csv`, its CSV copy."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as part:
+    with sealed_file(path) as part:
         table.to_parquet(part, index=False)
     if csv:
         with whole_file(path.with_suffix(".csv")) as part:

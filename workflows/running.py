@@ -16,6 +16,7 @@ from types import FrameType
 from typing import IO
 
 from workflows import CHECKOUT, UserError, provenance
+from workflows.integrity import set_aside_damaged
 
 INTERRUPTED = 130  # exit code, as in shells
 PATIENCE_S = 20.0  # for Snakemake to end after SIGTERM
@@ -58,6 +59,8 @@ def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
         os.killpg(process.pid, signal.SIGTERM)
 
     with the_only_run(directory, name) as lock, NamedTemporaryFile("r", encoding="utf-8") as errors:
+        for path in set_aside_damaged(directory / "results" / name):
+            print(f"damaged   {path}: set aside, and made again", flush=True)
         process = subprocess.Popen(
             [*command, f"errors={errors.name}"],
             stdin=subprocess.DEVNULL,

@@ -160,11 +160,11 @@ class Progress:
         is_same = math.isclose(event.upper_bound, self._found_upper, rel_tol=_SAME)
         if event.stage != self._stage:
             self._stage = event.stage
-            if not is_same:  # another objective
+            # with the same value it continues with the same pose; otherwise its objective may be another
+            if not is_same:
                 self._last_upper = math.inf
         self._improved |= event.upper_bound < self._last_upper
         self._last_upper = min(self._last_upper, event.upper_bound)
-        # another stage may continue with the same pose
         if not is_same:
             is_known = math.isfinite(event.upper_bound)
             self._found_s = event.time_s if is_known else math.inf

@@ -33,7 +33,8 @@ _CUTOFF = (
 MAX_PAIRS = 100_000_000
 # In norm space these match sorted norms and need no cost matrix.
 MATRIX_FREE_BOUNDS = frozenset({"tight", "shared"})
-# By dimension: point pairs above which a sample is searched, and the points of each cloud in it. In 2D,
+# By dimension: point pairs above which a sample is searched (in 3D and up to `NORM_PAIRS`, those of two
+# clouds as small as the smaller one), and the points of each cloud in it. In 2D,
 # searches of some hundred points finish, but not even one local search of thousands of points does. In 3D
 # some hundred points give as good an initial pose for all points as thousands, in a tenth of the time.
 LARGE_PAIRS = {2: 1_000_000, 3: 1_000_000}
@@ -132,11 +133,11 @@ def bound_of(mode: Mode, problem: NormalisedProblem, space: Any) -> Bound:
 
 
 def cover_of(mode: Mode, space: Any, threads: int, budget: Budget) -> Cover:
-    """Return the cover of a mode; if it applies, compile it while the clock stands still."""
+    """Return the cover of a mode; if it applies and must be compiled, pause the clock for that."""
     assert mode.make_cover is not None
     cover = mode.make_cover(space, threads)
     if cover.applies and not cover.is_compiled:
-        with budget.clock.preparing():
+        with budget.clock.paused():
             compile_cover(mode)
     return cover
 
@@ -161,9 +162,8 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     budget = problem.budget
     searching = budget.sub_budget(search_share(mode)).with_patience(problem.patience_s)
     make_cover = None
-    if (
-        mode.make_cover is not None and problem.bound == mode.own_bound
-    ):  # a chosen bound works alone
+    # only with the mode's own bound, so that another one is used alone
+    if mode.make_cover is not None and problem.bound == mode.own_bound:
         make_cover = functools.partial(cover_of, mode, space, problem.threads, budget)
     found = minimise(
         space, bound, searching, tolerance=problem.tolerance, stage=mode.stage,
@@ -175,7 +175,7 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     )  # fmt: skip
     solution.add(mode.stage, found)
     solution.stages += map(Stage.confining, found.confined)
-    solution.stages += starmap(Stage, found.given_up_s.items())
+    solution.stages += starmap(Stage, found.abandoned_s.items())
     recover_pose(mode, problem, space, found.theta, budget, solution)
     return solution
 

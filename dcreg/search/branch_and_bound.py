@@ -16,7 +16,12 @@ import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Confined, Evaluation, Leaves, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted, Tolerance
-from dcreg.search.prospect import ASKED_AFTER_S, N_DESCENTS, WATCHED_AFTER_S, Prospect
+from dcreg.search.prospect import (
+    ESTIMATED_AFTER_S,
+    ESTIMATED_FOR_LISTENER_AFTER_S,
+    FEW_DESCENTS,
+    Prospect,
+)
 from dcreg.status import Status
 
 
@@ -39,8 +44,8 @@ class Outcome:
         The leaf boxes, if they were kept.
     confined : list of Confined
         The boxes to which a cover confined the search, in the order of the stages.
-    given_up_s : dict of str to float
-        By name of the cover: seconds of attempts that took too long or left too many boxes.
+    abandoned_s : dict of str to float
+        Seconds of abandoned attempts, by stage of the cover.
     """
 
     status: Status
@@ -53,7 +58,7 @@ class Outcome:
     events: list[Event] = field(default_factory=list)
     leaves: Leaves | None = None
     confined: list[Confined] = field(default_factory=list)
-    given_up_s: dict[str, float] = field(default_factory=dict)
+    abandoned_s: dict[str, float] = field(default_factory=dict)
 
 
 # A local search starts from the best candidate of a round if its value is at most that from which the
@@ -61,7 +66,7 @@ class Outcome:
 # frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
 
-UNASKED_SHARE = 0.2  # share of the patience that may pass before the prospect is estimated
+SHARE_BEFORE_ESTIMATE = 0.2  # share of the patience that may pass before the prospect is estimated
 _GRID = 1e-6  # step of rounded values, as a share of the allowed gap
 MIN_ROUND = 16  # minimum number of boxes divided in a round, if the bound allows it
 
@@ -152,10 +157,12 @@ class Search:
     leaves: Leaves | None
     confined: Confined
     floor: float = 0.0
-    n_begun: int = 0  # of `n_nodes`, boxes that do not count for the prospect
-    n_unasked: int = 0  # boxes bounded before the prospect is estimated, if they take little time
+    n_nodes_before: int = 0  # of `n_nodes`, boxes that do not count for the prospect
+    n_before_estimate: int = (
+        0  # boxes bounded before the prospect is estimated, if they take little time
+    )
     is_part: bool = False  # of a search that goes on afterwards
-    aside_s: float = 0.0  # since `waited_from`: seconds of local searches and estimates
+    not_bounding_s: float = 0.0  # since `patience_began`: seconds of local searches and estimates
     prospect: Prospect | None = None
     region: Confined | None = None
     n_nodes: int = 0
@@ -168,7 +175,7 @@ class Search:
     def __post_init__(self) -> None:
         self.theta, self.upper_bound = self.start.theta, self.start.value
         # each part of a search has the whole patience
-        self.began = self.waited_from = self.budget.elapsed()
+        self.began = self.patience_began = self.budget.elapsed()
         self.nodes = OpenNodes(self.bound.roots[0].dim)
         # minimum over the pruned boxes: part of the certificate
         self.pruned_bound = self.confined.outside
@@ -212,7 +219,7 @@ class Search:
         start = self.start._replace(theta=self.theta, value=self.upper_bound)
         return replace(
             self, tolerance=tolerance, start=start, confined=confined, prospect=None,
-            n_begun=self.n_nodes, events=[], is_part=True, aside_s=0.0,
+            n_nodes_before=self.n_nodes, events=[], is_part=True, not_bounding_s=0.0,
         )  # fmt: skip
 
     def narrow(self, confined: Confined) -> None:
@@ -221,8 +228,8 @@ class Search:
         self.pruned_bound = min(self.pruned_bound, confined.outside)
         self.boxes = self.within_region(self.boxes)
         self.nodes.push(self.within_region(self.nodes.pop(len(self.nodes), np.inf)))
-        self.prospect, self.n_begun = None, self.n_nodes
-        self.waited_from, self.aside_s = self.budget.elapsed(), 0.0
+        self.prospect, self.n_nodes_before = None, self.n_nodes
+        self.patience_began, self.not_bounding_s = self.budget.elapsed(), 0.0
 
     def within_region(self, boxes: Boxes) -> Boxes:
         """Return the boxes that may contain an optimum below the cutoff, if the search was narrowed."""
@@ -231,14 +238,14 @@ class Search:
     def take_over(self, part: Search) -> None:
         """Adopt the counts, the incumbent and the lower bound of a part, which has ended."""
         self.take(part.theta, part.upper_bound)
-        self.n_begun += part.n_nodes - self.n_nodes
+        self.n_nodes_before += part.n_nodes - self.n_nodes
         self.n_nodes, self.n_refining = part.n_nodes, part.n_refining
         self.floor = max(self.floor, part.lower_bound)
         self.events += part.events
 
-    def resume(self, paused_s: float) -> None:
-        """Do not count the time since `paused_s` towards the patience of this search."""
-        self.waited_from += self.budget.elapsed() - paused_s
+    def resume(self, paused_at: float) -> None:
+        """Do not count the time since `paused_at` towards the patience of this search."""
+        self.patience_began += self.budget.elapsed() - paused_at
 
     def update_incumbent(self, found: Evaluation) -> None:
         """Update the incumbent by the best candidate of the round and a local search from it."""
@@ -254,7 +261,7 @@ class Search:
             except Interrupted:
                 self.is_over = True
                 return
-            self.aside_s += self.budget.elapsed() - began
+            self.not_bounding_s += self.budget.elapsed() - began
             self.n_refining += spent
             self.take(theta, value)
         self.worth_refining *= REFINING_PATIENCE
@@ -301,42 +308,44 @@ class Search:
     def _has_no_prospect(self) -> bool:
         """Tell whether the patience is over, or the proof is expected to exceed it by far."""
         budget = self.budget
-        spent = budget.elapsed() - self.waited_from
+        spent = budget.elapsed() - self.patience_began
         if budget.patience_s is not None and spent >= budget.patience_s:
             return True
-        if self._is_fast(spent):
+        if self._is_before_estimate(spent):
             return False
-        asked_after_s = WATCHED_AFTER_S if budget.patience_s is None else ASKED_AFTER_S
+        asked_after_s = (
+            ESTIMATED_FOR_LISTENER_AFTER_S if budget.patience_s is None else ESTIMATED_AFTER_S
+        )
         if spent < asked_after_s or not (budget.patience_s is not None or budget.is_watched):
             return False
-        done = self.n_nodes - self.n_begun
+        done = self.n_nodes - self.n_nodes_before
         if not done:
             return False
         if self.prospect is None:
-            if Prospect(done + N_DESCENTS).is_poor(done, spent, budget):
-                return True  # the estimate alone would take too long
+            if Prospect(done + FEW_DESCENTS).is_poor(done, spent, budget, self.not_bounding_s):
+                return True  # even the estimate would take too long
             self.prospect = Prospect.of(
                 self.bound.fresh(), self.branching, self.cutoff, self.confined.boxes,
                 self.within_region, budget, spent,
             )  # fmt: skip
-            estimating_s = budget.elapsed() - self.waited_from - spent
-            self.aside_s, spent = self.aside_s + estimating_s, spent + estimating_s
-        return self.prospect.is_poor(done, spent, budget, self.aside_s)
+            estimating_s = budget.elapsed() - self.patience_began - spent
+            self.not_bounding_s, spent = self.not_bounding_s + estimating_s, spent + estimating_s
+        return self.prospect.is_poor(done, spent, budget, self.not_bounding_s)
 
-    def _is_fast(self, spent_s: float) -> bool:
-        """Tell whether `n_unasked` boxes are not yet bounded, but will be soon."""
+    def _is_before_estimate(self, spent_s: float) -> bool:
+        """Tell whether `n_before_estimate` boxes will be bounded soon, and the estimate can wait."""
         patience_s = self.budget.patience_s
-        if patience_s is None or self.n_nodes >= self.n_unasked:
+        if patience_s is None or self.n_nodes >= self.n_before_estimate:
             return False
-        return spent_s * self.n_unasked < UNASKED_SHARE * patience_s * self.n_nodes
+        return spent_s * self.n_before_estimate < SHARE_BEFORE_ESTIMATE * patience_s * self.n_nodes
 
     def _expected_s(self) -> float | None:
         """Return the estimated seconds until the proof, as in `Event`."""
         if self.prospect is None or self.status is not None:
             return None
         return self.prospect.expected_s(
-            self.n_nodes - self.n_begun, self.budget.elapsed() - self.waited_from, self.budget,
-            self.aside_s,
+            self.n_nodes - self.n_nodes_before, self.budget.elapsed() - self.patience_began, self.budget,
+            self.not_bounding_s,
         )  # fmt: skip
 
     def select(self) -> Boxes:

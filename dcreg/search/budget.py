@@ -88,9 +88,9 @@ class Event:
     Attributes
     ----------
     kind : {"bound", "heartbeat", "end"}
-        A bound changed; a periodic report; the search is over.
+        A bound changed; no bound changed for a quarter of a second, or a cover starts; the search ends.
     stage : str
-        The reporting search (``search``, ``rotation``, ``k=40`` …).
+        The current stage (``search``, ``rotation``, ``k=40`` …).
     time_s : float
         Seconds since the solve began, the same clock for all stages.
     n_nodes, n_assignments, n_open : int
@@ -145,27 +145,38 @@ class Interrupted(Exception):  # noqa: N818 (not an error: it never leaves the l
 
 
 class Clock:
-    """Seconds of one process, without those of preparations."""
+    """The clock of a solve, which can be paused."""
 
     def __init__(self) -> None:
-        self.prepared_s = 0.0
-        self._paused_at: float | None = None
+        # since when it is paused, if it is, and the seconds of earlier pauses
+        self._state: tuple[float | None, float] = None, 0.0
+
+    @property
+    def prepared_s(self) -> float:
+        """Seconds of all pauses that have ended."""
+        return self._state[1]
 
     def now(self) -> float:
-        """Return the seconds since some moment; they stand still during a preparation."""
-        paused_at = self._paused_at
-        return (time.perf_counter() if paused_at is None else paused_at) - self.prepared_s
+        """Return the seconds of this clock; they do not increase while it is paused."""
+        while True:
+            state = paused_at, prepared_s = self._state
+            moment = time.perf_counter() if paused_at is None else paused_at
+            if state is self._state:  # otherwise a pause has begun or ended meanwhile
+                return moment - prepared_s
 
     @contextmanager
-    def preparing(self) -> Iterator[None]:
-        """Stop the clock, as while kernels are compiled."""
-        self._paused_at = began = time.perf_counter()
+    def paused(self) -> Iterator[None]:
+        """Pause the clock, for instance while kernels are compiled."""
+        paused_at, prepared_s = self._state
+        if paused_at is not None:
+            yield
+            return
+        began = time.perf_counter()
+        self._state = began, prepared_s
         try:
             yield
         finally:
-            # in this order, other threads never see a later moment
-            self.prepared_s += time.perf_counter() - began
-            self._paused_at = None
+            self._state = None, prepared_s + time.perf_counter() - began
 
 
 class Budget:
@@ -200,7 +211,7 @@ class Budget:
     history : list of Event
         Events of all stages except heartbeats.
     clock : Clock
-        Of all parts; it stands still during preparations.
+        Of this budget and all its parts.
     patience_s : float or None
         Seconds that a search may take for a proof; inf: only the time of the budget limits it; None: the
         search continues even if no proof is expected.
@@ -251,11 +262,11 @@ class Budget:
             raise self._error
 
     def _keep_watch(self) -> None:
-        over_s: float | None = None
+        over_at: float | None = None
         while not self._ended.wait(_GLANCE_S):
             now = self.clock.now()
             try:
-                if time.perf_counter() - self._reported_at >= _SILENCE_S and over_s is None:
+                if time.perf_counter() - self._reported_at >= _SILENCE_S and over_at is None:
                     self.report(
                         replace(self._event, kind="heartbeat", time_s=self.elapsed(), status="")
                     )
@@ -263,9 +274,9 @@ class Budget:
                 self._error, self._stopped = error, True
             for stage in self._stages:
                 stage.stop[0] |= stage.is_over
-            if over_s is None and self.is_over:
-                over_s, self.stop[0] = now, 1
-            is_late = self.stopped and over_s is not None and now - over_s >= _CLOSING_S
+            if over_at is None and self.is_over:
+                over_at, self.stop[0] = now, 1
+            is_late = self.stopped and over_at is not None and now - over_at >= _CLOSING_S
             for part in (self, *self._stages):
                 part.hard_stop[0] |= is_late or part._is_closing(now)
 

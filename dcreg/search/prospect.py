@@ -11,11 +11,15 @@ import numpy as np
 from dcreg.search.boxes import Bound, Boxes
 from dcreg.search.budget import Budget, Interrupted
 
-ASKED_AFTER_S = 0.25  # seconds of search before the estimate; most searches end earlier
-WATCHED_AFTER_S = 2.0  # ... if only the listener needs the estimate, which costs time
+ESTIMATED_AFTER_S = 0.25  # seconds of search before the estimate; most searches end earlier
+ESTIMATED_FOR_LISTENER_AFTER_S = (
+    2.0  # ... if only the listener needs the estimate, which costs time
+)
 MAX_TIME_RATIO = 3.0  # estimated divided by remaining time above which no proof is expected
-N_DESCENTS = 128
-ESTIMATE_SHARE = 0.2  # of the time left, for the estimate; a longer one means that no proof is near
+FEW_DESCENTS, N_DESCENTS = 16, 128  # of the first part of an estimate, and of both parts
+ESTIMATE_SHARE = (
+    0.1  # of the time left, that the first part may take; after more, there is no second one
+)
 _MAX_DEPTH = 80  # divisions; the boxes of a longer descent contain the minimiser
 
 
@@ -29,8 +33,8 @@ def expected_boxes(
     cutoff: float,
     roots: Boxes | None = None,
     within_region: Callable[[Boxes], Boxes] = _all,
-    is_late: Callable[[], bool] = bool,
-) -> float:
+    is_late: Callable[[], bool] | None = None,
+) -> tuple[float, int]:
     """Estimate how many boxes have to be bounded until every open box reaches `cutoff`.
 
     A random descent divides a box and continues with one of its halves until the bound reaches the
@@ -51,45 +55,54 @@ def expected_boxes(
     within_region : callable, optional
         Returns those of some boxes that have to be bounded at all.
     is_late : callable, optional
-        Whether to end the estimate. Default: never.
+        Whether the first `FEW_DESCENTS` took so long that they have to suffice.
 
     Returns
     -------
-    float
-        inf if the estimate was ended.
+    n_nodes : float
+    n_tried : int
+        Boxes bounded for the estimate.
     """
     rng = np.random.default_rng(0)
     roots = Boxes.of(bound.roots) if roots is None else roots
-    boxes = roots[rng.integers(len(roots), size=N_DESCENTS)]
-    weight, total = float(len(roots)), 0.0
-    for _ in range(_MAX_DEPTH):
-        total += weight * len(boxes)
-        found = bound.evaluate(boxes, cutoff)
-        bounds = np.maximum(found.lower_bounds, boxes.bounds)
-        still = bounds < cutoff
-        if not still.any():
+    total, n_tried, n_descents = 0.0, 0, 0
+    for count in (FEW_DESCENTS, N_DESCENTS - FEW_DESCENTS):
+        boxes, weight = roots[rng.integers(len(roots), size=count)], float(len(roots))
+        for _ in range(_MAX_DEPTH):
+            total, n_tried = total + weight * len(boxes), n_tried + len(boxes)
+            found = bound.evaluate(boxes, cutoff)
+            bounds = np.maximum(found.lower_bounds, boxes.bounds)
+            still = bounds < cutoff
+            kept = Boxes(boxes.lower, boxes.upper, bounds, found.warm_start)[still]
+            if not len(kept):
+                break
+            halves = branching(kept)
+            one_of_two = 2 * np.arange(len(kept)) + rng.integers(2, size=len(kept))
+            boxes, weight = within_region(halves[one_of_two]), 2.0 * weight
+            if not len(boxes):
+                break
+        n_descents += count
+        if is_late is not None and is_late():
             break
-        if is_late():
-            return math.inf
-        kept = Boxes(boxes.lower, boxes.upper, bounds, found.warm_start)[still]
-        halves = branching(kept)
-        boxes = within_region(halves[2 * np.arange(len(kept)) + rng.integers(2, size=len(kept))])
-        if not len(boxes):
-            break
-        weight *= 2.0
-    return total / N_DESCENTS
+    return total / n_descents, n_tried
 
 
 @dataclass(frozen=True)
 class Prospect:
-    """How many boxes a search is expected to bound until its proof.
+    """How many boxes a search is expected to bound until its proof, and how this was estimated.
 
     Attributes
     ----------
     n_nodes : float
+    n_tried : int
+        Boxes bounded for the estimate.
+    tried_s : float
+        The seconds that this took.
     """
 
     n_nodes: float
+    n_tried: int = 0
+    tried_s: float = 0.0
 
     @classmethod
     def of(
@@ -102,25 +115,26 @@ class Prospect:
         budget: Budget,
         spent_s: float,
     ) -> Prospect:
-        """Estimate by random descents; without time for them, the estimate is 0 boxes.
+        """Estimate by random descents; 0 boxes if the solve is stopped meanwhile.
 
         `bound` must not be that of the search, because data that it stores about boxes would change the
-        search. If the search can end without a proof, and the descents take more than `ESTIMATE_SHARE`
-        of the time left, the estimate is inf.
+        search. `spent_s` are the seconds of the patience that are used.
         """
-        late_s = math.inf
-        if budget.patience_s is not None:
-            late_s = budget.elapsed() + ESTIMATE_SHARE * _left_s(spent_s, budget)
+        began = budget.elapsed()
+        late_after_s = ESTIMATE_SHARE * _left_s(spent_s, budget)
 
         def is_late() -> bool:
-            return budget.elapsed() > late_s
+            return budget.elapsed() - began > late_after_s
 
         try:
-            return cls(expected_boxes(bound, branching, cutoff, roots, within_region, is_late))
+            found = expected_boxes(bound, branching, cutoff, roots, within_region, is_late)
         except Interrupted:
             return cls(0.0)
+        return cls(*found, budget.elapsed() - began)
 
-    def is_poor(self, n_nodes: int, spent_s: float, budget: Budget, aside_s: float = 0.0) -> bool:
+    def is_poor(
+        self, n_nodes: int, spent_s: float, budget: Budget, not_bounding_s: float = 0.0
+    ) -> bool:
         """Tell whether the proof is expected to take more than `MAX_TIME_RATIO` times the time left.
 
         Parameters
@@ -128,32 +142,34 @@ class Prospect:
         n_nodes : int
             Boxes bounded so far.
         spent_s : float
-            Seconds since the search began.
+            Seconds of the patience that are used.
         budget : Budget
-        aside_s : float
-            Of these seconds, those of other work than bounding boxes. There is little of it later.
+        not_bounding_s : float
+            Of these seconds, those of local searches and estimates. Most of this work is done early, so
+            it does not count for the time per box.
         """
         if budget.patience_s is None:
             return False
-        needed_s = self._needed_s(n_nodes, spent_s - aside_s)
+        needed_s = self._needed_s(n_nodes, spent_s - not_bounding_s)
         return needed_s > MAX_TIME_RATIO * _left_s(spent_s, budget)
 
     def expected_s(
-        self, n_nodes: int, spent_s: float, budget: Budget, aside_s: float = 0.0
+        self, n_nodes: int, spent_s: float, budget: Budget, not_bounding_s: float = 0.0
     ) -> float | None:
         """Return the seconds until the proof; inf if they exceed the time left, None if unknown.
 
         If the search has bounded more boxes than estimated, the number of boxes left is unknown. The
         parameters are those of `is_poor`.
         """
-        needed_s = self._needed_s(n_nodes, spent_s - aside_s)
+        needed_s = self._needed_s(n_nodes, spent_s - not_bounding_s)
         if needed_s <= 0.0:
             return None
         return needed_s if needed_s <= _left_s(spent_s, budget) else math.inf
 
-    def _needed_s(self, n_nodes: int, spent_s: float) -> float:
-        """Return the seconds for the boxes left, at the speed of the boxes bounded so far."""
-        return (self.n_nodes - n_nodes) * spent_s / n_nodes
+    def _needed_s(self, n_nodes: int, bounding_s: float) -> float:
+        """Return the seconds for the boxes left, at the mean speed of the search and of the estimate."""
+        box_s = (bounding_s + self.tried_s) / (n_nodes + self.n_tried)
+        return (self.n_nodes - n_nodes) * box_s
 
 
 def _left_s(spent_s: float, budget: Budget) -> float:

@@ -1,4 +1,8 @@
-"""Minimise over a space by local searches, then by branch and bound, which a cover can confine."""
+"""Minimise over a space by local searches, then by branch and bound, which a cover can confine.
+
+A *cover* is a small set of boxes that contains every optimum with an objective below some value. The
+stages ``triples`` (3D) and ``distances`` (2D) of a result are covers.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +20,10 @@ from dcreg.status import Status
 UNSURE = 5.0  # factor of the patience if the initial poses are not confirmed
 SHORT = 2048  # boxes bounded before a cover is tried
 COVER_SHARE = 0.8  # share of the time left that one call of `Cover.confine` may take
-UNLIMITED_S = 120.0  # maximum number of seconds left from which this share is taken
-COUNTED_S = 5.0  # nominal seconds for one call if boxes or assignments are limited
+UNLIMITED_S = 120.0  # time left that is assumed without a limit, and at most
+COUNTED_S = (
+    5.0  # nominal seconds (see `Cover.confine`) of a call if boxes or assignments are limited
+)
 
 
 class Searchable(Protocol):
@@ -66,8 +72,9 @@ class Cover(Protocol):
     def confine(self, cutoff: float, budget: Budget, allowed_s: float) -> Confined | None:
         """Return boxes that contain every optimum with an objective below `cutoff`.
 
-        None if this is expected to take longer than `allowed_s`, nominal CPU seconds of all threads
-        together.
+        None if this takes longer than `allowed_s` or leaves too many boxes. `allowed_s` are nominal CPU
+        seconds of all threads together: computed from the amount of work by fixed rates, so that they are
+        equal on all machines.
         """
         ...
 
@@ -121,7 +128,9 @@ def minimise(
     if make_cover is None or keep_leaves:
         search.run()
         return search.outcome()
-    search.n_unasked = SHORT  # before, an estimate is premature, because a cover can change it
+    search.n_before_estimate = (
+        SHORT  # before, an estimate is premature, because a cover can change it
+    )
     search.run(SHORT)
     cover = make_cover() if search.status is None else None
     if cover is not None and cover.applies:
@@ -133,17 +142,18 @@ def minimise(
 def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outcome:
     """Continue a long search: prove shares of the cutoff by means of a cover, while time allows."""
     parts: list[Confined] = []
-    given_up_s: dict[str, float] = {}
+    abandoned_s: dict[str, float] = {}
     for share in cover.shares:
         tolerance = _share_of(search.tolerance, share)
         if tolerance.cutoff(search.upper_bound) <= search.floor:
             continue
-        paused_s = search.budget.elapsed()
+        paused_at = search.budget.elapsed()
         confined = _confined(search, cover, tolerance.cutoff(search.upper_bound), patience_s)
         if confined is None:
-            spent_s = search.budget.elapsed() - paused_s
-            given_up_s[cover.stage] = given_up_s.get(cover.stage, 0.0) + spent_s
-            search.resume(paused_s)
+            if not search.budget.is_over:
+                spent_s = search.budget.elapsed() - paused_at
+                abandoned_s[cover.stage] = abandoned_s.get(cover.stage, 0.0) + spent_s
+            search.resume(paused_at)
             continue
         parts.append(confined)
         if share == 1.0:
@@ -153,7 +163,7 @@ def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outco
         part = search.confined_to(confined, tolerance)
         part.run()
         search.take_over(part)
-        search.resume(paused_s)
+        search.resume(paused_at)
         if part.status is not Status.OPTIMAL:
             search.status = part.status
             break
@@ -161,7 +171,7 @@ def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outco
         if search.status is not None:
             break
     search.run()
-    return replace(search.outcome(), confined=parts, given_up_s=given_up_s)
+    return replace(search.outcome(), confined=parts, abandoned_s=abandoned_s)
 
 
 def _confined(

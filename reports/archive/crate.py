@@ -22,6 +22,7 @@ MEANINGS = {
     "runs.parquet": "One row per planned run; workflows/records.py documents the columns",
     "traces.parquet": "Bound histories of the runs, thinned",
     "provenance.json": "Config, methods, options, machine and versions of an experiment",
+    "needs.json": "Blocks of paired instances that each method needed",
     "overlays.json.gz": "Points and poses of the best, median and worst runs",
 }
 

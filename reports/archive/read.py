@@ -11,7 +11,8 @@ import pandas as pd
 
 from reports.tables import ReportError
 from workflows import records
-from workflows.archives import CHECKSUMS, HERE, RUNS, TRACES, check, digest, facts, is_inside
+from workflows.archives import ARCHIVES, CHECKSUMS, RUNS, TRACES, check, facts, is_inside
+from workflows.integrity import digest
 from workflows.stages.aggregate import accounting
 
 MOST_UNPACKED = 200_000_000  # bytes of a zip file's content
@@ -23,7 +24,7 @@ def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
     Parameters
     ----------
     archive : str
-        A version of `HERE`, a folder, a zip file, or an http(s) address of one.
+        A version of `ARCHIVES`, a folder, a zip file, or an http(s) address of one.
     cache : Path
         Folder for downloaded and unpacked files.
     sha256 : str
@@ -36,7 +37,7 @@ def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
     """
     if archive.startswith(("http://", "https://")):
         archive = str(_download(archive, cache, sha256))
-    path = next((p for p in (HERE / archive, Path(archive)) if p.exists()), None)
+    path = next((p for p in (ARCHIVES / archive, Path(archive)) if p.exists()), None)
     if path is None:
         known = ", ".join(versions()) or "none"
         raise ReportError(f"{archive}: no such archive; stored versions: {known}")
@@ -50,7 +51,7 @@ def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
 
 def versions() -> list[str]:
     """Return the stored versions, the latest last."""
-    found = [path.parent for path in HERE.glob("*/archive.json")]
+    found = [path.parent for path in ARCHIVES.glob("*/archive.json")]
     created = {path.name: facts(path)["created"] for path in found}
     return sorted(created, key=lambda name: created[name])
 

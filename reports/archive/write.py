@@ -15,7 +15,9 @@ from reports.archive.crate import describe
 from reports.ledger.evidence import STUDY
 from reports.tables import ReportError, Tables, thin_trace
 from workflows import CHECKOUT, provenance, records
-from workflows.archives import CHECKSUMS, RUNS, TRACES, digest
+from workflows.archives import CHECKSUMS, RUNS, TRACES
+from workflows.blocks import EVIDENCE, NEEDS
+from workflows.integrity import digest
 
 MOST_EVENTS = 64  # of a run's bound history
 MOST_BYTES = 25_000_000  # of an archive
@@ -40,17 +42,17 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
         There are no results, or the archive would exceed `MOST_BYTES`.
     """
     folders = [place for root in results for place in sorted(root.glob("*"))]
-    tables = [
-        Tables.load(place / "tables")
-        for place in folders
-        if (place / "tables" / "accounting.csv").is_file()
-    ]
+    places = [found for place in folders if (found := _with_tables(place)) is not None]
+    tables = [Tables.load(place / "tables") for place in places]
     if not tables:
         raise ReportError(f"{', '.join(map(str, results))}: no results; run an experiment first")
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     _write_tables(tables, part)
+    for place, each in zip(places, tables, strict=True):
+        if (needs := place / NEEDS).is_file():
+            shutil.copyfile(needs, part / "experiments" / each.experiment / NEEDS)
     for place in folders:
         if place.name == STUDY:
             _write_study(place, part / STUDY)
@@ -66,6 +68,14 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
     shutil.rmtree(out, ignore_errors=True)
     part.rename(out)
     return out
+
+
+def _with_tables(place: Path) -> Path | None:
+    """Return the folder of an experiment that has its tables; collected evidence comes first."""
+    found = (
+        path for path in (place / EVIDENCE, place) if (path / "tables/accounting.csv").is_file()
+    )
+    return next(found, None)
 
 
 def thinned(traces: pd.DataFrame) -> pd.DataFrame:

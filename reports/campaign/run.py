@@ -16,13 +16,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from baselines import registry
 from reports.campaign.choice import Option, options
 from reports.campaign.forecast import Forecast, Times
 from reports.ledger.book import Ledger, ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.judging import Judgement, judge
 from reports.tables import Tables
-from workflows.blocks import EVIDENCE, Needs
+from workflows.archives import archived, folders, runs_of
+from workflows.blocks import EVIDENCE, NEEDS, Needs
 from workflows.compose import QUICK
 from workflows.config import Experiment, load, origin
 from workflows.outcomes import NOT_NEEDED
@@ -57,12 +59,22 @@ class Campaign:
 
     @property
     def needs_path(self) -> Path:
-        return self.folder / "needs.json"
+        return self.folder / NEEDS
 
     @property
     def trials(self) -> int:
         """Trials of the config, which no block exceeds."""
         return max(entry.trials for entry in self.experiment.datasets)
+
+    def adopt(self) -> None:
+        """Continue from the blocks of the latest archive that has some, if there are none here."""
+        if self.needs_path.is_file():
+            return
+        for archive in reversed(folders()):
+            stored = archive / "experiments" / self.experiment.name / NEEDS
+            if stored.is_file():
+                Needs.read(stored).write(self.needs_path)
+                return
 
     def plan(self) -> Plan:
         """Return the plan of all blocks so far."""
@@ -81,18 +93,23 @@ class Campaign:
         return judge(book, evidence, {plain_name(self.experiment.name)})
 
     def times(self) -> Times:
-        """Return the times of the finished runs, and of the quick part where there are none."""
+        """Return the times of the finished runs, else of archived ones, else of the quick part."""
         tables = self.tables()
         quick = self.folder.parent.with_name(f"{self.experiment.name}{QUICK}") / "tables"
         known = [] if tables is None else [tables.runs]
+        if (stored := runs_of(self.experiment.name)) is not None:
+            known.append(stored)
         if (quick / "accounting.csv").is_file():
             known.append(Times.as_limited(Tables.load(quick).runs, self.experiment))
         return Times.of(known, self.experiment)
 
     def unfinished(self) -> Forecast:
-        """Return the forecast of the needed runs without a result."""
+        """Return the forecast of the needed runs without a result, here or in an archive."""
         tables = self.tables()
         done = set() if tables is None else set(tables.runs["run_id"])
+        for method in self.experiment.methods:
+            version = registry.fingerprint(method.baseline)
+            done |= {run_id for run_id, _, known in archived(method.name) if known == version}
         return self.times().of_runs(run for run in self.plan().runs() if run.run_id not in done)
 
 
@@ -116,7 +133,9 @@ def collect(
     campaigns = {name: Campaign(name, directory) for name in names}
     end = time.monotonic() + 3600.0 * hours
     for campaign in campaigns.values():
-        if (rest := campaign.unfinished()).runs:
+        campaign.adopt()
+        rest = campaign.unfinished()
+        if rest.runs or (campaign.needs_path.is_file() and campaign.tables() is None):
             _run(campaign, "continue", rest, end, cores, out, console)
     while True:
         ahead = _ahead(book, campaigns)

@@ -84,8 +84,9 @@ def race(source: Source, p: Parameters) -> Finding:
     assert source.experiment is not None
     traces = source.experiment.tables.traces
     histories = _histories(traces[traces["upper_bound"] > 0], counter)
+    timed = ["time"] if counter == "time_s" else []  # known for the runs of one machine
     for name, runs, rival, theirs in source.pairs(p, finding):
-        both = paired(runs, theirs)
+        both = paired(runs, theirs, *timed)
         met = [
             _work_to_equal_gap(histories.get(mine), histories.get(other))
             for mine, other in zip(both["run_id"], both["run_id_rival"], strict=True)

@@ -86,6 +86,12 @@ class Experiment:
         return points + " QUICK=1" * self.is_quick
 
     @cached_property
+    def machine_id(self) -> str:
+        """The machine of most runs; the times of others are not used."""
+        counts = attempted(self.tables.runs)["machine_id"].value_counts()
+        return str(counts.index[0]) if len(counts) else ""
+
+    @cached_property
     def runs(self) -> pd.DataFrame:
         """Attempted runs with the quantities of claims."""
         runs = attempted(self.tables.runs)
@@ -100,7 +106,7 @@ class Experiment:
             excess=(runs["rmse_excess"] / scale).fillna(NO_POSE).clip(lower=MIN_ERROR),
             floor=(runs["rmse_floor"] / scale).fillna(0.0),
             rmse=runs["rmse"].fillna(runs["rmse"].max()),
-            time=_time(runs, self.tables.cards),
+            time=_time(runs, self.tables.cards).where(runs["machine_id"] == self.machine_id),
             success=runs["success"].astype(float),
             wrong=~runs["success"].astype(bool),
             search_error=runs["verdict"].eq("search_error").astype(float),

@@ -272,7 +272,10 @@ def _tested(
 
 def _machine(experiment: Experiment, part: pd.DataFrame) -> str:
     """Return machine and languages of a comparison of times."""
-    cpu = experiment.tables.provenance.get("machine", {}).get("cpu", "an unknown machine")
+    card = experiment.tables.provenance.get("machine", {})
+    cpu = card.get("cpu", "an unknown machine")
+    if experiment.machine_id != card.get("machine_id", experiment.machine_id):
+        cpu = f"machine {experiment.machine_id}"
     names = part.drop_duplicates("method").set_index("method")["display_name"]
     languages = [
         f"{name}: {language}"

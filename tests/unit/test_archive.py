@@ -16,6 +16,7 @@ from reports.archive import write as writing
 from reports.tables import ReportError, Tables
 from workflows import records
 from workflows.archives import ArchiveError, archived
+from workflows.integrity import digest
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +108,7 @@ def test_a_damaged_or_missing_file_is_refused(archive, tmp_path, name):
 
 def test_another_schema_is_refused(archive, tmp_path, monkeypatch):
     monkeypatch.setattr(records, "SCHEMA_VERSION", records.SCHEMA_VERSION + 1)
-    with pytest.raises(records.SchemaError, match="use the checkout of its version"):
+    with pytest.raises(records.SchemaError, match="read it with the checkout that wrote it"):
         read.folder_of(str(archive), tmp_path)
 
 
@@ -120,7 +121,7 @@ def _zipped(archive: Path, path: Path) -> Path:
 
 def test_a_zip_file_is_read_if_its_checksum_is_right(archive, tmp_path):
     packed = _zipped(archive, tmp_path / "results.zip")
-    folder = read.folder_of(str(packed), tmp_path / "cache", writing.digest(packed))
+    folder = read.folder_of(str(packed), tmp_path / "cache", digest(packed))
     assert read.facts(folder)["version"] == "1.0"
     with pytest.raises(ReportError, match=r"results\.zip: SHA-256 is"):
         read.folder_of(str(packed), tmp_path / "cache", "0" * 64)

@@ -7,6 +7,7 @@ import pytest
 
 from reports.campaign.choice import options
 from reports.campaign.forecast import Times
+from reports.campaign.run import Campaign
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.judging import judge
@@ -93,3 +94,20 @@ def test_a_claim_whose_trials_are_all_run_has_an_obstacle():
 @pytest.mark.parametrize("claim", ["low-inlier", "faster"])
 def test_claims_without_runs_are_open_to_more(claim):
     assert next(option for option in ahead(times()) if option.claim == claim).blocks == 1
+
+
+def test_a_campaign_continues_from_the_blocks_of_an_archive(tmp_path, monkeypatch):
+    archives, needs = tmp_path / "archives", NONE.with_block("noise", ["dcreg", "rpm_pa"])
+    for number, stored in enumerate([NONE, needs]):
+        folder = archives / str(number)
+        needs_path = folder / "experiments" / NAME / "needs.json"
+        stored.write(needs_path)
+        (folder / "archive.json").write_text(f'{{"created": "{number}"}}')
+    monkeypatch.setenv("DCREG_ARCHIVES", str(archives))
+    campaign = Campaign(NAME, tmp_path)
+    campaign.adopt()
+    assert Needs.read(campaign.needs_path) == needs
+    more = needs.with_block("noise", ["dcreg"])
+    more.write(campaign.needs_path)
+    campaign.adopt()
+    assert Needs.read(campaign.needs_path) == more

@@ -9,12 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from numba.core.caching import NullCache
 
 import dcreg
 from dcreg.driver import warm_up
 from dcreg.driver.modes import find_mode
 from dcreg.families.rigid3d.cover import CongruentCover
 from dcreg.families.similarity2d.cover import NearestCover
+from dcreg.families.similarity2d.kernels.exclusion import divide_boxes
+from dcreg.jit import is_compiled
 from dcreg.names import BOUND_NAMES, MODEL_DIM
 
 LIBRARY = Path(dcreg.__file__).parent
@@ -229,3 +232,10 @@ def test_the_whole_warm_up_meets_every_bound(monkeypatch):
     for model in MODEL_DIM:
         bounds = {bound or mode.own_bound for mode, bound, *_ in met if mode.model == model}
         assert bounds >= set(BOUND_NAMES)
+
+
+def test_a_kernel_without_a_cache_is_compiled_only_where_it_ran(monkeypatch):
+    monkeypatch.setattr(divide_boxes, "_cache", NullCache())
+    assert is_compiled(divide_boxes) == bool(divide_boxes.signatures)
+    monkeypatch.setattr(type(divide_boxes), "signatures", property(lambda self: []))
+    assert not is_compiled(divide_boxes)

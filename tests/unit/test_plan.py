@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 
@@ -10,6 +9,7 @@ import pytest
 
 from workflows import CHECKOUT
 from workflows.config import ConfigError, Experiment, load, parse_selection
+from workflows.integrity import sealed
 from workflows.stages.plan import MAX_NAME, expand
 from workflows.summary import outlook_of
 
@@ -161,7 +161,7 @@ def test_expected_times_are_medians_of_the_quick_part_with_limited_runs_at_the_l
     ]  # fmt: skip
     journal = tmp_path / "paper2d_images-quick" / "runs" / method / "x.journal.jsonl"
     journal.parent.mkdir(parents=True)
-    journal.write_text("".join(f"{json.dumps(row)}\n" for row in rows))
+    journal.write_text("".join(f"{sealed(row)}\n" for row in rows))
     (after,) = outlook_of(whole, folder)
     assert (after.runs, after.finished, after.known) == (10, 0, True)
     assert after.seconds == 5 * 0.5 + 5 * 100.0

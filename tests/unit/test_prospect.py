@@ -14,7 +14,7 @@ from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem import Frame, Problem
 from dcreg.search import Budget, LongestEdge, Tolerance, branch_and_bound
 from dcreg.search.branch_and_bound import Search
-from dcreg.search.prospect import MAX_TIME_RATIO, Prospect, expected_boxes
+from dcreg.search.prospect import FEW_DESCENTS, MAX_TIME_RATIO, N_DESCENTS, Prospect, expected_boxes
 from tests.unit.test_congruent import partial_overlap
 from workflows.disturb import make_instance
 
@@ -34,8 +34,16 @@ def test_the_estimate_is_near_the_number_of_boxes(shape, test, level):
         RigidBound(space), Budget(nodes=200_000), branching=branching, tolerance=tolerance, start=start
     )  # fmt: skip
     assert found.status == "optimal"
-    estimate = expected_boxes(RigidBound(space), branching, tolerance.cutoff(found.upper_bound))
+    estimate, n_tried = expected_boxes(
+        RigidBound(space), branching, tolerance.cutoff(found.upper_bound)
+    )
     assert found.n_nodes / 3 < estimate < 3 * found.n_nodes
+    assert n_tried > N_DESCENTS
+    few, n_few = expected_boxes(
+        RigidBound(space), branching, tolerance.cutoff(found.upper_bound), is_late=lambda: True
+    )
+    assert found.n_nodes / 6 < few < 6 * found.n_nodes
+    assert FEW_DESCENTS < n_few < n_tried / 4
 
 
 @pytest.mark.parametrize(
@@ -67,14 +75,22 @@ def test_local_searches_and_estimates_say_nothing_about_the_time_of_boxes():
         waiting = budget.with_patience(5.0)
         prospect = Prospect(n_nodes=3000.0)
         assert prospect.is_poor(100, 1.0, waiting)
-        assert not prospect.is_poor(100, 1.0, waiting, aside_s=0.9)
-        assert prospect.expected_s(100, 1.0, waiting, aside_s=0.9) == pytest.approx(2.9)
+        assert not prospect.is_poor(100, 1.0, waiting, not_bounding_s=0.9)
+        assert prospect.expected_s(100, 1.0, waiting, not_bounding_s=0.9) == pytest.approx(2.9)
+
+
+def test_boxes_of_the_estimate_tell_how_long_boxes_take():
+    """The first boxes of a search take longer than later ones."""
+    with Budget(10.0) as budget:
+        waiting = budget.with_patience(5.0)
+        assert Prospect(3000.0).is_poor(10, 0.5, waiting)
+        assert not Prospect(3000.0, 490, 0.5).is_poor(10, 0.5, waiting)
 
 
 def test_a_hopeless_search_ends_with_its_reason_unless_a_proof_is_requested():
     source, target, _ = partial_overlap(0, n_common=60, n_clutter=200)
     settings = {"n_inliers": 60, "model": "rigid3d"}
-    found = dcreg.register(source, target, **settings, time_limit=5.0)
+    found = dcreg.register(source, target, **settings, time_limit=12.0)
     assert (found.status, found.reason) == ("converged", "proof not expected soon")
     assert str(found).splitlines()[0].endswith("not certified")
     assert "no proof is expected soon" in found.warnings[0]
@@ -91,7 +107,7 @@ def test_the_estimate_is_reported_and_is_no_work_of_the_search(monkeypatch):
     raw = make_instance(dataset("embedded"), "pony", "separate_outliers", 0.2, trial=0, n_points=25)
     settings = {"n_inliers": len(raw.pairs), "model": "rigid3d", "time_limit": 1e6}
     for prove in (False, True):
-        for name in ("ASKED_AFTER_S", "WATCHED_AFTER_S"):
+        for name in ("ESTIMATED_AFTER_S", "ESTIMATED_FOR_LISTENER_AFTER_S"):
             monkeypatch.setattr(sys.modules["dcreg.search.branch_and_bound"], name, 0.0)
         monkeypatch.setattr(solve, "PATIENCE_S", np.inf)
         options = dcreg.SolveOptions(prove=prove, listener=lambda event: False)
@@ -125,6 +141,6 @@ def test_the_time_to_the_proof_is_that_of_the_boxes_left(time_s, n_nodes, expect
 )
 def test_fast_boxes_before_a_cover_ask_for_no_estimate(n_nodes, spent_s, fast):
     search = SimpleNamespace(
-        budget=SimpleNamespace(patience_s=5.0), n_nodes=n_nodes, n_unasked=2_048
+        budget=SimpleNamespace(patience_s=5.0), n_nodes=n_nodes, n_before_estimate=2_048
     )
-    assert Search._is_fast(search, spent_s) == fast
+    assert Search._is_before_estimate(search, spent_s) == fast

@@ -20,6 +20,7 @@ from workflows.instances import (
     write_problems,
     write_truths,
 )
+from workflows.integrity import SUMS, sealed
 from workflows.outcomes import OUTCOMES
 from workflows.stages.aggregate import accounting
 from workflows.stages.solve import forget
@@ -34,7 +35,7 @@ def test_a_table_survives_parquet_and_csv(tmp_path):
     records.write(table, path, csv=True)
     pd.testing.assert_frame_equal(records.read(path, columns), table)
     assert pd.read_csv(path.with_suffix(".csv"))["time_solve_s"][0] == 0.1 + 0.2
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["t.csv", "t.parquet"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [SUMS, "t.csv", "t.parquet"]
 
 
 def test_a_missing_or_wrong_column_is_named(tmp_path):
@@ -147,7 +148,10 @@ def test_the_content_digest_sees_every_change(problems):
 def test_forget_drops_only_runs_by_status_and_truncated_lines(tmp_path):
     folder = tmp_path / "icp"
     folder.mkdir()
-    lines = ['{"run_id": "a", "status": "failed"}', '{"run_id": "b", "status": "optimal"}']
+    lines = [
+        sealed({"run_id": "a", "status": "failed"}),
+        sealed({"run_id": "b", "status": "optimal"}),
+    ]
     (folder / "x.journal.jsonl").write_text("\n".join([*lines, '{"run_id"']))
     (folder / "y.journal.jsonl").write_text(lines[1] + "\n")
     for name in ("x.parquet", "y.parquet"):

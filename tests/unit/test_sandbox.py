@@ -55,9 +55,9 @@ def faulty(tmp_path_factory):
         pytest.param(22, "failed", "ZeroDivisionError: planted (adapter.py:", id="raises"),
         pytest.param(23, "failed", "the limit is 0.3 s", id="hangs"),
         pytest.param(24, "failed", "MemoryError", id="bursts"),
-        pytest.param(25, "failed", "worker ended with exit code 3", id="exits"),
-        pytest.param(26, "failed", "worker died of SIGKILL", id="is killed"),
-        pytest.param(27, "failed", "worker died of SIGSEGV", id="crashes"),
+        pytest.param(25, "failed", "worker ended with exit code 3, twice", id="exits"),
+        pytest.param(26, "failed", "worker died of SIGKILL, twice", id="is killed"),
+        pytest.param(27, "failed", "worker died of SIGSEGV, twice", id="crashes"),
         pytest.param(28, "failed", "returned optimal without a pose", id="gives no pose"),
         pytest.param(29, "failed", "lower bound 5 above the upper bound 1", id="crosses bounds"),
         pytest.param(30, "failed", "returned time_limit without a pose", id="gives up"),
@@ -70,6 +70,13 @@ def test_a_fault_becomes_its_status_and_the_rest_completes(faulty, n_points, sta
     assert message in faulty_run["message"]
     assert after["status"] == "converged"
     assert (faulty_run.get("T_target_source") is None) == (status == "failed")
+
+
+def test_a_run_whose_worker_dies_is_tried_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("FAULT_TOKENS", str(tmp_path))
+    runs = three_runs("crashes_once", tmp_path / "log")
+    assert [run["status"] for run in runs] == ["converged"] * 3
+    assert (tmp_path / "crashed").exists()
 
 
 def test_a_worker_that_takes_too_much_memory_is_lost(tmp_path):

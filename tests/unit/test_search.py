@@ -15,7 +15,7 @@ from dcreg.search import (
     space_search,
 )
 from dcreg.search.branch_and_bound import Search, Start
-from dcreg.search.prospect import Prospect
+from dcreg.search.prospect import N_DESCENTS, Prospect
 from dcreg.status import Status
 
 ROOT = [Box(-np.ones(2), np.ones(2))]
@@ -258,10 +258,11 @@ def test_local_searches_and_the_estimate_are_set_aside(set_clock, monkeypatch):
     monkeypatch.setattr(Ripples, "fresh", lambda self: self, raising=False)
     search.refine, search.worth_refining = refine, np.inf
     search.run(search.n_nodes + 1)
-    n_nodes, spent_s, _, aside_s = asked[-1]
+    assert [not_bounding_s for *_, not_bounding_s in asked] == [2.0, 5.0]
+    n_nodes, spent_s, _, not_bounding_s = asked[-1]
     assert n_nodes == search.n_nodes
-    assert aside_s == search.aside_s == 5.0
-    assert spent_s == search.budget.elapsed() - search.waited_from >= aside_s
+    assert not_bounding_s == search.not_bounding_s == 5.0
+    assert spent_s == search.budget.elapsed() - search.patience_began >= not_bounding_s
 
 
 class SlowRipples(Ripples):
@@ -276,14 +277,16 @@ class SlowRipples(Ripples):
         return super().evaluate(boxes, cutoff)
 
 
-@pytest.mark.parametrize(("patience_s", "is_ended"), [(5.0, True), (500.0, False), (None, False)])
-def test_an_estimate_that_takes_long_is_ended(set_clock, patience_s, is_ended):
-    """Unless the search goes on in any case; here the estimate takes several seconds."""
-    budget, bound = Budget(time_s=1000.0).with_patience(patience_s), SlowRipples(set_clock)
+@pytest.mark.parametrize(("patience_s", "is_short"), [(5.0, True), (5000.0, False)])
+def test_an_estimate_that_takes_long_is_short(set_clock, patience_s, is_short):
+    """Here its first part takes several seconds."""
+    budget, bound = Budget(time_s=1e6).with_patience(patience_s), SlowRipples(set_clock)
     found = Prospect.of(
         bound, LongestEdge(np.ones(2)), 0.1, Boxes.of(ROOT), lambda boxes: boxes, budget, 0.0
     )
-    assert (found.n_nodes == np.inf) == is_ended
+    assert 0 < found.n_nodes < np.inf
+    assert (found.n_tried < 2 * N_DESCENTS) == is_short
+    assert found.tried_s == set_clock.now - budget._began
 
 
 class SlowCover:
@@ -301,7 +304,7 @@ class SlowCover:
 
 def test_the_time_of_a_cover_is_counted_once(set_clock, monkeypatch):
     found, waited, paused = solve(), [], paused_search(Budget(time_s=100.0).with_patience(5.0))
-    monkeypatch.setattr(Search, "run", lambda self: waited.append(self.waited_from))
+    monkeypatch.setattr(Search, "run", lambda self: waited.append(self.patience_began))
     monkeypatch.setattr(Search, "outcome", lambda self: found)
     space_search._with_cover(paused, SlowCover(set_clock), 5.0)
     assert waited == [paused.budget.elapsed()]
@@ -320,7 +323,7 @@ def test_a_cover_that_gives_up_is_shown_and_its_time_is_kept(set_clock, monkeypa
     monkeypatch.setattr(Search, "run", lambda self: None)
     monkeypatch.setattr(Search, "outcome", lambda self: ended)
     found = space_search._with_cover(paused, GivesUp(set_clock), 5.0)
-    assert found.given_up_s == {"slow": 6.0}
+    assert found.abandoned_s == {"slow": 6.0}
     assert not found.confined
     shown = [event for event in events[n_known:] if event.stage == "slow"]
     assert [event.kind for event in shown] == ["heartbeat"] * 2

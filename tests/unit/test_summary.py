@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pandas as pd
@@ -11,6 +10,7 @@ from rich.console import Console
 
 from baselines import registry
 from workflows.config import Experiment, parse_selection
+from workflows.integrity import sealed
 from workflows.stages.plan import expand
 from workflows.summary import outlook_of, print_baselines, print_summary
 
@@ -56,7 +56,7 @@ def test_the_outlook_counts_finished_runs_and_takes_their_times(tmp_path):
     ]
     folder = tmp_path / "runs" / "a"
     folder.mkdir(parents=True)
-    lines = [json.dumps({**row, "instance_digest": "", "status": "converged"}) for row in rows]
+    lines = [sealed({**row, "instance_digest": "", "status": "converged"}) for row in rows]
     (folder / "c.journal.jsonl").write_text("\n".join(lines))
     a, b = outlook_of(plan, tmp_path)
     assert (a.runs, a.finished, a.seconds, a.known) == (3, 1, 2 * 3.0, True)

@@ -50,12 +50,15 @@ def test_a_preparation_takes_nothing_from_any_part_of_a_budget():
     budget = Budget(1.0)
     parts = budget.sub_budget(0.5), budget.isolated_sub_budget(0.5), budget.named("other")
     began, left = budget.elapsed(), [part.left() for part in parts]
-    with budget.clock.preparing():
+    with budget.clock.paused():
         stopped = budget.elapsed()
         time.sleep(0.6)
         assert budget.elapsed() == stopped
     assert budget.clock.prepared_s >= 0.6
     assert budget.elapsed() - began < 0.3
+    with budget.clock.paused(), budget.clock.paused():  # counted once
+        time.sleep(0.2)
+    assert -1e-3 <= budget.elapsed() - began < 0.3
     for part, before in zip(parts, left, strict=True):
         assert not part.is_over
         assert before - 0.3 < part.left() <= before

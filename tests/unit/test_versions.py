@@ -30,7 +30,6 @@ def method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     edit_card(folder, parameters={})
     write_adapter(folder, "0.5")
     monkeypatch.setenv("DCREG_BASELINES_PATH", str(tmp_path))
-    monkeypatch.setattr(registry, "VERSIONS", str(tmp_path / "versions.json"))
     return folder
 
 
@@ -64,7 +63,7 @@ def test_other_results_need_another_version(method: Path) -> None:
     state()
     write_adapter(method, "0.6")
     assert state() == versions.CHANGED
-    assert state("mine") == versions.SAME  # its author is believed
+    assert state("mine") == versions.CHANGED  # it can be compared
     write_adapter(method, "0.7")
     edit_card(method, version=2)
     assert state() == versions.NEW
@@ -84,8 +83,11 @@ def test_what_cannot_be_checked_is_not_stored_unless_it_was_reviewed(
     assert state() == versions.NEW
     write_adapter(method, "0.6")
     assert state() == versions.UNKNOWN
-    assert state("mine") == versions.SAME
+    assert state("mine") == versions.REVIEWED
     assert registry.fingerprint("mine").startswith("mine 1")
+    assert (method.parent / "versions.json").is_file()
+    with pytest.raises(registry.BaselineError, match="did you mean 'icp'"):
+        state("icpp")
 
 
 @pytest.mark.parametrize("name", registry.names(registry.ROOT))

@@ -27,11 +27,12 @@ from typer.testing import CliRunner
 import workflows.metrics.errors
 from workflows.__main__ import app
 from workflows.blocks import Needs
+from workflows.integrity import DAMAGED, opened
 from workflows.running import the_only_run
 
 CHECKOUT = Path(__file__).parents[2]
 FAULTY = CHECKOUT / "tests" / "workflow" / "baselines"
-PARTS = ("Snakefile", "workflows", "baselines", "data", "dcreg", "reports")
+PARTS = ("Snakefile", "workflows", "baselines", "data", "dcreg", "reports", "requirements.lock")
 
 CONFIG = """
 name: tiny
@@ -299,11 +300,31 @@ def test_an_interrupted_job_keeps_what_it_had(checkout):
     journal.write_text("\n".join([*lines[:2], lines[2][:40]]))
     assert checkout.run("--no-report") == [*TABLES, "solve dcreg"]
     after = checkout.runs().set_index("run_id")
-    kept = [json.loads(line)["run_id"] for line in lines[:2]]
-    again = json.loads(lines[2])["run_id"]
+    kept = [opened(line)["run_id"] for line in lines[:2]]
+    again = opened(lines[2])["run_id"]
     assert after.loc[kept, "time_solve_s"].equals(before.loc[kept, "time_solve_s"])
     assert after.loc[again, "time_solve_s"] != before.loc[again, "time_solve_s"]
     assert len(_lines(journal)) == 4  # two old lines, the broken one, the new one
+
+
+def test_damaged_files_are_set_aside_and_made_again(checkout):
+    """As by a full disk or a bad sector: no damaged file is read, and no finished run is repeated."""
+    before, results = checkout.runs(), checkout.root / "results/tiny"
+    (journal,) = [p for p in results.glob("runs/dcreg/*.journal.jsonl") if len(_lines(p)) > 3]
+    damaged = [
+        *sorted(results.glob("runs/icp/*.parquet"))[:1], *sorted(results.glob("instances/*.npz"))[:1],
+        *results.glob("metrics/metrics.parquet"),
+    ]  # fmt: skip
+    for path in damaged:
+        content = bytearray(path.read_bytes())
+        content[len(content) // 3] ^= 0xFF
+        path.write_bytes(content)
+    output = checkout.command("run", "tiny", "--cores", "2", "--no-report")
+    for path in damaged:
+        assert f"damaged   {path}: set aside" in output
+        assert path.with_name(path.name + DAMAGED).exists()
+    pd.testing.assert_frame_equal(checkout.runs(), before)
+    assert len(_lines(journal)) == 4
 
 
 def _lines(path: Path) -> list[str]:
@@ -445,7 +466,7 @@ def test_own_cloud_pairs_need_a_card_and_a_config_of_a_few_lines(checkout):
     write_pair("one", 16)  # it alone is solved anew
     checkout.command("run", str(config), "--no-report", "--cores", "2")
     solved = [
-        json.loads(line)["n_source"]
+        opened(line)["n_source"]
         for path in sorted(checkout.root.glob("results/mine/runs/*/*.journal.jsonl"))
         for line in _lines(path)
     ]

@@ -2,8 +2,8 @@
 
 The worker solves many instances, so that imports and JIT compilation are needed once. It is killed, with
 all its children, at the hard time limit or the memory limit, and replaced for the next instance; a crash
-shows as the end of the pipe. In each case one run ends as `failed`. A run in which code was compiled is
-repeated.
+shows as the end of the pipe. In each case one run ends as `failed`, after a crash only if a second try
+crashes too. A run in which code was compiled is repeated.
 """
 
 from __future__ import annotations
@@ -42,7 +42,11 @@ THREAD_VARIABLES = (
 
 
 class WorkerLostError(Exception):
-    """The worker was killed or died; the message gives the reason."""
+    """The worker was killed at a limit; the message gives the reason."""
+
+
+class WorkerDiedError(WorkerLostError):
+    """The worker ended by itself or was killed from outside, so that another try may succeed."""
 
 
 class Worker:
@@ -87,7 +91,8 @@ class Worker:
         Raises
         ------
         WorkerLostError
-            At the time or memory limit, or if the worker dies. It cannot be used any more.
+            At the time or memory limit. The worker cannot be used any more.
+        WorkerDiedError
         """
         self.compiled = False
         try:
@@ -99,7 +104,7 @@ class Worker:
             return answer
         except (EOFError, OSError) as error:
             self.kill(patience_s=2.0)  # let it exit by itself to get its exit code
-            raise WorkerLostError(f"worker {self._end()}") from error
+            raise WorkerDiedError(f"worker {self._end()}") from error
 
     def _received(self, timeout_s: float, limit: str) -> Any:
         """Return what the worker sends next; until then, watch its time and memory."""
@@ -112,7 +117,10 @@ class Worker:
                     f"killed at {used_mb:.0f} MB; the limit is {self.memory_mb} MB"
                 )
             if time.monotonic() >= deadline:
+                was_stopped = self._is_stopped()
                 self.kill()
+                if was_stopped:
+                    raise WorkerDiedError("worker was stopped from outside")
                 raise WorkerLostError(f"killed after {timeout_s:.1f} s without an answer; {limit}")
         return self.connection.recv()
 
@@ -145,6 +153,12 @@ class Worker:
             with suppress(psutil.Error):
                 total += process.memory_info().rss
         return total / MB
+
+    def _is_stopped(self) -> bool:
+        """Tell whether a signal such as SIGSTOP has suspended the worker."""
+        with suppress(psutil.Error):
+            return psutil.Process(self.process.pid).status() == psutil.STATUS_STOPPED
+        return False
 
     def _end(self) -> str:
         code = self.process.returncode
@@ -225,7 +239,24 @@ class Sandbox:
         return worker
 
     def solve(self, instance: Instance) -> dict[str, Any]:
-        """Return the worker's answer or, if it was lost, the status of the run; never raises."""
+        """Return the worker's answer or, if it was lost, the status of the run; never raises.
+
+        A run whose worker died is tried again once.
+        """
+        try:
+            return self._try(instance)
+        except WorkerDiedError as first:
+            with suppress(WorkerDiedError):
+                return self._try(instance)
+            return self._lost(f"{first}, twice")
+
+    def _try(self, instance: Instance) -> dict[str, Any]:
+        """Return the worker's answer or, if it hit a limit, the status of the run.
+
+        Raises
+        ------
+        WorkerDiedError
+        """
         self._since = time.perf_counter()
         try:
             self.prepare(instance)
@@ -237,13 +268,16 @@ class Sandbox:
             if "error" in answer:
                 answer = {"status": Status.FAILED, "message": answer["error"]}
             return {**answer, "time_warmup_s": self.time_warmup_s}
+        except WorkerDiedError:
+            self._worker = None
+            raise
         except WorkerLostError as loss:
             self._worker = None
-            return {
-                "status": Status.FAILED,
-                "message": str(loss),
-                "time_solve_s": time.perf_counter() - self._since,
-            }
+            return self._lost(str(loss))
+
+    def _lost(self, message: str) -> dict[str, Any]:
+        time_s = time.perf_counter() - self._since
+        return {"status": Status.FAILED, "message": message, "time_solve_s": time_s}
 
     def _answer(self, worker: Worker, instance: Instance) -> dict[str, Any]:
         """Return the answer of the first run in which nothing is compiled."""

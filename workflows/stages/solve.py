@@ -25,6 +25,7 @@ from workflows import provenance, records
 from workflows.archives import archived
 from workflows.config import Experiment, MethodSettings
 from workflows.instances import content_digest, read_problems, read_truths, with_oracle
+from workflows.integrity import opened, sealed
 from workflows.stages.plan import run_identity
 from workflows.stages.sandbox import Sandbox
 
@@ -80,9 +81,9 @@ def forget(runs_folder: Path, statuses: set[str]) -> int:
     """Delete runs with the given statuses from a folder of results, so that they are repeated."""
     dropped = 0
     for path in sorted(runs_folder.glob("*/*.journal.jsonl")):
-        kept, lines = [], path.read_text(encoding="utf-8").splitlines()
+        kept, lines = [], path.read_text(encoding="utf-8", errors="replace").splitlines()
         for line in lines:
-            entry = _parsed(line)
+            entry = opened(line)
             if entry and entry["status"] not in statuses:
                 kept.append(line)
         if len(kept) < len(lines):
@@ -129,7 +130,7 @@ def _rows(
                 row["time_overhead_s"] = waited - row["time_solve_s"]
             if row["status"] != Status.UNAVAILABLE:
                 # Flushed, not synced: safe against a killed job, not against a power cut.
-                journal.write(json.dumps(row) + "\n")
+                journal.write(sealed(row) + "\n")
                 journal.flush()
             yield row
     if log.is_file() and not log.stat().st_size:
@@ -182,18 +183,10 @@ def journalled(folder: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
     """Return the finished runs of a method by run_id, input and fingerprint; the last one counts."""
     rows = {}
     for path in sorted(folder.glob("*.journal.jsonl")):
-        for line in path.read_text(encoding="utf-8").splitlines():
-            if entry := _parsed(line):
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            if entry := opened(line):
                 rows[_key(entry)] = entry
     return rows
-
-
-def _parsed(line: str) -> dict[str, Any] | None:
-    """Return a line of a journal, or None for one that was cut off."""
-    try:
-        return json.loads(line)
-    except json.JSONDecodeError:
-        return None
 
 
 def _appending(path: Path) -> IO[str]:

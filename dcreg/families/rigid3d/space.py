@@ -53,10 +53,10 @@ from dcreg.search import Box, Budget
 _SCORED_PAIRS = 100_000_000  # pairs evaluated to score the seeds
 _ROUNDING = 1e-12
 _CONGRUENT_SHARE = 0.5  # maximum share of the time for the poses of congruent triples
-DENSE_DESCENTS = 40_000  # pairs beyond which local searches begin with nearest neighbours
+DENSE_DESCENTS = 40_000  # point pairs beyond which local searches begin with nearest neighbours
 COARSE_PAIRS = 200_000  # beyond which the first local searches are on few points
 COARSE_POINTS, MAX_COARSE = 300, 1200  # of the smaller and of the larger cloud
-FEW_DESCENTS = 6  # from poses of the grid, after which two may agree on the best one
+FEW_DESCENTS = 6  # local searches from the grid before agreement can end them
 MAX_FINE = 5  # poses of the few points that are refined on all
 MAX_CONFIRMED = 2  # ... if they are confirmed: the best one and a runner-up
 
@@ -183,16 +183,15 @@ class Rigid3D(CloudSpace):
         return theta
 
     def starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
-        """Yield poses of congruent triples, then those of a regular grid.
+        """Yield initial poses until they are confirmed: of congruent triples, then of a regular grid.
 
-        They end when independent triples agree on the best pose (`is_confirmed`). Large clouds start from
-        the poses that few of their points give. If all points match, there is only the grid: the
+        Large clouds use a sample of their points first. If all points match, there is only the grid: the
         centroids then match too, and only rotations remain.
         """
         box = self.translations()
         if (box.lower == box.upper).all():
             yield from self._grid_starts(budget)
-        elif self._is_dense and self.candidates is None:
+        elif self._starts_from_sample and self.candidates is None:
             yield from self._coarse_starts(budget)
         else:
             yield from self._congruent_starts(budget.sub_budget(_CONGRUENT_SHARE))
@@ -200,15 +199,19 @@ class Rigid3D(CloudSpace):
                 yield from super().starts(budget)
 
     def _grid_starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
-        """Yield poses of a regular grid; of large clouds until the first ones agree."""
+        """Yield poses of a regular grid; for large clouds, end when local searches agree."""
         for tried, start in enumerate(super().starts(budget)):
-            if tried >= FEW_DESCENTS and self.n_pairs > DENSE_DESCENTS and self._do_ends_agree():
+            if (
+                tried >= FEW_DESCENTS
+                and self.n_pairs > DENSE_DESCENTS
+                and self._local_searches_agree()
+            ):
                 break
             yield start
-        self.is_confirmed = self.n_inliers >= MIN_CONFIRMED and self._do_ends_agree()
+        self.is_confirmed = self.n_inliers >= MIN_CONFIRMED and self._local_searches_agree()
 
-    def _do_ends_agree(self) -> bool:
-        """Tell whether local searches from different poses found the best one, as `is_confirmed`."""
+    def _local_searches_agree(self) -> bool:
+        """Tell whether two local searches found the best pose, and no other pose is nearly as good."""
         return is_confirmed([[(self._vertices(theta), value)] for theta, value in self.ends])
 
     def _congruent_starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
@@ -238,7 +241,7 @@ class Rigid3D(CloudSpace):
                     return
 
     @property
-    def _is_dense(self) -> bool:
+    def _starts_from_sample(self) -> bool:
         """Whether initial poses come from fewer points."""
         sizes = self.n_source, self.n_target
         return self.n_pairs > COARSE_PAIRS and coarse_sizes(*sizes) != sizes
