@@ -14,13 +14,14 @@ import numpy as np
 
 from dcreg.names import NO_PROOF_EXPECTED
 from dcreg.problem import (
-    EXACT,
     Problem,
+    exact_objective,
     median_spacing,
     nearest_rotation,
     rms_radius,
     rotation_angle_deg,
     rounding_error,
+    typical_radius,
 )
 from dcreg.result import Result, RunnerUp
 from dcreg.status import Status
@@ -29,6 +30,7 @@ _MANY_POINTS, _VERY_MANY_POINTS = 1000, 4000
 # Poses differ if they displace the source by more than this fraction of the target's RMS radius.
 DISTINCT = 0.2
 _MUCH_LARGER = 100.0
+FAR = 10.0  # RMS radius divided by typical radius, from which points count as far
 _OTHER_SIZE = 10.0
 TOO_MANY_PAIRS = "pairs are probably too many"  # part of the line of `loose_pairs`
 _ROUGH = 1.01  # objective divided by upper bound; a larger ratio is more than rounding
@@ -67,6 +69,13 @@ def advice(problem: Problem) -> Iterator[str]:
     n, m = len(problem.source), len(problem.target)
     if max(n, m) > _VERY_MANY_POINTS:
         yield f"warning: a search with {n} x {m} points is slow. {_REMEDY}."
+    for name, points in (("source", problem.source), ("target", problem.target)):
+        if FAR * typical_radius(points) < rms_radius(points):
+            yield (
+                f"warning: {name}: some points are far from all others, so that the RMS radius is more "
+                f"than {FAR:g} times the median distance from the middle. Bounds are weak with them. "
+                "Remove them first if they are invalid."
+            )
     radii = rms_radius(problem.source), rms_radius(problem.target)
     ratio = radii[0] / radii[1] if radii[1] > 0 else math.inf
     if problem.model == "rigid3d" and not 0.5 <= ratio <= 2.0:
@@ -98,7 +107,7 @@ class Case:
 def _is_rounding(value: float, case: Case) -> bool:
     """Tell whether an objective is 0 up to rounding."""
     problem = case.problem
-    return value <= EXACT * rounding_error(problem.source, problem.target, case.result.n_inliers)
+    return value <= exact_objective(problem.source, problem.target, case.result.n_inliers)
 
 
 def nothing_proven(case: Case) -> str | None:
@@ -346,7 +355,7 @@ def find_runner_up(
     if not others:
         return None
     other, value = min(others, key=lambda end: end[1])
-    rounding = EXACT * rounding_error(source, target, problem.n_inliers)
+    rounding = exact_objective(source, target, problem.n_inliers)
     angle = rotation_angle_deg(nearest_rotation(other[:d, :d] @ T[:d, :d].T))
     ratio = (value + rounding) / (objective + rounding)
     return RunnerUp(other, ratio, abs(angle), displacement(other))

@@ -261,7 +261,10 @@ def feasible_pairs(c: Certificate, n: int, m: int) -> np.ndarray | None:
 def exact_up_to(c: Certificate, source: np.ndarray, target: np.ndarray) -> float:
     """Return the objective up to which a fit counts as exact, in normalised units."""
     last_bits = 16.0 * np.finfo(float).eps * max(np.abs(source).max(), np.abs(target).max())
-    return float(c.n_inliers * (1e-12 + 100.0 * (last_bits / c.unit) ** 2))
+    # few points far from all others must not raise the limit
+    typical = np.sqrt(np.median(((target - np.median(target, axis=0)) ** 2).sum(axis=1)))
+    length = min(1.0, 3.0 * typical / c.unit) or 1.0
+    return float(c.n_inliers * (1e-12 * length**2 + 100.0 * (last_bits / c.unit) ** 2))
 
 
 def check_claim(c: Certificate, slack: float, exact: float) -> None:

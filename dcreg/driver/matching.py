@@ -15,6 +15,7 @@ from dcreg.families.matches.start import is_near, promising_poses, surface_consi
 from dcreg.families.matches.warnings import warnings_of
 from dcreg.names import SCORES
 from dcreg.problem import InputError, suggestion
+from dcreg.problem.geometry import EXACT
 from dcreg.result import Result, Score, Stage, Trace
 from dcreg.search import Budget
 from dcreg.status import Status
@@ -67,7 +68,9 @@ def _solved(
     best, pose = starts[0]
     value, chosen = problem.cost(pose)
     stages = [Stage("start", budget.elapsed(), n_assignments=len(starts))]
-    tolerance = limits.tolerance(problem.max_cardinality, problem.rounding)
+    tolerance = limits.tolerance(
+        problem.max_cardinality, problem.rounding, EXACT * problem.rounding
+    )
     status = budget.ended_by if budget.is_over else Status.CONVERGED
     lower, events = 0.0, []
     if certify:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dcreg.names import DEFAULT_REL_GAP, START_BOXES
-from dcreg.problem.geometry import EXACT
 from dcreg.problem.problem import InputError, suggestion
 from dcreg.search import Budget, Listener, Tolerance
 
@@ -157,7 +156,9 @@ class Limits:
         check_positive("node_limit", self.nodes, such_as=10_000)
         check_positive("memory_limit_mb", self.memory_mb)
 
-    def tolerance(self, n_inliers: int, rounding: float, share: float = 1.0) -> Tolerance:
+    def tolerance(
+        self, n_inliers: int, rounding: float, exact: float, share: float = 1.0
+    ) -> Tolerance:
         """Return the tolerance of a search.
 
         Parameters
@@ -166,11 +167,13 @@ class Limits:
             Pairs of the problem as given.
         rounding : float
             Rounding error of the objective: the default of `abs_gap`, and its minimum.
+        exact : float
+            The objective up to which a fit counts as exact.
         share : float
             Share of these pairs that is searched. A sample gets this share of `abs_gap`.
         """
         abs_gap = max(share * (self._abs_gap(n_inliers) or 0.0), rounding)
-        return Tolerance(self.rel_gap, abs_gap, EXACT * rounding)
+        return Tolerance(self.rel_gap, abs_gap, exact)
 
     def _abs_gap(self, n_inliers: int) -> float | None:
         """Return the absolute tolerance, which may be given as a length per pair."""

@@ -29,7 +29,7 @@ from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, START_BOXES
 from dcreg.problem import Problem
-from dcreg.problem.geometry import Frame, rounding_error
+from dcreg.problem.geometry import Frame, exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
 from dcreg.search import Budget, Event, Listener
 
@@ -145,8 +145,10 @@ class Setup:
         """Return the problem that is searched for ``problems[at]``."""
         problem, mode, options, frame = self.searched[at], self.mode, self.options, self.frame
         source, target, k = problem.source, problem.target, problem.n_inliers
-        given, rounding = self.problems[at].n_inliers, rounding_error(source, target, k)
-        tolerance = self.limits.tolerance(given, rounding, k / given)
+        given, sizes = self.problems[at].n_inliers, (source, target, k)
+        tolerance = self.limits.tolerance(
+            given, rounding_error(*sizes), exact_objective(*sizes), k / given
+        )
         return NormalisedProblem(
             frame.source(source), frame.target(target), k, problem.scale_range, problem.candidates,
             frame, options.bound or mode.own_bound, options.start_box == START_BOXES[0],

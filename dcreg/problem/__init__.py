@@ -3,9 +3,10 @@
 # ruff: noqa: F401 (names of the package)
 
 from dcreg.problem.geometry import (
-    EXACT,
+    TYPICAL,
     Frame,
     apply_pose,
+    exact_objective,
     farthest_point_order,
     farthest_points,
     median_spacing,
@@ -15,6 +16,7 @@ from dcreg.problem.geometry import (
     rotation_angle_deg,
     rounding_error,
     scale_of,
+    typical_radius,
     unit_length,
 )
 from dcreg.problem.problem import Candidates, InputError, Problem, largest_matching, suggestion

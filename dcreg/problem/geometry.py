@@ -223,6 +223,9 @@ def representative_points(points: np.ndarray, count: int) -> np.ndarray:
 
 _ROUNDING = 1e-14  # rounding error of a squared residual, in squared RMS radii of the target
 EXACT = 100.0  # a fit is exact if its objective is at most this many rounding errors
+TYPICAL = (
+    3.0  # RMS radius divided by typical radius, above which few points are far from all others
+)
 
 
 def rms_radius(points: np.ndarray) -> float:
@@ -245,9 +248,27 @@ def rounding_error(source: np.ndarray, target: np.ndarray, n_inliers: int) -> fl
     Of each pair: the square of 1e-7 RMS radii of the target, plus that of a few last bits of the
     coordinates.
     """
-    unit = unit_length(source, target) or 1.0
+    return _rounding(source, target, n_inliers, unit_length(source, target))
+
+
+def exact_objective(source: np.ndarray, target: np.ndarray, n_inliers: int) -> float:
+    """Return the objective up to which a fit of `n_inliers` pairs counts as exact.
+
+    `EXACT` rounding errors, of a unit of length that few far points do not change: a fit is not exact
+    because one point is far from all others.
+    """
+    unit = min(unit_length(source, target), TYPICAL * (typical_radius(target) or np.inf))
+    return EXACT * _rounding(source, target, n_inliers, unit)
+
+
+def typical_radius(points: np.ndarray) -> float:
+    """Return the median distance of the points from their coordinate-wise median."""
+    return float(np.sqrt(np.median(((points - np.median(points, axis=0)) ** 2).sum(axis=1))))
+
+
+def _rounding(source: np.ndarray, target: np.ndarray, n_inliers: int, unit: float) -> float:
     last_bits = 16.0 * np.finfo(float).eps * max(np.abs(source).max(), np.abs(target).max())
-    return float(n_inliers * (_ROUNDING * unit**2 + last_bits**2))
+    return float(n_inliers * (_ROUNDING * (unit or 1.0) ** 2 + last_bits**2))
 
 
 def fit_pose(

@@ -7,7 +7,7 @@ import dcreg
 from baselines import registry
 from baselines.contract import Instance, Limits
 from data.registry import dataset
-from dcreg.problem import EXACT, rounding_error
+from dcreg.problem import exact_objective
 from dcreg.status import Status
 from tests.fuzz.problems import problem
 from tests.golden.cases import CASES
@@ -21,7 +21,7 @@ TESTS = {"deformation": 0.03, "noise": 0.03, "mixed_outliers": 0.3, "occlusion_o
 def assert_honest(found, source, target, n_pairs):
     """Check one result or solution; return whether it is certified without an exact fit."""
     lower, upper = found.lower_bound, found.upper_bound
-    exact = upper <= EXACT * rounding_error(source, target, n_pairs)
+    exact = upper <= exact_objective(source, target, n_pairs)
     if found.status is not Status.OPTIMAL:
         return False
     assert exact or lower >= PROVEN * upper
@@ -92,3 +92,19 @@ def test_matches_within_the_share():
     found = dcreg.register_matches(source, target, matches, inlier_distance=0.1)
     assert found.status is Status.OPTIMAL
     assert found.lower_bound >= PROVEN * found.upper_bound > 0.0
+
+
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
+def test_invalid_points_far_away_certify_nothing(model):
+    """Map coordinates, half of the points overlap, and each cloud has a point at the origin."""
+    dim = 2 if model == "similarity2d" else 3
+    rng = np.random.default_rng(3)
+    place = np.array([5e5, 5.4e6, 300.0])[:dim]
+    points = rng.random((90, dim))
+    source, target = points[:60], points[30:] + 0.01 * rng.standard_normal((60, dim))
+    clouds = [np.vstack([cloud + place, np.zeros((1, dim))]) for cloud in (source, target)]
+    found = dcreg.register(*clouds, n_inliers=20, model=model, time_limit=5.0)
+    assert not found.is_exact
+    assert found.status is not Status.OPTIMAL or found.lower_bound >= PROVEN * found.upper_bound
+    lines = list(dcreg.advice(dcreg.Problem(*clouds, 20, model)))
+    assert [name for name in ("source", "target") if f"warning: {name}: some points" in str(lines)]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import dcreg
-from dcreg.problem import Problem, rounding_error
+from dcreg.problem import Problem, exact_objective, rounding_error
+from dcreg.problem.geometry import EXACT
 from tests.problems import register
 
 GOOD = np.random.default_rng(0).random((6, 2))
@@ -76,6 +77,16 @@ def test_rounding_error_scales_with_the_square_of_the_target():
     assert rounding_error(source, 3 * GOOD, 4) == pytest.approx(9 * rounding)
     radius = np.sqrt(((GOOD - GOOD.mean(0)) ** 2).sum(1).mean())
     assert rounding == pytest.approx(4 * (1e-7 * radius) ** 2)
+
+
+def test_a_far_point_does_not_make_a_fit_exact():
+    points = np.random.default_rng(0).standard_normal((50, 3))
+    near = exact_objective(points, points, 30)
+    assert near == pytest.approx(EXACT * rounding_error(points, points, 30))
+    far = np.vstack([points, np.full((1, 3), 1e6)])
+    assert exact_objective(far, far, 30) < 30 * near
+    assert rounding_error(far, far, 30) > near
+    assert exact_objective(far[:1], np.zeros((4, 3)), 1) > 0.0  # without extent
 
 
 def test_rounding_error_far_from_the_origin_is_that_of_the_coordinates():

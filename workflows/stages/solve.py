@@ -18,7 +18,7 @@ from typing import IO, Any
 from baselines import registry
 from baselines.contract import Instance
 from dcreg.files import whole_file
-from dcreg.problem import EXACT, rounding_error
+from dcreg.problem import exact_objective
 from dcreg.search import proven_share
 from dcreg.status import Status
 from workflows import provenance, records
@@ -153,7 +153,7 @@ def _plain(answer: dict[str, Any], exact: float) -> dict[str, Any]:
 
 def _exact_fit(instance: Instance) -> float:
     """Return the objective up to which a fit counts as exact."""
-    return EXACT * rounding_error(instance.source, instance.target, instance.n_inliers)
+    return exact_objective(instance.source, instance.target, instance.n_inliers)
 
 
 def bound_ratio(lower: float | None, upper: float | None, exact: float) -> float | None:
