@@ -125,8 +125,9 @@ def nothing_proven(case: Case) -> str | None:
         )
     if result.reason == NO_PROOF_EXPECTED:
         known = f"{known}, and no proof is expected soon"
-        is_sampled = result.downsampled is not None  # a proof would refer to the sample only
-        return known if is_sampled else f"{known}. Set prove=True (--prove) to search longer"
+        return known
+    if result.status is Status.STOPPED:
+        return f"{known}, because the search was stopped"
     return (
         f"{known}. Allow more time, use fewer points, or choose a mode that closes the gap (see the page "
         "Modes of the manual)"
@@ -167,6 +168,8 @@ def rough_pairs(case: Case) -> str | None:
         )
     else:
         return None
+    if result.status is Status.STOPPED:
+        return f"the search was stopped before all pairs were matched: {what}"
     fewer = "" if result.downsampled else ", or use downsample=200 (--downsample 200)"
     return f"the time limit was hit before all pairs were matched: {what}. Allow more time{fewer}"
 

@@ -371,7 +371,9 @@ class Result:
                 f"{status.value}: best pose so far{later if self.gap_closed else ', not certified'}"
             )
         certified = f"certified for the {scope}" if self.gap_closed else "not certified"
-        return f"converged: {self.reason}; {certified}"
+        goes_on = self.reason == NO_PROOF_EXPECTED and self.downsampled is None
+        remedy = "; prove=True (--prove) searches longer" if goes_on else ""
+        return f"converged: {self.reason}; {certified}{remedy}"
 
     def _proven_share(self) -> str:
         """Return what the lower bound proves, in words."""

@@ -308,9 +308,10 @@ class Search:
     def _has_no_prospect(self) -> bool:
         """Tell whether the patience is over, or the proof is expected to exceed it by far."""
         budget = self.budget
-        spent = budget.elapsed() - self.patience_began
+        spent, done = budget.elapsed() - self.patience_began, self.n_nodes - self.n_nodes_before
         if budget.patience_s is not None and spent >= budget.patience_s:
-            return True
+            at = done, spent, budget, self.not_bounding_s
+            return self.prospect is None or not self.prospect.is_near(*at)
         if self._is_before_estimate(spent):
             return False
         asked_after_s = (
@@ -318,7 +319,6 @@ class Search:
         )
         if spent < asked_after_s or not (budget.patience_s is not None or budget.is_watched):
             return False
-        done = self.n_nodes - self.n_nodes_before
         if not done:
             return False
         if self.prospect is None:

@@ -20,6 +20,9 @@ FEW_DESCENTS, N_DESCENTS = 16, 128  # of the first part of an estimate, and of b
 ESTIMATE_SHARE = (
     0.1  # of the time left, that the first part may take; after more, there is no second one
 )
+# Time after the end of the patience in which a proof is awaited if it is expected: as a share of the
+# patience, and at most.
+GRACE_SHARE, MAX_GRACE_S = 0.4, 2.0
 _MAX_DEPTH = 80  # divisions; the boxes of a longer descent contain the minimiser
 
 
@@ -151,7 +154,20 @@ class Prospect:
         if budget.patience_s is None:
             return False
         needed_s = self._needed_s(n_nodes, spent_s - not_bounding_s)
-        return needed_s > MAX_TIME_RATIO * _left_s(spent_s, budget)
+        is_long = needed_s > MAX_TIME_RATIO * _left_s(spent_s, budget)
+        return is_long and not self.is_near(n_nodes, spent_s, budget, not_bounding_s)
+
+    def is_near(
+        self, n_nodes: int, spent_s: float, budget: Budget, not_bounding_s: float = 0.0
+    ) -> bool:
+        """Tell whether the proof is expected within the patience, or a short time after it.
+
+        The parameters are those of `is_poor`.
+        """
+        patience_s = 0.0 if budget.patience_s is None else budget.patience_s
+        grace_s = min(GRACE_SHARE * patience_s, MAX_GRACE_S)
+        left_s = _left_s(spent_s, budget.with_patience(patience_s + grace_s))
+        return 0.0 < self._needed_s(n_nodes, spent_s - not_bounding_s) <= left_s
 
     def expected_s(
         self, n_nodes: int, spent_s: float, budget: Budget, not_bounding_s: float = 0.0

@@ -87,13 +87,32 @@ def test_boxes_of_the_estimate_tell_how_long_boxes_take():
         assert not Prospect(3000.0, 490, 0.5).is_poor(10, 0.5, waiting)
 
 
+@pytest.mark.parametrize(
+    ("n_nodes", "spent_s", "near"),
+    [
+        (720, 4.9, True),  # 1.9 s more: less than 2 s after the end of the patience
+        (600, 4.9, False),
+        (900, 6.5, False),  # 0.72 s
+        (950, 6.5, True),
+        (1000, 6.5, False),  # the estimate was too low, so nothing is known
+    ],
+)
+def test_a_proof_is_awaited_for_a_short_time_after_the_patience(n_nodes, spent_s, near):
+    with Budget(100.0) as budget:
+        waiting, prospect = budget.with_patience(5.0), Prospect(1000.0)
+        assert prospect.is_near(n_nodes, spent_s, waiting) == near
+        assert not prospect.is_near(n_nodes, spent_s, budget)
+        assert not Prospect(1000.0).is_poor(720, 4.9, waiting)
+        assert Prospect(1e5).is_poor(720, 4.9, waiting)
+
+
 def test_a_hopeless_search_ends_with_its_reason_unless_a_proof_is_requested():
     source, target, _ = partial_overlap(0, n_common=60, n_clutter=200)
     settings = {"n_inliers": 60, "model": "rigid3d"}
     found = dcreg.register(source, target, **settings, time_limit=12.0)
     assert (found.status, found.reason) == ("converged", "proof not expected soon")
-    assert str(found).splitlines()[0].endswith("not certified")
     assert "no proof is expected soon" in found.warnings[0]
+    assert str(found).splitlines()[0].endswith("prove=True (--prove) searches longer")
     assert found.to_dict()["reason"] == found.reason
     proved = dcreg.register(
         source, target, **settings, time_limit=6.0, options=dcreg.SolveOptions(prove=True)
