@@ -135,6 +135,11 @@ bounds: setup
 	@$(BIN)/python -m workflows.studies.bounds results/bounds
 	@$(BIN)/python -m reports bounds results/bounds
 
+## faults: disturb sweeps of 500 runs by twelve kinds of faults and count what is lost or repeated (RUNS=48)
+.PHONY: faults
+faults: setup
+	@$(BIN)/python -m workflows.studies.faults results/faults --runs $(or $(RUNS),500)
+
 ## golden: compare the TEASER port and mode full with recorded results of official TEASER++ and Go-ICP
 .PHONY: golden
 golden: setup

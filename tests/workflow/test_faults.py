@@ -14,6 +14,7 @@ def test_a_disturbed_sweep_loses_and_repeats_nothing(tmp_path):
     found = study(tmp_path, 48, SHORT, seed=0).set_index("fault")
     assert list(found.index) == list(SHORT)
     assert set(SHORT) < set(FAULTS)
+    assert found["struck"].all()
     assert (found["runs"] == 48).all()
     assert (found["lost"] == 0).all()
     assert (found["repeated"] == 0).all()
