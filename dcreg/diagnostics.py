@@ -352,7 +352,7 @@ def find_runner_up(
     def displacement(other: np.ndarray) -> float:
         linear, shift = other[:d, :d] - T[:d, :d], other[:d, d] - T[:d, d]
         squared = ((linear @ centre + shift) ** 2).sum() + np.trace(linear @ covariance @ linear.T)
-        return float(np.sqrt(squared))
+        return float(np.sqrt(max(squared, 0.0)))  # rounding can make it negative
 
     others = [end for end in ends if np.isfinite(end[1]) and displacement(end[0]) > minimum]
     if not others:
