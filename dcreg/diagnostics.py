@@ -77,8 +77,7 @@ def advice(problem: Problem) -> Iterator[str]:
                 "Remove them first if they are invalid."
             )
     radii = rms_radius(problem.source), rms_radius(problem.target)
-    ratio = radii[0] / radii[1] if radii[1] > 0 else math.inf
-    if problem.model == "rigid3d" and not 0.5 <= ratio <= 2.0:
+    if problem.model == "rigid3d" and max(radii) > 2.0 * min(radii):
         yield (
             f"hint: the RMS radii differ a lot (source {radii[0]:.4g}, target {radii[1]:.4g}), and "
             "rigid3d has no scale. If the units differ, rescale one cloud. Views that overlap only "
@@ -198,7 +197,11 @@ def undetermined(case: Case) -> str | None:
     is_point = case.problem.dim == 2 or spread[0] <= 1e-9 * extent
     where = "coincide" if is_point else "lie on one line"
     what = "one pair does" if k == 1 else f"the {k} matched source points {where} and do"
-    return f"{what} not determine the pose. Match more pairs (n_inliers), of distinct points"
+    is_all = k == min(len(case.problem.source), len(case.problem.target))
+    remedy = (
+        "No other n_inliers helps" if is_all else "Match more pairs (n_inliers), of distinct points"
+    )
+    return f"{what} not determine the pose. {remedy}"
 
 
 def other_size(case: Case) -> str | None:

@@ -27,6 +27,8 @@ _LIBRARY = logging.getLogger("dcreg")
 T = TypeVar("T")
 _GLANCE_S = 0.1  # between two checks for a signal
 _WAITING_S = 5.0  # between two plain lines without a search
+_SILENT_S = 1.0  # without an event, of which a search sends several a second unless it compiles
+_COMPILING = "compiling or finishing"  # after a time limit there are no events either
 _SAME = 1e-3  # relative change of the upper bound up to which the pose counts as found before
 _HEADER = (
     f"  {'stage':<11}{'nodes':>9}{'open':>7}{'pose at':>9}"
@@ -63,7 +65,7 @@ class Progress:
         self.stop_requested = False
         self._live: Live | None = None
         self._began = time.monotonic()
-        self._heard = False
+        self._heard, self._heard_at = False, 0.0
         self._header_shown = False
         self._last_print = -math.inf
         self._stage = ""
@@ -95,7 +97,7 @@ class Progress:
         self._undo.close()
 
     def __call__(self, event: dcreg.Event) -> bool:
-        self._heard = True
+        self._heard, self._heard_at = True, time.monotonic()
         if not self.quiet:
             self._show(event)
         return self.stop_requested
@@ -115,7 +117,7 @@ class Progress:
         thread.start()
         while thread.is_alive():
             thread.join(_GLANCE_S)
-            if not (self._heard or self.quiet):
+            if not self.quiet:
                 self._show_waiting()
         if errors:
             raise errors[0]
@@ -134,12 +136,15 @@ class Progress:
         os.write(2, b"\nstopping, the best pose is kept (repeat to quit at once)\n")
 
     def _show_waiting(self) -> None:
-        """Show the work outside of a search: checks, sampling, compilation, proof."""
+        """Show the work outside of a search: checks, sampling, proof, and compilation also within one."""
         now = time.monotonic()
-        line = f"{self.step}, {now - self._began:.0f} s"
+        if self._heard and now - self._heard_at < _SILENT_S:
+            return
+        step, since = (_COMPILING, self._heard_at) if self._heard else (self.step, self._began)
+        line = f"{step}, {now - since:.0f} s"
         if self._live is not None:
             self._live.update(Text(line))
-        elif now - max(self._began, self._last_print) >= _WAITING_S:
+        elif now - max(since, self._last_print) >= _WAITING_S:
             self.console.print(line, highlight=False, soft_wrap=True)
             self._last_print = now
 

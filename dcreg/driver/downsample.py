@@ -77,7 +77,7 @@ def _check(count: int, problem: Problem, certificate: bool) -> None:
     """Refuse an invalid number of points, and settings that a sample would ignore."""
     if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < problem.dim:
         raise InputError(
-            f"downsample: {count!r} is not a number of points; give a whole number such as 200"
+            f"downsample: {count!r}; give a whole number of points, at least {problem.dim}, such as 200"
         )
     given = {"candidates": problem.candidates is not None, "certificate": certificate}
     for name in filter(given.get, given):

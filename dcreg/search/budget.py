@@ -156,6 +156,10 @@ class Clock:
         """Seconds of all pauses that have ended."""
         return self._state[1]
 
+    @property
+    def is_paused(self) -> bool:
+        return self._state[0] is not None
+
     def now(self) -> float:
         """Return the seconds of this clock; they do not increase while it is paused."""
         while True:
@@ -266,7 +270,8 @@ class Budget:
         while not self._ended.wait(_GLANCE_S):
             now = self.clock.now()
             try:
-                if time.perf_counter() - self._reported_at >= _SILENCE_S and over_at is None:
+                is_silent = time.perf_counter() - self._reported_at >= _SILENCE_S
+                if is_silent and over_at is None and not self.clock.is_paused:
                     self.report(
                         replace(self._event, kind="heartbeat", time_s=self.elapsed(), status="")
                     )

@@ -183,6 +183,22 @@ def test_time_of_the_preparation_is_shown(monkeypatch, terminal):
             assert stream.getvalue().count("preparing") == 1  # and not while it searches
 
 
+def test_a_search_without_news_is_shown_to_work(monkeypatch):
+    """It compiles, or it finishes after its time limit."""
+    monkeypatch.setattr("dcreg.cli.progress._WAITING_S", 0.2)
+    monkeypatch.setattr("dcreg.cli.progress._SILENT_S", 0.2)
+    stream = io.StringIO()
+
+    def search(progress):
+        progress(event())
+        time.sleep(0.8)
+        progress(event("end"))
+
+    with Progress(Console(file=stream, width=80)) as progress:
+        progress.run(lambda: search(progress))
+    assert "compiling or finishing, 0 s" in stream.getvalue()
+
+
 # --- signals before a search ------------------------------------------------------------------------
 
 NOTHING = "interrupted: no result, and nothing is written"

@@ -64,6 +64,16 @@ def test_a_preparation_takes_nothing_from_any_part_of_a_budget():
         assert before - 0.3 < part.left() <= before
 
 
+def test_no_event_repeats_while_the_clock_is_paused():
+    heard = []
+    with Budget(10.0, listener=heard.append) as budget:
+        with budget.clock.paused():
+            time.sleep(0.7)
+            assert not heard
+        time.sleep(0.7)
+    assert heard
+
+
 @pytest.mark.parametrize("model", MODEL_DIM)
 def test_a_cover_is_compiled_outside_of_the_time_limit(model, monkeypatch):
     compiled = []
