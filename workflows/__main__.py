@@ -235,8 +235,7 @@ def forget(
 
     Runs of archives are not deleted; `run --fresh` does not use them.
     """
-    import shutil
-
+    from workflows.integrity import remove_made_from_runs
     from workflows.stages.solve import forget as drop
 
     known = [str(each.value) for each in Status]
@@ -244,9 +243,8 @@ def forget(
         if name not in known:
             raise UserError(f"--status: no status {name!r}{suggestion(name, known)}")
     dropped = drop(folder / "runs", statuses)
-    if dropped:  # Snakemake repeats no job while everything made from its output exists
-        for made_from_runs in ("metrics", "tables", "report", "parts"):
-            shutil.rmtree(folder / made_from_runs, ignore_errors=True)
+    if dropped:
+        remove_made_from_runs(folder)
     print(f"forgot {dropped} runs")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ from dcreg.files import whole_file
 DAMAGED = ".damaged"  # suffix of a file that was set aside
 SUMS = ".checksums"  # file of a folder; for each name, its last line counts
 SUFFIXES = (".npz", ".parquet")  # of the files that have checksums
+MADE_FROM_RUNS = ("metrics", "tables", "report")  # folders of a view of an experiment
 _LENGTH = 16  # hexadecimal digits of the checksum of a line
 
 
@@ -48,6 +50,17 @@ def set_aside_damaged(folder: Path) -> list[Path]:
     for path in damaged:
         path.rename(path.with_name(path.name + DAMAGED))
     return damaged
+
+
+def remove_made_from_runs(folder: Path) -> None:
+    """Remove what is made from the runs of an experiment.
+
+    Snakemake makes no missing file again while everything made from it exists.
+    """
+    for name in MADE_FROM_RUNS:
+        for place in (folder, folder / "evidence"):
+            shutil.rmtree(place / name, ignore_errors=True)
+    shutil.rmtree(folder / "parts", ignore_errors=True)
 
 
 def is_sound(path: Path) -> bool:

@@ -16,7 +16,7 @@ from types import FrameType
 from typing import IO
 
 from workflows import CHECKOUT, UserError, provenance
-from workflows.integrity import set_aside_damaged
+from workflows.integrity import remove_made_from_runs, set_aside_damaged
 
 INTERRUPTED = 130  # exit code, as in shells
 PATIENCE_S = 20.0  # for Snakemake to end after SIGTERM
@@ -59,8 +59,7 @@ def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
         os.killpg(process.pid, signal.SIGTERM)
 
     with the_only_run(directory, name) as lock, NamedTemporaryFile("r", encoding="utf-8") as errors:
-        for path in set_aside_damaged(directory / "results" / name):
-            print(f"damaged   {path}: set aside, and made again", flush=True)
+        _set_aside_damaged(directory / "results" / name)
         process = subprocess.Popen(
             [*command, f"errors={errors.name}"],
             stdin=subprocess.DEVNULL,
@@ -81,6 +80,14 @@ def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
         if process.returncode and deadline == float("inf"):
             print(errors.read().rstrip(), file=sys.stderr)
     return process.returncode if deadline == float("inf") else INTERRUPTED
+
+
+def _set_aside_damaged(folder: Path) -> None:
+    damaged = set_aside_damaged(folder)
+    for path in damaged:
+        print(f"damaged   {path}: set aside, and made again", flush=True)
+    if damaged:
+        remove_made_from_runs(folder)
 
 
 @contextmanager
