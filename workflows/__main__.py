@@ -235,7 +235,7 @@ def forget(
 
     Runs of archives are not deleted; `run --fresh` does not use them.
     """
-    from workflows.integrity import remove_made_from_runs
+    from workflows.running import remove_made_from_runs
     from workflows.stages.solve import forget as drop
 
     known = [str(each.value) for each in Status]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +14,6 @@ from dcreg.files import whole_file
 DAMAGED = ".damaged"  # suffix of a file that was set aside
 SUMS = ".checksums"  # file of a folder; for each name, its last line counts
 SUFFIXES = (".npz", ".parquet")  # of the files that have checksums
-MADE_FROM_RUNS = ("metrics", "tables", "report")  # folders of a view of an experiment
 _LENGTH = 16  # hexadecimal digits of the checksum of a line
 
 
@@ -42,45 +40,36 @@ def sealed_file(path: Path) -> Iterator[Path]:
 
 
 def set_aside_damaged(folder: Path) -> list[Path]:
-    """Rename the damaged files of an experiment, so that Snakemake makes them again; return them.
+    """Rename the damaged files of an experiment; return their old names.
 
     A file without a checksum counts as damaged.
     """
-    damaged = [path for path in sorted(folder.rglob("*")) if _has_sum(path) and not is_sound(path)]
+    places = [folder, *(path for path in sorted(folder.rglob("*")) if path.is_dir())]
+    damaged = [path for place in places for path in _damaged_in(place)]
     for path in damaged:
         path.rename(path.with_name(path.name + DAMAGED))
     return damaged
 
 
-def remove_made_from_runs(folder: Path) -> None:
-    """Remove what is made from the runs of an experiment.
-
-    Snakemake makes no missing file again while everything made from it exists.
-    """
-    for name in MADE_FROM_RUNS:
-        for place in (folder, folder / "evidence"):
-            shutil.rmtree(place / name, ignore_errors=True)
-    shutil.rmtree(folder / "parts", ignore_errors=True)
-
-
-def is_sound(path: Path) -> bool:
-    """Tell whether a file has the checksum that was stored when it was written."""
-    sums = path.parent / SUMS
-    if not sums.is_file():
-        return False
-    lines = sums.read_text(encoding="utf-8", errors="replace").splitlines()
-    stored = [line.partition("  ")[0] for line in lines if line.partition("  ")[2] == path.name]
-    return bool(stored) and digest(path) == stored[-1]
+def _damaged_in(folder: Path) -> list[Path]:
+    """Return the files of a folder that differ from their last checksum."""
+    sums, stored = folder / SUMS, {}
+    if sums.is_file():
+        for line in sums.read_text(encoding="utf-8", errors="replace").splitlines():
+            checksum, _, name = line.partition("  ")
+            stored[name] = checksum
+    return [
+        path
+        for path in sorted(folder.iterdir())
+        if path.suffix in SUFFIXES and not path.name.startswith(".") and path.is_file()
+        and digest(path) != stored.get(path.name)
+    ]  # fmt: skip
 
 
 def digest(path: Path) -> str:
     """Return the SHA-256 of a file."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _has_sum(path: Path) -> bool:
-    return path.suffix in SUFFIXES and not path.name.startswith(".") and path.is_file()
 
 
 def _checksum(text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,7 +17,8 @@ from types import FrameType
 from typing import IO
 
 from workflows import CHECKOUT, UserError, provenance
-from workflows.integrity import remove_made_from_runs, set_aside_damaged
+from workflows.blocks import EVIDENCE
+from workflows.integrity import set_aside_damaged
 
 INTERRUPTED = 130  # exit code, as in shells
 PATIENCE_S = 20.0  # for Snakemake to end after SIGTERM
@@ -97,6 +99,17 @@ def _correct_times(folder: Path) -> None:
     for path in folder.rglob("*"):
         if path.is_file() and path.stat().st_mtime > now:
             os.utime(path, (now, now))
+
+
+def remove_made_from_runs(folder: Path) -> None:
+    """Remove what is made from the runs of an experiment.
+
+    Snakemake makes no missing file again while everything made from it exists.
+    """
+    for name in ("metrics", "tables", "report"):
+        for place in (folder, folder / EVIDENCE):
+            shutil.rmtree(place / name, ignore_errors=True)
+    shutil.rmtree(folder / "parts", ignore_errors=True)
 
 
 @contextmanager
