@@ -123,8 +123,7 @@ def nothing_proven(case: Case) -> str | None:
             "and tol (--abs-gap, --tol)"
         )
     if result.reason == NO_PROOF_EXPECTED:
-        known = f"{known}, and no proof is expected soon"
-        return known
+        return f"{known}, and no proof is expected soon"
     if result.status is Status.STOPPED:
         return f"{known}, because the search was stopped"
     return (

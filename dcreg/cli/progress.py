@@ -28,7 +28,7 @@ T = TypeVar("T")
 _GLANCE_S = 0.1  # between two checks for a signal
 _WAITING_S = 5.0  # between two plain lines without a search
 _SILENT_S = 1.0  # without an event, of which a search sends several a second unless it compiles
-_COMPILING = "compiling or finishing"  # after a time limit there are no events either
+_WITHOUT_NEWS = "compiling or finishing"  # after a time limit there are no events either
 _SAME = 1e-3  # relative change of the upper bound up to which the pose counts as found before
 _HEADER = (
     f"  {'stage':<11}{'nodes':>9}{'open':>7}{'pose at':>9}"
@@ -140,7 +140,7 @@ class Progress:
         now = time.monotonic()
         if self._heard and now - self._heard_at < _SILENT_S:
             return
-        step, since = (_COMPILING, self._heard_at) if self._heard else (self.step, self._began)
+        step, since = (_WITHOUT_NEWS, self._heard_at) if self._heard else (self.step, self._began)
         line = f"{step}, {now - since:.0f} s"
         if self._live is not None:
             self._live.update(Text(line))

@@ -26,9 +26,8 @@ _LOGGER = logging.getLogger("dcreg")
 COMPILING = (
     "compiling the kernels that this search needs (only once; they are cached for later runs)"
 )
-_CUTOFF = (
-    0.3  # for which no cover of a tiny problem gives up, so that all of its kernels are compiled
-)
+# Cutoff of the tiny problem of `compile_cover`. No cover gives up, so that all its kernels are compiled.
+_CUTOFF = 0.3
 # A dense cost matrix of more pairs than this does not fit into the memory of a common machine.
 MAX_PAIRS = 100_000_000
 # In norm space these match sorted norms and need no cost matrix.

@@ -12,14 +12,12 @@ from dcreg.search.boxes import Bound, Boxes
 from dcreg.search.budget import Budget, Interrupted
 
 ESTIMATED_AFTER_S = 0.25  # seconds of search before the estimate; most searches end earlier
-ESTIMATED_FOR_LISTENER_AFTER_S = (
-    2.0  # ... if only the listener needs the estimate, which costs time
-)
+# ... if only the listener needs the estimate, which costs time
+ESTIMATED_FOR_LISTENER_AFTER_S = 2.0
 MAX_TIME_RATIO = 3.0  # estimated divided by remaining time above which no proof is expected
 FEW_DESCENTS, N_DESCENTS = 16, 128  # of the first part of an estimate, and of both parts
-ESTIMATE_SHARE = (
-    0.1  # of the time left, that the first part may take; after more, there is no second one
-)
+# Share of the time left that the first part may take; after more, there is no second one.
+ESTIMATE_SHARE = 0.1
 # Time after the end of the patience in which a proof is awaited if it is expected: as a share of the
 # patience, and at most.
 GRACE_SHARE, MAX_GRACE_S = 0.4, 2.0
@@ -68,26 +66,26 @@ def expected_boxes(
     """
     rng = np.random.default_rng(0)
     roots = Boxes.of(bound.roots) if roots is None else roots
-    total, n_tried, n_descents = 0.0, 0, 0
-    for count in (FEW_DESCENTS, N_DESCENTS - FEW_DESCENTS):
+
+    def descend(count: int) -> tuple[float, int]:
+        """Return the sum of the weights of the boxes that some descents meet, and their number."""
         boxes, weight = roots[rng.integers(len(roots), size=count)], float(len(roots))
-        for _ in range(_MAX_DEPTH):
-            total, n_tried = total + weight * len(boxes), n_tried + len(boxes)
+        total, n_tried, depth = 0.0, 0, 0
+        while len(boxes) and depth < _MAX_DEPTH:
+            total, n_tried, depth = total + weight * len(boxes), n_tried + len(boxes), depth + 1
             found = bound.evaluate(boxes, cutoff)
             bounds = np.maximum(found.lower_bounds, boxes.bounds)
-            still = bounds < cutoff
-            kept = Boxes(boxes.lower, boxes.upper, bounds, found.warm_start)[still]
-            if not len(kept):
-                break
-            halves = branching(kept)
+            kept = Boxes(boxes.lower, boxes.upper, bounds, found.warm_start)[bounds < cutoff]
             one_of_two = 2 * np.arange(len(kept)) + rng.integers(2, size=len(kept))
-            boxes, weight = within_region(halves[one_of_two]), 2.0 * weight
-            if not len(boxes):
-                break
-        n_descents += count
-        if is_late is not None and is_late():
-            break
-    return total / n_descents, n_tried
+            boxes = within_region(branching(kept)[one_of_two]) if len(kept) else kept
+            weight *= 2.0
+        return total, n_tried
+
+    total, n_tried = descend(FEW_DESCENTS)
+    if is_late is not None and is_late():
+        return total / FEW_DESCENTS, n_tried
+    more, n_more = descend(N_DESCENTS - FEW_DESCENTS)
+    return (total + more) / N_DESCENTS, n_tried + n_more
 
 
 @dataclass(frozen=True)
