@@ -306,10 +306,8 @@ def is_compiled(kernel: Any) -> bool:
     """Tell whether a kernel need not be compiled, in this process or in an earlier one."""
     if INTERPRETED or kernel.signatures:
         return True
-    folder, name = (
-        kernel._cache.cache_path,
-        kernel.py_func.__name__,
-    )  # no folder: compiled only here
+    folder, name = kernel._cache.cache_path, kernel.py_func.__name__
+    # without a folder, kernels are compiled in every process
     return folder is not None and any(Path(folder).glob(f"*.{name}-*.nbi"))
 
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
 from dcreg.assignment.sparse import nearest_pairs
 from dcreg.problem.geometry import apply_pose, fit_pose
-from dcreg.search import Budget
+from dcreg.search import Budget, Interrupted
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -59,6 +60,59 @@ def alternate(
             break
         theta, value, matching = trial, trial_value, trial_matching
     return theta, value, matching, spent
+
+
+def alternate_assignments(
+    theta: np.ndarray,
+    costs: Callable[[np.ndarray], np.ndarray],
+    k: int,
+    fit: Callable[[np.ndarray, np.ndarray], np.ndarray | None],
+    min_gain: float,
+    stop: np.ndarray,
+    *,
+    is_admissible: bool,
+) -> tuple[np.ndarray, float, int]:
+    """Alternate exact matching and pose fit; each assignment starts from the previous dual variables.
+
+    Parameters
+    ----------
+    theta : array
+    costs : callable
+        From a parameter to the (n, m) costs of all pairs.
+    k : int
+        Pairs to match.
+    fit, min_gain
+        As in `alternate`.
+    stop : (1,) uint8 array
+    is_admissible : bool
+        Whether `theta` may be returned.
+
+    Returns
+    -------
+    theta, value, n_assignments
+
+    Raises
+    ------
+    Interrupted
+        `stop` was set.
+    """
+    duals: np.ndarray | None = None
+
+    def evaluate(trial: np.ndarray) -> tuple[float, np.ndarray]:
+        nonlocal duals
+        if duals is None:
+            value, col_of, duals = cheapest_pairs(costs(trial), k, stop)
+        else:
+            value, col_of = improve_assignment(costs(trial), k, duals, stop)
+        if stop[0]:
+            raise Interrupted
+        return float(value), col_of
+
+    value, col_of = evaluate(theta)
+    theta, value, _, spent = alternate(
+        theta, value if is_admissible else np.inf, col_of, fit, evaluate, min_gain
+    )
+    return theta, value, spent + 1
 
 
 def follow_nearest(

@@ -3,7 +3,6 @@
 # ruff: noqa: F401 (names of the package)
 
 from dcreg.problem.geometry import (
-    TYPICAL,
     Frame,
     apply_pose,
     exact_objective,

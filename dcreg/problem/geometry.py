@@ -223,9 +223,8 @@ def representative_points(points: np.ndarray, count: int) -> np.ndarray:
 
 _ROUNDING = 1e-14  # rounding error of a squared residual, in squared RMS radii of the target
 EXACT = 100.0  # a fit is exact if its objective is at most this many rounding errors
-TYPICAL = (
-    3.0  # RMS radius divided by typical radius, above which few points are far from all others
-)
+# RMS radius divided by typical radius, above which few points are far from all others.
+TYPICAL = 3.0
 
 
 def rms_radius(points: np.ndarray) -> float:

@@ -158,9 +158,8 @@ class Search:
     confined: Confined
     floor: float = 0.0
     n_nodes_before: int = 0  # of `n_nodes`, boxes that do not count for the prospect
-    n_before_estimate: int = (
-        0  # boxes bounded before the prospect is estimated, if they take little time
-    )
+    # boxes bounded before the prospect is estimated, if they take little time
+    n_before_estimate: int = 0
     is_part: bool = False  # of a search that goes on afterwards
     not_bounding_s: float = 0.0  # since `patience_began`: seconds of local searches and estimates
     prospect: Prospect | None = None

@@ -21,9 +21,8 @@ UNSURE = 5.0  # factor of the patience if the initial poses are not confirmed
 SHORT = 2048  # boxes bounded before a cover is tried
 COVER_SHARE = 0.8  # share of the time left that one call of `Cover.confine` may take
 UNLIMITED_S = 120.0  # time left that is assumed without a limit, and at most
-COUNTED_S = (
-    5.0  # nominal seconds (see `Cover.confine`) of a call if boxes or assignments are limited
-)
+# Nominal seconds (see `Cover.confine`) of a call if boxes or assignments are limited.
+COUNTED_S = 5.0
 
 
 class Searchable(Protocol):
@@ -128,9 +127,8 @@ def minimise(
     if make_cover is None or keep_leaves:
         search.run()
         return search.outcome()
-    search.n_before_estimate = (
-        SHORT  # before, an estimate is premature, because a cover can change it
-    )
+    # before, an estimate is premature, because a cover can change it
+    search.n_before_estimate = SHORT
     search.run(SHORT)
     cover = make_cover() if search.status is None else None
     if cover is not None and cover.applies:

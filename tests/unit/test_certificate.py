@@ -13,6 +13,7 @@ from dcreg.certificate import CertificateError, format, verification
 from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Proof, check_partition
 from dcreg.certificate.verification import check_samples, objective_of, verify
+from dcreg.problem import exact_objective
 from dcreg.status import Status
 from tests.certificates import DIM, certify, check, clouds, made_case, refused
 from tests.problems import register
@@ -424,3 +425,14 @@ def test_the_report_states_what_was_proven(case):
             f"on every leaf the objective is at least {claimed.lower_bound * area:.9g}, "
             f"proven on {report.n_boxes} boxes"
         )
+
+
+@pytest.mark.parametrize("far", [0.0, 1e6])
+def test_the_limit_of_an_exact_fit_is_that_of_the_search(far):
+    """The check computes it on its own; a far point does not raise it."""
+    source, target = clouds("similarity2d")
+    if far:
+        source, target = (np.vstack([cloud, np.full((1, 2), far)]) for cloud in (source, target))
+    certificate = certify(source, target, 8, "similarity2d", bound="dc", nodes=50)
+    found = verification.exact_up_to(certificate, source, target) * certificate.unit**2
+    assert found == pytest.approx(exact_objective(source, target, 8), rel=1e-6)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from claim_fixture import (
     LOW,
@@ -22,11 +25,13 @@ from claim_fixture import (
     limited,
     runs_of,
 )
+from report_fixture import write_tables
 
 from reports.ledger.book import ledger
-from reports.ledger.evidence import Evidence
+from reports.ledger.evidence import Evidence, Experiment
 from reports.ledger.intervals import MIN_INSTANCES, NOT, NOT_RUN, OPEN, REPRODUCED
 from reports.ledger.judging import judge_claim
+from reports.tables import Tables
 
 # --- verdicts --------------------------------------------------------------------------------------
 
@@ -229,3 +234,18 @@ def test_a_figure_that_cannot_refute_leaves_the_claim_open():
     found = judged(high, check)
     assert (found.verdict, judged(high, VALUE).verdict) == (OPEN, NOT)
     assert "the paper's tolerance is not known" in found.reason
+
+
+def test_times_of_other_machines_are_not_used(tmp_path):
+    tables = Tables.load(write_tables(tmp_path / "tables"))
+    runs = tables.runs.copy()
+    is_other = runs["trial"] == runs["trial"].max()
+    runs.loc[is_other, "machine_id"] = "m1"
+    mixed = Experiment(replace(tables, runs=runs))
+    assert mixed.machine_id == "m0"
+    times = mixed.runs.set_index("run_id")["time"]
+    alone = Experiment(tables).runs.set_index("run_id")["time"]
+    other = set(runs.loc[is_other, "run_id"])
+    assert other & set(times.index)
+    for run_id, time_s in times.items():
+        assert np.isnan(time_s) if run_id in other else time_s == alone[run_id]

@@ -89,6 +89,28 @@ def test_pairs_that_cost_more_than_the_pose_does():
     assert warning() is None
     assert warning(in_norm_space=True, **made) is None
     assert warning(**made, downsampled=Sample(9, 9, 1)) is None
+    stopped = warning(**made, status=Status.STOPPED)
+    assert stopped.startswith("the search was stopped before all pairs")
+    assert "Allow more time" not in stopped
+
+
+def test_a_stopped_search_is_not_told_to_take_more_time():
+    result = solve(*clouds(), 30)
+    made = {"lower_bound": 0.0, "upper_bound": 1.0, "is_exact": False, "status": Status.STOPPED}
+    line = diagnostics.nothing_proven(case(result, *clouds(), **made))
+    assert line.endswith("because the search was stopped")
+
+
+def test_no_number_of_pairs_determines_a_pose_of_lines():
+    line = np.linspace(0.0, 1.0, 20)[:, None] * np.array([1.0, 2.0, 3.0])
+    for k, remedy in ((20, "No other n_inliers helps"), (10, "Match more pairs (n_inliers)")):
+        found = solve(line, line + 0.5, k, time_limit=5.0)
+        assert any(f"do not determine the pose. {remedy}" in each for each in found.warnings)
+
+
+def test_points_in_one_place_have_no_ratio_of_sizes():
+    same = dcreg.Problem(np.ones((5, 3)), np.ones((5, 3)), 3, "rigid3d")
+    assert not [line for line in dcreg.advice(same) if "RMS radii" in line]
 
 
 def test_greedy_pairs_are_not_called_too_many():

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import time
 
 import pytest
 
-from workflows.running import BusyError, the_only_run
+from workflows.running import BusyError, _correct_times, the_only_run
 
 
 def test_the_message_to_a_second_run_names_the_first(tmp_path):
@@ -41,3 +42,17 @@ def test_a_lock_of_a_snakemake_started_by_hand_is_named_with_a_remedy(tmp_path):
         pass
     with the_only_run(tmp_path, "ab"):  # on other files than this lock's
         pass
+
+
+def test_files_from_the_future_get_the_present_time(tmp_path):
+    """As after the clock was set back; Snakemake refuses files that are older than their input."""
+    now = time.time()
+    times = {"later": now + 1e6, "earlier": now - 1e6}
+    for name, moment in times.items():
+        path = tmp_path / "runs" / name
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+        os.utime(path, (moment, moment))
+    _correct_times(tmp_path)
+    assert now <= (tmp_path / "runs" / "later").stat().st_mtime <= time.time()
+    assert (tmp_path / "runs" / "earlier").stat().st_mtime == pytest.approx(now - 1e6)

@@ -72,11 +72,14 @@ def test_a_fault_becomes_its_status_and_the_rest_completes(faulty, n_points, sta
     assert (faulty_run.get("T_target_source") is None) == (status == "failed")
 
 
-def test_a_run_whose_worker_dies_is_tried_again(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("fault", "mark"), [("crashes_once", "crashed"), ("stops_once", "stopped")]
+)
+def test_a_run_whose_worker_dies_or_is_suspended_is_tried_again(tmp_path, monkeypatch, fault, mark):
     monkeypatch.setenv("FAULT_TOKENS", str(tmp_path))
-    runs = three_runs("crashes_once", tmp_path / "log")
+    runs = three_runs(fault, tmp_path / "log")
     assert [run["status"] for run in runs] == ["converged"] * 3
-    assert (tmp_path / "crashed").exists()
+    assert (tmp_path / mark).exists()
 
 
 def test_a_worker_that_takes_too_much_memory_is_lost(tmp_path):

@@ -206,6 +206,12 @@ def test_a_run_of_an_archive_is_not_repeated(checkout, tmp_path):
         assert not [p for p in results.glob("runs/*/*.journal.jsonl") if _lines(p)]
         found = pd.read_parquet(results / "tables/runs.parquet")
         pd.testing.assert_frame_equal(found, checkout.runs())  # times as well
+        fresh = tmp_path / "fresh"
+        checkout.command(*run[:-1], str(fresh), "--fresh", "--methods", "icp")
+        lines = [
+            line for p in fresh.glob("results/tiny/runs/*/*.journal.jsonl") for line in _lines(p)
+        ]
+        assert len(lines) == 3
     finally:
         shutil.rmtree(checkout.root / "reports/archive/1")
 

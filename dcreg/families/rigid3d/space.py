@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.assignment.alternation import alternate
-from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
+from dcreg.assignment.alternation import alternate_assignments
+from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.families.parallel import in_threads
 from dcreg.families.protocol import means_of_subsets, radius
 from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
@@ -156,19 +156,11 @@ class Rigid3D(CloudSpace):
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Alternate matching and fit; each assignment starts from the previous dual variables."""
-        value, col_of, duals = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop_flag)
-        self.check()
-
-        def evaluate(trial: np.ndarray) -> tuple[float, np.ndarray]:
-            costs = self._costs(trial)
-            value, col_of = improve_assignment(costs, self.n_inliers, duals, self.stop_flag)
-            self.check()
-            return float(value), col_of
-
-        theta, value, _, spent = alternate(
-            theta, float(value), col_of, self.fit_matching, evaluate, self.min_gain
-        )
-        return self.normalised(theta), value, spent + 1
+        theta, value, spent = alternate_assignments(
+            theta, self._costs, self.n_inliers, self.fit_matching, self.min_gain, self.stop_flag,
+            is_admissible=True,
+        )  # fmt: skip
+        return self.normalised(theta), value, spent
 
     @staticmethod
     def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dcreg.assignment.descent import alternate
-from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
+from dcreg.assignment.alternation import alternate_assignments
+from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.families.dc.kernels import objectives
 from dcreg.families.dc.space import FeatureSpace
 from dcreg.families.protocol import means_of_subsets, radius
@@ -151,24 +151,11 @@ class Similarity2D(FeatureSpace):
         return self._descend(theta, self.n_inliers)
 
     def _descend(self, theta: np.ndarray, count: int) -> tuple[np.ndarray, float, int]:
-        """Refine with `count` pairs."""
-        _, col_of, duals = cheapest_pairs(self._costs(theta), count, self.stop_flag)
-        self.check()
-
-        def evaluate(trial: np.ndarray) -> tuple[float, np.ndarray]:
-            value, matching = improve_assignment(self._costs(trial), count, duals, self.stop_flag)
-            self.check()
-            return value, matching
-
-        found, value, _, spent = alternate(
-            theta.copy(),
-            np.inf,
-            col_of,
-            self.fit_matching,
-            evaluate,
-            self.min_gain,
-        )
-        return found, value, spent + 1
+        """Refine with `count` pairs; `theta` need not be admissible."""
+        return alternate_assignments(
+            theta, self._costs, count, self.fit_matching, self.min_gain, self.stop_flag,
+            is_admissible=False,
+        )  # fmt: skip
 
     def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
         """Return the least-squares similarity of the matched pairs, its scale clipped to the range.

@@ -105,6 +105,12 @@ class Adapter(Baseline):
             mark.touch()
             self._crashes(solution)
 
+    def _stops_once(self, solution: Solution) -> None:
+        mark = Path(os.environ["FAULT_TOKENS"]) / "stopped"
+        if not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGSTOP)
+
     def _is_late(self, solution: Solution) -> None:
         """Before it would be killed."""
         time.sleep(LATE_S)
