@@ -59,7 +59,7 @@ def no_help(monkeypatch: pytest.MonkeyPatch) -> None:
             monkeypatch.setattr(space, name, refuse)
     monkeypatch.setattr(library_search, "register_problem", refuse)
     monkeypatch.setattr("dcreg.families.protocol.alternate", refuse)
-    monkeypatch.setattr("dcreg.families.similarity2d.space.alternate", refuse)
+    monkeypatch.setattr("dcreg.families.similarity2d.space.alternate_assignments", refuse)
     # the state of every search of the library, however it is imported
     monkeypatch.setattr(sys.modules["dcreg.search.branch_and_bound"], "Search", refuse)
 
