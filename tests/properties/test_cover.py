@@ -16,6 +16,7 @@ from dcreg.families.rigid3d.cover import (
     factor_of,
     limits_around,
 )
+from dcreg.families.rigid3d.kernels.exclusion import allocate_rows, fill_distances
 from dcreg.families.rigid3d.kernels.regions import meeting_regions
 from dcreg.families.rigid3d.kernels.tuples import Thresholds, allocate_regions, cover_triples
 from dcreg.families.rigid3d.space import Rigid3D
@@ -75,6 +76,24 @@ def superposition(x: np.ndarray, y: np.ndarray) -> float:
     u, s, v = np.linalg.svd(x.T @ y)
     s[2] *= np.sign(np.linalg.det(u @ v))
     return float((x**2).sum() + (y**2).sum() - 2.0 * s.sum())
+
+
+@settings(max_examples=60)
+@given(seed=SEEDS, reach=st.sampled_from([0.1, 1.0, 3.0, 30.0]))
+def test_grid_distances_are_lower_bounds_near_and_far(seed, reach):
+    rng = np.random.default_rng(seed)
+    target, points = rng.standard_normal((12, 3)), reach * rng.standard_normal((3, 20))
+    turn, centroid = Rotation.random(random_state=seed % 2**31).as_matrix(), rng.standard_normal(3)
+    field, rows = distances_to(target), allocate_rows(points)
+    fill_distances(rows, turn, centroid, field)
+    moved = points.T @ turn.T + centroid
+    exact = np.linalg.norm(moved[:, None] - target, axis=2).min(axis=1)
+    found = np.sqrt(rows.squares)
+    assert (found <= exact).all()
+    upper = field.origin + field.cell * np.array(field.values.shape)
+    is_inside = ((moved > field.origin) & (moved < upper)).all(axis=1)
+    assert (exact - found)[is_inside].max(initial=0.0) <= 1.01 * np.sqrt(3.0) * field.cell
+    assert (found >= np.linalg.norm(np.maximum(0.0, moved - upper), axis=1) * 0.999).all()
 
 
 @settings(max_examples=30)

@@ -118,7 +118,7 @@ MAX_LEFT = 20_000  # regions that may be left to the search
 SMALL, FEW_BOXES, MAX_MEETINGS = 0.4, 20_000, 5_000_000
 # Nominal seconds, the same on every machine: per congruent triple and source point; per region and point
 # pair; per part of a region and point pair. The time allowed depends on the time limit and the threads.
-TRIPLE_S, REGION_S, PART_S = 5e-9, 4e-9, 6e-10
+TRIPLE_S, REGION_S, PART_S = 2.1e-9, 4e-9, 6e-10
 SAMPLED = 0.1  # share of the allowed time that the slices of one triple may take
 
 
@@ -185,7 +185,7 @@ def _dealt(count: int, size: int) -> np.ndarray:
 
 
 def distances_to(target: np.ndarray) -> Distances:
-    """Return lower bounds on the distance to (m, 3) points, on a grid around them."""
+    """Return lower bounds on the distance to (m, 3) points, on a grid that contains them."""
     from scipy.spatial import cKDTree
 
     lower, upper = target.min(axis=0), target.max(axis=0)
@@ -195,7 +195,7 @@ def distances_to(target: np.ndarray) -> Distances:
     axes = [origin[c] + (np.arange(sizes[c]) + 0.5) * cell for c in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     values = cKDTree(target).query(centres)[0].reshape(sizes) * (1.0 - _ROUNDING) - _ROUNDING
-    return Distances(origin, cell, values.astype(np.float32), lower, upper)
+    return Distances(origin, cell, values.astype(np.float32))
 
 
 def limits_around(centres: np.ndarray, source: np.ndarray, k: int) -> np.ndarray:

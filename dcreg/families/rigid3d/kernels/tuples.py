@@ -15,8 +15,9 @@ import numpy as np
 from dcreg.families.rigid3d.kernels.congruent import first_at_least, frame
 from dcreg.families.rigid3d.kernels.exclusion import (
     Ellipsoid,
-    Rows,
+    allocate_rows,
     fill_displacements,
+    fill_distances,
     jointly_excluded,
     rows_exclude,
 )
@@ -230,9 +231,9 @@ def _begin(source, triple, frame_row, own, rows):
         frame_row[4 + c] = (p[c] + q[c] + r[c]) / 3.0
     for i in range(source.shape[0]):
         for c in range(3):
-            rows.points[i, c] = 0.0
+            rows.points[c, i] = 0.0
             for d in range(3):
-                rows.points[i, c] += (source[i, d] - frame_row[4 + d]) * own.axes[d, c]
+                rows.points[c, i] += (source[i, d] - frame_row[4 + d]) * own.axes[d, c]
     fill_displacements(rows, own.inverse)
     return l1, l2
 
@@ -277,9 +278,8 @@ def _cover(own, moments, corners, search, rows, regions, count):
     if phi > _THIN and smallest > _THIN:
         region = Ellipsoid(square / 3.0, square / phi, own.inverse)
         goal = cutoff + square / smallest * math.sqrt(cutoff * thresholds.inertia)
-        if rows_exclude(rows, B, centroid, field, k, goal, region) or jointly_excluded(
-            rows, k, goal, region
-        ):
+        fill_distances(rows, B, centroid, field)
+        if rows_exclude(rows, k, goal, region) or jointly_excluded(rows, k, goal, region):
             return count
         if region.rotation_factor * own.inverse[0] < _WIDE * _WIDE:
             for c in range(3):
@@ -327,7 +327,7 @@ def cover_triples(triples, frames, clouds, feasible, pairs, search, stop, region
     first, second, lengths, distances = pairs
     n, tried, count = source.shape[0], 0, 0
     own = Triple(np.empty((3, 3)), np.empty((3, 2)), np.empty(3))
-    rows = Rows(np.empty((n, 3)), np.empty(n), np.empty(n))
+    rows = allocate_rows(np.empty((3, n)))
     for at in range(triples.shape[0]):
         u, v, w = triples[at, 0], triples[at, 1], triples[at, 2]
         l1, l2 = _begin(source, triples[at], frames[at], own, rows)
