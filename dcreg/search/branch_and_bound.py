@@ -252,7 +252,9 @@ class Search:
         value = float(found.values[best])
         self.take(found.thetas[best], value)
         self.is_over = self.budget.is_over
-        if self.refine is not None and not self.is_over and value <= self.worth_refining:
+        # local searches may solve as many assignments as bounds
+        is_cheap = self.n_refining <= self.bound.n_assignments
+        if self.refine and is_cheap and not self.is_over and value <= self.worth_refining:
             self.worth_refining = value
             began = self.budget.elapsed()
             try:

@@ -9,8 +9,8 @@ from dcreg.families.similarity2d import cover as cover_2d
 from dcreg.families.similarity2d.bound import TightBound
 from dcreg.families.similarity2d.cover import NearestCover, distances_to, sides_of
 from dcreg.families.similarity2d.kernels.exclusion import (
-    _squared_distance,
     _target_loss,
+    fill_squares,
     is_excluded,
     joint_loss,
 )
@@ -56,7 +56,7 @@ def test_no_excluded_box_contains_an_optimum_below_the_cutoff(sizes, seed):
     noise = (0.05, 0.5, 2.0)[seed % 3]  # some matched points are then far from all others
     space = make_space(seed, *sizes, noise)
     sides, rng = sides_of(space), np.random.default_rng(seed)
-    work = np.empty(sizes[0]), np.empty(sizes[1])
+    work = *map(np.empty, sizes[:2]), *(np.empty(size, np.int32) for size in sizes[:2])
     for theta, value in optima(space):
         for width in (0.02, 0.1, 0.3, 0.8):
             half = width * rng.uniform(0.1, 1.0, 4)
@@ -103,14 +103,16 @@ def test_joint_loss_is_the_maximum_over_the_vertices(seed):
 def test_grid_distances_are_lower_bounds(seed):
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((12, 2)) * rng.choice([1.0, 1e-3], 2)
-    field = distances_to(points)
-    for place in rng.uniform(-4.0, 4.0, (50, 2)):
-        true = float(np.sqrt(((points - place) ** 2).sum(axis=1)).min())
-        found = float(plain(_squared_distance)(field, *place)) ** 0.5
-        assert found <= true + 1e-12
-        cells = (place - field.origin) * field.density
-        if (cells >= 0.0).all() and (cells < field.squares.shape).all():
-            assert found >= true - 2.0 / field.density
+    field, pose = distances_to(points), rng.standard_normal(4)
+    moving, squares = rng.uniform(-4.0, 4.0, (2, 50)), np.empty(50)
+    fill_squares(moving, tuple(pose), field, np.empty(50, np.int32), squares)
+    a, b, *shift = pose
+    moved = moving.T @ np.array([[a, -b], [b, a]]).T + shift
+    true = np.linalg.norm(moved[:, None] - points, axis=2).min(axis=1)
+    assert (np.sqrt(squares) <= true + 1e-12).all()
+    cells = (moved - field.origin) * field.density
+    inside = ((cells >= 0.0) & (cells < field.squares.shape)).all(axis=1)
+    assert (true - np.sqrt(squares))[inside].max(initial=0.0) <= 2.0 / field.density
 
 
 def plain(kernel):

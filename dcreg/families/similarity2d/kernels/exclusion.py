@@ -1,6 +1,6 @@
 """Kernels that exclude boxes of similarities by distances to the nearest points.
 
-`dcreg.families.similarity2d.cover` proves the tests. Point sets are stored by row, (n, 2) and (m, 2). A
+`dcreg.families.similarity2d.cover` proves the tests. Point sets are stored by axis, (2, n) and (2, m). A
 box of parameters is given by its centre and its half-widths: those of the scaled rotation first, then
 those of the translation.
 """
@@ -42,7 +42,7 @@ class Sides(NamedTuple):
 
     Attributes
     ----------
-    source, target : (n, 2), (m, 2) arrays
+    source, target : (2, n), (2, m) arrays
     norms : (n,) array
         Of the source points.
     to_target, to_source : Distances
@@ -66,12 +66,24 @@ class Sides(NamedTuple):
     high: float
 
 
-@jit_part
-def _squared_distance(field, x, y):
-    """Return a lower bound on the squared distance of a place from the points."""
-    i = min(max((x - field.origin[0]) * field.density, 0.0), field.squares.shape[0] - 1.0)
-    j = min(max((y - field.origin[1]) * field.density, 0.0), field.squares.shape[1] - 1.0)
-    return field.squares[int(i), int(j)]
+@jit
+def fill_squares(points, pose, field, cells, squares):
+    """Fill the squared distances of moved points, from below; `pose` is that of `Similarity2D`.
+
+    Separate loops around the lookup let the compiler vectorise the rest. `cells` is scratch.
+    """
+    x, y, (n0, n1) = points[0], points[1], field.squares.shape
+    a, b = pose[0] * field.density, pose[1] * field.density
+    s0 = (pose[2] - field.origin[0]) * field.density
+    s1 = (pose[3] - field.origin[1]) * field.density
+    last0, last1 = n0 - 1.0, n1 - 1.0
+    for i in range(cells.size):
+        u = min(max(a * x[i] - b * y[i] + s0, 0.0), last0)
+        v = min(max(b * x[i] + a * y[i] + s1, 0.0), last1)
+        cells[i] = np.int32(u) * np.int32(n1) + np.int32(v)
+    flat = field.squares.reshape(-1)
+    for i in range(cells.size):
+        squares[i] = flat[np.uintp(cells[i])]
 
 
 @jit_part
@@ -116,27 +128,22 @@ def _sum_of_smallest(values, k, levels, side):
 
 
 @jit
-def _target_sum(sides, centre, squares, levels):
+def _target_sum(sides, centre, cells, squares, levels):
     """Return the sum of the k smallest squared distances from the target to the moved source."""
-    a, b = centre[0], centre[1]
-    square = a * a + b * b
+    square = centre[0] * centre[0] + centre[1] * centre[1]
     if square <= 0.0:
         return 0.0
-    c, s = a / square, b / square
-    for j in range(squares.size):
-        x, y = sides.target[j, 0] - centre[2], sides.target[j, 1] - centre[3]
-        squares[j] = square * _squared_distance(sides.to_source, c * x + s * y, c * y - s * x)
-    return _sum_of_smallest(squares, sides.k, levels, 1)
+    a, b, x, y = centre[0] / square, centre[1] / square, centre[2], centre[3]
+    back = a, -b, -(a * x + b * y), b * x - a * y
+    fill_squares(sides.target, back, sides.to_source, cells, squares)
+    return square * _sum_of_smallest(squares, sides.k, levels, 1)
 
 
 @jit
-def _source_sum(sides, centre, squares, levels):
+def _source_sum(sides, centre, cells, squares, levels):
     """Return the sum of the k smallest squared distances from the moved source to the target."""
-    a, b = centre[0], centre[1]
-    for i in range(squares.size):
-        u, v = sides.source[i, 0], sides.source[i, 1]
-        x, y = a * u - b * v + centre[2], b * u + a * v + centre[3]
-        squares[i] = _squared_distance(sides.to_target, x, y)
+    pose = centre[0], centre[1], centre[2], centre[3]
+    fill_squares(sides.source, pose, sides.to_target, cells, squares)
     return _sum_of_smallest(squares, sides.k, levels, 0)
 
 
@@ -150,8 +157,8 @@ def _source_loss(sides, half, squares, tau):
         over, move = squares[i] - tau, (shift + reach * sides.norms[i]) ** 2
         if over < move:
             share = 1.0 if over <= 0.0 else 1.0 - over / move
-            s0, s1 = s0 + share, s1 + share * sides.source[i, 0]
-            s2, s3 = s2 + share * sides.source[i, 1], s3 + share * sides.norms[i] ** 2
+            s0, s1 = s0 + share, s1 + share * sides.source[0, i]
+            s2, s3 = s2 + share * sides.source[1, i], s3 + share * sides.norms[i] ** 2
     return joint_loss((s0, s1, s2, s3), half)
 
 
@@ -166,16 +173,16 @@ def _target_loss(sides, reach, shift):
 def is_excluded(sides, centre, half, cutoff, work, levels):
     """Tell whether no optimum below the cutoff lies in a box, and whether division is of no use.
 
-    `work` has room for n and for m numbers. `levels` are the k-th smallest squared distances of an
-    earlier call from the source and from the target, and are replaced.
+    `work` has room for n and for m numbers, and for n and for m indices. `levels` are the k-th smallest
+    squared distances of an earlier call from the source and from the target, and are replaced.
     """
     goal = cutoff + _clipped_loss(sides, centre, half, cutoff)
     reach = math.sqrt(half[0] * half[0] + half[1] * half[1])
     shift = math.sqrt(half[2] * half[2] + half[3] * half[3])
-    to_source = _target_sum(sides, centre, work[1], levels)
+    to_source = _target_sum(sides, centre, work[3], work[1], levels)
     if to_source - _target_loss(sides, reach, shift) >= goal:
         return True, False
-    to_target = _source_sum(sides, centre, work[0], levels)
+    to_target = _source_sum(sides, centre, work[2], work[0], levels)
     if to_target >= goal and to_target - _source_loss(sides, half, work[0], levels[0]) >= goal:
         return True, False
     return False, max(to_source, to_target) < cutoff
@@ -208,7 +215,8 @@ def divide_boxes(boxes, sides, cutoff, weights, limits, stop, left):
     n_left = n_tested = 0
     low, high = np.empty((_DEPTH, 4)), np.empty((_DEPTH, 4))
     centre, half = np.empty(4), np.empty(4)
-    work = np.empty(sides.source.shape[0]), np.empty(sides.target.shape[0])
+    n, m = sides.source.shape[1], sides.target.shape[1]
+    work = np.empty(n), np.empty(m), np.empty(n, np.int32), np.empty(m, np.int32)
     levels = np.ones(2)
     for box in range(lower.shape[0]):
         depth = 1
