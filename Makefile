@@ -86,6 +86,11 @@ archive: setup
 report: setup
 	@$(BIN)/python -m reports archived $(ARCHIVE) $(if $(SHA256),--sha256 $(SHA256))
 
+## replay: repeat a stored run, RUN=run_id, and say whether the result is the same
+.PHONY: replay
+replay: setup
+	@$(BIN)/python -m workflows replay $(RUN)
+
 ## plan: print the runs of CONFIG=… and their estimated time without running them
 .PHONY: plan
 plan: setup

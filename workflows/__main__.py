@@ -216,13 +216,25 @@ def versions(
 @app.command()
 @user_errors
 def replay(
-    experiment: Experiment,
     run_id: Annotated[str, typer.Argument(help="From column run_id of tables/runs.csv.")],
+    experiment: Annotated[
+        str, typer.Option(help="Its config; default: that of the stored run.")
+    ] = "",
+    results: Annotated[Path, typer.Option(help="Folder of results to look for it.")] = Path(
+        "results"
+    ),
 ) -> None:
-    """Repeat one run outside the sandbox and print its result."""
+    """Repeat one run outside the sandbox, print its result, and compare it with the stored one.
+
+    Runs are looked for in the archives first. The exit code is 1 if the results differ.
+    """
+    from workflows.replay import DIFFERENT
     from workflows.replay import replay as repeat
 
-    print(json.dumps(repeat(_plan(experiment), run_id), indent=1))
+    found = repeat(run_id, experiment, results)
+    print(json.dumps(found, indent=1))
+    if found["stored"].startswith(DIFFERENT):
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -1,26 +1,69 @@
-"""Repeat one run in this process, for debugging."""
+"""Repeat one run in this process and compare it with the stored one."""
 
 from __future__ import annotations
 
-from typing import Any
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from baselines import registry
-from workflows.config import ConfigError
+from workflows import UserError, archives, records
+from workflows.config import load, origin
+from workflows.instances import content_digest
 from workflows.stages.generate import instance_of
-from workflows.stages.plan import Plan
+from workflows.stages.plan import Plan, PlannedRun, expand
 from workflows.stages.worker import COUNTERS
+from workflows.versions import are_equal, comparable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SAME, DIFFERENT = "same", "different"
 
 
-def replay(plan: Plan, run_id: str) -> dict[str, Any]:
-    """Make the instance again, solve it, and return the result with pose and bounds."""
+def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -> dict[str, Any]:
+    """Make the instance again, solve it, and compare the result with the stored one.
+
+    Parameters
+    ----------
+    run_id : str
+    experiment : str
+        Config of the run; if empty, that of the stored run.
+    results : Path
+        Folder of results in which the stored run is looked for, after the archives.
+
+    Returns
+    -------
+    dict
+        The result, and under ``stored`` whether the stored result is the same, or why the two are not
+        compared.
+
+    Raises
+    ------
+    UserError
+        There is no such run, or the method is not available.
+    """
+    stored = _stored(run_id, results)
+    if stored is not None:
+        experiment = experiment or stored["experiment"]
+    if not experiment:
+        raise UserError(
+            f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
+            "tables/runs.csv, or name its experiment by --experiment"
+        )
+    plan = expand(load(experiment), None, origin(experiment), None)
     run = next((run for run in plan.runs() if run.run_id == run_id), None)
     if run is None:
-        raise ConfigError(
-            f"experiment {plan.experiment.name}: no run {run_id!r}; "
-            "take one from column run_id of its tables/runs.csv"
+        raise UserError(
+            f"experiment {plan.experiment.name}: no run {run_id!r}; take one from column run_id of its "
+            "tables/runs.csv"
         )
+    return _repeated(plan, run, stored)
+
+
+def _repeated(plan: Plan, run: PlannedRun, stored: dict[str, Any] | None) -> dict[str, Any]:
     instance = instance_of(
         run.instance,
         run.method.n_inliers_ratio,
@@ -30,19 +73,72 @@ def replay(plan: Plan, run_id: str) -> dict[str, Any]:
     )
     method = registry.load(run.method.baseline, **run.method.options)
     if reason := method.available() or method.supports(instance):
-        raise ConfigError(f"{run.method.name}: {reason}")
+        raise UserError(f"{run.method.name}: {reason}")
     method.warm_up(instance)
     solution = method.solve(instance, plan.experiment.limits_of(run.method).of_run())
     pose = solution.T_target_source
+    answer = {
+        "status": solution.status,
+        "T_target_source": None if pose is None else np.asarray(pose).tolist(),
+        "lower_bound": solution.lower_bound,
+        "upper_bound": solution.upper_bound,
+        **{name: solution.counters.get(name) for name in COUNTERS},
+    }
+    identity = {
+        "instance_digest": content_digest(instance),
+        "fingerprint": registry.fingerprint(run.method.baseline),
+    }
     return {
         "method": run.method.name,
         "test": f"{run.instance.shape} {run.instance.test} {run.instance.level:g}",
         "trial": run.instance.trial,
-        "status": solution.status,
         "message": solution.message,
-        "T_target_source": None if pose is None else np.asarray(pose).tolist(),
-        "lower_bound": solution.lower_bound,
-        "upper_bound": solution.upper_bound,
         "certificate_scope": solution.certificate_scope,
-        **{name: solution.counters.get(name) for name in COUNTERS},
+        **answer,
+        "stored": _comparison({**answer, **identity}, stored, run),
     }
+
+
+def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: PlannedRun) -> str:
+    """Say whether a result equals the stored one, or why that cannot be said."""
+    if stored is None:
+        return "not compared: no stored run"
+    for name, what in (("instance_digest", "instance"), ("fingerprint", "version of the method")):
+        if found[name] != stored[name]:
+            return f"not compared: another {what} ({stored[name]} stored, {found[name]} here)"
+    if not registry.read_card(run.method.baseline).deterministic:
+        return "not compared: the method is not deterministic"
+    if stored["outcome"] not in archives.REUSED:
+        return f"not compared: the stored run has the status {stored['status']}"
+    one, other = comparable(found), comparable(stored)
+    if one == other:
+        return SAME
+    if are_equal(one, other):
+        return "not compared: the clock or the memory ended one of the runs"
+    names = [name for name in {**one, **other} if one.get(name) != other.get(name)]
+    return f"{DIFFERENT}: {', '.join(names)}"
+
+
+def _stored(run_id: str, results: Path) -> dict[str, Any] | None:
+    """Return the latest archived run, else one of the results; missing numbers are left out."""
+    for folder in reversed(archives.folders()):
+        archives.check(folder)
+        if row := _row(folder / archives.RUNS, run_id):
+            return row
+    for path in sorted(results.glob("**/tables/runs.parquet")):
+        if row := _row(path, run_id):
+            return row
+    return None
+
+
+def _row(path: Path, run_id: str) -> dict[str, Any] | None:
+    import pandas as pd
+
+    runs: pd.DataFrame = pd.read_parquet(path, filters=[("run_id", "==", run_id)])
+    if runs.empty:
+        return None
+    where = str(path)
+    records.check_version(runs["schema_version"].iloc[0], where, records.RUN_AGAIN)
+    row = {str(name): value for name, value in runs.iloc[0].items() if value == value}
+    pose = row["T_target_source"]
+    return {**row, "T_target_source": json.loads(pose) if pose else None}

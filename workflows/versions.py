@@ -79,16 +79,17 @@ def results_of(name: str) -> list[dict[str, Any]] | None:
                 answer = sandbox.solve(instance_of(spec, 1.0, 0, outliers))
                 if answer["status"] == Status.UNAVAILABLE:
                     return None
-                found.append(_result(answer))
+                found.append(comparable(answer))
     return found
 
 
-def _are_equal(one: dict[str, Any], other: dict[str, Any]) -> bool:
+def are_equal(one: dict[str, Any], other: dict[str, Any]) -> bool:
     """Tell whether two results are equal, or the clock ended one of them."""
     return one == other or any(GROUPS[Status(each["status"])].is_timed for each in (one, other))
 
 
-def _result(answer: dict[str, Any]) -> dict[str, Any]:
+def comparable(answer: dict[str, Any]) -> dict[str, Any]:
+    """Return what repeats exactly, rounded: status, counters, bounds and pose."""
     pose = answer.get("T_target_source")
     rounded = None if pose is None else (np.round(pose, _DIGITS) + 0.0).tolist()
     counters = {name: answer[name] for name in COUNTERS if answer.get(name) is not None}
@@ -138,7 +139,7 @@ def _checked(
     results = results_of(name)
     if results is None or known["results"] is None:
         return (Check(name, REVIEWED), extended) if reviewed else (Check(name, UNKNOWN), known)
-    if all(map(_are_equal, results, known["results"])):
+    if all(map(are_equal, results, known["results"])):
         return Check(name, SAME), extended
     return Check(name, CHANGED), known
 

@@ -368,7 +368,7 @@ def test_a_run_at_its_limit_shows_the_limit_and_its_replay(html):
     text = html.split('id="unfinished"')[1].split("</table>")[0]
     assert "hit its limit of 10 s (made-up bound)" in text
     assert "–" not in re.findall(r'class="reason">([^<]*)', text)
-    assert "python -m workflows replay made-up" in text
+    assert "python -m workflows replay --experiment made-up" in text
 
 
 def test_the_page_shows_the_limit_that_a_run_hit(small):

@@ -164,7 +164,12 @@ def run_command(plan: Plan) -> str:
 
 def replay_command(plan: Plan, run_id: str) -> str:
     """Return the command line that repeats this run."""
-    return f"python -m workflows replay {shlex.quote(plan.config)} {run_id}"
+    return f"{replay_of(plan)} {run_id}"
+
+
+def replay_of(plan: Plan) -> str:
+    """Return the command line that repeats a run, without the run."""
+    return f"python -m workflows replay --experiment {shlex.quote(plan.config)}"
 
 
 def _points(points: np.ndarray) -> list[list[float]]:
@@ -197,7 +202,7 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
         "git": provenance.git_state(),
         "created": provenance.now(),
         "commands": [run_command(plan)],
-        "replay": f"python -m workflows replay {shlex.quote(plan.config)}",
+        "replay": replay_of(plan),
         "methods": {
             method.name: {
                 **registry.read_card(method.baseline).model_dump(),

@@ -1,0 +1,89 @@
+"""A repeated run is compared with the stored one, and the comparison can fail."""
+
+import json
+
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from baselines import registry
+from workflows import UserError, archives, config, records
+from workflows.__main__ import app
+from workflows.instances import content_digest
+from workflows.replay import SAME, replay
+from workflows.stages.generate import instance_of
+from workflows.stages.plan import expand
+
+CONFIG = """
+name: mine
+datasets: [{dataset: embedded, shapes: [fish], n_points: 10, tests: {noise: [0.01]}}]
+methods: [{name: icp, baseline: icp}]
+"""
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Return the config, the id of its run, and what a table of runs would hold of it."""
+    monkeypatch.setattr(archives, "ARCHIVES", tmp_path / "none")
+    path = tmp_path / "mine.yaml"
+    path.write_text(CONFIG)
+    plan = expand(config.load(str(path)), None, str(path), None)
+    planned = next(plan.runs())
+    instance = instance_of(planned.instance, 1.0, plan.experiment.seed, None, None)
+    found = replay(planned.run_id, str(path))
+    assert found["stored"] == "not compared: no stored run"
+    row = {
+        "schema_version": records.SCHEMA_VERSION,
+        "run_id": planned.run_id,
+        "experiment": str(path),
+        "status": found["status"].value,
+        "outcome": "finished",
+        "T_target_source": json.dumps(found["T_target_source"]),
+        "instance_digest": content_digest(instance),
+        "fingerprint": registry.fingerprint("icp"),
+        **{
+            name: found[name] for name in ("lower_bound", "upper_bound", "n_nodes", "n_assignments")
+        },
+    }
+    return tmp_path, planned.run_id, row
+
+
+def stored(folder, row) -> str:
+    tables = folder / "mine" / "tables"
+    tables.mkdir(parents=True, exist_ok=True)
+    pd.DataFrame([row]).to_parquet(tables / "runs.parquet")
+    return str(replay(row["run_id"], results=folder)["stored"])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, SAME),
+        (
+            {"T_target_source": json.dumps([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])},
+            "different: pose",
+        ),
+        ({"n_assignments": 10_000.0}, "different: n_assignments"),
+        ({"instance_digest": "other"}, "not compared: another instance"),
+        ({"fingerprint": "other"}, "not compared: another version of the method"),
+        ({"outcome": "failed", "status": "failed"}, "not compared: the stored run has the status"),
+        ({"status": "time_limit", "outcome": "limited"}, "not compared: the clock or the memory"),
+    ],
+)
+def test_the_stored_run_decides(run, change, said):
+    folder, _, row = run
+    assert stored(folder, {**row, **change}).startswith(said)
+
+
+def test_a_difference_has_its_own_exit_code(run):
+    folder, run_id, row = run
+    stored(folder, {**row, "n_assignments": 10_000.0})
+    done = CliRunner().invoke(app, ["replay", run_id, "--results", str(folder)])
+    assert done.exit_code == 1, done.output
+    assert json.loads(done.output)["stored"] == "different: n_assignments"
+
+
+def test_an_unknown_run_is_named(run):
+    folder, _, _ = run
+    with pytest.raises(UserError, match="no run 'x' in the archives or in"):
+        replay("x", results=folder)
