@@ -1,9 +1,10 @@
-"""Forecast the time of runs from the measured ones, per method, test and level."""
+"""Forecast time and disk of runs from the measured ones; times per method, test and level."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,11 +18,29 @@ TIMED = [*CELL, "time_solve_s", "time_overhead_s"]
 
 @dataclass(frozen=True)
 class Forecast:
-    """Expected CPU time of some runs, and how many have no measured cell."""
+    """Expected CPU time and disk of some runs.
+
+    Attributes
+    ----------
+    runs : int
+    seconds : float
+    unseen : int
+        Runs that have no measured cell.
+    megabytes : float or None
+        None if no run has been measured.
+    """
 
     runs: int
     seconds: float
     unseen: int
+    megabytes: float | None = None
+
+    def __str__(self) -> str:
+        disk = "" if self.megabytes is None else f", {self.megabytes:.1f} MB"
+        return (
+            f"{self.runs} runs, about {self.seconds / 60:.0f} min of CPU{disk} "
+            f"({self.unseen} runs in unmeasured cells)"
+        )
 
 
 @dataclass(frozen=True)
@@ -34,13 +53,21 @@ class Times:
         Number of runs, mean, median and 90th percentile per method, test and level.
     limits : dict of method to seconds
         What a method without any run is expected to take.
+    bytes_per_run : float or None
+        Disk that a run takes, with its share of instances and tables.
     """
 
     cells: pd.DataFrame
     limits: dict[str, float]
+    bytes_per_run: float | None = None
 
     @classmethod
-    def of(cls, tables: Sequence[pd.DataFrame], experiment: Experiment) -> Times:
+    def of(
+        cls,
+        tables: Sequence[pd.DataFrame],
+        experiment: Experiment,
+        bytes_per_run: float | None = None,
+    ) -> Times:
         """Return the times of runs, those of the harness included.
 
         Of a cell in several tables, the first one counts.
@@ -48,7 +75,7 @@ class Times:
         limits = {each.name: experiment.limits_of(each).time_s for each in experiment.methods}
         known = [_cells(runs) for runs in tables]
         cells = pd.concat(known) if known else _cells(pd.DataFrame(columns=TIMED))
-        return cls(cells[~cells.index.duplicated()], limits)
+        return cls(cells[~cells.index.duplicated()], limits, bytes_per_run)
 
     @staticmethod
     def as_limited(runs: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
@@ -65,7 +92,8 @@ class Times:
         for run in runs:
             expected, is_seen = self.of_cell(run.method.name, run.instance.test, run.instance.level)
             count, seconds, unseen = count + 1, seconds + expected, unseen + (not is_seen)
-        return Forecast(count, seconds, unseen)
+        disk = None if self.bytes_per_run is None else count * self.bytes_per_run / 1e6
+        return Forecast(count, seconds, unseen, disk)
 
     def of_cell(self, method: str, test: str, level: float) -> tuple[float, bool]:
         """Return the expected seconds of a run, and whether its cell has been measured.
@@ -91,3 +119,9 @@ def _cells(runs: pd.DataFrame) -> pd.DataFrame:
     seconds = runs["time_solve_s"].astype(float) + runs["time_overhead_s"].fillna(0.0).astype(float)
     grouped = runs.assign(seconds=seconds).dropna(subset="seconds").groupby(CELL)["seconds"]
     return grouped.agg(["size", "mean", "median"]).assign(p90=grouped.quantile(0.9))
+
+
+def bytes_per_run(folder: Path, count: int) -> float | None:
+    """Return the bytes of a folder of results per run; None without runs."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return sum(path.stat().st_size for path in files) / count if count else None

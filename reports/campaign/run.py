@@ -18,7 +18,7 @@ from rich.table import Table
 
 from baselines import registry
 from reports.campaign.choice import Option, options
-from reports.campaign.forecast import Forecast, Times
+from reports.campaign.forecast import Forecast, Times, bytes_per_run
 from reports.ledger.book import Ledger, ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.judging import Judgement, judge
@@ -101,7 +101,9 @@ class Campaign:
             known.append(stored)
         if (quick / "accounting.csv").is_file():
             known.append(Times.as_limited(Tables.load(quick).runs, self.experiment))
-        return Times.of(known, self.experiment)
+        own = None if tables is None else int((tables.runs["outcome"] != NOT_NEEDED).sum())
+        measured = bytes_per_run(self.folder.parent, own) if own else None
+        return Times.of(known, self.experiment, measured)
 
     def unfinished(self) -> Forecast:
         """Return the forecast of the needed runs without a result, here or in an archive."""
@@ -127,7 +129,7 @@ def collect(
         Folder that contains ``results/``.
     cores : int
     out : Path
-        Folder for the log of forecasts.
+        Folder for the log of forecasts and the measured times.
     """
     book, console = ledger(), Console()
     campaigns = {name: Campaign(name, directory) for name in names}
@@ -151,6 +153,9 @@ def collect(
         option.needs.write(campaigns[name].needs_path)
         if not _run(campaigns[name], option.claim, option.block, end, cores, out, console):
             break
+    for name, campaign in campaigns.items():
+        out.mkdir(parents=True, exist_ok=True)
+        campaign.times().cells.round(4).to_csv(out / f"{name}.times.csv")
     _print(console, book, campaigns, [option for _, option in ahead])
     return [option for _, option in ahead]
 
@@ -177,12 +182,7 @@ def _run(
     console: Console,
 ) -> bool:
     """Run the needed blocks of an experiment; return whether they ended before `end`."""
-    console.print(
-        f"block     {campaign.name}, {claim}: {expected.runs} runs, about "
-        f"{expected.seconds / 60:.0f} min of CPU "
-        f"({expected.unseen} runs in unmeasured cells)",
-        soft_wrap=True,
-    )
+    console.print(f"block     {campaign.name}, {claim}: {expected}", soft_wrap=True)
     before = campaign.tables()
     known = set() if before is None else set(before.runs["run_id"])
     began = time.monotonic()
@@ -205,6 +205,7 @@ def _run(
             "experiment": campaign.experiment.name, "claim": claim, "runs": len(new),
             "unseen": expected.unseen, "forecast_s": round(expected.seconds, 1),
             "actual_s": round(actual, 1), "wall_s": round(time.monotonic() - began, 1),
+            "forecast_mb": expected.megabytes,
         },
     )  # fmt: skip
     console.print(f"          took {actual / 60:.0f} min of CPU")

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from reports.campaign.choice import options
-from reports.campaign.forecast import Times
+from reports.campaign.forecast import Forecast, Times, bytes_per_run
 from reports.campaign.run import Campaign
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
@@ -51,6 +51,19 @@ def test_runs_of_the_quick_part_at_a_limit_take_the_limit_of_the_experiment():
     )
     limit = EXPERIMENT.limits_of(EXPERIMENT.method("rpm_pa")).time_s
     assert list(Times.as_limited(runs, EXPERIMENT)["time_solve_s"]) == [limit, 2.0]
+
+
+def test_disk_is_forecast_from_the_bytes_per_run(tmp_path):
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "a.parquet").write_bytes(bytes(3000))
+    (tmp_path / "plan.parquet").write_bytes(bytes(1000))
+    assert bytes_per_run(tmp_path, 0) is None
+    known = Times.of([], EXPERIMENT, bytes_per_run(tmp_path, 4))
+    plan = expand(EXPERIMENT, None, NAME, NONE.with_block("noise", ["rpm_pa"]))
+    found = known.of_runs(plan.runs())
+    assert found.megabytes == pytest.approx(found.runs * 1000 / 1e6)
+    assert "MB" in str(found)
+    assert "MB" not in str(Forecast(1, 2.0, 1))
 
 
 def test_every_claim_about_the_experiment_has_a_next_block():
