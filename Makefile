@@ -170,6 +170,21 @@ record: setup
 compare: setup
 	@$(BIN)/python -m workflows compare $(BASE) $(HEAD) $(if $(EXACT),--exact)
 
+## lock: remake the lock files with the hashes of their versions (needs a network)
+.PHONY: lock
+lock: $(VENV)-tools/.installed
+	@workflows/lock.sh $(VENV)-tools/bin/uv
+
+## audit: look for known vulnerabilities of the locked packages (needs a network)
+.PHONY: audit
+audit: $(VENV)-tools/.installed
+	@workflows/audit.sh $(VENV)-tools/bin/pip-audit
+
+## licences: list the licence of every locked package, and those that need a look; table in results/licences.csv
+.PHONY: licences
+licences: dev
+	@$(BIN)/python -m workflows.licences results/licences.csv
+
 ## lint: format the code, then check style and types
 .PHONY: lint
 lint: dev
@@ -205,7 +220,15 @@ dev: setup $(VENV)/.dev
 $(VENV)/.dev: requirements-dev.lock $(VENV)/.installed
 	@echo "Installing the tools for tests, style and manual …"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-compile \
-	  --requirement requirements-dev.lock
+	  --require-hashes --requirement requirements-dev.lock
+	@touch $@
+
+# `make lock` and `make audit` have an environment of their own.
+$(VENV)-tools/.installed: requirements-tools.lock
+	@$(PYTHON) -m venv $(VENV)-tools
+	@$(VENV)-tools/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-compile \
+	  --require-hashes --requirement requirements-tools.lock \
+	  || { echo "These tools could not be installed; they need a network."; exit 1; }
 	@touch $@
 
 # Only the tests of the report need a browser; without one they are skipped.
@@ -217,7 +240,7 @@ browser:
 ## clean: remove results, caches and the environment, but keep fetched data in resources/
 .PHONY: clean
 clean:
-	rm -rf $(VENV) .venv-floors results .snakemake .coverage* .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
+	rm -rf $(VENV) .venv-floors $(VENV)-tools results .snakemake .coverage* .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 ## help: print this list

@@ -22,19 +22,29 @@ step() {
   printf 'setup     %-44s %4d s\n' "$what" $((SECONDS - since))
 }
 
-# Modules are compiled to bytecode at their first import: most are never imported.
+# Modules are compiled to bytecode at their first import: most are never imported. What is built from
+# source is built with the setuptools of the lock file: otherwise pip would fetch one without a hash.
 install() {
-  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile "$@"
+  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-deps \
+    --no-build-isolation "$@"
+}
+
+# locked NAME… : prints the entries of these packages in the lock file, with their hashes
+locked() {
+  awk -v names=" $* " '/^[^ ]/ { split($1, part, "=="); keep = index(names, " " part[1] " ") } keep' \
+    requirements.lock
 }
 
 echo "Setting up $venv (once; takes one to three minutes, mostly downloads and compilation) …"
 [ -x "$venv/bin/python" ] || step "virtual environment" "$python" -m venv "$venv"
-step "this library and what it needs" install --constraint requirements.lock --editable .
+locked setuptools numpy scipy numba llvmlite lazy-loader >"$log/library.lock"
+step "what this library needs" install --require-hashes --requirement "$log/library.lock"
+step "this library" install --editable .
 step "compiled kernels" "$venv/bin/python" -m dcreg.driver.warm_up &
 kernels=$!
 workflows/system_packages.sh "open3d (its methods are 'unavailable' without it)" "$@" &
 system=$!
-step "packages of the benchmark" install --no-deps --requirement requirements.lock
+step "packages of the benchmark" install --require-hashes --requirement requirements.lock
 wait "$system"
 wait "$kernels"
 printf 'setup     %-44s %4d s\n' "total" $((SECONDS - began))

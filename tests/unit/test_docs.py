@@ -212,13 +212,26 @@ def test_make_help_lists_the_documented_targets():
     assert listed <= declared_targets()
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
-def test_lock_files_pin_versions_and_name_no_host(name):
-    lines = text_of(ROOT / name).splitlines()
-    packages = [line for line in lines if line.strip() and not line.startswith("#")]
-    assert len(packages) > 20
-    assert not [line for line in lines if "://" in line or "index" in line or " @ " in line]
-    assert not [line for line in packages if not re.match(r"^[A-Za-z0-9._\[\]-]+==\S+", line)]
+LOCKS = sorted(path.name for path in ROOT.glob("requirements*.lock"))
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_lock_files_pin_versions_with_hashes_and_name_no_host(name):
+    text = text_of(ROOT / name)
+    assert not re.search(r"://|index| @ |^-", text, re.M)
+    packages = re.split(r"^(?=[^ ])", text, flags=re.M)[1:]
+    entry = re.compile(r"[a-z0-9-]+==\S+( ; [^\\]+)?( \\\n    --hash=sha256:[0-9a-f]{64})+\n")
+    assert packages
+    assert not [package for package in packages if not entry.fullmatch(package)]
+
+
+def test_every_installation_of_a_lock_file_checks_the_hashes():
+    scripts = [ROOT / "Makefile", *(ROOT / "workflows").glob("*.sh")]
+    text = "".join(text_of(path).replace("\\\n", "") for path in scripts)
+    lines = [line for line in text.splitlines() if re.search(r"--requirement \S+\.lock", line)]
+    installed = {name for line in lines if "install" in line for name in LOCKS if name in line}
+    assert {"requirements.lock", "requirements-dev.lock"} <= installed
+    assert not [line for line in lines if "install" in line and "--require-hashes" not in line]
 
 
 def direct_dependencies() -> set[str]:
