@@ -35,8 +35,8 @@ class File(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    dataset: str = ""  # filled in from the card
-    path: str = Field(pattern=r"^[^/].*$")
+    dataset: str = Field(default="", pattern=r"^[a-z0-9_]*$")  # filled in from the card
+    path: str = Field(pattern=r"^[^/\x00][^\x00]*$")
     url: str | None = Field(default=None, pattern=r"^https?://")
     sha256: str | None = Field(default=None, pattern=SHA256)
     git_sha1: str | None = Field(default=None, pattern=r"^[0-9a-f]{40}$")  # git's blob id

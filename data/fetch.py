@@ -11,13 +11,14 @@ DCREG_DATA_MIRROR
 from __future__ import annotations
 
 import hashlib
+import io
 import logging
 import os
 import shutil
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from data.contract import DataError, File
@@ -29,10 +30,16 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 CHECKOUT = Path(__file__).parents[1]
 TIMEOUT_S = 30  # per connection and per silence, not per file
+MOST_BYTES = 10**9  # of a file whose card states no size
+PART_BYTES = 2**16  # that are written at once
 
 
 class ChecksumError(DataError):
     """A file exists but differs from the one on the card."""
+
+
+class SizeError(DataError):
+    """A file is larger than the card states, or than any file may be."""
 
 
 class UnavailableError(DataError):
@@ -61,7 +68,7 @@ def fetch(file: File, *alternatives: File) -> Path:
 
     Raises
     ------
-    ChecksumError
+    ChecksumError, SizeError
         The file of the mirror or the origin differs from the card. It is not kept.
     UnavailableError
         No source could be reached; the message names address and path.
@@ -109,6 +116,8 @@ def _from_mirror(file: File, tried: list[str]) -> Path | None:
     if not origin.is_file():
         tried.append(f"{origin}: no such file")
         return None
+    if origin.stat().st_size > _most(file):
+        raise _too_large(file, str(origin))
     return _place(file, str(origin), lambda part: shutil.copyfile(origin, part))
 
 
@@ -117,16 +126,59 @@ def _from_origin(file: File, tried: list[str]) -> Path | None:
 
 
 def _download(file: File, url: str, tried: list[str]) -> Path | None:
-    import pooch  # only here: most runs find their files in the cache or in a folder
-    import requests
+    import requests  # only here: most runs find their files in the cache or in a folder
 
     log.info("fetching %s", url)
-    download = pooch.HTTPDownloader(progressbar=False, timeout=TIMEOUT_S)
     try:
-        return _place(file, url, lambda part: download(url, str(part), None))
+        return _place(file, url, lambda part: download(url, part, _most(file)))
     except requests.RequestException as error:
         tried.append(f"{url}: {_reason(error)}")
         return None
+    except OverflowError:
+        raise _too_large(file, url) from None
+
+
+def download(url: str, path: Path, most: int) -> None:
+    """Write the file at an http(s) address to `path`; stop after `most` bytes.
+
+    Raises
+    ------
+    OverflowError
+        The file is larger.
+    requests.RequestException
+        The address does not answer, or answers with an error.
+    """
+    import pooch
+
+    downloader = pooch.HTTPDownloader(progressbar=False, chunk_size=PART_BYTES, timeout=TIMEOUT_S)
+    with _Limited(path, most) as file:
+        downloader(url, file, None)
+
+
+class _Limited(io.FileIO):
+    """A new file that takes only so many bytes: an answer may be endless, or unpack to much more."""
+
+    def __init__(self, path: Path, most: int) -> None:
+        super().__init__(path, "wb")
+        self.most = most
+
+    def write(self, part: Any) -> int:
+        if self.tell() + len(part) > self.most:
+            raise OverflowError(f"more than {self.most} bytes")
+        return super().write(part)
+
+
+def _most(file: File) -> int:
+    return file.size or MOST_BYTES
+
+
+def _too_large(file: File, origin: str) -> SizeError:
+    stated = "the size on the card" if file.size else "the maximum for a card without a size"
+    return SizeError(
+        f"dataset {file.dataset}: {origin} has more than {_most(file)} bytes, {stated}; not kept\n"
+        "Remedy: repair the mirror or unset DCREG_DATA_MIRROR; if the origin has changed, obtain the "
+        f"file of the card and put it at {cache_path(file)}."
+    )
 
 
 def _reason(error: requests.RequestException) -> str:

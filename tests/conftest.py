@@ -1,5 +1,8 @@
 """Shared fixtures, the fixed Hypothesis profile, and which tests share a worker, the longest first."""
 
+# Blocks the network, before NumPy starts threads.
+import tests.offline  # noqa: F401  # isort: skip
+
 import os
 import time
 from pathlib import Path

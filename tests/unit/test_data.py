@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import hashlib
 import io
@@ -23,7 +24,7 @@ from data import fetch as fetching
 from data.chui_rangarajan.loader import Loader as ChuiRangarajan
 from data.chui_rangarajan.loader import _checksums
 from data.contract import DataError, File, UnknownNameError
-from data.fetch import ChecksumError, UnavailableError, cache_path, fetch
+from data.fetch import ChecksumError, SizeError, UnavailableError, cache_path, fetch
 from data.registry import dataset, read_card
 from data.sampling import farthest_points, mutual_nearest, normalise, voxel_downsample
 from data.threedmatch import loader as threedmatch
@@ -133,6 +134,48 @@ def test_wrong_checksum_is_an_error_and_not_kept(where, tmp_path, serve, monkeyp
     assert list(cache_path(file_of()).parent.iterdir()) == []
 
 
+@pytest.mark.parametrize("where", ["mirror folder", "mirror address", "origin"])
+@pytest.mark.parametrize("size", [len(CONTENT), None])
+def test_a_file_that_is_too_large_is_not_fetched(
+    where, size, tmp_path, serve, monkeypatch, no_mirror
+):
+    """Without a size on the card, a general limit holds."""
+    monkeypatch.setattr(fetching, "MOST_BYTES", len(CONTENT))
+    root = put(tmp_path / "root", CONTENT + bytes(100_000))
+    address, _ = serve(root)
+    url = f"{address}/2d/set/points.txt" if where == "origin" else NOWHERE
+    if where.startswith("mirror"):
+        monkeypatch.setenv("DCREG_DATA_MIRROR", str(root) if "folder" in where else address)
+    with pytest.raises(SizeError, match=rf"more than {len(CONTENT)} bytes.*; not kept\nRemedy"):
+        fetch(file_of(url=url, size=size))
+    folder = cache_path(file_of()).parent
+    assert not folder.exists() or list(folder.iterdir()) == []
+
+
+def test_an_endless_answer_is_cut_off(tmp_path, no_mirror):
+    """The server states no length and never stops by itself."""
+    sent = []
+
+    class Endless(SimpleHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.end_headers()
+            with contextlib.suppress(OSError):
+                while len(sent) < 10_000:
+                    self.wfile.write(bytes(100_000))
+                    sent.append(1)
+
+        def log_message(self, *arguments):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Endless) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        with pytest.raises(SizeError):
+            fetch(file_of(url=f"http://127.0.0.1:{server.server_port}/x", size=10))
+        server.shutdown()
+    assert len(sent) < 1000
+
+
 def test_a_damaged_cache_is_replaced(tmp_path, monkeypatch):
     monkeypatch.setenv("DCREG_DATA_MIRROR", str(put(tmp_path / "mirror")))
     path = fetch(file_of())
@@ -191,6 +234,10 @@ def test_alternatives_serve_when_the_first_has_no_source(tmp_path, serve, no_mir
         ({"name": "other"}, "differs from its folder"),
         ({"files": [{"path": "a"}]}, "exactly one of sha256 and git_sha1"),
         ({"files": [{"path": "../a", "sha256": "0" * 64}]}, "not allowed"),
+        ({"files": [{"path": "/etc/a", "sha256": "0" * 64}]}, "path"),
+        ({"files": [{"path": "a\0b", "sha256": "0" * 64}]}, "path"),
+        ({"files": [{"path": "a", "sha256": "0" * 64, "dataset": "../b"}]}, "dataset"),
+        ({"files": [{"path": "a", "url": "file:///etc/passwd", "sha256": "0" * 64}]}, "url"),
         ({"files": [{"path": "a", "sha256": "xyz"}]}, "sha256"),
     ],
 )

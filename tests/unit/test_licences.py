@@ -53,7 +53,11 @@ def test_copyleft_unknown_and_absent_packages_are_listed(tmp_path, monkeypatch, 
     monkeypatch.setattr(licences.metadata, "metadata", facts)
     licences.main(tmp_path / "new" / "licences.csv")
     printed = capsys.readouterr().out
-    for line in ("copyleft: 1: file-wise", "unknown: 1: silent", "not installed here: 1: elsewhere"):
+    for line in (
+        "copyleft: 1: file-wise",
+        "unknown: 1: silent",
+        "not installed here: 1: elsewhere",
+    ):
         assert line in printed
     with (tmp_path / "new" / "licences.csv").open() as file:
         found = list(csv.DictReader(file))

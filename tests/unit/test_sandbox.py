@@ -76,7 +76,7 @@ def test_a_fault_becomes_its_status_and_the_rest_completes(faulty, n_points, sta
     ("fault", "mark"), [("crashes_once", "crashed"), ("stops_once", "stopped")]
 )
 def test_a_run_whose_worker_dies_or_is_suspended_is_tried_again(tmp_path, monkeypatch, fault, mark):
-    monkeypatch.setenv("FAULT_TOKENS", str(tmp_path))
+    monkeypatch.setenv("DCREG_FAULT_TOKENS", str(tmp_path))
     runs = three_runs(fault, tmp_path / "log")
     assert [run["status"] for run in runs] == ["converged"] * 3
     assert (tmp_path / mark).exists()

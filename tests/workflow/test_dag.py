@@ -100,7 +100,7 @@ class Checkout:
                 **os.environ,
                 "PYTHONPATH": str(self.root),
                 "DCREG_BASELINES_PATH": str(FAULTY),
-                "FAULT_TOKENS": str(self.root / "tokens"),
+                "DCREG_FAULT_TOKENS": str(self.root / "tokens"),
             },
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

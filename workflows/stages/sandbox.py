@@ -16,6 +16,7 @@ import time
 from contextlib import suppress
 from multiprocessing import Pipe
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
 
@@ -23,22 +24,15 @@ import psutil
 
 from baselines.contract import Instance
 from dcreg.status import Status
-from workflows import CHECKOUT
 from workflows.config import LimitSettings, MethodSettings
+from workflows.stages import isolation
 from workflows.stages.worker import COMPILING
 
 WATCH_S = 0.05  # between two measurements of a busy worker's memory
 FAMILY_S = 1.0  # between two lists of its child processes
 MAX_REPEATS = 5  # of a run that compiled code; then it counts in any case
 MB = 2**20
-THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
+UNPROTECTED = b"warning: this system has no Landlock, so the method can read the ground truth\n"
 
 
 class WorkerLostError(Exception):
@@ -59,24 +53,23 @@ class Worker:
         self._family: list[psutil.Process] = []
         self._family_until = 0.0
         self.connection, far_end = Pipe()
-        environment = {
-            **os.environ,
-            **dict.fromkeys(THREAD_VARIABLES, str(threads)),
-            "PYTHONPATH": os.pathsep.join(
-                [str(CHECKOUT), *filter(None, [os.environ.get("PYTHONPATH")])]
-            ),
-            "PYTHONHASHSEED": "0",
-        }
+        self._folder = TemporaryDirectory(prefix="dcreg-worker-", ignore_cleanup_errors=True)
+        rules = isolation.ruleset(isolation.hidden_folders())
         with far_end, log.open("ab") as stream:
+            passed = [far_end.fileno(), *([] if rules is None else [rules])]
+            if rules is None:
+                stream.write(UNPROTECTED)
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "workflows.stages.worker", str(far_end.fileno())],
-                pass_fds=[far_end.fileno()],
-                env=environment,
+                [sys.executable, "-m", "workflows.stages.isolation", *map(str, passed)],
+                pass_fds=passed,
+                env=isolation.environment(os.environ, threads, Path(self._folder.name)),
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=stream,
                 start_new_session=True,  # its own group, so that its children die with it
             )
+        if rules is not None:
+            os.close(rules)
 
     def ask(
         self,
@@ -135,6 +128,7 @@ class Worker:
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
         self.connection.close()
+        self._folder.cleanup()
 
     def close(self) -> None:
         """Close the pipe and end the worker."""

@@ -44,7 +44,7 @@ class Adapter(Baseline):
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         if self.options["fault"] == "waits":  # on every instance
-            take_token(Path(os.environ["FAULT_TOKENS"]))
+            take_token(Path(os.environ["DCREG_FAULT_TOKENS"]))
         solution = Solution(Status.CONVERGED, np.eye(instance.dim + 1))
         fault = "none"
         if self.options["fault"] == "any":
@@ -100,13 +100,13 @@ class Adapter(Baseline):
         os.kill(os.getpid(), signal.SIGSEGV)
 
     def _crashes_once(self, solution: Solution) -> None:
-        mark = Path(os.environ["FAULT_TOKENS"]) / "crashed"
+        mark = Path(os.environ["DCREG_FAULT_TOKENS"]) / "crashed"
         if not mark.exists():
             mark.touch()
             self._crashes(solution)
 
     def _stops_once(self, solution: Solution) -> None:
-        mark = Path(os.environ["FAULT_TOKENS"]) / "stopped"
+        mark = Path(os.environ["DCREG_FAULT_TOKENS"]) / "stopped"
         if not mark.exists():
             mark.touch()
             os.kill(os.getpid(), signal.SIGSTOP)
