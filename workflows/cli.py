@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from functools import wraps
+from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import psutil
@@ -17,6 +18,8 @@ from workflows import UserError
 Experiment = Annotated[
     str, typer.Argument(help="Name of a config in workflows/configs, or a path.")
 ]
+Folder = Annotated[Path, typer.Argument(help="Results of an experiment: results/<name>.")]
+Out = Annotated[Path, typer.Option()]
 
 
 def user_errors(command: Callable[..., Any]) -> Callable[..., Any]:

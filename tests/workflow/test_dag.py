@@ -212,6 +212,16 @@ def test_a_run_of_an_archive_is_not_repeated(checkout, tmp_path):
             line for p in fresh.glob("results/tiny/runs/*/*.journal.jsonl") for line in _lines(p)
         ]
         assert len(lines) == 3
+        own = tmp_path / "own"
+        beside = ("--methods", "own", "--beside")
+        added = "  - {name: own, baseline: icp, n_inliers_ratio: 0.5}\n"
+        with checkout.edited("workflows/configs/tiny.yaml", added):
+            checkout.command(*run[:-1], str(own), *beside)
+        runs = pd.read_parquet(own / "results/tiny/evidence/tables/runs.parquet")
+        assert set(runs["outcome"]) == {"finished"}
+        assert list(runs.groupby("method").size()) == [3, 3, 3]
+        made = {p.parent.name for p in own.glob("results/tiny/runs/*/*.journal.jsonl") if _lines(p)}
+        assert made == {"own"}
     finally:
         shutil.rmtree(checkout.root / "reports/archive/1")
 

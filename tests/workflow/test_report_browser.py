@@ -255,7 +255,8 @@ def test_overlay_enlarges_with_its_replay_command(page, test, kind):
     wait(page, "document.getElementById('overlay-plot').dataset.drawn")
     kinds = page.execute_script("return $('#overlay-plot').data.map(t => t.type)")
     assert kinds == [kind] * 4
-    assert "workflows replay --experiment made-up" in page.find_element("css selector", ".replay code").text
+    shown = page.find_element("css selector", ".replay code").text
+    assert "workflows replay --experiment made-up" in shown
 
 
 def test_downloads_are_the_tables(page, made_report, tmp_path):
