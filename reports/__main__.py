@@ -98,19 +98,15 @@ def figure(
 @app.command()
 @user_errors
 def findings(
-    tables: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            help="Folders with new tables to store in docs/measured; default: use the stored tables."
-        ),
-    ] = None,
+    archive: Annotated[
+        str, typer.Argument(help="Stored version; default: the latest with such runs.")
+    ] = "",
 ) -> None:
-    """Write docs/findings.md from the tables in docs/measured; store the given tables there first."""
+    """Write docs/findings.md from an archive."""
     from reports import findings as page
+    from workflows.archives import ARCHIVES
 
-    if tables:
-        page.store(tables)
-    say(f"findings  {page.write()}")
+    say(f"findings  {page.write(ARCHIVES / archive if archive else page.archive_of_findings())}")
 
 
 @app.command()

@@ -1,78 +1,61 @@
-"""The page ``docs/findings.md``: ``python -m reports findings [TABLES…]``.
+"""The page ``docs/findings.md``: ``python -m reports findings [ARCHIVE]``.
 
-With tables of experiments, the few columns that the page needs are first stored in ``docs/measured``. The
-page is then written from these files and a template, so that every number on it comes from a run.
+The page is written from an archive and a template, so that every number on it comes from an archived run.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pandas as pd
 
 from dcreg.files import whole_file
 from reports import measured, templating, theme
+from reports.archive import read
 from reports.measured import Measured
 from reports.tables import ReportError, Tables
-from workflows import CHECKOUT
+from workflows import CHECKOUT, archives
 from workflows.metrics.errors import SUCCESS_SHARE
 
 HERE = Path(__file__).parent
-FOLDER = CHECKOUT / "docs" / "measured"
 PAGE = CHECKOUT / "docs" / "findings.md"
-MAX_BYTES = 200_000  # of the committed tables
-_FILES = ("runs.csv", "stages.csv", "origin.json")
+EXPERIMENT = "findings"
 
 
-def store(folders: Sequence[Path], out: Path = FOLDER) -> None:
-    """Write what the page needs from the tables in `folders` to `out`.
+def archive_of_findings() -> Path:
+    """Return the latest archive with runs of the experiment.
 
     Raises
     ------
     ReportError
-        If the result is too large to be committed.
+        There is none.
     """
-    tables = [Tables.load(folder) for folder in folders]
-    found = [Measured.of_tables(each) for each in tables]
-    runs = pd.concat([each.runs[each.stored] for each in found], ignore_index=True)
-    # a method is one family in all experiments
-    stages = pd.concat([each.stages for each in found], ignore_index=True)
-    texts = [
-        runs.to_csv(index=False, float_format="%.6g"),
-        stages.to_csv(index=False, float_format="%.6g"),
-        json.dumps([_origin(each) for each in tables], indent=1) + "\n",
-    ]
-    size = sum(len(text.encode()) for text in texts)
-    if size > MAX_BYTES:
-        raise ReportError(
-            f"{out}: {size} bytes exceed {MAX_BYTES}; select fewer runs or methods of the experiment"
-        )
-    out.mkdir(parents=True, exist_ok=True)
-    for name, text in zip(_FILES, texts, strict=True):
-        with whole_file(out / name) as part:
-            part.write_text(text, encoding="utf-8")
+    for folder in reversed(archives.folders()):
+        if EXPERIMENT in archives.facts(folder)["experiments"]:
+            return folder
+    raise ReportError(
+        f"no archive has runs of the experiment {EXPERIMENT}; make them with `make findings`"
+    )
 
 
-def load(folder: Path = FOLDER) -> tuple[Measured, list[dict[str, Any]]]:
-    """Return the stored tables and where they come from."""
-    runs, stages, origin = (folder / name for name in _FILES)
-    texts = {"bound": str, "search": str, "certificate_scope": str}
-    table = pd.read_csv(runs, keep_default_na=True, dtype=texts)
-    table = table.fillna(dict.fromkeys(texts, ""))
-    return Measured(table, pd.read_csv(stages)), json.loads(origin.read_text(encoding="utf-8"))
+def load(archive: Path) -> tuple[Measured, dict[str, Any]]:
+    """Return the archived runs of the experiment, and where they come from."""
+    archives.check(archive)
+    with TemporaryDirectory() as folder:
+        (place,) = read.restore(archive, Path(folder), only=EXPERIMENT)
+        tables = Tables.load(place)
+        return Measured.of_tables(tables), {**_origin(tables), "archive": archive.name}
 
 
-def render(folder: Path = FOLDER) -> str:
-    """Return the page of the stored tables."""
-    found, origins = load(folder)
+def render(found: Measured, origin: dict[str, Any]) -> str:
+    """Return the page of these runs."""
     environment = templating.environment()
     environment.autoescape = False
     return environment.get_template("findings.md").render(
         found=found,
-        origins=origins,
+        origin=origin,
         separation=measured.separation(found, "similarity2d"),
         effects=measured.effects(found, "similarity2d"),
         n_inliers=measured.effect_of_n_inliers(found),
@@ -86,10 +69,10 @@ def render(folder: Path = FOLDER) -> str:
     )
 
 
-def write(folder: Path = FOLDER, page: Path = PAGE) -> Path:
-    """Write the page of the stored tables; return its path."""
+def write(archive: Path, page: Path = PAGE) -> Path:
+    """Write the page of an archive; return its path."""
     with whole_file(page) as part:
-        part.write_text(render(folder), encoding="utf-8")
+        part.write_text(render(*load(archive)), encoding="utf-8")
     return page
 
 

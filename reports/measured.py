@@ -1,8 +1,7 @@
 """What runs show about bounds, searches, n_inliers and certificates, as tables of text.
 
-`Measured` holds the few columns that this needs, so that the tables behind ``docs/findings.md`` are small
-enough to be committed. Every interval is a 95 % interval over instances: Wilson's for shares, a bootstrap
-of percentiles for the rest.
+`Measured` holds the columns that this needs. Every interval is a 95 % interval over instances: that of
+Wilson for shares, a bootstrap of percentiles for the rest.
 """
 
 from __future__ import annotations
@@ -96,11 +95,6 @@ class Measured:
         traces = tables.traces[tables.traces["run_id"].isin(set(runs["run_id"]))]
         stages = traces.groupby(list(STAGE), sort=False)[ends].last().reset_index()
         return cls(runs.reset_index(drop=True), stages)
-
-    @property
-    def stored(self) -> list[str]:
-        """Return the columns of ``runs`` that are not derived from others."""
-        return [*KEPT, "bound", "search", "family"]
 
     def __post_init__(self) -> None:
         runs = self.runs

@@ -56,13 +56,14 @@ def versions() -> list[str]:
     return sorted(created, key=lambda name: created[name])
 
 
-def restore(folder: Path, out: Path) -> list[Path]:
+def restore(folder: Path, out: Path, only: str = "") -> list[Path]:
     """Write the tables of an archive to ``out/EXPERIMENT/tables``; return these folders.
 
-    They are those of the original results, with thinned bound histories.
+    They are those of the original results, with thinned bound histories. `only` names one experiment.
     """
-    runs = pd.read_parquet(folder / RUNS)
-    traces = pd.read_parquet(folder / TRACES)
+    wanted = [("experiment", "==", only)] if only else None
+    runs = pd.read_parquet(folder / RUNS, filters=wanted)
+    traces = pd.read_parquet(folder / TRACES, filters=wanted)
     places = []
     for name, own in runs.groupby("experiment", sort=False):
         places.append(out / str(name) / "tables")

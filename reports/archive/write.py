@@ -71,19 +71,34 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
 
 
 def _with_tables(place: Path) -> Path | None:
-    """Return the folder of an experiment that has its tables; collected evidence comes first."""
-    found = (
-        path for path in (place / EVIDENCE, place) if (path / "tables/accounting.csv").is_file()
-    )
-    return next(found, None)
+    """Return the folder of an experiment that has its tables.
+
+    Collected evidence comes first, then the whole experiment, then the part with the most runs.
+    """
+    parts = sorted(place.glob("parts/*"), key=_runs_in, reverse=True)
+    return next((path for path in (place / EVIDENCE, place, *parts) if _runs_in(path)), None)
+
+
+def _runs_in(place: Path) -> int:
+    path = place / "tables" / "accounting.csv"
+    return int(pd.read_csv(path)["planned"].sum()) if path.is_file() else 0
 
 
 def thinned(traces: pd.DataFrame) -> pd.DataFrame:
-    """Return bound histories with at most `MOST_EVENTS` events a run, in the order of the runs."""
+    """Return bound histories with at most `MOST_EVENTS` events a run, in the order of the runs.
+
+    The last event of every stage is kept.
+    """
     if traces.empty:
         return traces
     groups = traces.groupby("run_id", sort=False)
-    return pd.concat([thin_trace(part, MOST_EVENTS) for _, part in groups], ignore_index=True)
+    return pd.concat([_thinned(part) for _, part in groups], ignore_index=True)
+
+
+def _thinned(events: pd.DataFrame) -> pd.DataFrame:
+    ends = events.groupby("stage", sort=False).tail(1)
+    kept = thin_trace(events, MOST_EVENTS - len(ends)).index.union(ends.index)
+    return events.loc[kept]
 
 
 def _write_tables(tables: Sequence[Tables], out: Path) -> None:

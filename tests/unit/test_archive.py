@@ -53,12 +53,17 @@ def test_histories_keep_their_ends_and_at_most_the_stated_events():
     many = 10 * writing.MOST_EVENTS
     events = pd.DataFrame(
         {"run_id": ["a"] * many + ["b"], "time_s": [*range(many), 0], "lower_bound": [*range(many), 0],
-         "upper_bound": 1.0}
+         "upper_bound": 1.0, "stage": ["start"] + ["search"] * (many - 1) + ["search"]}
     )  # fmt: skip
     kept = writing.thinned(events)
     assert kept["run_id"].value_counts()["a"] <= writing.MOST_EVENTS
     assert set(kept["run_id"]) == {"a", "b"}
     assert list(kept["time_s"].iloc[[0, -2]]) == [0, many - 1]
+    flat = pd.DataFrame(
+        {"run_id": "a", "stage": ["translation"] * 3 + ["rotation"] * 2, "time_s": range(5),
+         "lower_bound": 0.0, "upper_bound": 1.0}
+    )  # fmt: skip
+    assert list(writing.thinned(flat)["time_s"]) == [0, 2, 4]  # no bound changes, but a stage ends
 
 
 def test_an_archive_of_the_same_results_has_the_same_tables(results, archive, tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 
 import numpy as np
@@ -11,6 +10,7 @@ import pandas as pd
 import pytest
 
 from reports import findings, measured
+from reports.archive import write as writing
 from reports.measured import OURS, PUBLISHED, RECONSTRUCTED, STATED, Measured, Shown
 from reports.sections import separation, stages
 from reports.tables import ReportError, Tables
@@ -19,20 +19,26 @@ from tests.unit import report_fixture
 TEMPLATE = findings.HERE / "templates" / "findings.md"
 
 
-def test_the_page_is_what_the_stored_tables_give():
-    """After a change of tables or template: `python -m reports findings`."""
-    assert findings.PAGE.read_text(encoding="utf-8") == findings.render()
+@pytest.fixture(scope="module")
+def archived():
+    return findings.load(findings.archive_of_findings())
 
 
-def test_the_stored_tables_are_small_and_say_where_they_come_from():
-    files = list(findings.FOLDER.iterdir())
-    assert sum(path.stat().st_size for path in files) < findings.MAX_BYTES
-    _, origins = findings.load()
+def test_the_page_is_what_the_archive_gives(archived):
+    """After a change of the archive or of the template: `python -m reports findings`."""
+    assert findings.PAGE.read_text(encoding="utf-8") == findings.render(*archived)
+
+
+def test_the_page_says_where_its_runs_come_from(archived):
+    _, origin = archived
     page = findings.PAGE.read_text(encoding="utf-8")
-    for origin in origins:
-        assert origin["machine"]["cpu"] in page
-        assert origin["commit"][:10] in page
-        assert all(command in page for command in origin["commands"])
+    for fact in (
+        origin["machine"]["cpu"],
+        origin["commit"][:10],
+        origin["archive"],
+        *origin["commands"],
+    ):
+        assert fact in page
 
 
 def test_the_template_has_no_number():
@@ -40,46 +46,45 @@ def test_the_template_has_no_number():
     assert not re.findall(r"\d+", re.sub(r"\b[23]D\b", "", text))
 
 
-def test_every_number_of_the_page_follows_the_tables(tmp_path):
+def test_every_number_of_the_page_follows_the_runs(archived):
     """Other runs give other numbers: nothing on the page is constant but its words and settings."""
-    table, origins = findings.load()
-    runs = table.runs[table.stored].assign(
+    table, origin = archived
+    runs = table.runs.assign(
         success=lambda t: np.arange(len(t)) % 3 == 0,
         rmse_over_scale=lambda t: t["rmse_over_scale"] * 1.7 + 0.011,
         n_nodes=lambda t: t["n_nodes"] * 3 + 1,
         n_assignments=lambda t: t["n_assignments"] * 5 + 2,
     )
-    runs.to_csv(tmp_path / "runs.csv", index=False)
-    table.stages.to_csv(tmp_path / "stages.csv", index=False)
-    (tmp_path / "origin.json").write_text(json.dumps(origins))
-    before = findings.render().splitlines()
-    after = findings.render(tmp_path).splitlines()
+    before = findings.render(table, origin).splitlines()
+    after = findings.render(Measured(runs, table.stages), origin).splitlines()
     changed = [line for line in after if line.startswith("|") and line not in before]
-    rates = [line for line in changed if "%" in line]
-    assert len(rates) > 10
+    assert len([line for line in changed if "%" in line]) > 10
     assert [line for line in before if not line.startswith("|")] == [
         line for line in after if not line.startswith("|")
     ]
 
 
-def test_tables_are_stored_and_rendered_without_a_loss(tmp_path):
-    tables = report_fixture.write_tables(tmp_path / "tables")
-    findings.store([tables], tmp_path / "stored")
-    found, _ = findings.load(tmp_path / "stored")
+def test_an_archive_loses_nothing_that_the_page_shows(tmp_path, monkeypatch):
+    monkeypatch.setattr(findings, "EXPERIMENT", "made-up")
+    tables = report_fixture.write_tables(tmp_path / "results" / "made-up" / "tables")
+    archive = writing.write([tmp_path / "results"], tmp_path / "1.0", "1.0")
+    found, origin = findings.load(archive)
     direct = Measured.of_tables(Tables.load(tables))
-    for show in (measured.effect_of_n_inliers, measured.certified_wrong, measured.norm_stage):
+    shows = (
+        measured.effect_of_n_inliers, measured.certified_wrong, measured.norm_stage,
+        measured.boxes_per_stage,
+    )  # fmt: skip
+    for show in shows:
         assert show(found) == show(direct)
-    text = findings.render(tmp_path / "stored")
+    text = findings.render(found, origin)
     assert "no bound in two searches" in text
     assert "made-up CPU" in text
 
 
-def test_too_much_is_not_stored(tmp_path, monkeypatch):
-    tables = report_fixture.write_tables(tmp_path / "tables")
-    monkeypatch.setattr(findings, "MAX_BYTES", 1000)
-    with pytest.raises(ReportError, match="exceed 1000"):
-        findings.store([tables], tmp_path / "stored")
-    assert not (tmp_path / "stored").exists()
+def test_no_archive_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setenv("DCREG_ARCHIVES", str(tmp_path))
+    with pytest.raises(ReportError, match="make them with `make findings`"):
+        findings.archive_of_findings()
 
 
 @pytest.mark.parametrize(
