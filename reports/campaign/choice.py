@@ -17,18 +17,35 @@ from reports.ledger.verdicts import FEW, WIDE
 from workflows.blocks import Needs
 from workflows.stages.plan import Plan, expand
 
+# A step has several blocks if they are expected to take less time: planning, judging and the tables take
+# about a minute per step.
+STEP_S = 300.0
 ROLES = ("subject", "reference", "methods", "rivals", "rival")
 
 
 @dataclass(frozen=True)
 class Option:
-    """A claim that more blocks may decide."""
+    """A claim that more blocks may decide.
+
+    Attributes
+    ----------
+    claim : str
+    needs : Needs
+        After its next step, which has one block or several short ones.
+    step, block : Forecast
+        Of the next step and of the next block.
+    blocks : int
+        Expected to be needed.
+    obstacle : str
+        Why more blocks do not help.
+    """
 
     claim: str
-    needs: Needs  # after its next block
+    needs: Needs
+    step: Forecast
     block: Forecast
-    blocks: int  # expected to be needed
-    obstacle: str = ""  # why more blocks do not help
+    blocks: int
+    obstacle: str = ""
 
     @property
     def seconds(self) -> float:
@@ -56,20 +73,28 @@ def _option(
     book: Ledger, claim: Claim, found: Judgement, plan: Plan, times: Times, trials: int
 ) -> Option:
     assert plan.needs is not None
-    needs = plan.needs
     tests = _methods_of_tests(book, claim, plan)
-    for test, methods in tests.items():
-        needs = needs.with_block(test, methods)
     done = {run.run_id for run in plan.runs()}
-    ahead = expand(plan.experiment, plan.selection, plan.config, needs)
-    block = times.of_runs(run for run in ahead.runs() if run.run_id not in done)
+
+    def ahead(blocks: int) -> tuple[Needs, Forecast]:
+        needs = plan.needs or Needs({})
+        for test, methods in tests.items():
+            for _ in range(blocks):
+                needs = needs.with_block(test, methods)
+        runs = expand(plan.experiment, plan.selection, plan.config, needs).runs()
+        return needs, times.of_runs(run for run in runs if run.run_id not in done)
+
+    needs, block = step = ahead(1)
     count = max((needs.blocks(test) for test in tests), default=0)
     blocks, obstacle = _blocks(found, max(1, count - 1))
+    at_once = min(blocks, trials - count + 1, int(STEP_S // max(block.seconds, 1.0)))
+    if at_once > 1 and not obstacle:
+        step = ahead(at_once)
     if not tests:
         obstacle = "no method of the experiment has its roles"
     elif count > trials:
         obstacle = f"all {trials} trials are run"
-    return Option(claim.id, needs, block, blocks, obstacle)
+    return Option(claim.id, *step, block, blocks, obstacle)
 
 
 def _blocks(found: Judgement, done: int) -> tuple[int, str]:

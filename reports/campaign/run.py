@@ -145,13 +145,13 @@ def collect(
         fitting = [
             (name, option)
             for name, option in ahead
-            if not option.obstacle and option.block.seconds <= left_s * cores
+            if not option.obstacle and option.step.seconds <= left_s * cores
         ]
         if not fitting:
             break
         name, option = fitting[0]
         option.needs.write(campaigns[name].needs_path)
-        if not _run(campaigns[name], option.claim, option.block, end, cores, out, console):
+        if not _run(campaigns[name], option.claim, option.step, end, cores, out, console):
             break
     for name, campaign in campaigns.items():
         out.mkdir(parents=True, exist_ok=True)

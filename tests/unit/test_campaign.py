@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
+from reports.campaign import choice
 from reports.campaign.choice import options
 from reports.campaign.forecast import Forecast, Times, bytes_per_run
 from reports.campaign.run import Campaign
@@ -102,6 +103,23 @@ def test_a_claim_whose_trials_are_all_run_has_an_obstacle():
     found = options(ledger(), judged, plan, times(), 1)
     assert any(option.obstacle == "all 1 trials are run" for option in found)
     assert bool(found[-1].obstacle)
+
+
+@pytest.mark.parametrize(("share", "at_once"), [(100.0, 7), (2.5, 2), (0.5, 1)])
+def test_short_blocks_are_run_together(monkeypatch, share, at_once):
+    monkeypatch.setattr(choice, "_blocks", lambda *_: (7, ""))
+
+    def low_inlier():
+        return next(option for option in ahead(times()) if option.claim == "low-inlier")
+
+    monkeypatch.setattr(choice, "STEP_S", share * low_inlier().block.seconds)
+    found = low_inlier()
+    tests = ("mixed_outliers", "separate_outliers")
+    assert {test: max(own.values()) for test, own in found.needs.trials.items()} == dict.fromkeys(
+        tests, at_once
+    )
+    assert found.step.runs == at_once * found.block.runs
+    assert found.blocks == 7
 
 
 @pytest.mark.parametrize("claim", ["low-inlier", "faster"])
