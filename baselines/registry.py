@@ -33,6 +33,7 @@ from dcreg.problem.problem import suggestion
 ROOT = Path(__file__).resolve().parent
 TEMPLATE = ROOT / "_template"
 VERSIONS = "versions.json"
+NOT_YAML = (yaml.YAMLError, ValueError, AttributeError, RecursionError)  # what PyYAML raises
 
 # Facts of a card that are not part of the hash of a method's code. All but `version` are only shown.
 PRESENTATION = {
@@ -111,14 +112,16 @@ def read_card(name: str, root: Path | None = None) -> Card:
         raise BaselineError(
             f"{_shown(path)}: missing; copy it from baselines/_template/card.yaml"
         ) from error
-    except yaml.YAMLError as error:
+    except NOT_YAML as error:
         raise BaselineError(f"{_shown(path)}: not valid YAML: {error}") from error
     if not isinstance(facts, dict):
         raise BaselineError(f"{_shown(path)}: must be a mapping of fields, is {facts!r}")
     try:
-        return Card(**facts)
+        return Card.model_validate(facts)
     except ValidationError as error:
         raise BaselineError(_card_message(path, error)) from error
+    except TypeError as error:  # a range of what is not a number
+        raise BaselineError(f"{_shown(path)}: field ranges: {error}; correct it") from error
 
 
 def idle_options(name: str, options: dict[str, Any]) -> dict[str, str]:

@@ -72,8 +72,12 @@ class Card(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _name_the_owner(cls, values: dict[str, Any]) -> dict[str, Any]:
-        files = [{"dataset": values.get("name", ""), **file} for file in values.get("files", [])]
-        return {"title": values.get("name", ""), **values, "files": files}
+        name, files = values.get("name", ""), values.get("files", [])
+        if isinstance(files, list):
+            files = [
+                {"dataset": name, **file} if isinstance(file, dict) else file for file in files
+            ]
+        return {"title": name, **values, "files": files}
 
     @model_validator(mode="after")
     def _states_the_terms_of_files(self) -> Card:

@@ -16,6 +16,7 @@ from dcreg.problem import suggestion
 
 HERE = Path(__file__).parent
 _EXAMPLE = "correct it, see data/embedded/card.yaml"
+NOT_YAML = (yaml.YAMLError, ValueError, AttributeError, RecursionError)  # what PyYAML raises
 
 
 def read_card(path: Path) -> Card:
@@ -30,7 +31,7 @@ def read_card(path: Path) -> Card:
         key = ".".join(map(str, wrong["loc"])) or "card"
         text = wrong["msg"][0].lower() + wrong["msg"][1:]
         raise DataError(f"{path}: {key}: {text}; {_EXAMPLE}") from error
-    except yaml.YAMLError as error:
+    except NOT_YAML as error:
         raise DataError(f"{path}: not valid YAML: {error}; {_EXAMPLE}") from error
     if card.name != path.parent.name:
         raise DataError(f"{path}: name {card.name!r} differs from its folder; make them equal")

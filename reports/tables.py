@@ -201,6 +201,12 @@ def _read_json(path: Path, empty: Any) -> Any:
     if not path.exists():
         return empty
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
         raise ReportError(f"{path}: not valid JSON ({error}); run the experiment again") from error
+    if not isinstance(content, type(empty)):
+        kind = type(empty).__name__
+        raise ReportError(
+            f"{path}: must hold a {kind}, not {content!r:.40}; run the experiment again"
+        )
+    return content

@@ -11,6 +11,7 @@ import functools
 import json
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 ARCHIVES = CHECKOUT / "reports" / "archive"
 CHECKSUMS, RUNS, TRACES = "checksums.sha256", "runs.parquet", "traces.parquet"
+FACTS = "archive.json"
 REUSED = ("finished", "limited")  # outcomes; a failed run is tried again
 Key = tuple[str, str, str]
 
@@ -39,8 +41,36 @@ def folders() -> list[Path]:
 
 
 def facts(folder: Path) -> dict[str, Any]:
-    """Return the content of ``archive.json``."""
-    return json.loads((folder / "archive.json").read_text(encoding="utf-8"))
+    """Return the content of ``archive.json``.
+
+    Raises
+    ------
+    ArchiveError
+    """
+    with readable(folder):
+        content = json.loads((folder / FACTS).read_text(encoding="utf-8"))
+        if not isinstance(content, dict) or not isinstance(content.get("created"), str):
+            raise ArchiveError(f"{folder / FACTS}: states no date; get the archive again")
+        return content
+
+
+@contextmanager
+def readable(folder: Path) -> Iterator[None]:
+    """Turn what other libraries raise for damaged files of an archive into an error of the archive.
+
+    A right checksum shows only that a file is the one that was sent.
+
+    Raises
+    ------
+    ArchiveError
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ArchiveError(f"{folder}: cannot be read ({reason}); get the archive again") from error
 
 
 def check(folder: Path) -> None:
@@ -53,17 +83,19 @@ def check(folder: Path) -> None:
     path = folder / CHECKSUMS
     if not path.is_file():
         raise ArchiveError(f"{path}: missing; {folder} is not an archive")
-    for line in path.read_text(encoding="utf-8").splitlines():
-        stated, _, name = line.partition("  ")
+    with readable(folder):
+        lines = [line.partition("  ") for line in path.read_text(encoding="utf-8").splitlines()]
+    if absent := {FACTS, RUNS, TRACES} - {name for _, _, name in lines}:
+        raise ArchiveError(f"{path}: does not list {min(absent)}; get the archive again")
+    for stated, _, name in lines:
         if not is_inside(name) or not (folder / name).is_file():
             raise ArchiveError(f"{folder / name}: listed in {CHECKSUMS} and missing; get it again")
         if digest(folder / name) != stated:
             raise ArchiveError(
                 f"{folder / name}: damaged, its SHA-256 is not {stated}; get it again"
             )
-    records.check_version(
-        facts(folder)["schema_version"], str(folder), "read it with the checkout that wrote it"
-    )
+    version = facts(folder).get("schema_version")
+    records.check_version(version, str(folder), "read it with the checkout that wrote it")
 
 
 def is_inside(name: str) -> bool:
@@ -100,7 +132,8 @@ def runs_of(experiment: str) -> pd.DataFrame | None:
 
     for folder in reversed(folders()):
         _checked(folder)
-        runs = pd.read_parquet(folder / RUNS, filters=[("experiment", "==", experiment)])
+        with readable(folder):
+            runs = pd.read_parquet(folder / RUNS, filters=[("experiment", "==", experiment)])
         if len(runs):
             return runs
     return None

@@ -17,6 +17,7 @@ TIER = re.compile(
     r"(?P<whole>.+)-(?P<points>[1-9][0-9]*)"
 )  # the name of a tier: fewer points per shape
 MOST_PARTS = 100_000  # of a config
+NOT_YAML = (yaml.YAMLError, ValueError, AttributeError, RecursionError)  # what PyYAML raises
 METHOD_LISTS = "methods"  # folder of shared lists, next to the configs
 OWN_LISTS = Path(__file__).parent / "configs" / METHOD_LISTS
 
@@ -91,7 +92,7 @@ def _methods(entry: Any, path: Path) -> list[Any]:
 def _yaml(path: Path) -> Any:
     try:
         return yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except NOT_YAML as error:
         raise ConfigError(
             f"{shown(path)}: not valid YAML: {error}; correct it, see workflows/configs/demo.yaml"
         ) from error

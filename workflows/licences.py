@@ -39,11 +39,10 @@ def _row(name: str, version: str) -> Row:
         facts = metadata.metadata(name)
     except metadata.PackageNotFoundError:
         return {"package": name, "version": version, "licence": "", "note": ABSENT}
-    text = licence(
-        facts.get("License-Expression", ""),
-        facts.get("License", ""),
-        facts.get_all("Classifier", []),
+    expression, field = (
+        "".join(facts.get_all(key, [])) for key in ("License-Expression", "License")
     )
+    text = licence(expression, field, facts.get_all("Classifier", []))
     note = UNKNOWN if not text else "copyleft" if _COPYLEFT.search(text) else ""
     return {"package": name, "version": facts["Version"], "licence": text, "note": note}
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from dcreg.files import whole_file
 FORMAT = "dcreg leaf cover"
 FORMAT_VERSION = 4
 MODELS = ("similarity2d", "translation3d")
+LARGEST = 1e150  # absolute value of an entry: its square is a number
 
 # Why a leaf was not divided further.
 PRUNED = 0  # its bound reached upper_bound - gap_tol
@@ -112,8 +113,7 @@ class Certificate:
     def __post_init__(self) -> None:
         """Convert every field to its plain type, so that equal certificates give equal files."""
         for entry in fields(self):
-            dtype = _DTYPES.get(entry.name) or _DTYPES.get(str(entry.type), np.float64)
-            value: np.ndarray = np.array(getattr(self, entry.name), dtype=dtype, order="C")
+            value: np.ndarray = np.array(getattr(self, entry.name), _type_of(entry), order="C")
             object.__setattr__(self, entry.name, value if value.ndim else value.item())
 
 
@@ -181,12 +181,18 @@ def read(path: str | Path) -> Certificate:
     is_whole = stated == _checksum(arrays)
     require(is_whole, f"{path}: the checksum does not match the content: changed or corrupt")
     del arrays["format"], arrays["format_version"]
-    try:
-        certificate = Certificate(**arrays)
-    except (TypeError, ValueError) as error:
-        raise CertificateError(f"{path}: an entry has the wrong type ({error})") from None
+    for entry in fields(Certificate):
+        array, dtype = arrays[entry.name], np.dtype(_type_of(entry))
+        is_text = dtype.kind == array.dtype.kind == "U" and array.ndim == 0
+        is_right = is_text or array.dtype.newbyteorder("=") == dtype
+        require(is_right, f"{path}: {entry.name}: type {array.dtype}, expected {dtype.name}")
+    certificate = Certificate(**arrays)
     check_shapes(certificate)
     return certificate
+
+
+def _type_of(entry: Field[Any]) -> type:
+    return _DTYPES.get(entry.name) or _DTYPES.get(str(entry.type), np.float64)
 
 
 def _checksum(arrays: dict[str, np.ndarray]) -> str:
@@ -228,7 +234,8 @@ def check_shapes(c: Certificate) -> None:
             require(found == shape, f"{name}: shape {found}, expected {shape}")
             if name == "leaf_bounds":
                 value = value[c.leaf_reasons != INADMISSIBLE]
-            require(np.isfinite(value).all(), f"{name}: not a finite number")
+            is_small = (np.abs(value) < LARGEST).all()
+            require(is_small, f"{name}: not a finite number below {LARGEST:g}")
     require(count > 0, "no leaves")
     known = np.isin(c.leaf_reasons, (PRUNED, INADMISSIBLE, OPEN))
     require(known.all(), "leaf_reasons: unknown reason")

@@ -9,10 +9,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from dcreg.io import matlab
+from dcreg.io.matlab import Arrays
 from dcreg.io.text import DIMENSIONS, fail, listing
-
-# Named arrays of an archive; None stands for an entry that is not a plain array or was not requested.
-Arrays = dict[str, np.ndarray | None]
 
 
 def read_npy(stream: BinaryIO, _: str | None) -> np.ndarray:
@@ -50,15 +49,7 @@ def _member(archive: np.lib.npyio.NpzFile, name: str) -> np.ndarray | None:
 
 def read_mat(stream: BinaryIO, key: str | None) -> np.ndarray:
     """Read the array `key` of a MATLAB file up to v7, or its only point cloud."""
-    from scipy.io import loadmat
-
-    content = _loaded(stream, loadmat)
-    arrays: Arrays = {
-        name: value if isinstance(value, np.ndarray) else None
-        for name, value in content.items()
-        if not name.startswith("__")
-    }
-    return _pick(stream, arrays, key)
+    return _pick(stream, _loaded(stream, matlab.load), key)
 
 
 def _loaded(stream: BinaryIO, load: Callable[[BinaryIO], Any]) -> Any:
@@ -104,7 +95,7 @@ def _is_cloud(array: np.ndarray | None) -> bool:
 def _real(array: np.ndarray | None, key: str | None = None) -> np.ndarray:
     what = "the array" if key is None else f"array '{key}'"
     if array is None:
-        fail(f"{what} holds objects, which are not loaded", "store plain numbers")
+        fail(f"{what} holds objects or text, which are not loaded", "store real numbers")
     if array.dtype.kind not in "fiu":
         fail(f"{what} has type {array.dtype}", "store real numbers")
     return array

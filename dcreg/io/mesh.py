@@ -9,7 +9,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from dcreg.io.text import EXPORT, Row, fail, lines_of, listing, numbers_of, rows_of
+from dcreg.io.text import EXPORT, Row, fail, lines_of, listing, natural, numbers_of, rows_of
 
 CORRECT = "correct the header or " + EXPORT
 
@@ -136,8 +136,8 @@ def _parsed(header: list[Row]) -> tuple[str, list[_Element]]:
         match fields:
             case ["format", name, "1.0"] if name in _ORDERS:
                 order = _ORDERS[name]
-            case ["element", name, count] if count.isdigit():
-                elements.append(_Element(name, int(count), []))
+            case ["element", name, text] if (count := natural(text)) is not None:
+                elements.append(_Element(name, count, []))
             case ["property", "list", length, kind, name] if (
                 elements and {length, kind} <= _TYPES.keys()
             ):
@@ -229,9 +229,9 @@ def _count(header: dict[str, list[str]]) -> int:
 
 
 def _natural(text: str) -> int:
-    if not text.isdecimal():
+    if (count := natural(text)) is None:
         raise ValueError(text)
-    return int(text)
+    return count
 
 
 def _unpacked(
@@ -290,11 +290,10 @@ def read_off(stream: BinaryIO, _: str | None) -> np.ndarray:
         fail(f"line {line}: '{magic[:40]}' is not the start of a 3D OFF file", EXPORT)
     if not counts and rows:
         line, counts = rows.pop(0)
-    if not counts or not counts[0].isdecimal():
+    n_points, n_faces = (*map(natural, counts), None, None)[:2]
+    if n_points is None:
         fail(f"line {line} states no number of vertices", EXPORT)
-    n_points = int(counts[0])
-    has_faces = len(counts) > 1 and counts[1].isdecimal()
-    _check_count(n_points, len(rows), len(rows) - int(counts[1]) if has_faces else None)
+    _check_count(n_points, len(rows), None if n_faces is None else len(rows) - n_faces)
     vertices = rows[:n_points]
     width = max(len(vertices[0][1]), 3) if vertices else 3
     return numbers_of(vertices, [0, 1, 2], width)

@@ -60,7 +60,8 @@ def read_points(path: str | Path, *, key: str | None = None) -> np.ndarray:
         if key is not None and suffix not in KEYED_SUFFIXES:
             fail(f"key '{key}' given, but {suffix} files hold no named arrays", "drop the key")
         try:
-            with path.open("rb") as stream:
+            # NaN and infinity are found later, also those that a conversion of numbers makes
+            with path.open("rb") as stream, np.errstate(all="ignore"):
                 return _checked(READERS[suffix](stream, key))
         except FileNotFoundError:
             fail("no such file", f"check the path (working folder: {Path.cwd()})")

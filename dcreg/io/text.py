@@ -51,8 +51,8 @@ def read_text(stream: BinaryIO, _: str | None, *, any_width: bool = False) -> np
     if not rows:
         fail("is empty", "give one point or pair per line")
     announced = None
-    if len(rows[0][1]) == 1 and rows[0][1][0].isdigit():
-        announced = int(rows.pop(0)[1][0])
+    if len(rows[0][1]) == 1 and (announced := natural(rows[0][1][0])) is not None:
+        rows.pop(0)
     has_header = rows and all(_number(field) is None for field in rows[0][1])
     names = rows.pop(0)[1] if has_header else None
     if announced is not None and announced != len(rows):
@@ -92,7 +92,10 @@ def rows_of(lines: Iterable[str], first_line: int = 1) -> Iterator[Row]:
     for number, line in enumerate(lines, first_line):
         content = re.split(r"#|%|//", line, maxsplit=1)[0].strip()
         if content:
-            yield number, _fields(content)
+            try:
+                yield number, _fields(content)
+            except csv.Error as error:
+                fail(f"line {number} cannot be split into values ({error})", "correct or remove it")
 
 
 def _fields(content: str) -> list[str]:
@@ -109,6 +112,11 @@ def _fields(content: str) -> list[str]:
     if separator == ";":
         fields = [_DECIMAL_COMMA.sub(r"\1.\2", field) for field in fields]
     return fields[:-1] if fields[-1] == "" else fields
+
+
+def natural(field: str) -> int | None:
+    """Return a count; None if the field is not one, or exceeds that of any file."""
+    return int(field) if field.isascii() and field.isdigit() and len(field) < 20 else None
 
 
 def _number(field: str) -> float | None:

@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 import gzip
+import re
 import shutil
 import zipfile
 from pathlib import Path
 
 import pandas as pd
 
+from data.fetch import download
+from dcreg.files import whole_file
 from reports.tables import ReportError
 from workflows import records
-from workflows.archives import ARCHIVES, CHECKSUMS, RUNS, TRACES, check, facts, is_inside
+from workflows.archives import (
+    ARCHIVES,
+    CHECKSUMS,
+    RUNS,
+    TRACES,
+    check,
+    facts,
+    is_inside,
+    readable,
+)  # fmt: skip
 from workflows.integrity import digest
 from workflows.stages.aggregate import accounting
 
-MOST_UNPACKED = 200_000_000  # bytes of a zip file's content
+MOST_DOWNLOADED, MOST_UNPACKED = 100_000_000, 200_000_000  # bytes of a zip file, and of its content
+EXPERIMENT = r"[A-Za-z0-9][A-Za-z0-9._+-]*"
 
 
 def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
@@ -61,20 +74,23 @@ def restore(folder: Path, out: Path, only: str = "") -> list[Path]:
 
     They are those of the original results, with thinned bound histories. `only` names one experiment.
     """
-    wanted = [("experiment", "==", only)] if only else None
-    runs = pd.read_parquet(folder / RUNS, filters=wanted)
-    traces = pd.read_parquet(folder / TRACES, filters=wanted)
-    places = []
-    for name, own in runs.groupby("experiment", sort=False):
-        places.append(out / str(name) / "tables")
-        events = traces[traces["experiment"] == name].merge(
-            own[["run_id", "method", "instance_id"]], on="run_id", how="left"
-        )
-        _restore_one(folder / "experiments" / str(name), own, events, places[-1])
-    for path in sorted(folder.glob("bounds/*.parquet")):
-        (out / "bounds").mkdir(parents=True, exist_ok=True)
-        pd.read_parquet(path).to_csv(out / "bounds" / f"{path.stem}.csv", index=False)
-    return places
+    with readable(folder):
+        wanted = [("experiment", "==", only)] if only else None
+        runs = pd.read_parquet(folder / RUNS, filters=wanted)
+        traces = pd.read_parquet(folder / TRACES, filters=wanted)
+        places = []
+        for name, own in runs.groupby("experiment", sort=False):
+            if not re.fullmatch(EXPERIMENT, str(name)):  # it becomes the name of a folder
+                raise ReportError(f"{folder}: unsafe name {name!r} of an experiment; do not use it")
+            places.append(out / str(name) / "tables")
+            events = traces[traces["experiment"] == name].merge(
+                own[["run_id", "method", "instance_id"]], on="run_id", how="left"
+            )
+            _restore_one(folder / "experiments" / str(name), own, events, places[-1])
+        for path in sorted(folder.glob("bounds/*.parquet")):
+            (out / "bounds").mkdir(parents=True, exist_ok=True)
+            pd.read_parquet(path).to_csv(out / "bounds" / f"{path.stem}.csv", index=False)
+        return places
 
 
 def _restore_one(stored: Path, runs: pd.DataFrame, events: pd.DataFrame, tables: Path) -> None:
@@ -87,20 +103,26 @@ def _restore_one(stored: Path, runs: pd.DataFrame, events: pd.DataFrame, tables:
 
 
 def _download(address: str, cache: Path, sha256: str) -> Path:
-    import pooch
-
     if not sha256:
         raise ReportError(f"{address}: give the SHA-256 of the file as well")
+    path = cache / f"{sha256[:16]}.zip"
+    if path.is_file() and digest(path) == sha256:
+        return path
+    path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        return Path(pooch.retrieve(address, f"sha256:{sha256}", path=cache))
-    except (ValueError, OSError) as error:  # another checksum, or no connection
+        with whole_file(path) as part:
+            download(address, part, MOST_DOWNLOADED)
+            if (found := digest(part)) != sha256:
+                raise ReportError(f"{address}: SHA-256 is {found}, not {sha256}; not kept")
+    except (OSError, OverflowError) as error:  # no connection, or too large
         raise ReportError(f"{address}: {error}") from error
+    return path
 
 
 def _unzipped(path: Path, cache: Path) -> Path:
     """Unpack a zip file that holds only plain files of a reasonable size inside its folder."""
     out = cache / digest(path)[:16]
-    with zipfile.ZipFile(path) as packed:
+    with readable(path), zipfile.ZipFile(path) as packed:
         members = [entry for entry in packed.infolist() if not entry.is_dir()]
         size = sum(entry.file_size for entry in members)
         if size > MOST_UNPACKED:

@@ -259,7 +259,7 @@ def _cases() -> Iterator[Case]:
         file = f"bad{suffix}"
         for name, key, words in (
             ("unknown key", "z", ["has no array 'z'", "choose one of: a, t"]),
-            ("key of text", "t", ["array 't' has type", "store real numbers"]),
+            ("key of text", "t", ["array 't' holds objects or text", "store real numbers"]),
         ):
             run = register(source=f"{file}:{key}")
             yield Case("files", f"{suffix} {name}", run, [file, *words], {file: pack(a=A2, t="w")})

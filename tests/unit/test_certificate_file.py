@@ -107,6 +107,28 @@ class Payload:
         return Path.touch, (self.mark,)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("model", np.array(["similarity2d"]), "model: type"),
+        ("source_digest", np.array(7), "source_digest: type int64, expected str"),
+        ("theta", np.ones(4, dtype=complex), "theta: type complex128, expected float64"),
+        ("n_inliers", np.array(3.0), "n_inliers: type float64, expected int64"),
+        ("upper_bound", np.array(1e300), "upper_bound: not a finite number"),
+    ],
+)
+def test_entries_of_another_type_or_size_are_refused(tmp_path, case, name, value, words):
+    """With the right checksum: such entries would otherwise fail in a later check."""
+    path = tmp_path / "certificate.npz"
+    write(path, case[0])
+    with np.load(path) as file:
+        arrays = {**dict(file), name: value}
+    del arrays["checksum"]
+    np.savez(path, **arrays, checksum=format._checksum(arrays))
+    with pytest.raises(CertificateError, match=words):
+        read(path)
+
+
 def test_pickles_are_refused_and_not_run(tmp_path, case):
     certificate, source, target = case
     mark, path = tmp_path / "mark", tmp_path / "certificate.npz"

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scipy.io import savemat
+from scipy.io import loadmat, savemat
 
-from dcreg.io import read_points
+from dcreg.io import matlab, read_points
 from dcreg.io.mesh import lzf_decompress
 from dcreg.problem import InputError
 
@@ -106,6 +106,55 @@ def test_named_arrays(tmp_path, suffix):
     np.testing.assert_array_equal(read_points(two, key="a"), POINTS3)
     with pytest.raises(InputError, match=f"ambiguous.*a, b; name one, for example 'two{suffix}:a'"):
         read_points(two)
+
+
+@pytest.mark.parametrize("settings", [{}, {"do_compression": True}, {"format": "4"}], ids=str)
+def test_matlab_arrays_are_those_of_scipy(tmp_path, settings):
+    rng = np.random.default_rng(0)
+    arrays = {
+        "f8": rng.random((5, 3)), "f4": rng.random((3, 2)).astype("f4"), "c": np.array([[1j, 2.0]]),
+        "l": np.array([[True, False]]), "u1": np.uint8([[1, 255]]), "empty": np.zeros((0, 2)),
+        "t": "text",
+    }  # fmt: skip
+    if "format" not in settings:
+        others = {"i8": np.int64([[1, -(2**60)]]), "cell": np.array([[1, "x"]], dtype=object)}
+        arrays |= {**others, "struct": {"q": 1}, "cube": rng.random((2, 3, 4))}
+    path = tmp_path / "a.mat"
+    savemat(path, arrays, **settings)
+    with path.open("rb") as stream:
+        found = matlab.load(stream)
+    expected = {name: value for name, value in loadmat(path).items() if name[:2] != "__"}
+    assert list(found) == list(expected)
+    for name, array in found.items():
+        if array is None:
+            assert name in ("cell", "struct", "t")
+        else:
+            assert array.dtype == expected[name].dtype
+            np.testing.assert_array_equal(array, expected[name])
+
+
+def test_a_matlab_file_that_crashes_scipy_is_refused(tmp_path):
+    """The kind of the element of numbers is none."""
+    savemat(tmp_path / "a.mat", {"a": POINTS2})
+    content = bytearray((tmp_path / "a.mat").read_bytes())
+    content[128 + 48] = 0
+    with pytest.raises(InputError, match=r"not a readable \.mat file"):
+        read_points(write(tmp_path / "b.mat", bytes(content)))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.txt", "²\n1 2\n"),
+        ("a.txt", "9" * 5000 + "\n1 2\n"),
+        ("a.csv", f'1,"{"2" * 200_000}"\n'),
+        ("a.off", "OFF\n² 0 0\n0 0 0\n"),
+        ("a.ply", "ply\nformat ascii 1.0\nelement vertex ²\nproperty float x\nend_header\n"),
+    ],
+)
+def test_counts_that_are_no_digits_or_too_long_are_refused(tmp_path, name, text):
+    with pytest.raises(InputError, match=name.replace(".", r"\.")):
+        read_points(write(tmp_path / name, text))
 
 
 def test_member_damaged_inside_an_archive(tmp_path):
@@ -220,6 +269,19 @@ def lzf_compress(data):
 def test_pcd(tmp_path, kind):
     points = read_points(write(tmp_path / "a.pcd", pcd(kind)))
     np.testing.assert_allclose(points, POINTS3, rtol=1e-7)
+
+
+def test_numbers_that_become_nan_or_infinity_are_reported_without_a_warning(tmp_path):
+    signalling_nan = struct.pack("<I", 0x7F800001)
+    header = (
+        pcd_header("binary").replace(b"4\nHEIGHT", b"1\nHEIGHT").replace(b"POINTS 4", b"POINTS 1")
+    )
+    body = struct.pack("<I", 7) + signalling_nan + struct.pack("<df2h", 0, 0, 1, 2)
+    with pytest.raises(InputError, match="NaN or infinity in 1 of 1 points"):
+        read_points(write(tmp_path / "a.pcd", header + body))
+    np.save(tmp_path / "a.npy", np.full((2, 2), np.longdouble("1e4000")))
+    with pytest.raises(InputError, match="NaN or infinity in 2 of 2 points"):
+        read_points(tmp_path / "a.npy")
 
 
 def test_pcd_invalid_points_are_reported(tmp_path):

@@ -47,7 +47,8 @@ def test_copyleft_unknown_and_absent_packages_are_listed(tmp_path, monkeypatch, 
 
     lock = tmp_path / "requirements.lock"
     lock.write_text(
-        "Free==1 \\\n    --hash=sha256:00\nfile-wise==2\nsilent==3\nelsewhere==4 ; sys_platform != 'linux'\n"
+        "Free==1 \\\n    --hash=sha256:00\nfile-wise==2\nsilent==3\n"
+        "elsewhere==4 ; sys_platform != 'linux'\n"
     )
     monkeypatch.setattr(licences, "CHECKOUT", tmp_path)
     monkeypatch.setattr(licences.metadata, "metadata", facts)

@@ -1,0 +1,1 @@
+"""Damaged and malicious files for every parser: ``python -m tests.fuzz_parsers``."""
