@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import dcreg
+from docs import figures
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -148,6 +149,16 @@ def test_readme_shows_the_two_commands(command):
 
 def test_readme_shows_the_table_of_the_recorded_run():
     assert text_of(DOCS / "images" / "runs.md").strip() in text_of(README)
+
+
+@pytest.mark.parametrize("bound", ["tight", "dc"])
+def test_the_table_of_the_readme_has_the_present_counters(bound):
+    """If this fails: `python -m docs.figures`."""
+    result = figures.solve_ours(figures.instance(figures.POINTS, figures.LEVEL), bound, 600.0)
+    (row,) = re.findall(rf"^\| {re.escape(figures.NAMES[bound])} .*$", text_of(README), re.M)
+    shown = [int(cell.replace(",", "")) for cell in row.split(" | ")[4:6]]
+    # rounding differs between machines
+    assert [result.n_nodes, result.n_assignments] == pytest.approx(shown, rel=0.01)
 
 
 def test_pictures_are_small_and_for_both_themes():
