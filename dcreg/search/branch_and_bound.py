@@ -252,7 +252,7 @@ class Search:
         value = float(found.values[best])
         self.take(found.thetas[best], value)
         self.is_over = self.budget.is_over
-        # local searches may solve as many assignments as bounds
+        # none begins while local searches have solved more assignments than bounds
         is_cheap = self.n_refining <= self.bound.n_assignments
         if self.refine and is_cheap and not self.is_over and value <= self.worth_refining:
             self.worth_refining = value
