@@ -38,10 +38,10 @@ coverage: dev
 	@NUMBA_DISABLE_JIT=1 EXAMPLES=10 $(PYTEST) -q --timeout=1800 $(INTERPRETED) --cov=dcreg \
 	  --cov-report=term --cov-report=html:results/coverage
 
-## run: run the experiment CONFIG=demo|real2d|paper3d-quick|…; METHODS=a,b DATASETS=… TESTS=… select a part
+## run: run the experiment CONFIG=demo|real2d|paper3d-quick|…; METHODS=a,b DATASETS=… TESTS=… select a part; BESIDE=1: on archived blocks
 .PHONY: run
 run: setup
-	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART)
+	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART) $(BESIDE:%=--beside)
 
 ## paper-2d: run the paper's 2D tests (POINTS=40: 40 points per shape). QUICK=1 limits this and the next five to 15 minutes on 2 cores
 ## paper-2d-cr: run the tests of the public point sets of Chui and Rangarajan
@@ -52,7 +52,7 @@ run: setup
 EXPERIMENT = $(subst -,_,$(subst paper-,paper,$@))$(if $(NORMALS),_$(NORMALS))$(if $(POINTS),-$(POINTS))$(if $(QUICK),-quick)
 .PHONY: paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch
 paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch: setup
-	@$(BIN)/python -m workflows run $(EXPERIMENT) --cores $(CORES) $(PART)
+	@$(BIN)/python -m workflows run $(EXPERIMENT) --cores $(CORES) $(PART) $(BESIDE:%=--beside)
 	@$(if $(filter threedmatch,$@),$(BIN)/python -m reports threedmatch $(EXPERIMENT) $(PART))
 
 ## claims: check the claims of the paper against all available results; prints the path of the page
@@ -65,11 +65,12 @@ claims: setup
 paper-figures: setup
 	@$(BIN)/python -m reports figures
 
-## findings: run the experiment behind docs/findings.md and write the page (TRIALS=0,1: a part that takes minutes)
+## findings: run the experiment behind docs/findings.md, archive all results and write the page (TRIALS=0,1: a part)
 .PHONY: findings
 findings: setup
 	@$(BIN)/python -m workflows run findings --cores $(CORES) $(if $(TRIALS),--trials $(TRIALS))
-	@$(BIN)/python -m reports findings results/findings$(if $(TRIALS),/parts/trials-$(subst $(COMMA),+,$(TRIALS)))/tables
+	@$(BIN)/python -m reports archive
+	@$(BIN)/python -m reports findings
 
 ## evidence: spend HOURS=2 on the runs that decide most claims; the same command continues (EXPERIMENTS=paper2d-40,paper3d-40)
 .PHONY: evidence

@@ -1,27 +1,25 @@
 """Run the benchmark: ``python -m workflows``.
 
-The hidden commands are the stages that the Snakefile calls. Modules are imported inside the commands, so
-that no stage waits for what only others need.
+`workflows.stages.commands` has the hidden commands, which are the stages that the rules call. Modules are
+imported inside the commands, so that no stage waits for what only others need.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from dcreg.problem import suggestion
 from dcreg.status import Status
 from workflows import CHECKOUT, UserError
-from workflows.cli import Experiment, say, stop, user_errors
-
-if TYPE_CHECKING:
-    from workflows.stages.plan import Plan
+from workflows.cli import Experiment, Folder, say, stop, user_errors
+from workflows.stages import commands
+from workflows.stages.commands import planned
 
 app = typer.Typer(
     help="Run the benchmark and compare its results.",
@@ -30,20 +28,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Select = Annotated[
-    list[str] | None,
-    typer.Option(help="Part of the grid, such as tests=noise,deformation; may be repeated."),
-]
-Blocks = Annotated[
-    Path | None, typer.Option("--needs", help="File with the needed blocks of every method.")
-]
 Axis = Annotated[str, typer.Option(help="Only these, comma-separated.", rich_help_panel="Part")]
-Folder = Annotated[Path, typer.Argument(help="Results of an experiment: results/<name>.")]
-Out = Annotated[Path, typer.Option()]
 History = Annotated[Path, typer.Option(help="Folder of the recorded versions.")]
-
-
-# --- for users ---------------------------------------------------------------------------------
 
 
 @app.command()
@@ -64,10 +50,14 @@ def run(
     timing: Annotated[bool, typer.Option("--timing", help="Run one solve job at a time.")] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Stop after the tables.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Use no runs of archives.")] = False,
+    beside: Annotated[
+        bool,
+        typer.Option("--beside", help="Run only --methods, on the archived blocks of the others."),
+    ] = False,
 ) -> None:
     """Run an experiment, or a selected part of it, and print the summary.
 
-    The tables and the report of a part are in results/NAME/parts.
+    The tables and the report of a part are in results/NAME/parts, with --beside in results/NAME/evidence.
     """
     axes = {
         "methods": methods,
@@ -82,7 +72,15 @@ def run(
     select = [f"{axis}={values}" for axis, values in axes.items() if values]
     if cores != "all" and not (cores.isdecimal() and int(cores)):
         raise UserError(f"--cores {cores}: give a positive number, or all")
-    plan = _plan(experiment, select)
+    needs: list[str] = []
+    if beside:
+        if fresh or not methods or len(select) > 1:
+            raise UserError("--beside: give --methods, and no other part or --fresh")
+        path, select = _store_needs(experiment, methods.split(","), directory), []
+        needs = [f"needs={path.resolve()}"]
+        plan = planned(experiment, select, path)
+    else:
+        plan = planned(experiment, select)
     name = plan.experiment.name
     folder = directory / "results" / name
     if dry_run:
@@ -106,7 +104,7 @@ def run(
         *(["tables"] if no_report else []),
         *("--cores", cores),
         *("--resources", "fetching=1", *(["timing=1"] if timing else [])),
-        *("--config", f"experiment={experiment}", f"select={' '.join(select)}"),
+        *("--config", f"experiment={experiment}", f"select={' '.join(select)}", *needs),
     ]
     if code := run_snakemake(directory, name, arguments):
         what = "stopped" if code == INTERRUPTED else "some stages failed; see the messages above"
@@ -281,116 +279,19 @@ def new_baseline(
     print(registry.next_steps(name))
 
 
-# --- the stages, for the rules ------------------------------------------------------------------
+app.add_typer(commands.app)
 
 
-@app.command(hidden=True)
-@user_errors
-def plan(experiment: Experiment, out: Out, select: Select = None, needs: Blocks = None) -> None:
-    """Write the table of planned runs."""
-    from workflows import records
-    from workflows.stages.plan import plan_table
+def _store_needs(experiment: str, methods: list[str], directory: Path) -> Path:
+    """Store the archived blocks of an experiment, with one's own methods; return the file."""
+    from workflows.beside import needs_beside
+    from workflows.blocks import EVIDENCE, NEEDS, Needs
 
-    records.write(plan_table(_plan(experiment, select, needs)), out)
-
-
-@app.command(hidden=True)
-@user_errors
-def fetch(
-    experiment: Experiment,
-    chunk: Annotated[str, typer.Option()],
-    out: Out,
-    select: Select = None,
-    needs: Blocks = None,
-) -> None:
-    """Fetch and verify the files that the instances of a chunk need."""
-    from workflows.stages.fetch import fetch as fetch_files
-
-    needed = _plan(experiment, select, needs).chunk(chunk)
-    fetch_files(needed, out)
-    say(f"fetch     {', '.join(needed.datasets)} for {chunk}")
-
-
-@app.command(hidden=True)
-@user_errors
-def generate(
-    experiment: Experiment,
-    chunk: Annotated[str, typer.Option()],
-    instances: Out,
-    truth: Out,
-    select: Select = None,
-    needs: Blocks = None,
-) -> None:
-    """Make the instances of a chunk, and their ground truth in a separate file."""
-    from workflows.stages.generate import generate as generate_chunk
-
-    specs = _plan(experiment, select, needs).chunk(chunk)
-    generate_chunk(specs, instances, truth)
-    say(f"generate  {chunk}: {len(specs.instances)} instances")
-
-
-@app.command(hidden=True)
-@user_errors
-def solve(
-    experiment: Experiment,
-    method: Annotated[str, typer.Option()],
-    instances: Out,
-    out: Out,
-    truth: Annotated[
-        Path | None, typer.Option(help="Ground truth, for the oracle front end only.")
-    ] = None,
-    select: Select = None,
-    needs: Blocks = None,
-) -> None:
-    """Run a method on a chunk of instances."""
-    # Raise, so that workers and their children are ended too.
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    from workflows.config import load
-    from workflows.stages.solve import solve as solve_chunk
-
-    settings = load(experiment)
-    solve_chunk(
-        settings,
-        settings.method(method),
-        instances,
-        out,
-        lambda line: print(line, flush=True),
-        truth,
-    )
-
-
-@app.command(hidden=True)
-@user_errors
-def evaluate(folder: Folder, plan: Annotated[Path, typer.Option()], out: Out) -> None:
-    """Compute all metrics."""
-    from workflows import records
-    from workflows.stages.evaluate import evaluate as judge
-
-    metrics = judge(folder, plan)
-    records.write(metrics, out)
-    say(f"evaluate  {len(metrics)} runs")
-
-
-@app.command(hidden=True)
-@user_errors
-def aggregate(
-    experiment: Experiment, folder: Folder, select: Select = None, needs: Blocks = None
-) -> None:
-    """Write the tables."""
-    from workflows.stages.aggregate import aggregate as join
-
-    planned = _plan(experiment, select, needs)
-    join(planned, folder)
-    say(f"aggregate {folder / planned.view / 'tables'}")
-
-
-def _plan(experiment: str, select: list[str] | None = None, needs: Path | None = None) -> Plan:
-    from workflows.blocks import Needs
-    from workflows.config import load, origin, parse_selection
-    from workflows.stages.plan import expand
-
-    blocks = Needs.read(needs) if needs else None
-    return expand(load(experiment), parse_selection(select or []), origin(experiment), blocks)
+    plan = planned(experiment)
+    path = directory / "results" / plan.experiment.name / EVIDENCE / NEEDS
+    known = Needs.read(path) if path.is_file() else Needs({})
+    needs_beside(plan, methods, known).write(path)
+    return path
 
 
 if __name__ == "__main__":
