@@ -27,6 +27,7 @@ TIMES = (
     "time_overhead_s",
     "peak_memory_mb",
     "machine_id",
+    "parallel_jobs",
     "is_timed",
     "is_random",
 )
@@ -73,7 +74,7 @@ def read(folder: Path) -> pd.DataFrame:
     """Read the table of runs of a folder of results, or of a part of it, indexed by ``run_id``.
 
     Two columns are added. ``is_timed``: the run ended at the time or memory limit. ``is_random``: its
-    method is not deterministic, as its card states.
+    method is not deterministic, as its card states. Times are removed from the column ``extra``.
     """
     path = folder / "tables" / "runs.parquet"
     if not path.is_file():
@@ -84,8 +85,15 @@ def read(folder: Path) -> pd.DataFrame:
     late = runs["time_solve_s"] >= runs["method"].map(limits)
     random = [name for name, card in cards.items() if not card.get("deterministic", True)]
     return runs.assign(
-        is_timed=runs["status"].isin(TIMED) | late, is_random=runs["method"].isin(random)
+        extra=runs["extra"].map(_without_times),
+        is_timed=runs["status"].isin(TIMED) | late,
+        is_random=runs["method"].isin(random),
     )
+
+
+def _without_times(extra: str) -> str:
+    facts = json.loads(extra or "{}")
+    return json.dumps({key: value for key, value in facts.items() if not key.startswith("time_")})
 
 
 def differences(one: pd.DataFrame, other: pd.DataFrame) -> Differences:

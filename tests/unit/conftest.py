@@ -1,4 +1,8 @@
-"""Shared fixtures of the tests of the command line."""
+"""Shared fixtures: of the tests of the command line, and a server of files."""
+
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
@@ -24,3 +28,26 @@ def call(cloud_files):
 @pytest.fixture
 def sweep_call(cloud_files):
     return ["sweep", *cloud_files, "--model", "similarity2d", "--n-inliers", "6:12:3"]
+
+
+@pytest.fixture
+def serve():
+    """Serve a folder over loopback http; returns its address and the paths asked for."""
+    servers = []
+
+    def start(folder):
+        asked = []
+
+        class Handler(SimpleHTTPRequestHandler):
+            def log_message(self, *arguments):
+                asked.append(self.path)
+
+        server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        servers.append(server)
+        return f"http://127.0.0.1:{server.server_port}", asked
+
+    yield start
+    for server in servers:
+        server.shutdown()
+        server.server_close()

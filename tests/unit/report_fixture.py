@@ -172,6 +172,7 @@ def _provenance():
                 "unavailable": None, "limits": {"time_s": 10.0},
                 "n_inliers_ratio": 0.5 if label == "dcreg-half" else 1.0,
                 "baseline": BASELINES.get(label, label), "parameters": {"made_up_weight": 0.5},
+                "deterministic": label != "fgr",
                 "threshold_rule": {"text": "2 σ (nobody)", "origin": "paper", "confidence": 0.9},
             }
             for label, (name, origin, scope, color, marker) in CARDS.items()

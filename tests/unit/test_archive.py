@@ -158,6 +158,65 @@ def test_a_zip_file_that_would_fill_the_disk_is_refused(archive, tmp_path, monke
         read.folder_of(str(_zipped(archive, tmp_path / "results.zip")), tmp_path / "cache")
 
 
+def test_an_archive_is_downloaded_once_if_its_checksum_and_size_are_right(
+    archive, tmp_path, serve, monkeypatch
+):
+    packed = _zipped(archive, tmp_path / "results.zip")
+    address, asked = serve(tmp_path)
+    url, cache = f"{address}/results.zip", tmp_path / "cache"
+    with pytest.raises(ReportError, match=r"SHA-256 is [0-9a-f]{64}, not 0{64}; not kept"):
+        read.folder_of(url, cache, "0" * 64)
+    monkeypatch.setattr(read, "MOST_DOWNLOADED", packed.stat().st_size - 1)
+    with pytest.raises(ReportError, match="more than"):
+        read.folder_of(url, cache, digest(packed))
+    assert list(cache.iterdir()) == []
+    monkeypatch.undo()
+    for _ in range(2):
+        assert read.facts(read.folder_of(url, cache, digest(packed)))["version"] == "1.0"
+    assert len(asked) == 3
+    with pytest.raises(ReportError, match="404"):
+        read.folder_of(f"{address}/absent.zip", cache, "1" * 64)
+
+
+def _seal(folder: Path) -> None:
+    (folder / "checksums.sha256").unlink()
+    writing._write_checksums(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("runs.parquet", b"PAR1", "cannot be read"),
+        ("archive.json", b"[1]", "states no date"),
+        ("archive.json", b"\xff", "cannot be read"),
+        ("experiments/one/overlays.json.gz", b"x", "cannot be read"),
+    ],
+)
+def test_a_damaged_file_with_a_right_checksum_is_refused(archive, tmp_path, name, content, words):
+    own = _copy(archive, tmp_path / "own")
+    (own / name).write_bytes(content)
+    _seal(own)
+    with pytest.raises(ArchiveError, match=words):
+        read.restore(read.folder_of(str(own), tmp_path), tmp_path / "out")
+
+
+def test_the_name_of_an_experiment_cannot_leave_the_folder(archive, tmp_path):
+    own = _copy(archive, tmp_path / "own")
+    runs = pd.read_parquet(own / "runs.parquet")
+    runs.assign(experiment="../one").to_parquet(own / "runs.parquet")
+    with pytest.raises(ReportError, match="unsafe name"):
+        read.restore(own, tmp_path / "out")
+    assert not (tmp_path / "one").exists()
+
+
+def test_an_archive_without_its_tables_is_refused(archive, tmp_path):
+    own = _copy(archive, tmp_path / "own")
+    (own / "traces.parquet").unlink()
+    _seal(own)
+    with pytest.raises(ArchiveError, match=r"does not list traces\.parquet"):
+        read.folder_of(str(own), tmp_path)
+
+
 def test_an_address_needs_a_checksum(tmp_path):
     with pytest.raises(ReportError, match="SHA-256"):
         read.folder_of("https://example.org/results.zip", tmp_path)

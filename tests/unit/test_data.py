@@ -10,7 +10,6 @@ import os
 import pickle
 import shutil
 import threading
-from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -49,29 +48,6 @@ def cache(tmp_path, monkeypatch):
 @pytest.fixture
 def no_mirror(monkeypatch):
     monkeypatch.delenv("DCREG_DATA_MIRROR", raising=False)
-
-
-@pytest.fixture
-def serve():
-    """Serve a folder over loopback http; returns its address and the paths asked for."""
-    servers = []
-
-    def start(folder):
-        asked = []
-
-        class Handler(SimpleHTTPRequestHandler):
-            def log_message(self, *arguments):
-                asked.append(self.path)
-
-        server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        servers.append(server)
-        return f"http://127.0.0.1:{server.server_port}", asked
-
-    yield start
-    for server in servers:
-        server.shutdown()
-        server.server_close()
 
 
 CONTENT = b"1 2\n3 4\n"

@@ -48,6 +48,18 @@ def test_times_may_differ_and_missing_numbers_are_equal(runs):
     assert found.n_runs == len(runs)
 
 
+def test_times_among_the_extra_facts_may_differ(folder):
+    path = folder / "a" / "tables" / "runs.parquet"
+    table = pd.read_parquet(path)
+    found = []
+    for time_s, objective in ((1.0, 5.0), (2.0, 5.0), (2.0, 6.0)):
+        extra = json.dumps({"time_s_search": time_s, "objective_searched": objective})
+        table.assign(extra=extra).to_parquet(path)
+        found.append(read(folder / "a"))
+    assert differences(*found[:2]).cells.empty
+    assert set(differences(*found[1:]).cells["column"]) == {"extra"}
+
+
 def test_the_last_digit_of_one_run_is_found(runs):
     other = changed(runs, 3, objective=runs["objective"].iloc[3] * (1 + 1e-15))
     found = differences(runs, other)

@@ -230,6 +230,9 @@ def test_the_cube_of_translations_of_a_method_may_exclude_the_truth(rng):
     found = [judge(run, problem, truth, None, each)["truth_in_cube"] for each in (*options, {})]
     assert found[:2] == [1.0, 0.0]
     assert np.isnan(found[2])
+    flat = Problem("i", "similarity2d", source[:, :2], target[:, :2], (1.0, 1.0), 12, 0.1)
+    of_flat = judge(run, flat, Truth("i", np.eye(3), truth.pairs), None, options[0])
+    assert np.isnan(of_flat["truth_in_cube"])  # the method does not support it
     generate.check_cube(spec, problem, T_true)
     T_true[0, 3] = 1e3
     with pytest.raises(DataError, match=r"horse horse noise 0\.5, trial 3: the cube of transl"):

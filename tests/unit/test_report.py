@@ -312,6 +312,11 @@ def test_outcome_states_language_work_and_the_share_of_excluded_truths(tables):
     assert np.isnan(shares["dcreg-full"])
 
 
+def test_methods_that_are_not_deterministic_are_labelled(html):
+    rows = re.findall(r'<tr data-method="([^"]*)"><th scope="row">(.*?)</th>', html, re.DOTALL)
+    assert {method for method, text in rows if "not deterministic" in text} == {"fgr"}
+
+
 def test_times_of_unfinished_runs_count_as_twice_the_limit_or_the_time_of_their_work(tables):
     runs = tables.runs.head(4).assign(time_solve_s=3.0, outcome="finished", status="optimal")
     runs.loc[1, ["outcome", "status"]] = "limited", "time_limit"

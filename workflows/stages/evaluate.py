@@ -94,7 +94,8 @@ def truth_in_cube(
     run: Mapping[Any, Any], problem: Problem, truth: Truth, options: Mapping[str, Any]
 ) -> float:
     """Return 1 or 0 for a method that searches a cube of translations, NaN for all others."""
-    if "translation_half_width" not in options or not run["n_source"]:
+    is_searched = "translation_half_width" in options and problem.model == "rigid3d"
+    if not is_searched or not run["n_source"]:
         return np.nan
     from baselines.goicp.adapter import contains_translation  # loads Numba
 
