@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from dcreg.io import matlab
-from dcreg.io.matlab import Arrays
 from dcreg.io.text import DIMENSIONS, fail, listing
+
+if TYPE_CHECKING:
+    from dcreg.io.matlab import Arrays
 
 
 def read_npy(stream: BinaryIO, _: str | None) -> np.ndarray:
@@ -49,6 +50,8 @@ def _member(archive: np.lib.npyio.NpzFile, name: str) -> np.ndarray | None:
 
 def read_mat(stream: BinaryIO, key: str | None) -> np.ndarray:
     """Read the array `key` of a MATLAB file up to v7, or its only point cloud."""
+    from dcreg.io import matlab  # few calls need it
+
     return _pick(stream, _loaded(stream, matlab.load), key)
 
 
@@ -94,7 +97,7 @@ def _is_cloud(array: np.ndarray | None) -> bool:
 
 def _real(array: np.ndarray | None, key: str | None = None) -> np.ndarray:
     what = "the array" if key is None else f"array '{key}'"
-    if array is None:
+    if array is None or array.dtype.kind in "OSU":
         fail(f"{what} holds objects or text, which are not loaded", "store real numbers")
     if array.dtype.kind not in "fiu":
         fail(f"{what} has type {array.dtype}", "store real numbers")
