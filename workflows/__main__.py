@@ -16,7 +16,7 @@ import typer
 
 from dcreg.problem import suggestion
 from dcreg.status import Status
-from workflows import CHECKOUT, UserError
+from workflows import CHECKOUT, UserError, merge
 from workflows.cli import Experiment, Folder, say, stop, user_errors
 from workflows.stages import commands
 from workflows.stages.commands import planned
@@ -265,6 +265,9 @@ def forget(
     if dropped:
         remove_made_from_runs(folder)
     print(f"forgot {dropped} runs")
+
+
+app.command("merge")(merge.command)
 
 
 @app.command()

@@ -126,8 +126,8 @@ def test_solve_jobs_share_a_job_that_lasts_five_to_thirty_minutes(name, seconds)
     sizes = settings(name)["group-components"]
     needs = JobNeeds(seconds, 1e6, 100, 200)
     group = needs.group(sizes)
-    together = min(seconds * sizes.get(group, 1), needs.minutes(1) * 60)
-    assert 5 * 60 <= together <= 30 * 60
+    lasts = seconds * sizes[group] if group else min(seconds, 60 * needs.minutes(1))
+    assert 5 * 60 <= lasts <= 30 * 60
     assert needs.group({}) is None
     assert needs.minutes(1) * 60 >= min(2 * seconds, 1800)
     assert needs.minutes(2) * 60 >= min(4 * seconds, 1800)
