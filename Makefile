@@ -146,11 +146,6 @@ bounds: setup
 faults: setup
 	@$(BIN)/python -m workflows.studies.faults results/faults --runs $(or $(RUNS),500)
 
-## test-slurm: lose the node of a one-node Slurm in the middle of an experiment and compare with a local run (root; installs Slurm)
-.PHONY: test-slurm
-test-slurm: dev
-	@$(BIN)/python -m tests.slurm
-
 ## golden: compare the TEASER port and mode full with recorded results of official TEASER++ and Go-ICP
 .PHONY: golden
 golden: setup
@@ -223,10 +218,10 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 .PHONY: dev
 dev: setup $(VENV)/.dev
 
-$(VENV)/.dev: requirements-dev.lock requirements-cluster.lock $(VENV)/.installed
+$(VENV)/.dev: requirements-dev.lock $(VENV)/.installed
 	@echo "Installing the tools for tests, style and manual …"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-compile \
-	  --require-hashes --requirement requirements-dev.lock --requirement requirements-cluster.lock
+	  --require-hashes --requirement requirements-dev.lock
 	@touch $@
 
 # `make lock` and `make audit` have an environment of their own.

@@ -9,14 +9,6 @@ from reports.figures.grid import Grid, Panel
 from reports.theme import Style, words
 from workflows.attribution import VERDICTS, tolerance
 
-MAX_POINTS = 10_000  # of the figure
-# Columns of runs that `count` and `build` need.
-NEEDED = [
-    "run_id", "instance_id", "model", "method", "test", "level", "status", "verdict", "n_inliers", "rmse",
-    "objective", "objective_true", "objective_best", "objective_regret", "optimum_at_least",
-    "regret_at_most", "gap_tol", "certificate_scope",
-]  # fmt: skip
-
 
 def count(runs: pd.DataFrame, methods: list[str]) -> pd.DataFrame:
     """Count started runs per method (rows) and verdict, and summarise certified intervals of the regret.
@@ -40,14 +32,9 @@ def count(runs: pd.DataFrame, methods: list[str]) -> pd.DataFrame:
     return counts
 
 
-def drawn_share(runs: pd.DataFrame) -> int:
-    """Return n if every n-th run is drawn: a page cannot show more than `MAX_POINTS`."""
-    return max(1, -(-int(runs["objective_regret"].notna().sum()) // MAX_POINTS))
-
-
 def build(runs: pd.DataFrame, styles: dict[str, Style]) -> Figure:
     """Draw RMSE against objective regret, a point per run: search errors right, model errors left."""
-    judged = runs[runs["objective_regret"].notna()].iloc[:: drawn_share(runs)]
+    judged = runs[runs["objective_regret"].notna()]
     grid, traces = Grid(column_titles=list(dict.fromkeys(judged["model"]))), []
     for column, model in enumerate(grid.column_titles):
         panel = Panel(

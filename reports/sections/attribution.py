@@ -14,14 +14,13 @@ POSITION = 80
 
 
 def context(page: Page) -> dict[str, Any]:
-    runs, methods = page.tables.runs[attribution.NEEDED], page.tables.methods
+    runs, methods = page.tables.runs, page.tables.methods
     if runs["objective"].isna().all():
         return {"figure": None}
     tests = list(dict.fromkeys(zip(runs["model"], runs["test"], strict=True)))
     bounded = runs["optimum_at_least"].notna()
     return {
         "figure": page.add_figure(attribution.build(runs, page.styles)),
-        "every": attribution.drawn_share(runs),
         "verdicts": VERDICTS,
         "found": [name for name in VERDICTS if runs["verdict"].eq(name).any()],
         "counts": list(attribution.count(runs, methods).iterrows()),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,13 +16,9 @@ from dcreg.status import Status
 from workflows import attribution, outcomes, provenance, records
 from workflows.config import MethodSettings
 from workflows.instances import read_problems
-from workflows.integrity import sealed_file
 from workflows.metrics import METRICS
 from workflows.outcomes import OUTCOMES
 from workflows.stages.plan import Plan, plan_table
-
-if TYPE_CHECKING:
-    import polars as pl
 
 MAX_OVERLAY_POINTS = 400  # per set
 # Facts about an instance in the row of a run.
@@ -31,144 +27,60 @@ OF_INSTANCE = [
     "T_reference",
 ]  # fmt: skip
 
-# Columns of runs that `attribution.attribute` and the checks need.
-JUDGED = [
-    "run_id", "instance_id", "method", "status", "outcome", "n_inliers", "dim", "lower_bound", "gap_tol",
-    "certificate_scope", "objective", "objective_best", "objective_true", "rmse", "success", "admissible",
-]  # fmt: skip
-# Columns of runs that the smaller tables are made from.
-SHOWN = [
-    "run_id", "instance_id", "method", "dataset", "shape", "test", "level", "trial", "model", "status",
-    "outcome", "message", "rmse", "machine_id",
-]  # fmt: skip
-
 
 def aggregate(plan: Plan, folder: Path) -> None:
-    """Join plan, raw results and metrics, and write the folder ``tables/`` of the plan.
-
-    The wide tables stream through Polars, from one file to another.
-    """
+    """Join plan, raw results and metrics, and write the folder ``tables/`` of the plan."""
     out = folder / plan.view / "tables"
-    out.mkdir(parents=True, exist_ok=True)
-    write(join_runs(plan, folder), out / "runs.parquet")
-    write(join_traces(plan, folder), out / "traces.parquet")
-    runs = pd.read_parquet(out / "runs.parquet", columns=SHOWN)
+    runs = join_runs(plan, folder)
+    records.write(runs, out / "runs.parquet", csv=True)
+    records.write(join_traces(plan, folder, runs), out / "traces.parquet", csv=True)
     with whole_file(out / "accounting.csv") as part:
         accounting(runs).to_csv(part, index=False)
     _write_json(out / "provenance.json", _provenance(plan, runs))
     _write_json(out / "overlays.json", overlays(plan, folder, runs))
 
 
-def join_runs(plan: Plan, folder: Path) -> pl.LazyFrame:
-    """Return exactly one row per planned run, in the documented columns and the order of the plan.
-
-    Raises
-    ------
-    SchemaError
-    """
-    import polars as pl
-
-    planned = records.scan([folder / plan.view / "plan" / "plan.parquet"], list(records.PLAN))
-    raw = records.scan(_files(plan, folder), list(records.RAW)).drop("instance_id")
-    metrics = records.scan([folder / plan.view / "metrics" / "metrics.parquet"])
-    runs = _joined(_joined(planned, raw), metrics.drop("instance_id", "n_inliers"))
-    if plan.needs is not None:
-        runs = pl.concat([runs, _left_out(plan, runs)], how="diagonal_relaxed")
-    runs = _joined(runs, _facts(plan), on="method").with_columns(
-        schema_version=pl.lit(records.SCHEMA_VERSION),
-        experiment=pl.lit(plan.experiment.name),
-        outcome=pl.col("status").replace_strict(
-            {status.value: group.outcome for status, group in outcomes.GROUPS.items()},
-            default=None,
-            return_dtype=pl.String,
-        ),
+def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
+    """Return exactly one row per planned run, in the documented columns."""
+    planned = plan_table(plan)
+    raw = _raw(plan, folder, "", records.RAW)
+    metrics = pd.read_parquet(folder / plan.view / "metrics" / "metrics.parquet")
+    runs = planned.merge(
+        raw.drop(columns="instance_id"), on="run_id", how="left", validate="one_to_one"
+    ).merge(
+        metrics.drop(columns=["instance_id", "n_inliers"]),
+        on="run_id",
+        how="left",
+        validate="one_to_one",
     )
-    judged = runs.select(JUDGED).collect(engine="streaming").to_pandas()
-    _check_complete(judged, folder)
-    verdicts = attribution.attribute(judged)[["run_id", *attribution.COLUMNS]]
-    runs = _joined(runs, pl.from_pandas(verdicts).lazy())
-    return records.conform_lazy(runs, records.runs_columns())
-
-
-def join_traces(plan: Plan, folder: Path) -> pl.LazyFrame:
-    """Return the bound histories of all runs, in the order of the runs.
-
-    Raises
-    ------
-    SchemaError
-    """
-    events = records.scan(_files(plan, folder, ".trace"), list(records.RAW_TRACES))
-    # a file may also have runs of an earlier plan
-    own = records.scan([folder / plan.view / "plan" / "plan.parquet"], ["run_id", "method"])
-    events = events.join(own, on="run_id", how="inner", maintain_order="left")
-    return records.conform_lazy(events, records.TRACES)
-
-
-def write(table: pl.LazyFrame, path: Path) -> None:
-    """Write ``path`` as Parquet, and its CSV copy."""
-    import polars as pl
-
-    with sealed_file(path) as part:
-        table.sink_parquet(part)
-    with whole_file(path.with_suffix(".csv")) as part:
-        pl.scan_parquet(path).sink_csv(part)
-
-
-def _files(plan: Plan, folder: Path, suffix: str = "") -> list[Path]:
-    """Return the files of all solve jobs."""
-    return [
-        folder / f"runs/{method.name}/{chunk.name}{suffix}.parquet" for method, chunk in plan.jobs()
-    ]
-
-
-def _joined(one: pl.LazyFrame, other: pl.LazyFrame, on: str = "run_id") -> pl.LazyFrame:
-    return one.join(other, on=on, how="left", maintain_order="left")
-
-
-def _facts(plan: Plan) -> pl.LazyFrame:
-    """Return a row per method with what its runs have in common."""
-    import polars as pl
-
-    rows = [
-        {
-            "method": method.name,
-            "display_name": display_name(method),
-            "provenance": registry.read_card(method.baseline).provenance,
-            "n_inliers_ratio": method.n_inliers_ratio,
-        }
-        for method in plan.methods
-    ]
-    return pl.LazyFrame(rows)
-
-
-def _check_complete(runs: pd.DataFrame, folder: Path) -> None:
-    """Refuse planned runs with no or with several results, and statuses without an outcome."""
     without = runs.loc[runs["status"].isna() | runs["dim"].isna(), "method"]
     if len(without):
         raise records.SchemaError(
             f"{folder}: {len(without)} planned runs of {without.iloc[0]} have no result; "
             "run the experiment again"
         )
-    if twice := int(runs["run_id"].duplicated().sum()):
-        raise records.SchemaError(
-            f"{folder}: {twice} runs have several results; {records.RUN_AGAIN}"
-        )
-    for status in runs.loc[runs["outcome"].isna(), "status"]:
-        outcomes.outcome(status)
-
-
-def _left_out(plan: Plan, runs: pl.LazyFrame) -> pl.LazyFrame:
-    """Return a row for each planned run that is not needed, with the facts about its instance."""
-    import polars as pl
-
-    known = runs.select("instance_id", *OF_INSTANCE)
-    facts = known.unique("instance_id", keep="first", maintain_order=True).collect().to_pandas()
-    answers = {name: False for name, metric in METRICS.items() if metric.unit == "yes/no"}
-    left_out = plan_table(plan, plan.left_out()).join(
-        facts.set_index("instance_id"), on="instance_id"
+    left_out = _left_out(plan, runs)
+    runs = pd.concat([runs, left_out], ignore_index=True) if len(left_out) else runs
+    by_name = {method.name: method for method in plan.methods}
+    cards = {name: registry.read_card(method.baseline) for name, method in by_name.items()}
+    runs = runs.assign(
+        schema_version=records.SCHEMA_VERSION,
+        experiment=plan.experiment.name,
+        display_name=runs["method"].map(lambda name: display_name(by_name[name])),
+        provenance=runs["method"].map(lambda name: cards[name].provenance),
+        n_inliers_ratio=runs["method"].map(lambda name: by_name[name].n_inliers_ratio),
+        outcome=runs["status"].map(outcomes.outcome),
     )
-    table = left_out.assign(status=Status.NOT_RUN.value, n_inliers=0, **answers)
-    return pl.from_pandas(table).lazy()
+    runs = attribution.attribute(runs)
+    return records.conform(runs, records.runs_columns(), "tables/runs.parquet")
+
+
+def _left_out(plan: Plan, runs: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each planned run that is not needed, with the facts about its instance."""
+    facts = runs.drop_duplicates("instance_id").set_index("instance_id")[OF_INSTANCE]
+    answers = {name: False for name, metric in METRICS.items() if metric.unit == "yes/no"}
+    left_out = plan_table(plan, plan.left_out()).join(facts, on="instance_id")
+    return left_out.assign(status=Status.NOT_RUN.value, n_inliers=0, **answers)
 
 
 def display_name(method: MethodSettings) -> str:
@@ -186,6 +98,13 @@ def display_name(method: MethodSettings) -> str:
     return name if method.n_inliers_ratio == 1 else f"{name} (n_p × {method.n_inliers_ratio:g})"
 
 
+def join_traces(plan: Plan, folder: Path, runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the bound histories of all runs, in the order of the runs."""
+    traces = _raw(plan, folder, ".trace", records.RAW_TRACES)
+    traces = traces.merge(runs[["run_id", "method"]], on="run_id", validate="many_to_one")
+    return records.conform(traces, records.TRACES, "traces")
+
+
 def accounting(runs: pd.DataFrame) -> pd.DataFrame:
     """Count planned runs and their outcomes per method, and check that they add up."""
     counts = pd.crosstab(runs["method"], runs["outcome"])
@@ -199,36 +118,31 @@ def accounting(runs: pd.DataFrame) -> pd.DataFrame:
 
 def overlays(plan: Plan, folder: Path, runs: pd.DataFrame) -> list[dict[str, Any]]:
     """Return points and pose of the best, median and worst run of every method and test."""
-    shown = []
-    for _, group in runs[runs["rmse"].notna()].groupby(["method", "test", "model"], sort=False):
+    problems = {
+        problem.instance_id: problem
+        for chunk in plan.chunks
+        for problem in read_problems(folder / f"instances/{chunk.name}.npz")
+    }
+    posed = runs[runs["rmse"].notna()]
+    entries = []
+    for _, group in posed.groupby(["method", "test", "model"], sort=False):
         ranked = group.sort_values("rmse", kind="stable")
         for rank, position in _picks(len(ranked)).items():
-            shown.append(ranked.iloc[[position]].assign(rank=rank))
-    if not shown:
-        return []
-    chosen = pd.concat(shown)
-    instances = set(chosen["instance_id"])
-    clouds = {
-        problem.instance_id: {"source": _points(problem.source), "target": _points(problem.target)}
-        for chunk in plan.chunks
-        if any(spec.instance_id in instances for spec in chunk.instances)
-        for problem in read_problems(folder / f"instances/{chunk.name}.npz")
-        if problem.instance_id in instances
-    }
-    poses = pd.read_parquet(
-        folder / plan.view / "tables" / "runs.parquet", columns=["run_id", "T_target_source"],
-        filters=[("run_id", "in", list(chosen["run_id"]))],
-    ).set_index("run_id")["T_target_source"]  # fmt: skip
-    return [
-        {
-            **{key: run[key] for key in ("run_id", "method", "dataset", "shape", "test")},
-            **{key: run[key] for key in ("level", "trial", "rmse", "status", "model", "rank")},
-            **clouds[run["instance_id"]],
-            "T_target_source": json.loads(poses[run["run_id"]]),
-            "replay": replay_command(plan, run["run_id"]),
-        }
-        for run in chosen.to_dict("records")
-    ]
+            run = ranked.iloc[position]
+            problem = problems[run["instance_id"]]
+            entries.append(
+                {
+                    **{key: run[key] for key in ("run_id", "method", "dataset", "shape", "test")},
+                    **{key: run[key].item() for key in ("level", "trial", "rmse")},
+                    **{key: run[key] for key in ("status", "model")},
+                    "rank": rank,
+                    "source": _points(problem.source),
+                    "target": _points(problem.target),
+                    "T_target_source": json.loads(run["T_target_source"]),
+                    "replay": replay_command(plan, run["run_id"]),
+                }
+            )
+    return entries
 
 
 def _picks(count: int) -> dict[str, int]:
@@ -263,6 +177,15 @@ def _points(points: np.ndarray) -> list[list[float]]:
     step = -(-len(points) // MAX_OVERLAY_POINTS)
     digits = 4 - int(np.floor(np.log10(max(np.ptp(points, axis=0).max(), 1e-12))))
     return np.round(points[::step], max(0, digits)).tolist()
+
+
+def _raw(plan: Plan, folder: Path, suffix: str, columns: dict[str, records.Column]) -> pd.DataFrame:
+    tables = [
+        records.read(folder / f"runs/{method.name}/{chunk.name}{suffix}.parquet", columns)
+        for method, chunk in plan.jobs()
+    ]
+    filled = [table for table in tables if len(table)]
+    return pd.concat(filled, ignore_index=True) if filled else tables[0]
 
 
 def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
