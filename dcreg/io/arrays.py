@@ -98,7 +98,8 @@ def _is_cloud(array: np.ndarray | None) -> bool:
 def _real(array: np.ndarray | None, key: str | None = None) -> np.ndarray:
     what = "the array" if key is None else f"array '{key}'"
     if array is None or array.dtype.kind in "OSU":
-        fail(f"{what} holds objects or text, which are not loaded", "store real numbers")
+        kind = "" if array is None else f" (type {array.dtype})"
+        fail(f"{what} holds objects or text{kind}, which are not loaded", "store real numbers")
     if array.dtype.kind not in "fiu":
         fail(f"{what} has type {array.dtype}", "store real numbers")
     return array
