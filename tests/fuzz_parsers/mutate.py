@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import warnings
 from collections.abc import Callable
 from random import Random
 from typing import Any
@@ -172,10 +173,11 @@ def in_array(rng: Random, array: np.ndarray) -> np.ndarray:
 
 
 def _as_type(array: np.ndarray, dtype: str) -> np.ndarray:
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that the imaginary part is lost
         try:
             return array.astype(dtype)
-        except (ValueError, TypeError, OverflowError):
+        except (ValueError, TypeError, OverflowError, RuntimeError):
             return np.zeros(array.shape, dtype)
 
 

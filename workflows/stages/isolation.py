@@ -44,7 +44,7 @@ _VERSION_ONLY, _PATH_BENEATH = 1, 1
 _DROP_CAPABILITY, _NO_NEW_PRIVILEGES = 24, 38  # of prctl
 # Capabilities of root with which Landlock lets a process read the environment of any other.
 _SYS_ADMIN, _PERFMON = 21, 38
-# Rights over files and folders, one bit each, and the version of Landlock that knows the last two.
+# Rights over files and folders, one bit each; versions 2 and 3 of Landlock added the last two.
 _WRITE_FILE, _READ_FILE, _REFER, _TRUNCATE = 1 << 1, 1 << 2, 1 << 13, 1 << 14
 # All of the first version except to execute and to list: imports list the folders that they search.
 _BASIC = (1 << 13) - 1 - (1 << 0) - (1 << 3)
