@@ -41,6 +41,10 @@ class CertificateError(ValueError):
     """A certificate that cannot be accepted; the message is the reason."""
 
 
+class UnprovenError(CertificateError):
+    """A lower bound that may hold, but that the permitted number of boxes does not prove."""
+
+
 def require(holds: bool | np.bool_, problem: str) -> None:
     """Refuse a certificate unless a condition holds."""
     if not holds:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.certificate.format import INADMISSIBLE, Certificate, CertificateError
+from dcreg.certificate.format import INADMISSIBLE, Certificate, CertificateError, UnprovenError
 from dcreg.certificate.objectives import Objective
 
 TANGENT_STEPS = 10  # attempts to find a better tangent point
@@ -155,27 +155,29 @@ class Proof:
         if objective.is_sorted_order:  # there the tangent bound needs no assignments and suffices
             self._bounds.remove(objective.interval_bound)
 
-    def run(self, c: Certificate) -> int:
-        """Prove the stated lower bound on every leaf; return the number of boxes needed.
+    def run(self, c: Certificate, lower_bound: float) -> int:
+        """Prove a lower bound on every leaf; return the number of boxes needed.
 
         A leaf may state a larger bound. The claim does not depend on it, so it is not proven. It is
         refuted if the objective at the centre of the leaf is smaller.
 
         Raises
         ------
+        UnprovenError
+            If `max_boxes` boxes do not suffice.
         CertificateError
-            If a bound is false or cannot be proven with `max_boxes` boxes.
+            If a bound is false.
         """
         leaves = np.arange(len(c.leaf_bounds))
         lower, upper = c.leaf_lower, c.leaf_upper
-        needed = c.lower_bound - self.slack
+        needed = lower_bound - self.slack
         # leaves whose stated bound exceeds the one to be proven
-        doubtful = c.leaf_bounds > c.lower_bound + self.slack
+        doubtful = c.leaf_bounds > lower_bound + self.slack
         n_boxes = 0
         while len(leaves):
             if n_boxes + len(leaves) > self.max_boxes:
-                raise CertificateError(
-                    f"leaf {leaves[0]}: the lower bound {c.lower_bound:.9g} could not be confirmed "
+                raise UnprovenError(
+                    f"leaf {leaves[0]}: the lower bound {lower_bound:.9g} could not be confirmed "
                     f"within {self.max_boxes} boxes"
                 )
             is_unproven = np.zeros(len(leaves), dtype=bool)

@@ -4,7 +4,8 @@ Neither this module nor its imports use the library's search, bounds, spaces or 
 there cannot remain hidden. The checks, in order: the certificate is complete and refers to these clouds;
 its entries are consistent; its start box contains every optimum; its leaves are a partition of the start
 box; the stated optimum is attained; no sampled parameter is below the bound of its leaf; and the stated
-lower bound is proven again on every leaf (`proof`, with the simple bounds of `objectives`).
+lower bound is proven again on every leaf (`proof`, with the simple bounds of `objectives`). If that takes
+too many boxes, the smaller bound that the stated tolerance permits is proven instead.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from dcreg.certificate.format import (
     Certificate,
     CertificateError,
     NoCertificateError,
+    UnprovenError,
     check_shapes,
     digest,
     read,
@@ -55,7 +57,8 @@ class Report:
         Family of poses that the certificate refers to.
     n_inliers : int
     lower_bound, upper_bound, gap_tol : float
-        As stated by the certificate; proven only if it was accepted.
+        As stated by the certificate; proven only if it was accepted. If the stated lower bound takes too
+        many boxes, ``lower_bound`` is ``upper_bound - gap_tol``, and a line of ``checks`` says so.
     n_leaves, n_boxes, n_assignments : int
         Leaves of the certificate, boxes bounded for the proof, assignments solved.
     time_s : float
@@ -183,9 +186,10 @@ def _check(
         tried = check_samples(objective, c, slack, n_samples)
         report.checks.append(f"none of {tried} sampled parameters is below the bound of its leaf")
         proof = Proof(objective, slack, max_boxes or 1000 + 20 * len(c.leaf_bounds), progress)
-        report.n_boxes = proof.run(c)
+        lower_bound = _prove(report, proof, c)
     finally:
         report.n_assignments = objective.n_assignments
+    report.lower_bound = lower_bound * area
     report.checks.append(
         f"on every leaf the objective is at least {report.lower_bound:.9g}, "
         f"proven on {text.count(report.n_boxes, 'box', 'boxes')}"
@@ -195,7 +199,25 @@ def _check(
         f"{objective.scope}: the minimum sum of squared residuals over {c.n_inliers} one-to-one "
         f"pairs{among} lies in [{report.lower_bound:.9g}, {report.upper_bound:.9g}]"
     )
-    report.is_trivial = c.lower_bound <= 0.0 and c.upper_bound > exact
+    report.is_trivial = lower_bound <= 0.0 and c.upper_bound > exact
+
+
+def _prove(report: Report, proof: Proof, c: Certificate) -> float:
+    """Prove the stated lower bound, or the smaller one that the tolerance permits; return it.
+
+    The search may state a bound that is almost the optimum. If the optimum is attained on a curve or
+    surface of poses, as with coincident points, dividing boxes never proves such a bound.
+    """
+    try:
+        report.n_boxes = proof.run(c, c.lower_bound)
+        return c.lower_bound
+    except UnprovenError as error:
+        permitted = c.upper_bound - c.gap_tol
+        if not 0.0 < permitted < c.lower_bound:
+            raise
+        report.n_boxes = proof.run(c, permitted)
+        report.checks.append(f"{error}; the smaller one that the tolerance permits takes its place")
+        return permitted
 
 
 # --- the clouds -----------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from dcreg.certificate.verification import check_samples, objective_of, verify
 from dcreg.problem import exact_objective
 from dcreg.status import Status
 from tests.certificates import DIM, certify, check, clouds, made_case, refused
+from tests.fuzz.problems import problem as fuzz_problem
 from tests.problems import register
 
 
@@ -313,6 +314,18 @@ def test_a_proof_beyond_max_boxes_is_refused(tmp_path, case):
     certificate, source, target = case
     report = check(tmp_path, certificate, source, target, max_boxes=5)
     assert "could not be confirmed within 5 boxes" in report.reason
+
+
+def test_a_bound_that_boxes_never_confirm_gives_way_to_the_tolerance():
+    """Of three source points two coincide, and two have pairs: a whole surface of poses is optimal."""
+    problem = fuzz_problem(1073)
+    result = problem.solve()
+    assert result.upper_bound - result.lower_bound < 1e-6 < result.gap_tol
+    report = dcreg.verify(result.certificate, problem.source, problem.target)
+    assert report.accepted, report.reason
+    assert report.lower_bound == pytest.approx(result.upper_bound - result.gap_tol)
+    assert "could not be confirmed" in report.checks[-2]
+    assert f"[{report.lower_bound:.9g}, {report.upper_bound:.9g}]" in report.statement
 
 
 # --- what the claim depends on ------------------------------------------------------------------
