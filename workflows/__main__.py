@@ -16,7 +16,7 @@ import typer
 
 from dcreg.problem import suggestion
 from dcreg.status import Status
-from workflows import CHECKOUT, UserError
+from workflows import CHECKOUT, UserError, merge
 from workflows.cli import Experiment, Folder, say, stop, user_errors
 from workflows.stages import commands
 from workflows.stages.commands import planned
@@ -42,7 +42,13 @@ def run(
     tests: Axis = "",
     levels: Axis = "",
     trials: Axis = "",
-    cores: Annotated[str, typer.Option(help="Number of cores, or all.")] = "all",
+    cores: Annotated[
+        str, typer.Option(help="Number of cores, or all; with --profile: of one job.")
+    ] = "all",
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(help="slurm, kubernetes, or a folder with profile.yaml; may be repeated."),
+    ] = None,
     directory: Annotated[Path, typer.Option(help="Folder that contains results/.")] = CHECKOUT,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the plan and run nothing.")
@@ -72,6 +78,9 @@ def run(
     select = [f"{axis}={values}" for axis, values in axes.items() if values]
     if cores != "all" and not (cores.isdecimal() and int(cores)):
         raise UserError(f"--cores {cores}: give a positive number, or all")
+    from workflows.running import INTERRUPTED, cores_of_job, find_profile, run_snakemake
+
+    profiles = [find_profile(each) for each in profile or ()]
     needs: list[str] = []
     if beside:
         if fresh or not methods or len(select) > 1:
@@ -98,15 +107,15 @@ def run(
     )
     if Path(experiment).is_file():
         experiment = str(Path(experiment).resolve())
-    from workflows.running import INTERRUPTED, run_snakemake
-
+    if cores == "all" and any(each.is_remote for each in profiles):
+        cores = cores_of_job(plan.experiment)
     arguments = [
         *(["tables"] if no_report else []),
         *("--cores", cores),
         *("--resources", "fetching=1", *(["timing=1"] if timing else [])),
         *("--config", f"experiment={experiment}", f"select={' '.join(select)}", *needs),
     ]
-    if code := run_snakemake(directory, name, arguments):
+    if code := run_snakemake(directory, name, arguments, profiles):
         what = "stopped" if code == INTERRUPTED else "some stages failed; see the messages above"
         print(
             f"error: {what}. Finished runs are kept; the same command continues from here.",
@@ -256,6 +265,9 @@ def forget(
     if dropped:
         remove_made_from_runs(folder)
     print(f"forgot {dropped} runs")
+
+
+app.command("merge")(merge.command)
 
 
 @app.command()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import importlib.util
 import os
 import shutil
 import signal
@@ -14,29 +15,85 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from types import FrameType
-from typing import IO
+from typing import IO, NamedTuple
 
+import yaml
+
+from dcreg.problem import suggestion
 from workflows import CHECKOUT, UserError, provenance
 from workflows.blocks import EVIDENCE
+from workflows.config import Experiment
 from workflows.integrity import set_aside_damaged
 
 INTERRUPTED = 130  # exit code, as in shells
 PATIENCE_S = 20.0  # for Snakemake to end after SIGTERM
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+PROFILES = CHECKOUT / "workflows" / "profiles"
+PROFILE = "profile.yaml"
 
 
 class BusyError(UserError):
     """Another run uses these results; the message names it."""
 
 
-def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
+class Profile(NamedTuple):
+    """Settings of Snakemake for a cluster or another machine, and the executor that they name."""
+
+    path: Path
+    executor: str
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether jobs run elsewhere."""
+        return self.executor not in ("", "local")
+
+
+def find_profile(name: str) -> Profile:
+    """Return a profile, given by name, such as ``slurm``, or by the path of its folder or file.
+
+    Raises
+    ------
+    UserError
+        There is no such profile, or its executor plug-in is not installed.
+    """
+    known = sorted(path.parent.name for path in PROFILES.glob(f"*/{PROFILE}"))
+    path = PROFILES / name if name in known else Path(name)
+    path = path / PROFILE if path.is_dir() else path
+    if not path.is_file():
+        raise UserError(
+            f"--profile {name}: no such profile{suggestion(name, known)}; give one of "
+            f"{', '.join(known)}, or the path of a folder with {PROFILE}"
+        )
+    settings = yaml.safe_load(path.read_text(encoding="utf-8"))
+    if not isinstance(settings, dict):
+        raise UserError(f"{path}: must map the names of Snakemake's options to their values")
+    executor = str(settings.get("executor", ""))
+    package = f"snakemake-executor-plugin-{executor}"
+    profile = Profile(path.resolve(), executor)
+    if profile.is_remote and not importlib.util.find_spec(package.replace("-", "_")):
+        raise UserError(
+            f"{path}: executor {executor} needs the package {package}; install it with "
+            "`.venv/bin/pip install --no-deps --require-hashes --requirement requirements-cluster.lock`"
+        )
+    return profile
+
+
+def cores_of_job(experiment: Experiment) -> str:
+    """Return the cores of a job on a cluster: solve jobs that share one run one after the other."""
+    return str(max(experiment.limits_of(method).threads for method in experiment.methods))
+
+
+def run_snakemake(
+    directory: Path, name: str, arguments: Sequence[str], profiles: Sequence[Profile] = ()
+) -> int:
     """Run Snakemake on experiment `name` below `directory`; return its exit code, or `INTERRUPTED`.
 
-    The arguments must end with those of ``--config``.
+    The arguments must end with those of ``--config``. Later profiles override earlier ones.
 
     Snakemake and its jobs form a separate process group. At Ctrl-C, SIGTERM or SIGHUP they receive
     SIGTERM, at which Snakemake starts no new job. At a second signal, or after `PATIENCE_S`, they are
-    killed. Only unfinished runs are lost.
+    killed. Only unfinished runs are lost. With jobs on a cluster, Snakemake receives SIGINT, at which it
+    cancels them.
 
     Raises
     ------
@@ -47,8 +104,11 @@ def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
         *("--keep-going", "--rerun-incomplete", "--quiet", "all"),
         "--force-use-threads",  # otherwise each job is run by another Snakemake
         # `the_only_run` has the lock: Snakemake's own lock would remain after a kill.
-        *("--nolock", "--directory", str(directory), *arguments),
+        *("--nolock", "--directory", str(directory)),
+        *(word for profile in profiles for word in ("--profile", str(profile.path))),
+        *arguments,
     ]
+    gentle = signal.SIGINT if any(each.is_remote for each in profiles) else signal.SIGTERM
     deadline = float("inf")  # for Snakemake to end
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -58,7 +118,7 @@ def run_snakemake(directory: Path, name: str, arguments: Sequence[str]) -> int:
             return
         deadline = time.monotonic() + PATIENCE_S
         print("\nstopping … (press again to kill)", file=sys.stderr, flush=True)
-        os.killpg(process.pid, signal.SIGTERM)
+        os.killpg(process.pid, gentle)
 
     with the_only_run(directory, name) as lock, NamedTemporaryFile("r", encoding="utf-8") as errors:
         _set_aside_damaged(directory / "results" / name)

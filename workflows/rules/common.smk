@@ -1,5 +1,6 @@
 # Shared by all stages. The experiment and the selection are checked here, before anything runs.
 
+import functools
 import logging
 import os
 import sys
@@ -12,6 +13,7 @@ from snakemake.logging import logger
 
 from baselines import registry
 from workflows.blocks import Needs
+from workflows.cluster import Measured
 from workflows.config import ConfigError, load, origin, parse_selection
 from workflows.forking import run_stage
 from workflows.hashing import digest, digest_files
@@ -22,7 +24,7 @@ SELECT = str(config.get("select") or "").split()  # as in "methods=icp,cpd tests
 NEEDS = str(config.get("needs") or "")  # file with the needed blocks of every method
 
 # Snakemake shows either all of its messages or none. `workflows run` shows none, and the errors on failure.
-if "errors" in config:
+if "errors" in config and workflow.is_main_process:
     to_file = logging.FileHandler(config["errors"], encoding="utf-8")
     to_file.setLevel(logging.ERROR)
     logger.addHandler(to_file)
@@ -47,6 +49,31 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 os.environ["DCREG_PARALLEL_JOBS"] = str(workflow.cores or 1)
 
 
+# `group-components` of a cluster's profile, once the rules are read, in the process that submits the jobs.
+def group_sizes():
+    return workflow.group_settings.group_components
+
+
+@functools.cache
+def measured():
+    return Measured.of(EXPERIMENT, Path(OUT)) if group_sizes() else Measured()
+
+
+@functools.cache
+def solve_needs(method, chunk):
+    limits = EXPERIMENT.limits_of(EXPERIMENT.method(method))
+    return measured().job(method, limits, PLAN.chunk(chunk))
+
+
+# These need no resources of a cluster; `fetch` needs a network.
+localrules:
+    all,
+    tables,
+    plan,
+    fetch,
+    record,
+
+
 # Snakemake compares `params` with those of the last run. A hash of the sources that determine the output
 # of a stage repeats exactly the stages that a change affects.
 def sources(*entries):
@@ -57,8 +84,14 @@ def solve_identity(wildcards):
     return method_identity(EXPERIMENT, EXPERIMENT.method(wildcards.method))
 
 
+# Looks at every file of the method, and there are thousands of jobs.
+@functools.cache
+def fingerprint(baseline):
+    return registry.fingerprint(baseline)
+
+
 def solve_fingerprint(wildcards):
-    return registry.fingerprint(EXPERIMENT.method(wildcards.method).baseline)
+    return fingerprint(EXPERIMENT.method(wildcards.method).baseline)
 
 
 wildcard_constraints:

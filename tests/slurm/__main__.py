@@ -1,0 +1,144 @@
+"""Run an experiment on a Slurm cluster whose only node is lost in the middle: ``make test-slurm``.
+
+The table must be that of a local run, times apart. No run may be lost or made again. The test needs root,
+installs the distribution's packages of Slurm, and is skipped where that is impossible.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+
+from tests.slurm.cluster import Cluster, SkippedError, check_machine, cluster, install
+from workflows import CHECKOUT, UserError
+from workflows.exact import differences, read
+from workflows.integrity import opened
+from workflows.running import INTERRUPTED, find_profile
+
+NAME = "slurm"
+# 204 runs in six solve jobs, of which pairs share a job of Slurm. The limit on work makes tables equal.
+CONFIG = """
+name: slurm
+chunk_size: 34
+limits: {time_s: 10, memory_mb: 1000, assignments: 500, safety_s: 15}
+datasets:
+  - dataset: embedded
+    shapes: [fish, glyph]
+    n_points: 20
+    trials: 17
+    tests: {noise: [0.02], separate_outliers: [0.2], deformation: [0.03]}
+methods:
+  - {name: dcreg, baseline: dcreg}
+  - {name: icp, baseline: icp}
+"""
+RUNS = 204
+PROFILES = ("--profile", "slurm", "--profile", "tests/slurm")
+LIMIT_S = 300.0  # of one sweep
+
+_began = time.monotonic()
+
+
+def say(text: str) -> None:
+    print(f"{time.monotonic() - _began:6.0f} s  {text}", flush=True)
+
+
+def journal(folder: Path) -> list[str]:
+    """Return the run_id of every finished run, as often as it was made."""
+    lines = [
+        line
+        for path in sorted((folder / "results" / NAME).glob("runs/*/*.journal.jsonl"))
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
+    ]
+    return [entry["run_id"] for line in lines if (entry := opened(line))]
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "workflows", "run", str(folder.parent / f"{NAME}.yaml")]
+    command += ["--directory", str(folder), "--no-report", "--fresh", *arguments]
+    return subprocess.Popen(
+        command, cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+
+
+def finish(process: subprocess.Popen[str], code: int = 0) -> None:
+    """Wait for a sweep and check its exit code; a sweep that hangs is killed."""
+    try:
+        output, _ = process.communicate(timeout=LIMIT_S)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGTERM)
+        with suppress(subprocess.TimeoutExpired):
+            process.communicate(timeout=30)
+        process.kill()
+        raise
+    if process.returncode != code:
+        raise RuntimeError(f"exit code {process.returncode} instead of {code}:\n{output}")
+
+
+def lose_the_node(running: Cluster, folder: Path) -> None:
+    """Sweep until a third of the runs is finished, then lose the node and interrupt the sweep."""
+    sweep = start(folder, *PROFILES)
+    deadline = time.monotonic() + LIMIT_S
+    while len(journal(folder)) < RUNS // 3:
+        if sweep.poll() is not None or time.monotonic() > deadline:
+            sweep.send_signal(signal.SIGINT)
+            output, _ = sweep.communicate()
+            raise RuntimeError(
+                f"{len(journal(folder))} runs before the loss of the node:\n{output}"
+            )
+        time.sleep(0.2)
+    jobs = running.kill_node()
+    kept = len(journal(folder))
+    say(f"killed slurmd and {jobs} jobs after {kept} of {RUNS} runs")
+    assert jobs
+    assert kept < RUNS
+    running.wait_until_down()
+    say("Slurm has noticed that the node is down")
+    sweep.send_signal(signal.SIGINT)
+    finish(sweep, code=INTERRUPTED)
+    say("interrupted the sweep")
+    running.start_node()
+    say(f"restarted slurmd; jobs left: {running.jobs() or 'none'}")
+
+
+def main() -> None:
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # after the cleanup
+    try:
+        find_profile("slurm")
+        check_machine()
+        say("installed Slurm" if install() else "Slurm is installed")
+    except (SkippedError, UserError) as error:
+        print(f"skipped   make test-slurm: {error}")
+        return
+    with tempfile.TemporaryDirectory(prefix="test-slurm-") as name:
+        root = Path(name)
+        (root / f"{NAME}.yaml").write_text(CONFIG, encoding="utf-8")
+        local, remote = root / "local", root / "remote"
+        finish(start(local, "--cores", "2"))
+        say("finished the local sweep")
+        with cluster() as running:
+            say("started the cluster")
+            lose_the_node(running, remote)
+            finish(start(remote, *PROFILES))
+            say("finished the sweep on the cluster by the same command")
+        expected, found = (read(folder / "results" / NAME) for folder in (local, remote))
+        differing = differences(expected, found)
+        times_made = Counter(journal(remote))
+        lost = len(set(expected["run_id"]) - set(times_made))
+        repeated = sum(count - 1 for count in times_made.values())
+        say(
+            f"{len(found)} runs, {lost} lost, {repeated} repeated, {len(differing.cells)} different "
+            "values, times apart"
+        )
+        if len(found) != RUNS or lost or repeated or len(differing.cells) or differing.unmatched:
+            print(differing.cells.head(20).to_string())
+            sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()
