@@ -146,6 +146,21 @@ bounds: setup
 faults: setup
 	@$(BIN)/python -m workflows.studies.faults results/faults --runs $(or $(RUNS),500)
 
+## merge: join results or archives of several machines, FROM="A B" OUT=folder (MIXED=1: of different machines)
+.PHONY: merge
+merge: setup
+	@$(BIN)/python -m workflows merge $(FROM) --out $(OUT) $(if $(MIXED),--mixed-machines)
+
+## million: make all tables of a million synthetic runs, time and memory in results/million (REPORT=1: the page too)
+.PHONY: million
+million: setup
+	@$(BIN)/python -m workflows.studies.million results/million $(if $(REPORT),--report)
+
+## test-slurm: lose the node of a one-node Slurm in the middle of an experiment and compare with a local run (root; installs Slurm)
+.PHONY: test-slurm
+test-slurm: dev
+	@$(BIN)/python -m tests.slurm
+
 ## golden: compare the TEASER port and mode full with recorded results of official TEASER++ and Go-ICP
 .PHONY: golden
 golden: setup
@@ -218,10 +233,10 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 .PHONY: dev
 dev: setup $(VENV)/.dev
 
-$(VENV)/.dev: requirements-dev.lock $(VENV)/.installed
+$(VENV)/.dev: requirements-dev.lock requirements-cluster.lock $(VENV)/.installed
 	@echo "Installing the tools for tests, style and manual …"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-compile \
-	  --require-hashes --requirement requirements-dev.lock
+	  --require-hashes --requirement requirements-dev.lock --requirement requirements-cluster.lock
 	@touch $@
 
 # `make lock` and `make audit` have an environment of their own.

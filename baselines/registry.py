@@ -107,7 +107,7 @@ def read_card(name: str, root: Path | None = None) -> Card:
         raise BaselineError(f"unknown method {name!r}{suggestion(name, known)}")
     path = root / name / "card.yaml"
     try:
-        facts = yaml.safe_load(path.read_text(encoding="utf-8"))
+        facts = _parsed(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise BaselineError(
             f"{_shown(path)}: missing; copy it from baselines/_template/card.yaml"
@@ -122,6 +122,12 @@ def read_card(name: str, root: Path | None = None) -> Card:
         raise BaselineError(_card_message(path, error)) from error
     except TypeError as error:  # a range of what is not a number
         raise BaselineError(f"{_shown(path)}: field ranges: {error}; correct it") from error
+
+
+@functools.lru_cache(maxsize=256)
+def _parsed(card: str) -> Any:
+    """Return the content of a card: cards are read many times, and YAML takes long."""
+    return yaml.safe_load(card)
 
 
 def idle_options(name: str, options: dict[str, Any]) -> dict[str, str]:

@@ -35,6 +35,18 @@ def experiment(
 
 @app.command()
 @user_errors
+def tables(
+    tables: Annotated[Path, typer.Argument(help="Folder with the tables of an experiment.")],
+    out: Annotated[Path, typer.Argument(help="Folder for the CSV files.")],
+) -> None:
+    """Write every table of the report of one experiment as a CSV file."""
+    from reports.csv_tables import write
+
+    say(f"tables    {len(write(tables, out))} files in {out}")
+
+
+@app.command()
+@user_errors
 def claims(
     results: Annotated[
         list[Path] | None,

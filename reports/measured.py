@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest, bootstrap
+from scipy.stats import binomtest
 
 from baselines import registry
 from dcreg.names import NORM_SCOPES, POSE_SCOPES
@@ -20,10 +21,11 @@ from reports.tables import Tables
 from reports.theme import MISSING, integer, number, words
 from workflows.hashing import digest
 from workflows.metrics.errors import SUCCESS_SHARE
-from workflows.outcomes import attempted
+from workflows.outcomes import attempted, comparable_times
 
 COVERAGE = 0.95
 DRAWS = 4000
+MOST_COUNTS = 10_000_000  # of a bootstrap, in double precision at the same time
 SMALL = 0.02  # relative: searches stop at about the same limit on assignments
 SEED = 20260326
 NO_POSE_ERROR = 1.0  # error of a run without a pose, in longest sides
@@ -39,6 +41,7 @@ KEPT = (
     "n_nodes", "n_assignments", "time_solve_s", "norm_translation_error",
 )  # fmt: skip
 STAGE = ("run_id", "stage")
+STAGE_ENDS = ("n_nodes", "n_assignments", "lower_bound", "upper_bound")
 
 
 @dataclass(frozen=True)
@@ -73,27 +76,28 @@ class Measured:
 
     @classmethod
     def of_tables(cls, tables: Tables) -> Measured:
-        runs = attempted(tables.runs)
-        kinds = {
-            (model, label): kind({"baseline": label, **card}, model)
-            for label, card in tables.cards.items()
-            for model in runs["model"].unique()
-        }
+        import polars as pl
+
+        runs = tables.runs[list(KEPT)].assign(time_solve_s=comparable_times(tables.runs))
+        runs = attempted(runs)
+        found = pd.DataFrame(
+            {
+                (model, label): kind({"baseline": label, **card}, model)
+                for label, card in tables.cards.items()
+                for model in runs["model"].unique()
+            },
+            index=["bound", "search"],
+        ).T
         families = {
             label: digest([card.get("baseline", label), options_of(card)], 8)
             for label, card in tables.cards.items()
         }
-        found = [
-            kinds.get(key, ("", "")) for key in zip(runs["model"], runs["method"], strict=True)
-        ]
-        runs = runs[list(KEPT)].assign(
-            bound=[bound for bound, _ in found],
-            search=[search for _, search in found],
-            family=runs["method"].map(families),
-        )
-        ends = ["n_nodes", "n_assignments", "lower_bound", "upper_bound"]
-        traces = tables.traces[tables.traces["run_id"].isin(set(runs["run_id"]))]
-        stages = traces.groupby(list(STAGE), sort=False)[ends].last().reset_index()
+        runs = runs.join(found, on=["model", "method"]).fillna({"bound": "", "search": ""})
+        runs = runs.assign(family=runs["method"].map(families))
+        own = pl.from_pandas(runs[["run_id"]]).lazy()
+        events = tables.scan_traces().join(own, on="run_id", how="semi", maintain_order="left")
+        ends = pl.col(STAGE_ENDS).drop_nulls().last()
+        stages = events.group_by(STAGE, maintain_order=True).agg(ends).collect().to_pandas()
         return cls(runs.reset_index(drop=True), stages)
 
     def __post_init__(self) -> None:
@@ -146,28 +150,28 @@ def share(values: pd.Series) -> str:
 
 
 def estimate(statistic: Callable[..., Any], *samples: pd.Series) -> tuple[float, float, float]:
-    """Return a statistic of paired samples with its bootstrap interval."""
-    data = [np.asarray(sample, dtype=float) for sample in samples]
-    value = float(statistic(*data, axis=-1))
-    if all(np.ptp(sample) == 0 for sample in data):
+    """Return a statistic of the means of paired samples with its bootstrap interval."""
+    data = np.column_stack([np.asarray(sample, dtype=float) for sample in samples])
+    value = float(statistic(*data.mean(axis=0)))
+    if np.isnan(value) or (data == data[0]).all():
         return value, value, value
-    ends = bootstrap(
-        data, statistic, paired=True, vectorized=True, n_resamples=DRAWS, method="percentile",
-        confidence_level=COVERAGE, rng=np.random.default_rng(SEED),
-    ).confidence_interval  # fmt: skip
-    return value, float(ends.low), float(ends.high)
+    counts = _resampled(len(data))
+    blocks = np.array_split(counts, -(-counts.size // MOST_COUNTS))
+    means = np.concatenate([block.astype(float) @ data for block in blocks]) / len(data)
+    ends = np.quantile(statistic(*means.T), [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
+    return value, float(ends[0]), float(ends[1])
 
 
-def _mean(values: np.ndarray, axis: int = -1) -> np.ndarray:
-    return values.mean(axis=axis)
+@lru_cache(maxsize=4)
+def _resampled(n: int) -> np.ndarray:
+    """Return how often each of `n` instances is drawn, (draws, n): the same for all estimates."""
+    drawn = np.random.default_rng(SEED).integers(0, n, (DRAWS, n))
+    drawn += n * np.arange(DRAWS)[:, None]
+    return np.bincount(drawn.ravel(), minlength=DRAWS * n).reshape(DRAWS, n).astype(np.float32)
 
 
-def _difference(one: np.ndarray, other: np.ndarray, axis: int = -1) -> np.ndarray:
-    return one.mean(axis=axis) - other.mean(axis=axis)
-
-
-def _ratio(one: np.ndarray, other: np.ndarray, axis: int = -1) -> np.ndarray:
-    return one.mean(axis=axis) / other.mean(axis=axis)
+def _itself(mean: np.ndarray) -> np.ndarray:
+    return mean
 
 
 def _shown(found: tuple[float, float, float], digits: int = 2) -> str:
@@ -223,7 +227,7 @@ def separation(measured: Measured, model: str) -> Shown | None:
     for (bound, search), part in groups(runs, ["bound", "search"], sort=True):
         rows.append([
             bound, search, str(len(part)), share(part["success"]),
-            _shown(estimate(_mean, part["error"])), share(part["certified"]),
+            _shown(estimate(_itself, part["error"])), share(part["certified"]),
             number(part["closed"].median(), 2), _count(part["n_nodes"]),
             _count(part["n_assignments"]), number(part["time_solve_s"].median(), 2),
         ])  # fmt: skip
@@ -259,9 +263,9 @@ def effects(measured: Measured, model: str) -> Shown | None:
 
 def _compared(one: pd.DataFrame, other: pd.DataFrame) -> list[str]:
     other = other.loc[one.index]
-    gained = estimate(_difference, one["success"], other["success"])
-    error = estimate(_ratio, one["error"], other["error"])
-    work = estimate(_ratio, one["n_assignments"], other["n_assignments"])
+    gained = estimate(np.subtract, one["success"], other["success"])
+    error = estimate(np.divide, one["error"], other["error"])
+    work = estimate(np.divide, one["n_assignments"], other["n_assignments"])
     return [
         str(len(one)), _change(gained), _shown(error), _shown(work),
         decision(error, 1.0), decision(work, 1.0),
@@ -286,7 +290,7 @@ def effect_of_n_inliers(measured: Measured) -> Shown | None:
         for ratio in ratios:
             some = by_ratio[ratio].loc[common]
             wrong = some[~some["success"]]
-            change = estimate(_difference, some["success"], whole["success"])
+            change = estimate(np.subtract, some["success"], whole["success"])
             rows.append([
                 whole["display_name"].iloc[0], words_of(model), f"{ratio:g}", str(len(some)),
                 share(some["success"]), share(some["certified"]),

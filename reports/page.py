@@ -7,12 +7,14 @@ import gzip
 import json
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from dcreg.files import plain
 from reports.figures import printing
 from reports.figures.figure import Figure
+from reports.measured import Measured
 from reports.tables import Tables
 from reports.theme import Style
 
@@ -36,6 +38,10 @@ class Page:
     folder: Path  # where static figures go
     figures: dict[str, Figure] = field(default_factory=dict)
     downloads: dict[str, Download] = field(default_factory=dict)
+
+    @cached_property
+    def measured(self) -> Measured:
+        return Measured.of_tables(self.tables)
 
     def add_figure(self, figure: Figure) -> Figure:
         self.figures[figure.id] = figure

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,11 @@ from workflows.disturb import DISTURBANCES
 from workflows.outcomes import OUTCOMES
 from workflows.studies import REFERENCE
 
+if TYPE_CHECKING:
+    import polars as pl
+
+BOUNDS = ("lower_bound", "upper_bound")
+MOST_EVENTS = 200  # of a bound history in a figure
 PENALTY = 2.0  # time limits that a run that did not finish counts (PAR2)
 
 
@@ -30,10 +36,10 @@ class Tables:
 
     directory: Path
     runs: pd.DataFrame
-    traces: pd.DataFrame
     accounting: pd.DataFrame
     provenance: dict[str, Any]
     overlays: list[dict[str, Any]]
+    histories: pd.DataFrame | None = None  # if they are not in the file of `directory`
 
     @classmethod
     def load(cls, directory: Path) -> Tables:
@@ -44,17 +50,37 @@ class Tables:
             raise ReportError(f"{path}: no such table; run the experiment first")
         tables = cls(
             directory=directory,
-            # 2D first; otherwise in the order of the plan
-            runs=records.read(directory / "runs.parquet", records.runs_columns()).sort_values(
-                "dim", kind="stable", ignore_index=True
-            ),
-            traces=records.read(directory / "traces.parquet", records.TRACES),
+            runs=_read_runs(directory / "runs.parquet"),
             accounting=pd.read_csv(path, keep_default_na=False),
             provenance=_read_json(directory / "provenance.json", {}),
             overlays=_read_json(directory / "overlays.json", []),
         )
         tables.check_accounting()
         return tables
+
+    @cached_property
+    def traces(self) -> pd.DataFrame:
+        """All bound histories; they may need more memory than the runs."""
+        if self.histories is not None:
+            return self.histories
+        return records.read(self.directory / "traces.parquet", records.TRACES)
+
+    def scan_traces(self) -> pl.LazyFrame:
+        """Return the bound histories for queries that need not hold them in memory."""
+        import polars as pl
+
+        if self.histories is not None:
+            return pl.from_pandas(self.histories).lazy()
+        path = self.directory / "traces.parquet"
+        if not path.is_file():
+            raise ReportError(f"{path}: no such table; run the experiment first")
+        return records.conform_lazy(pl.scan_parquet(path), records.TRACES)
+
+    def count_events(self) -> int:
+        """Count the events of all bound histories."""
+        import polars as pl
+
+        return int(self.scan_traces().select(pl.len()).collect().item())
 
     @property
     def cards(self) -> dict[str, dict[str, Any]]:
@@ -181,20 +207,36 @@ def level_titles(runs: pd.DataFrame) -> dict[str, str]:
     return {test: titles.get(test, "level") for test in runs["test"].unique()}
 
 
-def thin_trace(events: pd.DataFrame, most: int = 200) -> pd.DataFrame:
+def thin_trace(events: pd.DataFrame, most: int = MOST_EVENTS) -> pd.DataFrame:
     """Return the first, the last and every event of a bound history in which a bound changes.
 
     Longer histories keep `most` events, spread evenly over the logarithm of their position, so that the
     many early changes stay visible. No value is altered.
     """
-    bounds = events[["lower_bound", "upper_bound"]]
+    bounds = events[list(BOUNDS)]
     moved = (bounds != bounds.shift()).any(axis=1).to_numpy(copy=True)
     moved[[0, -1]] = True
     kept = events[moved]
-    if len(kept) <= most:
-        return kept
-    index = np.unique(np.geomspace(1, len(kept), most).round().astype(int)) - 1
-    return kept.iloc[index]
+    return kept.iloc[thinned_positions(len(kept), most)]
+
+
+def thinned_positions(count: int, most: int = MOST_EVENTS) -> np.ndarray:
+    """Return the positions that `thin_trace` keeps of `count` events in which a bound changes."""
+    if count <= most:
+        return np.arange(count)
+    return np.unique(np.geomspace(1, count, most).round().astype(int)) - 1
+
+
+def _read_runs(path: Path) -> pd.DataFrame:
+    """Return the table of runs, 2D first; otherwise in the order of the plan."""
+    import polars as pl
+
+    if not path.is_file():
+        raise records.SchemaError(f"{path}: no such table; run the experiment first")
+    table, columns = pl.scan_parquet(path), records.runs_columns()
+    known = table.select(name for name in table.collect_schema() if name in columns)
+    ordered = known.sort("dim", maintain_order=True) if "dim" in known.collect_schema() else known
+    return records.conform(ordered.collect().to_pandas(), columns, str(path))
 
 
 def _read_json(path: Path, empty: Any) -> Any:

@@ -47,3 +47,14 @@ def outcome(status: str) -> str:
 def attempted(runs: pd.DataFrame) -> pd.DataFrame:
     """Return the runs that were started: neither unsupported nor unavailable."""
     return runs[runs["outcome"].isin(STARTED)]
+
+
+def main_machine(runs: pd.DataFrame) -> str:
+    """Return the ``machine_id`` of most attempted runs; empty without any."""
+    counts = attempted(runs[["outcome", "machine_id"]])["machine_id"].value_counts()
+    return str(counts.index[0]) if len(counts) else ""
+
+
+def comparable_times(runs: pd.DataFrame) -> pd.Series:
+    """Return the seconds of the runs on the main machine; those of other machines are left out."""
+    return runs["time_solve_s"].where(runs["machine_id"] == main_machine(runs))

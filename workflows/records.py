@@ -18,6 +18,7 @@ from workflows.outcomes import OUTCOMES
 
 if TYPE_CHECKING:
     import pandas as pd
+    import polars as pl
 
 # 2: without n_bound_evals, which always equalled n_nodes.
 # 3: success above the floor; errors and objective_true against the fit to the true pairs.
@@ -193,7 +194,8 @@ def conform(table: pd.DataFrame, columns: Mapping[str, Column], where: str) -> p
             if column.kind is float:
                 out[name] = pd.to_numeric(values).astype(float)
             elif column.kind is str:
-                out[name] = values.astype(object).fillna("").astype(str)
+                is_text = isinstance(values.dtype, pd.StringDtype) and not values.hasnans
+                out[name] = values if is_text else values.astype(object).fillna("").astype(str)
             else:
                 out[name] = values.astype(column.kind)
         except (ValueError, TypeError) as error:
@@ -202,6 +204,33 @@ def conform(table: pd.DataFrame, columns: Mapping[str, Column], where: str) -> p
                 f"{column.kind.__name__}: {error}"
             ) from error
     return pd.DataFrame(out, index=table.index)
+
+
+def scan(paths: Sequence[Path], columns: Sequence[str] = ()) -> pl.LazyFrame:
+    """Return these columns, or all, of tables with the same columns, in the order of the paths.
+
+    Raises
+    ------
+    SchemaError
+        A table is missing.
+    """
+    import polars as pl
+
+    for path in paths:
+        if not path.is_file():
+            raise SchemaError(f"{path}: no such table; {RUN_AGAIN}")
+    table = pl.scan_parquet(list(paths), extra_columns="ignore")
+    return table.select(columns) if columns else table
+
+
+def conform_lazy(table: pl.LazyFrame, columns: Mapping[str, Column]) -> pl.LazyFrame:
+    """Do the same for a table of Polars that is not in memory; empty numbers stay empty."""
+    import polars as pl
+
+    kinds = {float: pl.Float64, int: pl.Int64, str: pl.String, bool: pl.Boolean}
+    cast = [pl.col(name).cast(kinds[column.kind]) for name, column in columns.items()]
+    texts = [name for name, column in columns.items() if column.kind is str]
+    return table.select(cast).with_columns(pl.col(texts).fill_null(""))
 
 
 def write(table: pd.DataFrame, path: Path, *, csv: bool = False) -> None:

@@ -23,18 +23,23 @@ from workflows.archives import archived
 from workflows.compose import QUICK, ConfigError
 from workflows.config import Experiment, MethodSettings, load
 from workflows.metrics import METRICS
-from workflows.outcomes import attempted
+from workflows.outcomes import attempted, comparable_times
 from workflows.stages.plan import Plan, PlannedRun, expand
 from workflows.stages.solve import journalled
+
+SUMMARISED = [
+    "run_id", "model", "test", "method", "display_name", "status", "outcome", "rmse", "success", "gap",
+    "bound_ratio",
+]  # fmt: skip
 
 
 def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     """Summarise the attempted runs per method and test.
 
     A run without a pose counts with the worst RMSE and as no success; otherwise a method would look
-    better the more often it fails.
+    better the more often it fails. Times are those of one machine.
     """
-    tried = attempted(runs)
+    tried = attempted(runs[SUMMARISED].assign(time_solve_s=comparable_times(runs)))
     tried = tried.assign(
         rmse=tried["rmse"].fillna(METRICS["rmse"].worst),
         bounding=tried["gap"].notna(),

@@ -9,6 +9,27 @@ from reports.figures.grid import Grid, Panel
 from reports.theme import Style, words
 from workflows.attribution import VERDICTS, tolerance
 
+MAX_POINTS = 10_000  # of the figure
+_NEEDED = [
+    "run_id", "instance_id", "model", "method", "test", "level", "status", "verdict", "n_inliers", "rmse",
+    "objective", "objective_true", "objective_best", "objective_regret", "optimum_at_least",
+    "regret_at_most", "gap_tol", "certificate_scope",
+]  # fmt: skip
+
+
+def judged(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return what `count` and `build` need; ``proven``: the pose is optimal within the tolerance."""
+    part = runs[_NEEDED]
+    return part.assign(proven=part["regret_at_most"] <= tolerance(part))
+
+
+def count_by_test(runs: pd.DataFrame, methods: list[str]) -> list[tuple[str, str, pd.DataFrame]]:
+    """Return model, test and the counts of each."""
+    return [
+        (str(model), str(test), count(part, methods))
+        for (model, test), part in runs.groupby(["model", "test"], sort=False)
+    ]
+
 
 def count(runs: pd.DataFrame, methods: list[str]) -> pd.DataFrame:
     """Count started runs per method (rows) and verdict, and summarise certified intervals of the regret.
@@ -22,27 +43,29 @@ def count(runs: pd.DataFrame, methods: list[str]) -> pd.DataFrame:
     known = runs[runs["regret_at_most"].notna()]
     by_method = known.groupby("method")
     counts["certified"] = by_method.size().reindex(methods, fill_value=0)
-    proven = (
-        (known["regret_at_most"] <= tolerance(runs)[known.index]).groupby(known["method"]).sum()
-    )
-    counts["proven"] = proven.reindex(methods, fill_value=0).astype(int)
+    counts["proven"] = by_method["proven"].sum().reindex(methods, fill_value=0).astype(int)
     for end in ("objective_regret", "regret_at_most"):
         per_pair = (known[end].clip(lower=0) / known["n_inliers"]) ** 0.5
         counts[end] = per_pair.groupby(known["method"]).median().reindex(methods)
     return counts
 
 
+def drawn_share(runs: pd.DataFrame) -> int:
+    """Return n if every n-th run is drawn: a page cannot show more than `MAX_POINTS`."""
+    return max(1, -(-int(runs["objective_regret"].notna().sum()) // MAX_POINTS))
+
+
 def build(runs: pd.DataFrame, styles: dict[str, Style]) -> Figure:
     """Draw RMSE against objective regret, a point per run: search errors right, model errors left."""
-    judged = runs[runs["objective_regret"].notna()]
-    grid, traces = Grid(column_titles=list(dict.fromkeys(judged["model"]))), []
+    drawn = runs[runs["objective_regret"].notna()].iloc[:: drawn_share(runs)]
+    grid, traces = Grid(column_titles=list(dict.fromkeys(drawn["model"]))), []
     for column, model in enumerate(grid.column_titles):
         panel = Panel(
             0, column, "E(found) − E(best known), per pair", "RMSE", "log", "log", share_y=False
         )
         axes = grid.add(panel)
         for method, style in styles.items():
-            part = judged[(judged["model"] == model) & (judged["method"] == method)]
+            part = drawn[(drawn["model"] == model) & (drawn["method"] == method)]
             if part.empty:
                 continue
             regret = (part["objective_regret"] / part["n_inliers"]).clip(lower=1e-8)

@@ -2,37 +2,41 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from dcreg.names import POSE_SCOPES
 from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
-from reports.tables import Tables, row_names, thin_trace
+from reports.tables import BOUNDS, Tables, row_names, thin_trace, thinned_positions
 from reports.theme import Style, words
+
+if TYPE_CHECKING:
+    import polars as pl
 
 MAX_EVENTS = 60_000  # in one page; the rest is in the downloadable table
 
 
 def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
     """Return the histories grouped by instance; None if no run has one."""
-    traced = tables.traces[tables.traces["run_id"].isin(set(tables.runs["run_id"]))]
-    if traced.empty:
+    events = lengths(tables.scan_traces())
+    runs = tables.runs[tables.runs["run_id"].isin(events.index)]
+    if runs.empty:
         return None
-    runs = tables.runs[tables.runs["run_id"].isin(set(traced["run_id"]))]
     runs = runs.assign(row=row_names(tables.runs)).sort_values("trial", kind="stable")
-    histories: dict[str, dict[str, pd.DataFrame]] = {}
-    for (run_id, stage), part in traced.groupby(["run_id", "stage"], sort=False):
-        histories.setdefault(str(run_id), {})[str(stage)] = thin_trace(part)
-    instances: list[dict[str, Any]] = []
-    left, total = MAX_EVENTS, runs["instance_id"].nunique()
-    for _, group in runs.groupby("instance_id", sort=False):
-        size = sum(len(part) for run_id in group["run_id"] for part in histories[run_id].values())
-        if size > left and instances:
-            continue
-        left -= size
-        instances.append(_instance(group, histories, styles))
+    sizes = runs["run_id"].map(events).groupby(runs["instance_id"], sort=False).sum()
+    shown: list[str] = []
+    left = MAX_EVENTS
+    for instance, size in sizes.items():
+        if size <= left or not shown:
+            left -= size
+            shown.append(str(instance))
+    groups = runs[runs["instance_id"].isin(shown)].groupby("instance_id", sort=False)
+    histories = _histories(
+        tables.scan_traces(), [run for _, part in groups for run in part["run_id"]]
+    )
+    instances = [_instance(group, histories, styles) for _, group in groups]
     order = {
         "model": list(dict.fromkeys(tables.runs["model"])),
         "test": [words(test) for test in dict.fromkeys(tables.runs["test"])],
@@ -51,7 +55,7 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
             grid.add(Panel(row, column, "", title, "log", "log" if row else "linear", share_x=True))
     payload = {
         "instances": instances,
-        "total": total,
+        "total": len(sizes),
         "start": max(range(len(instances)), key=lambda i: _length(instances[i])),
         "layouts": grid.layouts(),
         "scales": {
@@ -61,6 +65,29 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
         },
     }
     return Figure("bounds", "Bound and gap histories", "bounds", payload)
+
+
+def lengths(traces: pl.LazyFrame) -> pd.Series:
+    """Return the number of events of each run after `thin_trace`, summed over its stages."""
+    import polars as pl
+
+    changed = [(pl.col(name) != pl.col(name).shift()).fill_null(True) for name in BOUNDS]
+    last = pl.int_range(pl.len()) == pl.len() - 1
+    found = traces.group_by("run_id", "stage").agg(count=(changed[0] | changed[1] | last).sum())
+    table = found.collect(engine="streaming").to_pandas()
+    kept = {count: len(thinned_positions(count)) for count in table["count"].unique()}
+    return table["count"].map(kept).groupby(table["run_id"]).sum()
+
+
+def _histories(traces: pl.LazyFrame, run_ids: list[str]) -> dict[str, dict[str, pd.DataFrame]]:
+    """Return the thinned histories of some runs, by run and stage."""
+    import polars as pl
+
+    events = traces.filter(pl.col("run_id").is_in(run_ids)).collect(engine="streaming").to_pandas()
+    histories: dict[str, dict[str, pd.DataFrame]] = {}
+    for (run_id, stage), part in events.groupby(["run_id", "stage"], sort=False):
+        histories.setdefault(str(run_id), {})[str(stage)] = thin_trace(part)
+    return histories
 
 
 def _length(instance: dict[str, Any]) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from reports.figures.printing import LIMITED, NO_POSE
 from reports.tables import Tables, level_titles, row_names
 from reports.theme import Style, number, seconds, words
 from workflows.metrics import METRICS
-from workflows.outcomes import attempted
+from workflows.outcomes import attempted, comparable_times
 
 ERRORS = {name: metric.axis for name, metric in METRICS.items() if metric.axis}  # column -> title
 BAND = (0.1, 0.9)
@@ -22,7 +24,7 @@ MIN_ERROR = (
     1e-3  # smaller errors are drawn here, so that a logarithmic axis shows relevant differences
 )
 MOST_TICKS = 8
-_COLUMNS = ["run_id", "instance_id", "dataset", "method", "test", "level", "outcome", "row"]
+_COLUMNS = ["run_id", "instance_id", "dataset", "method", "test", "level", "outcome"]
 _COLUMNS += ["time_solve_s", "rmse_floor"]
 
 
@@ -44,14 +46,19 @@ def assemble(
     x_titles = x_titles or level_titles(runs)
     errors = available_errors(runs)
     rows = list(dict.fromkeys(runs["row"]))
+    floors = _floors(runs)
+    times = _curves(runs.assign(row=""), "time_solve_s")
     views = {}
     for error in errors:
         grid, cells = _axes(runs, rows, ERRORS[error], scale, x_titles)
+        curves = {**_curves(runs, error), **times}
         traces = []
-        for (test, row), axes in cells.items():
-            cell = runs[(runs["test"] == test) & ((row == "") | (runs["row"] == row))]
-            column = error if row else "time_solve_s"
-            traces += _cell_traces(cell, column, axes, styles)
+        for cell, axes in cells.items():
+            for method, style in styles.items():
+                if (curve := curves.get((*cell, method))) is not None:
+                    traces += _curve_traces(curve, axes, style)
+            if error == "rmse" and cell[1]:  # last, so that no curve hides the floor
+                traces += _floor_trace(floors.get(cell), axes)
         views[error] = {"data": traces, "layouts": grid.layouts()}
     grid, _ = _axes(runs, rows, ERRORS["rmse"], scale, x_titles)
     payload = {
@@ -66,9 +73,10 @@ def assemble(
 
 def prepare(tables: Tables, model: str) -> pd.DataFrame:
     """Return the attempted runs of `model` with their figure row."""
-    runs = tables.runs[tables.runs["model"] == model]
-    runs = attempted(runs.assign(row=row_names(runs)))
-    return runs[[*_COLUMNS, *(name for name in ERRORS if name in runs)]]
+    columns = [*_COLUMNS, "shape", *(name for name in ERRORS if name in tables.runs)]
+    runs = tables.runs.assign(time_solve_s=comparable_times(tables.runs))
+    runs = runs.loc[runs["model"] == model, columns]
+    return attempted(runs.assign(row=row_names(runs))).drop(columns="shape")
 
 
 def available_errors(runs: pd.DataFrame) -> list[str]:
@@ -107,22 +115,18 @@ def _axes(
     return grid, cells
 
 
-def _cell_traces(
-    cell: pd.DataFrame, column: str, axes: tuple[str, str], styles: dict[str, Style]
-) -> list[dict[str, Any]]:
-    traces = []
-    for method, style in styles.items():
-        part = cell[cell["method"] == method]
-        if part[column].notna().any():
-            traces += _method_traces(part, column, axes, style)
-    if column == "rmse":  # last, so that no curve hides the floor
-        traces += _floor(cell, axes)
-    return traces
+def _floors(runs: pd.DataFrame) -> dict[tuple[str, str], pd.Series]:
+    """Return the median floor of each level, by test and row."""
+    once = runs.drop_duplicates(["test", "row", "instance_id"])
+    found = once.groupby(["test", "row", "level"])["rmse_floor"].median().dropna()
+    return {
+        (str(test), str(row)): part.droplevel(["test", "row"])
+        for (test, row), part in found.groupby(["test", "row"])
+    }
 
 
-def _floor(cell: pd.DataFrame, axes: tuple[str, str]) -> list[dict[str, Any]]:
-    floor = cell.drop_duplicates("instance_id").groupby("level")["rmse_floor"].median().dropna()
-    if floor.empty:
+def _floor_trace(floor: pd.Series | None, axes: tuple[str, str]) -> list[dict[str, Any]]:
+    if floor is None:
         return []
     return [
         {
@@ -134,24 +138,72 @@ def _floor(cell: pd.DataFrame, axes: tuple[str, str]) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _method_traces(
-    part: pd.DataFrame, column: str, axes: tuple[str, str], style: Style
-) -> list[dict[str, Any]]:
-    posed = part[part[column].notna()]
-    if column != "time_solve_s":
-        posed = posed.assign(**{column: posed[column].clip(lower=MIN_ERROR)})
-    groups = posed.groupby("level")[column]
-    low, high = groups.quantile(BAND[0]), groups.quantile(BAND[1])
-    median, mean = groups.median(), groups.mean()
-    levels = [float(level) for level in median.index]
-    by_level = dict(list(part.groupby("level")))
-    hover = [_hover(by_level[level], column, style) for level in levels]
+@dataclass(frozen=True)
+class _Curve:
+    """One quantity of a method against the level."""
+
+    column: str
+    points: list[dict[str, Any]]  # a row of `statistics` per level
+
+    def values(self, name: str) -> list[float]:
+        return [point[name] for point in self.points]
+
+
+def _curves(runs: pd.DataFrame, column: str) -> dict[tuple[str, str, str], _Curve]:
+    """Return the curves of a column, by test, row and method."""
+    points: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for point in statistics(runs, column):
+        points.setdefault((point["test"], point["row"], point["method"]), []).append(point)
+    return {key: _Curve(column, each) for key, each in points.items()}
+
+
+def statistics(runs: pd.DataFrame, column: str) -> list[dict[str, Any]]:
+    """Return a row per test, row, method and level with a value, sorted by level.
+
+    ``low`` to ``mean`` are of the drawn values, ``shown_…`` of the values themselves: errors are drawn
+    from `MIN_ERROR`.
+    """
+    import polars as pl
+
+    keys = ["test", "row", "method", "level"]
+    table = pl.from_pandas(runs[[*keys, "run_id", "outcome", column]]).lazy()
+    value = pl.col(column)
+    drawn = value if column == "time_solve_s" else value.clip(lower_bound=MIN_ERROR)
+    ordered = (
+        pl.col("run_id")
+        .filter(value.is_not_null())
+        .sort_by(value.drop_nulls(), maintain_order=True)
+    )
+    found = table.group_by(keys).agg(
+        planned=pl.len(),
+        failed=(pl.col("outcome") == "failed").sum(),
+        any_limited=(pl.col("outcome") == "limited").sum(),
+        limited=((pl.col("outcome") == "limited") & value.is_not_null()).sum(),
+        count=value.count(),
+        low=drawn.quantile(BAND[0], "linear"),
+        median=drawn.median(),
+        high=drawn.quantile(BAND[1], "linear"),
+        mean=drawn.mean(),
+        shown_low=value.quantile(BAND[0], "linear"),
+        shown_median=value.quantile(0.5, "linear"),
+        shown_high=value.quantile(BAND[1], "linear"),
+        shown_mean=value.mean(),
+        worst=value.max(),
+        median_run=ordered.get((value.count() - 1) // 2, null_on_oob=True),
+        worst_run=ordered.last(),
+    )
+    return found.filter(pl.col("count") > 0).sort("level").collect().to_dicts()
+
+
+def _curve_traces(curve: _Curve, axes: tuple[str, str], style: Style) -> list[dict[str, Any]]:
+    levels, low, high = (curve.values(name) for name in ("level", "low", "high"))
     base = {"xaxis": axes[0], "yaxis": axes[1], "name": style.name}
     line = {
-        **base, "x": levels, "mode": "lines+markers", "text": hover,
+        **base, "x": levels, "mode": "lines+markers",
+        "text": [_hover(point, curve.column, style) for point in curve.points],
         "hovertemplate": "%{text}<extra></extra>",
     }  # fmt: skip
-    symbols = [style.symbol + _ending(by_level[level]) for level in levels]
+    symbols = [style.symbol + _ending(point) for point in curve.points]
     return [
         {
             **base, "x": levels + levels[::-1], "y": [*high, *low[::-1]], "mode": "lines",
@@ -159,40 +211,34 @@ def _method_traces(
             "meta": {"role": "band", "method": style.label},
         },
         {
-            **line, "y": list(median), "line": {"width": 2, "dash": style.dash},
+            **line, "y": curve.values("median"), "line": {"width": 2, "dash": style.dash},
             "marker": {"size": 7, "symbol": symbols},
             "meta": {"role": "median", "method": style.label},
         },
         {
-            **line, "y": list(mean), "line": {"width": 1.5, "dash": style.dash},
+            **line, "y": curve.values("mean"), "line": {"width": 1.5, "dash": style.dash},
             "marker": {"size": 7, "symbol": symbols},
             "meta": {"role": "mean", "method": style.label},
         },
     ]  # fmt: skip
 
 
-def _ending(part: pd.DataFrame) -> str:
+def _ending(point: Mapping[str, Any]) -> str:
     """Return the ending of the symbol that marks runs that did not finish."""
-    if part["outcome"].eq("failed").any():
-        return NO_POSE
-    return LIMITED if part["outcome"].eq("limited").any() else ""
+    return NO_POSE if point["failed"] else LIMITED if point["any_limited"] else ""
 
 
-def _hover(part: pd.DataFrame, column: str, style: Style) -> str:
+def _hover(point: Mapping[str, Any], column: str, style: Style) -> str:
     shown = seconds if column == "time_solve_s" else number
-    planned, failed = len(part), int(part["outcome"].eq("failed").sum())
-    part = part[part[column].notna()].sort_values(column, kind="stable")
-    values, run_ids = part[column].to_numpy(), part["run_id"].to_numpy()
-    limited = int(part["outcome"].eq("limited").sum())
-    low, median, high = np.quantile(values, (BAND[0], 0.5, BAND[1]))
+    limited, failed = point["limited"], point["failed"]
     return "<br>".join(
         [
-            f"<b>{style.name}</b>, level {part['level'].iloc[0]:g}, n = {planned}"
+            f"<b>{style.name}</b>, level {point['level']:g}, n = {point['planned']}"
             + (f" ({limited} at a limit)" if limited else "")
             + (f" ({failed} without a pose)" if failed else ""),
-            f"median {shown(median)}, mean {shown(values.mean())}",
-            f"10–90 %: {shown(low)} … {shown(high)}",
-            f"median run {run_ids[(len(part) - 1) // 2]}",
-            f"worst run {run_ids[-1]} ({shown(values[-1])})",
+            f"median {shown(point['shown_median'])}, mean {shown(point['shown_mean'])}",
+            f"10–90 %: {shown(point['shown_low'])} … {shown(point['shown_high'])}",
+            f"median run {point['median_run']}",
+            f"worst run {point['worst_run']} ({shown(point['worst'])})",
         ]
     )

@@ -11,7 +11,7 @@ from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
 from reports.tables import Tables
 from reports.theme import Style
-from workflows.outcomes import attempted
+from workflows.outcomes import attempted, comparable_times
 
 _COLUMNS = {"rmse": "RMSE", "time_solve_s": "time (s)"}
 _MOST_STEPS = 250
@@ -19,7 +19,8 @@ _MOST_STEPS = 250
 
 def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:
     """Draw the distributions; runs without a pose count in the denominator only."""
-    runs = attempted(tables.runs)
+    runs = tables.runs[["model", "method", "outcome", "rmse"]]
+    runs = attempted(runs.assign(time_solve_s=comparable_times(tables.runs)))
     runs = runs[runs["model"] == model]
     grid, traces = Grid(column_titles=["error", "time"]), []
     for column, (name, title) in enumerate(_COLUMNS.items()):

@@ -7,6 +7,8 @@ shown to be small.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pandas as pd
 
@@ -22,6 +24,9 @@ from reports.ledger.finding import (
     paired,
     titled,
 )
+
+if TYPE_CHECKING:
+    import polars as pl
 
 # Relative gap from which a search counts as having no lower bound above 0.
 NO_BOUND = 1.0 - 1e-9
@@ -82,11 +87,11 @@ def race(source: Source, p: Parameters) -> Finding:
         f"ratio of mean {titled(p.get('quantity', 'time'), unit=False)} to an equal gap"
     )
     assert source.experiment is not None
-    traces = source.experiment.tables.traces
-    histories = _histories(traces[traces["upper_bound"] > 0], counter)
+    traces = source.experiment.tables.scan_traces()
     timed = ["time"] if counter == "time_s" else []  # known for the runs of one machine
     for name, runs, rival, theirs in source.pairs(p, finding):
         both = paired(runs, theirs, *timed)
+        histories = _histories(traces, [*both["run_id"], *both["run_id_rival"]], counter)
         met = [
             _work_to_equal_gap(histories.get(mine), histories.get(other))
             for mine, other in zip(both["run_id"], both["run_id_rival"], strict=True)
@@ -105,12 +110,22 @@ def race(source: Source, p: Parameters) -> Finding:
     return finding
 
 
-def _histories(traces: pd.DataFrame, counter: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return relative gaps, at most 1, and the work spent until then, by run."""
-    gaps = ((traces["upper_bound"] - traces["lower_bound"]) / traces["upper_bound"]).clip(upper=1.0)
-    gap, spent = gaps.to_numpy(), traces[counter].to_numpy(dtype=float)
-    places = traces.groupby("run_id", sort=False).indices
-    return {str(run): (gap[rows], spent[rows]) for run, rows in places.items()}
+def _histories(
+    traces: pl.LazyFrame, run_ids: list[str], counter: str
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return relative gaps, at most 1, and the work spent until then, of some runs."""
+    import polars as pl
+
+    own = pl.LazyFrame({"run_id": run_ids})
+    known = traces.filter(pl.col("upper_bound") > 0).join(
+        own, on="run_id", how="semi", maintain_order="left"
+    )
+    upper, lower = pl.col("upper_bound"), pl.col("lower_bound")
+    gap = ((upper - lower) / upper).clip(upper_bound=1.0)
+    table = known.select("run_id", gap=gap, spent=counter).collect().to_pandas()
+    gaps, spent = table["gap"].to_numpy(), table["spent"].to_numpy(dtype=float)
+    places = table.groupby("run_id", sort=False).indices
+    return {str(run): (gaps[rows], spent[rows]) for run, rows in places.items()}
 
 
 def _work_to_equal_gap(

@@ -17,11 +17,14 @@ import pandas as pd
 from dcreg.names import POSE_SCOPES
 from reports.tables import Tables, check_study
 from workflows.blocks import EVIDENCE
-from workflows.outcomes import attempted
+from workflows.outcomes import attempted, main_machine
 
 STUDY = "bounds"  # has no planned runs: its tables are next to those of the experiments
 QUICK = "-quick"
 _TIER = re.compile(rf"-(\d+)(?:{QUICK})?$")  # experiments with another number of points
+# Long texts of runs that no check reads.
+UNUSED = ["T_target_source", "options", "message", "chunk_id", "instance_digest", "fingerprint"]
+_SCANS = re.compile("sun3d|7-scenes|rgbd-scenes|bundlefusion|analysis")  # sources of scans
 NO_POSE = 1.0  # error of a run without a pose, in longest sides
 MIN_ERROR = 1e-3  # smaller errors count as equal
 
@@ -88,14 +91,14 @@ class Experiment:
     @cached_property
     def machine_id(self) -> str:
         """The machine of most runs; the times of others are not used."""
-        counts = attempted(self.tables.runs)["machine_id"].value_counts()
-        return str(counts.index[0]) if len(counts) else ""
+        return main_machine(self.tables.runs)
 
     @cached_property
     def runs(self) -> pd.DataFrame:
         """Attempted runs with the quantities of claims."""
-        runs = attempted(self.tables.runs)
-        scale = np.array([_scale(text) for text in runs["T_reference"]])
+        runs = attempted(self.tables.runs.drop(columns=UNUSED, errors="ignore"))
+        scale = runs["T_reference"].map({t: _scale(t) for t in runs["T_reference"].unique()})
+        source = runs["shape"].map(_scan_sources(runs["shape"]))
         violated = (runs["bound_violation"] > 0) | (
             runs["lower_bound"] > runs["objective_best"] * (1 + 1e-9) + 1e-12
         )
@@ -115,17 +118,36 @@ class Experiment:
             violation=(violated & of_pose).astype(float),
             limited=runs["outcome"].eq("limited"),
             **_translation(runs, self.tables.cards),
-            source=runs["shape"].str.extract(r"^(sun3d|7-scenes|rgbd-scenes|bundlefusion|analysis)",
-                                             expand=False).fillna(runs["dataset"]),
-        )  # fmt: skip
+            source=source.where(source != "", runs["dataset"]),
+        )
+
+    @cached_property
+    def _rows_of(self) -> dict[str, np.ndarray]:
+        """The positions of the runs of each method."""
+        places = self.runs.groupby("method", sort=False).indices
+        return {str(method): np.asarray(rows) for method, rows in places.items()}
+
+    def of_method(self, method: str) -> pd.DataFrame:
+        """Return the runs of a method."""
+        return self.runs.iloc[self._rows_of.get(method, [])]
+
+    @cached_property
+    def first(self) -> pd.DataFrame:
+        """The first run of each method, indexed by it: what its runs have in common."""
+        return self.runs.drop_duplicates("method").set_index("method")
+
+    @cached_property
+    def cells(self) -> pd.DataFrame:
+        """Each test with each of its levels."""
+        return self.runs[["test", "level"]].drop_duplicates()
 
     def methods_in(self, role: Role) -> list[str]:
         """Return the attempted methods of the experiment that fit `role`, best first."""
-        first = attempted(self.tables.runs).drop_duplicates("method")
-        options = [json.loads(text or "{}") for text in first["options_effective"]]
+        options = [json.loads(text or "{}") for text in self.first["options_effective"]]
         settings = zip(
-            first["method"], first["baseline"], options, first["n_inliers_ratio"], strict=True
-        )
+            self.first.index, self.first["baseline"], options, self.first["n_inliers_ratio"],
+            strict=True,
+        )  # fmt: skip
         return methods_in(role, settings)
 
 
@@ -166,10 +188,12 @@ def _translation(
 
     Of other methods it is the whole work.
     """
-    extra = [json.loads(text) if isinstance(text, str) and text else {} for text in runs["extra"]]
+    texts = runs.loc[runs["extra"].astype(str).str.contains("_translation", regex=False), "extra"]
+    extra = [json.loads(text) for text in texts]
 
     def stated(name: str) -> pd.Series:
-        return pd.Series([each.get(f"{name}_translation") for each in extra], runs.index, float)
+        found = [each.get(f"{name}_translation") for each in extra]
+        return pd.Series(found, texts.index, float).reindex(runs.index)
 
     limited = runs["outcome"].eq("limited")
     return {
@@ -254,6 +278,12 @@ def _read_study(folder: Path) -> dict[str, pd.DataFrame]:
     study = {name: pd.read_csv(path) for name, path in paths.items()}
     check_study(study["searches"], folder)
     return study
+
+
+def _scan_sources(shapes: pd.Series) -> dict[str, str]:
+    """Return the source of each shape that is a scan; empty for others."""
+    found = {shape: _SCANS.match(shape) for shape in shapes.unique()}
+    return {shape: match[0] if match else "" for shape, match in found.items()}
 
 
 def _scale(text: str) -> float:

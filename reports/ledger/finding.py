@@ -120,23 +120,27 @@ class Source:
         """Yield name and selected runs of every method in a role; note a role without any."""
         assert self.experiment is not None
         labels = self.experiment.methods_in(self.roles[role])
-        tried = self.experiment.runs
-        if not isinstance(p.get("levels"), list):
-            tried = tried[tried["level"] <= tried["test"].map(self.axes).fillna(np.inf)]
-        for what in _absent(tried, p):
+        for what in _absent(self._on_axes(self.experiment.cells, p), p):
             finding.miss(what)
-        chosen = [(label, select(tried, label, p)) for label in labels]
+        tried = {label: self._on_axes(self.experiment.of_method(label), p) for label in labels}
+        chosen = [(label, select(runs, label, p)) for label, runs in tried.items()]
         filled = [(label, runs) for label, runs in chosen if len(runs)]
         title = self.roles[role].title
         if labels and len(labels) < self.roles[role].n_choices:
             finding.miss(f"{title} with the other {' and '.join(self.roles[role].choices)}")
         if not filled:
             finding.miss(f"{title} in these tests and levels" if labels else title)
-        names = self.experiment.runs.drop_duplicates("method").set_index("method")["display_name"]
+        names = self.experiment.first["display_name"]
         if self.roles[role].choices:
             finding.choices.append((self.roles[role], [names[label] for label in labels]))
         for label, runs in filled:
             yield names[label], runs
+
+    def _on_axes(self, runs: pd.DataFrame, p: Parameters) -> pd.DataFrame:
+        """Return the runs at the levels that the paper shows, or all if a check lists levels."""
+        if isinstance(p.get("levels"), list):
+            return runs
+        return runs[runs["level"] <= runs["test"].map(self.axes).fillna(np.inf)]
 
     def pairs(
         self, p: Parameters, finding: Finding
@@ -242,17 +246,16 @@ def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[tuple[str, str]
 def paired(one: pd.DataFrame, other: pd.DataFrame, *quantities: str) -> pd.DataFrame:
     """Return the values of both on every common instance."""
     columns = list(quantities)
+    theirs = other[["instance_id", "run_id", *dict.fromkeys([*OF_RIVAL, *columns])]]
     both = one.merge(
-        other[["instance_id", "run_id", *dict.fromkeys([*OF_RIVAL, *columns])]],
-        on="instance_id",
-        suffixes=("", "_rival"),
+        theirs.assign(place=np.arange(len(other))), on="instance_id", suffixes=("", "_rival")
     )
     return both.dropna(subset=[*columns, *(f"{column}_rival" for column in columns)])
 
 
 def of_rival(both: pd.DataFrame, theirs: pd.DataFrame) -> pd.DataFrame:
-    """Return the rival's runs of a paired table."""
-    return theirs[theirs["run_id"].isin(set(both["run_id_rival"]))]
+    """Return the rival's runs of a table that `paired` made with them."""
+    return theirs.iloc[np.sort(both["place"].to_numpy())]
 
 
 def limits(quantity: str, table: pd.DataFrame) -> dict[str, bool]:

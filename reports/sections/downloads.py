@@ -16,24 +16,22 @@ TITLE = "Raw tables"
 POSITION = 110
 
 MAX_TRACE_BYTES = 2_000_000  # compressed; longer histories are reduced to the changes of a bound
+MAX_RUNS, MAX_EVENTS = 30_000, 200_000  # rows inside the page, about 10 MB
+STEPS = 50  # events of a reduced history
 
 
 def context(page: Page) -> dict[str, Any]:
-    tables = page.tables
-    page.add_download(
-        "runs.csv", _csv(tables.directory / "runs.csv", tables.runs), "one row per planned run"
-    )
-    full = _csv(tables.directory / "traces.csv", tables.traces)
-    if len(gzip.compress(full)) <= MAX_TRACE_BYTES:
-        page.add_download("traces.csv", full, "bound histories, every event")
-    else:
-        groups = tables.traces.groupby(["run_id", "stage"], sort=False)
-        thin = pd.concat([thin_trace(part, most=50) for _, part in groups])
+    tables, left_out = page.tables, []
+    if len(tables.runs) <= MAX_RUNS:
         page.add_download(
-            "traces-steps.csv",
-            _csv(None, thin),
-            "bound histories, changes of a bound only; tables/traces.csv has all events",
+            "runs.csv", _csv(tables.directory / "runs.csv", tables.runs), "one row per planned run"
         )
+    else:
+        left_out.append(("runs.parquet", len(tables.runs)))
+    if (events := tables.count_events()) <= MAX_EVENTS:
+        _add_traces(page)
+    else:
+        left_out.append(("traces.parquet", events))
     page.add_download(
         "accounting.csv",
         _csv(tables.directory / "accounting.csv", tables.accounting),
@@ -43,7 +41,24 @@ def context(page: Page) -> dict[str, Any]:
     if path.exists():
         page.add_download("provenance.json", path.read_bytes(), "versions, machine, config, cards")
     names = ("runs.csv", "traces.csv", "traces-steps.csv", "accounting.csv", "provenance.json")
-    return {"files": [page.downloads[name] for name in names if name in page.downloads]}
+    return {
+        "files": [page.downloads[name] for name in names if name in page.downloads],
+        "left_out": [(f"{tables.directory.name}/{name}", count) for name, count in left_out],
+    }
+
+
+def _add_traces(page: Page) -> None:
+    tables = page.tables
+    full = _csv(tables.directory / "traces.csv", tables.traces)
+    if len(gzip.compress(full)) <= MAX_TRACE_BYTES:
+        page.add_download("traces.csv", full, "bound histories, every event")
+        return
+    groups = tables.traces.groupby(["run_id", "stage"], sort=False)
+    page.add_download(
+        "traces-steps.csv",
+        _csv(None, pd.concat([thin_trace(part, most=STEPS) for _, part in groups])),
+        "bound histories, changes of a bound only; tables/traces.csv has all events",
+    )
 
 
 def _csv(path: Path | None, table: pd.DataFrame) -> bytes:

@@ -12,13 +12,17 @@ from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
 from reports.tables import PENALTY, Tables, counted_time
 from workflows.metrics.errors import SUCCESS_SHARE
-from workflows.outcomes import attempted
+from workflows.outcomes import attempted, comparable_times, main_machine
 from workflows.stages.evaluate import success_rmse
 
 ID = "outcome"
 TITLE = "Outcome"
 POSITION = 10
 MAX_NAMED = 4
+NEEDED = [
+    "model", "method", "status", "outcome", "success", "gap", "bound_ratio", "certificate_scope",
+    "rmse_excess", "rmse_floor", "n_assignments", "truth_in_cube",
+]  # fmt: skip
 
 
 def context(page: Page) -> dict[str, Any]:
@@ -47,7 +51,8 @@ def context(page: Page) -> dict[str, Any]:
 def facts(tables: Tables) -> list[tuple[str, str]]:
     """Return data, points, limit, threshold, prior and machine of the experiment, in a few words each."""
     runs, data, points = tables.runs, [], []
-    for (dataset, model), part in runs.groupby(["dataset", "model"], sort=False):
+    shown = runs[["dataset", "model", "shape", "test", "instance_id", "n_source", "n_target"]]
+    for (dataset, model), part in shown.groupby(["dataset", "model"], sort=False):
         tests = part["test"].nunique()
         grid = f"{tests} test{'s' * (tests > 1)}, {part['instance_id'].nunique()} instances"
         data.append(f"{_named(part['shape'].unique(), str(dataset))} ({model}; {grid})")
@@ -65,10 +70,19 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
 
 def _machine(tables: Tables) -> str:
     """Return the machine that all times refer to; runs of other machines are counted."""
-    card = tables.provenance.get("machine", {})
-    here = f"{card.get('cpu', 'unknown')}, {card.get('cores', '?')} cores"
-    others = len(set(tables.runs["machine_id"]) - {card.get("machine_id"), ""})
-    return here + (f", and {others} other{'s' * (others > 1)}" if others else "")
+    card, main = tables.provenance.get("machine", {}), main_machine(tables.runs)
+    text = f"{card.get('cpu', 'unknown')}, {card.get('cores', '?')} cores"
+    if main not in (card.get("machine_id", main), ""):
+        text = f"machine {main}"
+    machines = attempted(tables.runs[["outcome", "machine_id"]])["machine_id"]
+    elsewhere = machines[machines != main]
+    if elsewhere.empty:
+        return text
+    others = elsewhere.nunique()
+    return (
+        f"{text}; the times of {len(elsewhere)} runs on {others} other machine{'s' * (others > 1)} are "
+        "not used"
+    )
 
 
 def _prior(runs: pd.DataFrame) -> str:
@@ -127,22 +141,23 @@ def outcomes(tables: Tables) -> list[dict[str, Any]]:
 
     Rows are sorted by success rate; methods that receive the true pairs come last.
     """
-    runs = attempted(tables.runs)
-    runs = runs.assign(time=counted_time(runs, tables.cards))
+    here = tables.runs["machine_id"] == main_machine(tables.runs)
+    runs = attempted(
+        tables.runs[NEEDED].assign(
+            time=counted_time(tables.runs, tables.cards).where(here),
+            time_solve_s=comparable_times(tables.runs),
+        )
+    )
     rows = []
-    for model in runs["model"].unique():
-        here = runs[runs["model"] == model]
-        for method in tables.methods:
-            part = here[here["method"] == method]
-            if len(part):
-                language = tables.cards.get(method, {}).get("language", "")
-                facts = {"model": model, "method": method, "language": language}
-                rows.append({**facts, **_outcome(part)})
-    models = list(runs["model"].unique())
+    for (model, method), part in runs.groupby(["model", "method"], sort=False):
+        language = tables.cards.get(str(method), {}).get("language", "")
+        rows.append({"model": model, "method": method, "language": language, **_outcome(part)})
+    models, methods = list(runs["model"].unique()), tables.methods
 
-    def rank(row: dict[str, Any]) -> tuple[int, bool, float]:
+    def rank(row: dict[str, Any]) -> tuple[int, bool, float, int]:
         is_oracle = tables.is_oracle(row["method"])
-        return models.index(row["model"]), is_oracle, -row["success"]
+        place = methods.index(row["method"])
+        return models.index(row["model"]), is_oracle, -row["success"], place
 
     return sorted(rows, key=rank)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pandas as pd
 import yaml
 
 from reports.page import Page
@@ -35,13 +36,14 @@ def context(page: Page) -> dict[str, Any]:
             == "paper"
             and (rule := card.get("threshold_rule"))
         },
-        "bounds": [
-            (model, test, level, *part["noise_bound"].quantile([0, 0.5, 1]))
-            for (model, test, level), part in runs.drop_duplicates("instance_id").groupby(
-                ["model", "test", "level"], sort=False
-            )
-        ],
+        "bounds": bounds(runs),
     }
+
+
+def bounds(runs: pd.DataFrame) -> list[tuple[Any, ...]]:
+    """Return minimum, median and maximum of the noise bounds given, per model, test and level."""
+    once = runs.drop_duplicates("instance_id").groupby(["model", "test", "level"], sort=False)
+    return [(*key, *part.quantile([0, 0.5, 1])) for key, part in once["noise_bound"]]
 
 
 def parameters(card: dict[str, Any]) -> list[tuple[str, str, str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from reports.measured import Measured, effects, separation, words_of
+from reports.measured import effects, separation, words_of
 from reports.page import Page
 
 ID = "separation"
@@ -14,7 +14,7 @@ POSITION = 54
 
 def context(page: Page) -> dict[str, Any] | None:
     """Return the tables of each model; None if no bound runs in two searches."""
-    measured = Measured.of_tables(page.tables)
+    measured = page.measured
     models = [
         (words_of(model), shown, effects(measured, model))
         for model in dict.fromkeys(measured.runs["model"])

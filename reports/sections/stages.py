@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from reports.measured import Measured, boxes_per_stage
+from reports.measured import boxes_per_stage
 from reports.page import Page
 
 ID = "stages"
@@ -13,5 +13,5 @@ POSITION = 52
 
 
 def context(page: Page) -> dict[str, Any] | None:
-    shown = boxes_per_stage(Measured.of_tables(page.tables))
+    shown = boxes_per_stage(page.measured)
     return {"shown": shown} if shown else None

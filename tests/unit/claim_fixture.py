@@ -73,7 +73,7 @@ def evidence(*tables: pd.DataFrame, traces: pd.DataFrame | None = None, name="pa
     made = Tables(
         directory=Path("nowhere"),
         runs=pd.concat(tables, ignore_index=True).assign(experiment=name),
-        traces=pd.DataFrame(columns=list(records.TRACES)) if traces is None else traces,
+        histories=records.frame([], records.TRACES) if traces is None else traces,
         accounting=pd.DataFrame(),
         provenance={"methods": CARDS, "machine": {"cpu": "a processor"}},
         overlays=[],

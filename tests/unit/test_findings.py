@@ -12,6 +12,7 @@ import pytest
 from reports import findings, measured
 from reports.archive import write as writing
 from reports.measured import OURS, PUBLISHED, RECONSTRUCTED, STATED, Measured, Shown
+from reports.page import Page
 from reports.sections import separation, stages
 from reports.tables import ReportError, Tables
 from tests.unit import report_fixture
@@ -189,11 +190,9 @@ def test_stages_that_find_initial_poses_are_not_counted():
 
 
 def test_sections_are_left_out_without_runs_for_them(made_report):
-    class Page:
-        tables = Tables.load(made_report / "tables")
-
-    assert separation.context(Page()) is None
-    assert isinstance(stages.context(Page())["shown"], Shown)
+    page = Page(Tables.load(made_report / "tables"), {}, made_report)
+    assert separation.context(page) is None
+    assert isinstance(stages.context(page)["shown"], Shown)
     html = (made_report / "index.html").read_text(encoding="utf-8")
     assert 'id="stages-title"' in html
     assert 'id="separation-title"' not in html

@@ -198,7 +198,7 @@ def test_rows_of_a_figure_are_shapes_or_data_sets_when_shapes_are_many():
 
 
 def test_every_started_run_is_counted_under_one_verdict(tables):
-    counts = attribution.count(tables.runs, tables.methods)
+    counts = attribution.count(attribution.judged(tables.runs), tables.methods)
     assert (counts[list(VERDICTS)].sum(axis=1) == counts["started"]).all()
     assert counts["started"].sum() == len(attempted(tables.runs))
     assert counts.loc["fgr", "no_pose"] == 1 + 1  # one crash in each model
@@ -206,12 +206,12 @@ def test_every_started_run_is_counted_under_one_verdict(tables):
 
 def test_certified_intervals_reach_methods_without_bounds_and_keep_to_their_scope(tables):
     flat = tables.runs[tables.runs["model"] == "similarity2d"]
-    counts = attribution.count(flat, tables.methods)
+    counts = attribution.count(attribution.judged(flat), tables.methods)
     assert counts.loc["icp", "certified"] == counts.loc["icp", "started"]
     assert counts.loc["icp", "proven"] < counts.loc["dcreg-full", "proven"]
     assert (counts["objective_regret"] <= counts["regret_at_most"]).loc[["icp", "dcreg-full"]].all()
     solid = tables.runs[tables.runs["model"] == "rigid3d"]  # bounds are of another scope there
-    assert not attribution.count(solid, tables.methods)["certified"].any()
+    assert not attribution.count(attribution.judged(solid), tables.methods)["certified"].any()
 
 
 def test_page_prints_every_parameter(html):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -16,71 +16,164 @@ from dcreg.status import Status
 from workflows import attribution, outcomes, provenance, records
 from workflows.config import MethodSettings
 from workflows.instances import read_problems
+from workflows.integrity import sealed_file
 from workflows.metrics import METRICS
 from workflows.outcomes import OUTCOMES
 from workflows.stages.plan import Plan, plan_table
 
+if TYPE_CHECKING:
+    import polars as pl
+
 MAX_OVERLAY_POINTS = 400  # per set
+MOST_CSV_ROWS = 200_000  # of a CSV copy
 # Facts about an instance in the row of a run.
 OF_INSTANCE = [
     "instance_digest", "n_source", "n_target", "seed", "dim", "n_inliers_true", "noise_bound",
     "T_reference",
 ]  # fmt: skip
 
+# Columns of runs that `attribution.attribute` and the checks need.
+JUDGED = [
+    "run_id", "instance_id", "method", "status", "outcome", "n_inliers", "dim", "lower_bound", "gap_tol",
+    "certificate_scope", "objective", "objective_best", "objective_true", "rmse", "success", "admissible",
+]  # fmt: skip
+# Columns of runs that the smaller tables are made from.
+SHOWN = [
+    "run_id", "instance_id", "method", "dataset", "shape", "test", "level", "trial", "model", "status",
+    "outcome", "message", "rmse", "machine_id",
+]  # fmt: skip
+
 
 def aggregate(plan: Plan, folder: Path) -> None:
-    """Join plan, raw results and metrics, and write the folder ``tables/`` of the plan."""
+    """Join plan, raw results and metrics, and write the folder ``tables/`` of the plan.
+
+    The wide tables stream through Polars, from one file to another.
+    """
     out = folder / plan.view / "tables"
-    runs = join_runs(plan, folder)
-    records.write(runs, out / "runs.parquet", csv=True)
-    records.write(join_traces(plan, folder, runs), out / "traces.parquet", csv=True)
+    out.mkdir(parents=True, exist_ok=True)
+    write(join_runs(plan, folder), out / "runs.parquet")
+    write(join_traces(plan, folder), out / "traces.parquet")
+    runs = pd.read_parquet(out / "runs.parquet", columns=SHOWN)
     with whole_file(out / "accounting.csv") as part:
         accounting(runs).to_csv(part, index=False)
     _write_json(out / "provenance.json", _provenance(plan, runs))
     _write_json(out / "overlays.json", overlays(plan, folder, runs))
 
 
-def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
-    """Return exactly one row per planned run, in the documented columns."""
-    planned = plan_table(plan)
-    raw = _raw(plan, folder, "", records.RAW)
-    metrics = pd.read_parquet(folder / plan.view / "metrics" / "metrics.parquet")
-    runs = planned.merge(
-        raw.drop(columns="instance_id"), on="run_id", how="left", validate="one_to_one"
-    ).merge(
-        metrics.drop(columns=["instance_id", "n_inliers"]),
-        on="run_id",
-        how="left",
-        validate="one_to_one",
+def join_runs(plan: Plan, folder: Path) -> pl.LazyFrame:
+    """Return exactly one row per planned run, in the documented columns and the order of the plan.
+
+    Raises
+    ------
+    SchemaError
+    """
+    import polars as pl
+
+    planned = records.scan([folder / plan.view / "plan" / "plan.parquet"], list(records.PLAN))
+    raw = records.scan(_files(plan, folder), list(records.RAW)).drop("instance_id")
+    metrics = records.scan([folder / plan.view / "metrics" / "metrics.parquet"])
+    runs = _joined(_joined(planned, raw), metrics.drop("instance_id", "n_inliers"))
+    if plan.needs is not None:
+        runs = pl.concat([runs, _left_out(plan, runs)], how="diagonal_relaxed")
+    runs = _joined(runs, _facts(plan), on="method").with_columns(
+        schema_version=pl.lit(records.SCHEMA_VERSION),
+        experiment=pl.lit(plan.experiment.name),
+        outcome=pl.col("status").replace_strict(
+            {status.value: group.outcome for status, group in outcomes.GROUPS.items()},
+            default=None,
+            return_dtype=pl.String,
+        ),
     )
+    judged = runs.select(JUDGED).collect(engine="streaming").to_pandas()
+    _check_complete(judged, folder)
+    verdicts = attribution.attribute(judged)[["run_id", *attribution.COLUMNS]]
+    runs = _joined(runs, pl.from_pandas(verdicts).lazy())
+    return records.conform_lazy(runs, records.runs_columns())
+
+
+def join_traces(plan: Plan, folder: Path) -> pl.LazyFrame:
+    """Return the bound histories of all runs, in the order of the runs.
+
+    Raises
+    ------
+    SchemaError
+    """
+    events = records.scan(_files(plan, folder, ".trace"), list(records.RAW_TRACES))
+    # a file may also have runs of an earlier plan
+    own = records.scan([folder / plan.view / "plan" / "plan.parquet"], ["run_id", "method"])
+    events = events.join(own, on="run_id", how="inner", maintain_order="left")
+    return records.conform_lazy(events, records.TRACES)
+
+
+def write(table: pl.LazyFrame, path: Path) -> None:
+    """Write ``path`` as Parquet and, unless it has more than `MOST_CSV_ROWS`, its CSV copy."""
+    import polars as pl
+
+    with sealed_file(path) as part:
+        table.sink_parquet(part)
+    copy, written = path.with_suffix(".csv"), pl.scan_parquet(path)
+    if written.select(pl.len()).collect().item() > MOST_CSV_ROWS:
+        copy.unlink(missing_ok=True)
+        return
+    with whole_file(copy) as part:
+        written.sink_csv(part)
+
+
+def _files(plan: Plan, folder: Path, suffix: str = "") -> list[Path]:
+    """Return the files of all solve jobs."""
+    return [
+        folder / f"runs/{method.name}/{chunk.name}{suffix}.parquet" for method, chunk in plan.jobs()
+    ]
+
+
+def _joined(one: pl.LazyFrame, other: pl.LazyFrame, on: str = "run_id") -> pl.LazyFrame:
+    return one.join(other, on=on, how="left", maintain_order="left")
+
+
+def _facts(plan: Plan) -> pl.LazyFrame:
+    """Return a row per method with what its runs have in common."""
+    import polars as pl
+
+    rows = [
+        {
+            "method": method.name,
+            "display_name": display_name(method),
+            "provenance": registry.read_card(method.baseline).provenance,
+            "n_inliers_ratio": method.n_inliers_ratio,
+        }
+        for method in plan.methods
+    ]
+    return pl.LazyFrame(rows)
+
+
+def _check_complete(runs: pd.DataFrame, folder: Path) -> None:
+    """Refuse planned runs with no or with several results, and statuses without an outcome."""
     without = runs.loc[runs["status"].isna() | runs["dim"].isna(), "method"]
     if len(without):
         raise records.SchemaError(
             f"{folder}: {len(without)} planned runs of {without.iloc[0]} have no result; "
             "run the experiment again"
         )
-    left_out = _left_out(plan, runs)
-    runs = pd.concat([runs, left_out], ignore_index=True) if len(left_out) else runs
-    by_name = {method.name: method for method in plan.methods}
-    cards = {name: registry.read_card(method.baseline) for name, method in by_name.items()}
-    runs = runs.assign(
-        schema_version=records.SCHEMA_VERSION,
-        experiment=plan.experiment.name,
-        display_name=runs["method"].map(lambda name: display_name(by_name[name])),
-        provenance=runs["method"].map(lambda name: cards[name].provenance),
-        n_inliers_ratio=runs["method"].map(lambda name: by_name[name].n_inliers_ratio),
-        outcome=runs["status"].map(outcomes.outcome),
-    )
-    runs = attribution.attribute(runs)
-    return records.conform(runs, records.runs_columns(), "tables/runs.parquet")
+    if twice := int(runs["run_id"].duplicated().sum()):
+        raise records.SchemaError(
+            f"{folder}: {twice} runs have several results; {records.RUN_AGAIN}"
+        )
+    for status in runs.loc[runs["outcome"].isna(), "status"]:
+        outcomes.outcome(status)
 
 
-def _left_out(plan: Plan, runs: pd.DataFrame) -> pd.DataFrame:
+def _left_out(plan: Plan, runs: pl.LazyFrame) -> pl.LazyFrame:
     """Return a row for each planned run that is not needed, with the facts about its instance."""
-    facts = runs.drop_duplicates("instance_id").set_index("instance_id")[OF_INSTANCE]
+    import polars as pl
+
+    known = runs.select("instance_id", *OF_INSTANCE)
+    facts = known.unique("instance_id", keep="first", maintain_order=True).collect().to_pandas()
     answers = {name: False for name, metric in METRICS.items() if metric.unit == "yes/no"}
-    left_out = plan_table(plan, plan.left_out()).join(facts, on="instance_id")
-    return left_out.assign(status=Status.NOT_RUN.value, n_inliers=0, **answers)
+    left_out = plan_table(plan, plan.left_out()).join(
+        facts.set_index("instance_id"), on="instance_id"
+    )
+    table = left_out.assign(status=Status.NOT_RUN.value, n_inliers=0, **answers)
+    return pl.from_pandas(table).lazy()
 
 
 def display_name(method: MethodSettings) -> str:
@@ -98,13 +191,6 @@ def display_name(method: MethodSettings) -> str:
     return name if method.n_inliers_ratio == 1 else f"{name} (n_p × {method.n_inliers_ratio:g})"
 
 
-def join_traces(plan: Plan, folder: Path, runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the bound histories of all runs, in the order of the runs."""
-    traces = _raw(plan, folder, ".trace", records.RAW_TRACES)
-    traces = traces.merge(runs[["run_id", "method"]], on="run_id", validate="many_to_one")
-    return records.conform(traces, records.TRACES, "traces")
-
-
 def accounting(runs: pd.DataFrame) -> pd.DataFrame:
     """Count planned runs and their outcomes per method, and check that they add up."""
     counts = pd.crosstab(runs["method"], runs["outcome"])
@@ -118,31 +204,38 @@ def accounting(runs: pd.DataFrame) -> pd.DataFrame:
 
 def overlays(plan: Plan, folder: Path, runs: pd.DataFrame) -> list[dict[str, Any]]:
     """Return points and pose of the best, median and worst run of every method and test."""
-    problems = {
-        problem.instance_id: problem
+    posed = runs[runs["rmse"].notna()].sort_values("rmse", kind="stable")
+    places, ranks = [], []
+    groups = posed.groupby(["method", "test", "model"], sort=False).indices.values()
+    for rows in sorted(groups, key=lambda rows: posed.index[rows].min()):  # as in the plan
+        for rank, position in _picks(len(rows)).items():
+            places.append(rows[position])
+            ranks.append(rank)
+    if not places:
+        return []
+    chosen = posed.iloc[places].assign(rank=ranks)
+    instances = set(chosen["instance_id"])
+    clouds = {
+        problem.instance_id: {"source": _points(problem.source), "target": _points(problem.target)}
         for chunk in plan.chunks
+        if any(spec.instance_id in instances for spec in chunk.instances)
         for problem in read_problems(folder / f"instances/{chunk.name}.npz")
+        if problem.instance_id in instances
     }
-    posed = runs[runs["rmse"].notna()]
-    entries = []
-    for _, group in posed.groupby(["method", "test", "model"], sort=False):
-        ranked = group.sort_values("rmse", kind="stable")
-        for rank, position in _picks(len(ranked)).items():
-            run = ranked.iloc[position]
-            problem = problems[run["instance_id"]]
-            entries.append(
-                {
-                    **{key: run[key] for key in ("run_id", "method", "dataset", "shape", "test")},
-                    **{key: run[key].item() for key in ("level", "trial", "rmse")},
-                    **{key: run[key] for key in ("status", "model")},
-                    "rank": rank,
-                    "source": _points(problem.source),
-                    "target": _points(problem.target),
-                    "T_target_source": json.loads(run["T_target_source"]),
-                    "replay": replay_command(plan, run["run_id"]),
-                }
-            )
-    return entries
+    poses = pd.read_parquet(
+        folder / plan.view / "tables" / "runs.parquet", columns=["run_id", "T_target_source"],
+        filters=[("run_id", "in", list(chosen["run_id"]))],
+    ).set_index("run_id")["T_target_source"]  # fmt: skip
+    return [
+        {
+            **{key: run[key] for key in ("run_id", "method", "dataset", "shape", "test")},
+            **{key: run[key] for key in ("level", "trial", "rmse", "status", "model", "rank")},
+            **clouds[run["instance_id"]],
+            "T_target_source": json.loads(poses[run["run_id"]]),
+            "replay": replay_command(plan, run["run_id"]),
+        }
+        for run in chosen.to_dict("records")
+    ]
 
 
 def _picks(count: int) -> dict[str, int]:
@@ -177,15 +270,6 @@ def _points(points: np.ndarray) -> list[list[float]]:
     step = -(-len(points) // MAX_OVERLAY_POINTS)
     digits = 4 - int(np.floor(np.log10(max(np.ptp(points, axis=0).max(), 1e-12))))
     return np.round(points[::step], max(0, digits)).tolist()
-
-
-def _raw(plan: Plan, folder: Path, suffix: str, columns: dict[str, records.Column]) -> pd.DataFrame:
-    tables = [
-        records.read(folder / f"runs/{method.name}/{chunk.name}{suffix}.parquet", columns)
-        for method, chunk in plan.jobs()
-    ]
-    filled = [table for table in tables if len(table)]
-    return pd.concat(filled, ignore_index=True) if filled else tables[0]
 
 
 def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:

@@ -17,25 +17,42 @@ from workflows import records
 from workflows.instances import Problem, Truth, read_problems, read_truths
 from workflows.metrics import METRICS, Case
 
+# Columns of raw results that `judge` needs.
+JUDGED = [
+    "run_id", "instance_id", "n_source", "n_target", "n_inliers", "T_target_source", "lower_bound",
+    "certificate_scope",
+]  # fmt: skip
+
 
 def evaluate(folder: Path, plan_path: Path) -> pd.DataFrame:
     """Return one row of metrics for every planned run, from the instances and runs in `folder`."""
     plan = records.read(plan_path, records.PLAN)
+    options = {
+        row["method"]: methods.read_card(row["baseline"]).parameters | json.loads(row["options"])
+        for row in plan.drop_duplicates("method").to_dict("records")
+    }
+    limits = {dataset: success_rmse(dataset) for dataset in plan["dataset"].unique()}
     tables = []
     for chunk_id, planned in plan.groupby("chunk_id", sort=False):
         problems = {p.instance_id: p for p in read_problems(folder / f"instances/{chunk_id}.npz")}
         truths = read_truths(folder / f"truth/{chunk_id}.npz")
         datasets = dict(zip(planned["instance_id"], planned["dataset"], strict=True))
-        for method, row in planned.groupby("method", sort=False).first().iterrows():
-            options = methods.read_card(row["baseline"]).parameters | json.loads(row["options"])
-            raw = records.read(folder / f"runs/{method}/{chunk_id}.parquet", records.RAW)
-            rows = [
-                judge(run, problems[key], truths[key], success_rmse(datasets[key]), options)
-                for run in raw.to_dict("records")
-                if (key := run["instance_id"]) in datasets
-            ]
-            tables.append(pd.DataFrame(rows))
+        rows = [
+            judge(run, problems[key], truths[key], limits[datasets[key]], options[method])
+            for method in planned["method"].unique()
+            for run in _raw(folder / f"runs/{method}/{chunk_id}.parquet")
+            if (key := run["instance_id"]) in datasets
+        ]
+        tables.append(pd.DataFrame(rows))
     return relate(pd.concat(tables, ignore_index=True))
+
+
+def _raw(path: Path) -> list[dict[str, Any]]:
+    """Return what `judge` needs of the results of a job; absent numbers are NaN."""
+    import polars as pl
+
+    numbers = pl.col(pl.Float64).fill_null(np.nan)
+    return records.scan([path], JUDGED).with_columns(numbers).collect().to_dicts()
 
 
 def success_rmse(dataset: str) -> float | None:
