@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from workflows import config
 from workflows.__main__ import app
+from workflows.blocks import Needs
 from workflows.config import MethodSettings, parse_selection
 from workflows.stages.aggregate import display_name, replay_command, run_command
 from workflows.stages.plan import expand
@@ -52,3 +53,5 @@ def test_the_commands_of_a_config_given_by_path_work(tmp_path):
     assert "1 runs, 0 of them finished" in done.output
     report = path.parent / "results/mine/parts/tests-noise_levels-0.01/report/index.html"
     assert f"report: {os.path.relpath(report)}\n" in done.output
+    of_blocks = expand(config.load(str(path)), None, str(path), Needs({"noise": {"icp": 1}}))
+    assert shlex.split(run_command(of_blocks))[3:] == ["evidence", "--experiments", str(path)]

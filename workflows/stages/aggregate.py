@@ -246,7 +246,9 @@ def _picks(count: int) -> dict[str, int]:
 
 
 def run_command(plan: Plan) -> str:
-    """Return the command line that makes these tables."""
+    """Return the command line that makes these tables; of blocks, that of the campaign."""
+    if plan.needs is not None:
+        return f"python -m reports evidence --experiments {shlex.quote(plan.config)}"
     parts = [
         f"--{axis} {shlex.quote(','.join(map(str, values)))}"
         for axis, values in plan.selection
