@@ -139,6 +139,22 @@ def runs_of(experiment: str) -> pd.DataFrame | None:
     return None
 
 
+def runs_of_others(experiment: str) -> pd.DataFrame | None:
+    """Return the runs of all other experiments in the latest archive; None without an archive.
+
+    Raises
+    ------
+    ArchiveError, SchemaError
+    """
+    import pandas as pd
+
+    if not (known := folders()):
+        return None
+    _checked(known[-1])
+    with readable(folder := known[-1]):
+        return pd.read_parquet(folder / RUNS, filters=[("experiment", "!=", experiment)])
+
+
 def _rows(folder: Path, method: str) -> Iterator[dict[str, Any]]:
     import pandas as pd
 

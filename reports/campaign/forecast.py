@@ -99,7 +99,8 @@ class Times:
         """Return the expected seconds of a run, and whether its cell has been measured.
 
         An unseen cell takes as long as the nearest level of its test. In an unseen test, it takes the
-        geometric mean of the slowest test of the method and of its limit, otherwise the limit.
+        geometric mean of the slowest test of the method, in any experiment, and of its limit; otherwise
+        the limit.
         """
         if (method, test, level) in self.cells.index:
             return float(self.cells["mean"].loc[(method, test, level)]), True

@@ -23,7 +23,7 @@ from reports.ledger.book import Ledger, ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.judging import Judgement, judge
 from reports.tables import Tables
-from workflows.archives import archived, folders, runs_of
+from workflows.archives import archived, folders, runs_of, runs_of_others
 from workflows.blocks import EVIDENCE, NEEDS, Needs
 from workflows.compose import QUICK
 from workflows.config import Experiment, load, origin
@@ -93,7 +93,10 @@ class Campaign:
         return judge(book, evidence, {plain_name(self.experiment.name)})
 
     def times(self) -> Times:
-        """Return the times of the finished runs, else of archived ones, else of the quick part."""
+        """Return the times of finished runs, else of archived ones, else of the quick part.
+
+        Archived runs of other experiments are known as well, as other tests.
+        """
         tables = self.tables()
         quick = self.folder.parent.with_name(f"{self.experiment.name}{QUICK}") / "tables"
         known = [] if tables is None else [tables.runs]
@@ -101,6 +104,8 @@ class Campaign:
             known.append(stored)
         if (quick / "accounting.csv").is_file():
             known.append(Times.as_limited(Tables.load(quick).runs, self.experiment))
+        if (others := runs_of_others(self.experiment.name)) is not None:
+            known.append(others.assign(test=others["experiment"] + " " + others["test"]))
         own = None if tables is None else int((tables.runs["outcome"] != NOT_NEEDED).sum())
         measured = bytes_per_run(self.folder.parent, own) if own else None
         return Times.of(known, self.experiment, measured)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from reports.campaign import choice
+from reports.campaign import choice, run
 from reports.campaign.choice import options
 from reports.campaign.forecast import Forecast, Times, bytes_per_run
 from reports.campaign.run import Campaign
@@ -44,6 +44,20 @@ def test_unseen_cells_use_the_nearest_level_then_the_method_then_the_limit():
     limit = known.limits["rpm_pa"]
     assert known.of_cell("rpm_pa", "deformation", 0.0) == ((6.5 * limit) ** 0.5, False)
     assert known.of_cell("rpm_cav", "noise", 0.02) == (known.limits["rpm_cav"], False)
+
+
+def test_a_method_without_runs_is_expected_by_those_of_other_experiments(tmp_path, monkeypatch):
+    campaign = Campaign(NAME, tmp_path)
+    monkeypatch.setattr(run, "runs_of", lambda name: None)
+    monkeypatch.setattr(run, "runs_of_others", lambda name: None)
+    limit = campaign.times().limits["rpm_pa"]
+    assert campaign.times().of_cell("rpm_pa", "noise", 0.02) == (limit, False)
+    other = pd.DataFrame(
+        {"experiment": ["mine"], "method": "rpm_pa", "test": "noise", "level": 0.02,
+         "time_solve_s": 2.0, "time_overhead_s": 0.0}
+    )  # fmt: skip
+    monkeypatch.setattr(run, "runs_of_others", lambda name: other)
+    assert campaign.times().of_cell("rpm_pa", "noise", 0.02) == ((2.0 * limit) ** 0.5, False)
 
 
 def test_runs_of_the_quick_part_at_a_limit_take_the_limit_of_the_experiment():
