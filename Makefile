@@ -43,7 +43,7 @@ coverage: dev
 run: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART) $(BESIDE:%=--beside)
 
-## paper-2d: run the paper's 2D tests (POINTS=40: 40 points per shape). QUICK=1 limits this and the next five to 15 minutes on 2 cores
+## paper-2d: run the paper's 2D tests (POINTS=40: 40 points per shape). QUICK=1, also of the next five: at most 15 minutes each
 ## paper-2d-cr: run the tests of the public point sets of Chui and Rangarajan
 ## paper-2d-images: run the test on photographs, with edges and with manually marked points
 ## paper-3d: run the paper's 3D tests (POINTS=40: 40 points per shape)
@@ -196,7 +196,7 @@ lock: $(VENV)-tools/.installed
 audit: $(VENV)-tools/.installed
 	@workflows/audit.sh $(VENV)-tools/bin/pip-audit
 
-## licences: list the licence of every locked package, and those that need a look; table in results/licences.csv
+## licences: list the licence of every locked package, and flag copyleft or unknown ones; table in results/licences.csv
 .PHONY: licences
 licences: dev
 	@$(BIN)/python -m workflows.licences results/licences.csv

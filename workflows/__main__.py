@@ -58,12 +58,15 @@ def run(
     fresh: Annotated[bool, typer.Option("--fresh", help="Use no runs of archives.")] = False,
     beside: Annotated[
         bool,
-        typer.Option("--beside", help="Run only --methods, on the archived blocks of the others."),
+        typer.Option(
+            "--beside", help="Run only --methods, on the instances archived for the others."
+        ),
     ] = False,
 ) -> None:
     """Run an experiment, or a selected part of it, and print the summary.
 
-    The tables and the report of a part are in results/NAME/parts, with --beside in results/NAME/evidence.
+    The tables and the report of a part are in results/NAME/parts; those of --beside are in
+    results/NAME/evidence.
     """
     axes = {
         "methods": methods,
@@ -84,7 +87,7 @@ def run(
     needs: list[str] = []
     if beside:
         if fresh or not methods or len(select) > 1:
-            raise UserError("--beside: give --methods, and no other part or --fresh")
+            raise UserError("--beside: give --methods, but neither --fresh nor another selection")
         path, select = _store_needs(experiment, methods.split(","), directory), []
         needs = [f"needs={path.resolve()}"]
         plan = planned(experiment, select, path)
@@ -225,15 +228,15 @@ def versions(
 def replay(
     run_id: Annotated[str, typer.Argument(help="From column run_id of tables/runs.csv.")],
     experiment: Annotated[
-        str, typer.Option(help="Its config; default: that of the stored run.")
+        str, typer.Option(help="Config of the run; default: that of the stored run.")
     ] = "",
-    results: Annotated[Path, typer.Option(help="Folder of results to look for it.")] = Path(
-        "results"
-    ),
+    results: Annotated[
+        Path, typer.Option(help="Folder of results to search after the archives.")
+    ] = Path("results"),
 ) -> None:
-    """Repeat one run outside the sandbox, print its result, and compare it with the stored one.
+    """Repeat one run without the isolation of a worker process, and compare it with the stored one.
 
-    Runs are looked for in the archives first. The exit code is 1 if the results differ.
+    The exit code is 1 if the results differ.
     """
     from workflows.replay import DIFFERENT
     from workflows.replay import replay as repeat

@@ -108,7 +108,7 @@ class Merged:
 
     experiment: str
     runs: int = 0
-    in_several: int = 0  # runs that more than one source has
+    duplicates: int = 0  # copies of runs that another source has too
     machines: set[str] = field(default_factory=set)
 
 
@@ -251,7 +251,7 @@ def _merge_experiment(
             for key, found in own.items():
                 machines.setdefault(found.row["machine_id"], found)
                 if known := joined.get(key):
-                    written.in_several += 1
+                    written.duplicates += 1
                     found = _one_of(method, known, found, is_exact=_is_deterministic(settings[0]))
                 joined[key] = found
         if joined:
@@ -304,8 +304,8 @@ def _check_instances(sources: Sequence[dict[Any, dict[str, _Seen]]]) -> None:
                     raise MergeError(
                         f"{first.place} and {second.place}: instance {what[0]} has instance_digest "
                         f"{first.digest!r} (run {first.run_id}) and {second.digest!r} (run "
-                        f"{second.run_id}): data or code that made it differ; leave one source out, or "
-                        "run its part again from the data and code of the other"
+                        f"{second.run_id}), because its data or code differs; leave one source out, or "
+                        "run its part again with the data and code of the other"
                     )
 
 
@@ -350,7 +350,7 @@ def _two_machines(first: Found, second: Found) -> MergeError:
     return MergeError(
         f"{first.place} and {second.place}: machine_id is {first.row['machine_id']!r} and "
         f"{second.row['machine_id']!r}: times of several machines are not comparable; pass "
-        "--mixed-machines to compare times within one machine only"
+        "--mixed-machines to merge them anyway, and use the times of one machine only"
     )
 
 
@@ -380,13 +380,14 @@ def command(
         typer.Option("--mixed-machines", help="Allow runs of several machines in an experiment."),
     ] = False,
 ) -> None:
-    """Join results of several machines; `run --directory` with the parent of OUT continues from them.
+    """Join results of several machines. If OUT is DIR/results, `run --directory DIR` continues from them.
 
-    Refused are different instances under one name, conflicting results, and several machines without
-    --mixed-machines. With it, times are compared within one machine only.
+    Different instances under one name, conflicting results, and (without --mixed-machines) several
+    machines are refused. With --mixed-machines, reports use only the times of the machine with the most
+    runs.
     """
     for found in merge(sources, out, mixed_machines=mixed_machines):
         print(
-            f"merged    {out / found.experiment}: {found.runs} runs, {found.in_several} of them in "
-            f"several sources; machines: {', '.join(sorted(found.machines))}"
+            f"merged    {out / found.experiment}: {found.runs} runs, {found.duplicates} duplicates "
+            f"dropped; machine_id: {', '.join(sorted(found.machines))}"
         )

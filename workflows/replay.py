@@ -51,7 +51,7 @@ def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -
     if not experiment:
         raise UserError(
             f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
-            "tables/runs.csv, or name its experiment by --experiment"
+            "tables/runs.csv, or name its experiment with --experiment"
         )
     plan = expand(load(experiment), None, origin(experiment), None)
     run = next((run for run in plan.runs() if run.run_id == run_id), None)
@@ -114,7 +114,7 @@ def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: Plann
     if one == other:
         return SAME
     if are_equal(one, other):
-        return "not compared: the clock or the memory ended one of the runs"
+        return "not compared: one of the runs hit the time or memory limit"
     names = [name for name in {**one, **other} if one.get(name) != other.get(name)]
     return f"{DIFFERENT}: {', '.join(names)}"
 

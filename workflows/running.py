@@ -148,7 +148,7 @@ def run_snakemake(
 def _set_aside_damaged(folder: Path) -> None:
     damaged = set_aside_damaged(folder)
     for path in damaged:
-        print(f"damaged   {path}: set aside, and made again", flush=True)
+        print(f"damaged   {path}: renamed to ….damaged; it will be made again", flush=True)
     if damaged:
         remove_made_from_runs(folder)
 
@@ -191,7 +191,7 @@ def the_only_run(directory: Path, name: str) -> Iterator[IO[str]]:
             holder = lock.read().strip() or "another process"
             raise BusyError(
                 f"{folder}: another run uses these results: {holder}; wait for it, or stop it with "
-                "`kill` and that number"
+                "`kill` and the first process number"
             ) from None
         if manual := _snakemake_locks(directory, name):
             raise BusyError(

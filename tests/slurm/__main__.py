@@ -1,7 +1,7 @@
 """Run an experiment on a Slurm cluster whose only node is lost in the middle: ``make test-slurm``.
 
-The table must be that of a local run, times apart. No run may be lost or made again. The test needs root,
-installs the distribution's packages of Slurm, and is skipped where that is impossible.
+Times excepted, the table must be that of a local run. No run may be lost or made again. The test needs
+root, installs the distribution's packages of Slurm, and is skipped where that is impossible.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def lose_the_node(running: Cluster, folder: Path) -> None:
     assert jobs
     assert kept < RUNS
     running.wait_until_down()
-    say("Slurm has noticed that the node is down")
+    say("Slurm reported the node as down")
     sweep.send_signal(signal.SIGINT)
     finish(sweep, code=INTERRUPTED)
     say("interrupted the sweep")
@@ -133,7 +133,7 @@ def main() -> None:
         repeated = sum(count - 1 for count in times_made.values())
         say(
             f"{len(found)} runs, {lost} lost, {repeated} repeated, {len(differing.cells)} different "
-            "values, times apart"
+            "values (times not compared)"
         )
         if len(found) != RUNS or lost or repeated or len(differing.cells) or differing.unmatched:
             print(differing.cells.head(20).to_string())

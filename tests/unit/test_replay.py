@@ -67,7 +67,7 @@ def stored(folder, row) -> str:
         ({"instance_digest": "other"}, "not compared: another instance"),
         ({"fingerprint": "other"}, "not compared: another version of the method"),
         ({"outcome": "failed", "status": "failed"}, "not compared: the stored run has the status"),
-        ({"status": "time_limit", "outcome": "limited"}, "not compared: the clock or the memory"),
+        ({"status": "time_limit", "outcome": "limited"}, "not compared: one of the runs hit"),
     ],
 )
 def test_the_stored_run_decides(run, change, said):

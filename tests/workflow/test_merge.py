@@ -97,7 +97,7 @@ def test_runs_of_all_sources_are_kept_once(tmp_path):
     b = results(tmp_path / "b", run(2, time_solve_s=9.0), run(3))
     results(tmp_path / "b", run(4), method="icp")
     (found,) = merge([a, b.parent], tmp_path / "out")
-    assert (found.experiment, found.runs, found.in_several) == ("joined", 4, 1)
+    assert (found.experiment, found.runs, found.duplicates) == ("joined", 4, 1)
     assert merged(tmp_path / "out") == [run(1), run(2), run(3)]
     assert merged(tmp_path / "out", "icp") == [run(4)]
 

@@ -1,7 +1,7 @@
 """Faults during sweeps: ``python -m workflows.studies.faults OUT``.
 
 A sweep of at least 500 runs is disturbed at random moments, by one kind of fault after the other, and
-then continued until it is complete. Its table must be that of an undisturbed sweep, times apart; no
+then continued until it is complete. Times excepted, its table must be that of an undisturbed sweep; no
 finished run may be lost or made again. The study writes ``faults.csv``.
 
 Two faults need privileges, and have a substitute without them. A full disk is a small tmpfs for root, and
