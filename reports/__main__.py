@@ -39,7 +39,7 @@ def tables(
     tables: Annotated[Path, typer.Argument(help="Folder with the tables of an experiment.")],
     out: Annotated[Path, typer.Argument(help="Folder for the CSV files.")],
 ) -> None:
-    """Write every table of the report of one experiment as a CSV file."""
+    """Write the tables of results in the report of one experiment as CSV files."""
     from reports.csv_tables import write
 
     say(f"tables    {len(write(tables, out))} files in {out}")

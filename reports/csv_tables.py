@@ -1,7 +1,7 @@
-"""Every table of a report as a CSV file: ``python -m reports tables TABLES OUT``.
+"""The tables of results in a report as CSV files: ``python -m reports tables TABLES OUT``.
 
-They are those of the page, without the page and its figures, for experiments with more runs than a page
-can show.
+They are those of the page, without its figures, parameters and provenance, for experiments with more
+runs than a page can show.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,11 +19,13 @@ import typer
 
 from workflows import UserError
 from workflows.cli import user_errors
+from workflows.stages.worker import COUNTERS
 
 if TYPE_CHECKING:
     import pandas as pd
 
 JOURNAL = "merged.journal.jsonl"
+ROUNDING = 1e-5  # of bounds, which are compared in six digits
 NOT_STARTED = ("unavailable", "not_run")  # statuses of runs that no journal has
 
 
@@ -109,13 +111,16 @@ class Merged:
     experiment: str
     runs: int = 0
     duplicates: int = 0  # copies of runs that another source has too
+    replaced: int = 0  # of these, failed or limited ones of which another source has a finished run
+    other_work: int = 0  # of these, with another number of boxes or assignments
     machines: set[str] = field(default_factory=set)
 
 
 def merge(sources: Sequence[Path], out: Path, *, mixed_machines: bool = False) -> list[Merged]:
     """Write the runs of all sources to the folder `out`, a folder per experiment.
 
-    Of runs that several sources have, the one that the clock did not end counts, then the first.
+    Of runs that several sources have, one on the machine with the most runs counts, then one that ended
+    by itself or at a limit of work, then one at another limit, then the first.
 
     Parameters
     ----------
@@ -240,6 +245,7 @@ def _merge_experiment(
     from workflows.integrity import sealed
 
     written = Merged(experiment)
+    main = _main_machine(sources) if mixed_machines else ""
     machines: dict[str, Found] = {}
     instances: list[dict[Any, dict[str, _Seen]]] = [{} for _ in sources]
     for method in dict.fromkeys(name for source in sources for name in source.methods):
@@ -251,8 +257,16 @@ def _merge_experiment(
             for key, found in own.items():
                 machines.setdefault(found.row["machine_id"], found)
                 if known := joined.get(key):
+                    one, other = known, found
+                    found = _one_of(
+                        method, one, other, main=main, is_exact=_is_deterministic(settings[0])
+                    )
+                    dropped = other if found is one else one
                     written.duplicates += 1
-                    found = _one_of(method, known, found, is_exact=_is_deterministic(settings[0]))
+                    written.replaced += _rank(found.row["status"]) < _rank(dropped.row["status"])
+                    written.other_work += any(
+                        found.row.get(name) != dropped.row.get(name) for name in COUNTERS
+                    )
                 joined[key] = found
         if joined:
             path = out / "runs" / method / JOURNAL
@@ -309,20 +323,56 @@ def _check_instances(sources: Sequence[dict[Any, dict[str, _Seen]]]) -> None:
                     )
 
 
-def _one_of(method: str, first: Found, second: Found, *, is_exact: bool) -> Found:
-    """Return the run to keep of two with equal version, options, instance and limits."""
+def _main_machine(sources: Sequence[Source]) -> str:
+    """Return the ``machine_id`` of most runs."""
+    counts = Counter(
+        found.row["machine_id"]
+        for source in sources
+        for method in source.methods
+        for found in source.runs(method)
+    )
+    return str(counts.most_common(1)[0][0]) if counts else ""
+
+
+def _one_of(method: str, first: Found, second: Found, *, main: str, is_exact: bool) -> Found:
+    """Return the run to keep of two with equal version, options, instance and limits.
+
+    A better run from another machine must not replace one on the `main` machine, whose times are used:
+    its slow runs would disappear.
+    """
     ranks = [_rank(found.row["status"]) for found in (first, second)]
     if is_exact and ranks == [0, 0]:
         one, other = (_result(found.row) for found in (first, second))
-        for name, value in one.items():
-            if value != other.get(name):
-                raise MergeError(
-                    f"{first.place} and {second.place}: run {first.row['run_id']} of {method} has {name} "
-                    f"{value!r} and {other.get(name)!r}, although version, options, instance and limits "
-                    "are equal; leave the wrong source out (`python -m workflows replay` repeats a run), "
-                    "or give the method another version"
-                )
+        if found := _contradiction(one, other):
+            name, value, against = found
+            raise MergeError(
+                f"{first.place} and {second.place}: run {first.row['run_id']} of {method} has {name} "
+                f"{value!r} and {against!r}, although version, options, instance and limits are equal; "
+                "leave the wrong source out (`python -m workflows replay` repeats a run), or give the "
+                "method another version"
+            )
+    on_main = [found.row["machine_id"] == main for found in (first, second)]
+    if on_main[0] != on_main[1]:
+        return first if on_main[0] else second
     return second if ranks[1] < ranks[0] else first
+
+
+def _contradiction(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, Any, Any] | None:
+    """Return name and values of what contradicts in two results; None if nothing does.
+
+    After the same work all values must be equal. Work may differ although both searches ended by
+    themselves, because elapsed time ends attempts to confine them; then the bounds must not cross.
+    """
+    differing = [name for name, value in one.items() if value != other.get(name)]
+    if not any(name in COUNTERS for name in differing):
+        return (name := differing[0], one[name], other.get(name)) if differing else None
+    for lower, upper in (
+        (one["lower_bound"], other["upper_bound"]),
+        (other["lower_bound"], one["upper_bound"]),
+    ):
+        if None not in (lower, upper) and float(lower) > float(upper) * (1 + ROUNDING):
+            return "lower_bound against upper_bound", lower, upper
+    return None
 
 
 def _rank(status: str) -> int:
@@ -388,6 +438,8 @@ def command(
     """
     for found in merge(sources, out, mixed_machines=mixed_machines):
         print(
-            f"merged    {out / found.experiment}: {found.runs} runs, {found.duplicates} duplicates "
-            f"dropped; machine_id: {', '.join(sorted(found.machines))}"
+            f"merged    {out / found.experiment}: {found.runs} runs; dropped {found.duplicates} "
+            f"duplicates, of them {found.replaced} failed or limited and {found.other_work} with other "
+            f"counts of boxes or assignments; machine_id: "
+            f"{', '.join(sorted(found.machines))}"
         )

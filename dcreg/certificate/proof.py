@@ -151,12 +151,13 @@ class Proof:
         self.slack = slack
         self.max_boxes = max_boxes
         self.progress = progress
+        self.n_boxes = 0  # bounded in all calls of `run`
         self._bounds = [objective.nearest_bound, objective.interval_bound, self.tangent_bound]
         if objective.is_sorted_order:  # there the tangent bound needs no assignments and suffices
             self._bounds.remove(objective.interval_bound)
 
-    def run(self, c: Certificate, lower_bound: float) -> int:
-        """Prove a lower bound on every leaf; return the number of boxes needed.
+    def run(self, c: Certificate, lower_bound: float) -> None:
+        """Prove a lower bound on every leaf.
 
         A leaf may state a larger bound. The claim does not depend on it, so it is not proven. It is
         refuted if the objective at the centre of the leaf is smaller.
@@ -177,8 +178,8 @@ class Proof:
         while len(leaves):
             if n_boxes + len(leaves) > self.max_boxes:
                 raise UnprovenError(
-                    f"leaf {leaves[0]}: the lower bound {lower_bound:.9g} could not be confirmed "
-                    f"within {self.max_boxes} boxes"
+                    f"leaf {leaves[0]}: the lower bound {lower_bound * c.unit**2:.9g} could not be "
+                    f"confirmed within {self.max_boxes} boxes"
                 )
             is_unproven = np.zeros(len(leaves), dtype=bool)
             size = self.objective.n_at_once
@@ -193,10 +194,10 @@ class Proof:
                     done = n_boxes + min(at + size, len(leaves))
                     self.progress(done, n_boxes + len(leaves) + 2 * int(is_unproven.sum()))
             n_boxes += len(leaves)
+            self.n_boxes += len(leaves)
             leaves = np.repeat(leaves[is_unproven], 2)
             lower, upper = self._halves(lower[is_unproven], upper[is_unproven])
             doubtful = np.zeros(len(leaves), dtype=bool)  # each leaf is checked once
-        return n_boxes
 
     @staticmethod
     def _check_inadmissible(leaves: np.ndarray, c: Certificate) -> None:

@@ -103,7 +103,8 @@ def verify(
     source, target : (n, d), (m, d) arrays
         Exactly as given to `dcreg.register`.
     max_boxes : int, optional
-        The proof fails after this number of boxes; default 1000 plus 20 per leaf.
+        The proof of a bound fails after this number of boxes; default 1000 plus 20 per leaf. The smaller
+        bound that the tolerance permits is then tried with as many.
     n_samples : int
         Number of random parameters that are compared with the bounds of their leaves.
     progress : callable, optional
@@ -209,15 +210,17 @@ def _prove(report: Report, proof: Proof, c: Certificate) -> float:
     surface of poses, as with coincident points, dividing boxes never proves such a bound.
     """
     try:
-        report.n_boxes = proof.run(c, c.lower_bound)
+        proof.run(c, c.lower_bound)
         return c.lower_bound
     except UnprovenError as error:
         permitted = c.upper_bound - c.gap_tol
         if not 0.0 < permitted < c.lower_bound:
             raise
-        report.n_boxes = proof.run(c, permitted)
+        proof.run(c, permitted)
         report.checks.append(f"{error}; the smaller one that the tolerance permits takes its place")
         return permitted
+    finally:
+        report.n_boxes = proof.n_boxes
 
 
 # --- the clouds -----------------------------------------------------------------------------------

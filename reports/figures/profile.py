@@ -11,23 +11,26 @@ from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
 from reports.tables import Tables
 from reports.theme import Style
-from workflows.outcomes import attempted, comparable_times
+from workflows.outcomes import attempted, main_machine
 
 _COLUMNS = {"rmse": "RMSE", "time_solve_s": "time (s)"}
 _MOST_STEPS = 250
 
 
 def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:
-    """Draw the distributions; runs without a pose count in the denominator only."""
-    runs = tables.runs[["model", "method", "outcome", "rmse"]]
-    runs = attempted(runs.assign(time_solve_s=comparable_times(tables.runs)))
-    runs = runs[runs["model"] == model]
+    """Draw the distributions; runs without a pose count in the denominator only.
+
+    The times are those of the runs on one machine.
+    """
+    runs = tables.runs[["model", "method", "outcome", "machine_id", *_COLUMNS]]
+    runs = attempted(runs[runs["model"] == model])
+    here = runs["machine_id"] == main_machine(tables.runs)
     grid, traces = Grid(column_titles=["error", "time"]), []
     for column, (name, title) in enumerate(_COLUMNS.items()):
         panel = Panel(0, column, title, "share of runs", x_type="log", share_x=False)
         axes = grid.add(panel)
         for method, style in styles.items():
-            part = runs[runs["method"] == method]
+            part = runs[(runs["method"] == method) & (here | (name != "time_solve_s"))]
             if part[name].notna().any():
                 traces.append(_steps(part, name, axes, style))
     view = {"data": traces, "layouts": grid.layouts()}

@@ -104,12 +104,13 @@ class Experiment:
         )
         of_pose = runs["certificate_scope"].isin(POSE_SCOPES)
         upper = runs["upper_bound"].where(runs["upper_bound"] > 0)
+        here = runs["machine_id"] == self.machine_id
         return runs.assign(
             error=(runs["rmse"] / scale).fillna(NO_POSE).clip(lower=MIN_ERROR),
             excess=(runs["rmse_excess"] / scale).fillna(NO_POSE).clip(lower=MIN_ERROR),
             floor=(runs["rmse_floor"] / scale).fillna(0.0),
             rmse=runs["rmse"].fillna(runs["rmse"].max()),
-            time=_time(runs, self.tables.cards).where(runs["machine_id"] == self.machine_id),
+            time=_time(runs, self.tables.cards).where(here),
             success=runs["success"].astype(float),
             wrong=~runs["success"].astype(bool),
             search_error=runs["verdict"].eq("search_error").astype(float),
@@ -117,7 +118,7 @@ class Experiment:
             open_gap=((runs["gap"] / upper).clip(0.0, 1.0)).where(runs["gap"].notna()),
             violation=(violated & of_pose).astype(float),
             limited=runs["outcome"].eq("limited"),
-            **_translation(runs, self.tables.cards),
+            **_translation(runs, self.tables.cards, here),
             source=source.where(source != "", runs["dataset"]),
         )
 
@@ -182,11 +183,11 @@ def _time(runs: pd.DataFrame, cards: Mapping[str, Mapping[str, Any]]) -> pd.Seri
 
 
 def _translation(
-    runs: pd.DataFrame, cards: Mapping[str, Mapping[str, Any]]
+    runs: pd.DataFrame, cards: Mapping[str, Mapping[str, Any]], here: pd.Series
 ) -> dict[str, pd.Series]:
     """Return the work without the rotation stage of methods that end with our reconstruction of one.
 
-    Of other methods it is the whole work.
+    Of other methods it is the whole work. Times are known for runs `here`, on the machine of most runs.
     """
     texts = runs.loc[runs["extra"].astype(str).str.contains("_translation", regex=False), "extra"]
     extra = [json.loads(text) for text in texts]
@@ -197,7 +198,7 @@ def _translation(
 
     limited = runs["outcome"].eq("limited")
     return {
-        "translation_time": stated("time_s").fillna(_time(runs, cards)),
+        "translation_time": stated("time_s").fillna(_time(runs, cards)).where(here),
         "translation_nodes": stated("n_nodes").fillna(runs["n_nodes"]),
         "translation_limited": stated("is_optimal")
         .map({0.0: True, 1.0: False})

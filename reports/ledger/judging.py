@@ -287,7 +287,8 @@ def _machine(experiment: Experiment, part: pd.DataFrame) -> str:
 
 def _is_timed(claim: Claim) -> bool:
     return any(
-        "time" in (entry.get("quantity"), *entry.get("quantities", ())) or entry["kind"] == "race"
+        {"time", "translation_time"} & {entry.get("quantity"), *entry.get("quantities", ())}
+        or entry["kind"] == "race"
         for entry in claim.checks
     )
 

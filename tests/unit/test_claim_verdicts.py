@@ -27,11 +27,13 @@ from claim_fixture import (
 )
 from report_fixture import write_tables
 
+from reports.figures import bounds, profile
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, Experiment
 from reports.ledger.intervals import MIN_INSTANCES, NOT, NOT_RUN, OPEN, REPRODUCED
 from reports.ledger.judging import judge_claim
 from reports.tables import Tables
+from reports.theme import method_styles
 
 # --- verdicts --------------------------------------------------------------------------------------
 
@@ -243,9 +245,24 @@ def test_times_of_other_machines_are_not_used(tmp_path):
     runs.loc[is_other, "machine_id"] = "m1"
     mixed = Experiment(replace(tables, runs=runs))
     assert mixed.machine_id == "m0"
-    times = mixed.runs.set_index("run_id")["time"]
-    alone = Experiment(tables).runs.set_index("run_id")["time"]
     other = set(runs.loc[is_other, "run_id"])
-    assert other & set(times.index)
-    for run_id, time_s in times.items():
-        assert np.isnan(time_s) if run_id in other else time_s == alone[run_id]
+    for name in ("time", "translation_time"):
+        times = mixed.runs.set_index("run_id")[name]
+        alone = Experiment(tables).runs.set_index("run_id")[name]
+        assert other & set(times.index)
+        for run_id, time_s in times.items():
+            assert np.isnan(time_s) if run_id in other else time_s == alone[run_id]
+    figure = bounds.build(mixed.tables, method_styles(tables))
+    drawn = [each for instance in figure.payload["instances"] for each in instance["runs"]]
+    assert {each["run"] in other for each in drawn} == {True, False}
+    for each in drawn:
+        for stage in each["stages"].values():
+            assert all((time is None) == (each["run"] in other) for time in stage["time"])
+    shown, whole = (
+        profile.build(each, method_styles(tables), "rigid3d").payload["views"][""]["data"]
+        for each in (mixed.tables, tables)
+    )
+    complete = [max(trace["y"]) == 1.0 for trace in whole]
+    assert any(complete)
+    for trace, is_complete in zip(shown, complete, strict=True):  # other machines lower no curve
+        assert max(trace["y"]) == 1.0 or not is_complete

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +20,12 @@ from tests import reference_tables
 from workflows import records
 from workflows.config import load
 from workflows.outcomes import OUTCOMES
+from workflows.stages import aggregate as stage
 from workflows.stages.aggregate import aggregate
 from workflows.stages.plan import Plan, expand
 from workflows.studies import synthetic
 
+RULE = Path(__file__).parents[2] / "workflows" / "rules" / "aggregate.smk"
 EVENTS = 6  # mean length of a history; the short ones make the test quick
 
 
@@ -162,6 +165,22 @@ def test_runs_of_one_machine_have_times_that_are_compared(tables):
     assert known
     assert known <= set(runs.loc[runs["machine_id"] == "a", "run_id"])
     assert mixed["rmse"].notna().sum() > len(known)
+
+
+def test_all_files_that_the_rule_promises_exist_without_copies_as_csv(plan, folder, monkeypatch):
+    promised = re.findall(r"tables/([\w.]+\.json|accounting\.csv)", RULE.read_text())
+    promised += ["runs.parquet", "traces.parquet"]
+    assert len(promised) == 5
+    assert "csv" not in re.search(r"\[f.*tables/.*\]", RULE.read_text())[0]
+    kept = {path.name: path.read_bytes() for path in (folder / "tables").iterdir()}
+    monkeypatch.setattr(stage, "MOST_CSV_ROWS", 0)
+    aggregate(plan, folder)
+    try:
+        assert all((folder / "tables" / name).is_file() for name in promised)
+        assert not (folder / "tables" / "runs.csv").exists()
+    finally:
+        for name, content in kept.items():
+            (folder / "tables" / name).write_bytes(content)
 
 
 def test_missing_and_double_results_are_refused(plan, folder, tmp_path):

@@ -147,7 +147,7 @@ def test_an_old_digest_next_to_the_new_one_is_no_contradiction(tmp_path):
 @pytest.mark.parametrize(
     ("change", "shown"),
     [
-        ({"n_nodes": 5}, ("n_nodes 4", "and 5")),
+        ({"n_nodes": 5, "lower_bound": 1.1, "upper_bound": 1.2}, ("lower_bound against", "1.1")),
         ({"T_target_source": POSE.replace("0.5", "0.75")}, ("T_target_source", "0.75")),
         ({"status": "node_limit"}, ("status 'optimal'", "'node_limit'")),
     ],
@@ -160,13 +160,31 @@ def test_conflicting_results_are_refused(tmp_path, change, shown):
         assert str(text) in str(raised.value)
 
 
+def test_other_work_with_consistent_bounds_is_counted(tmp_path):
+    a, b = results(tmp_path / "a", run(1)), results(tmp_path / "b", run(1, n_nodes=5))
+    (found,) = merge([a, b], tmp_path / "out")
+    assert (found.duplicates, found.other_work, found.replaced) == (1, 1, 0)
+    assert merged(tmp_path / "out") == [run(1)]
+
+
+def test_a_better_run_of_another_machine_does_not_replace_one_whose_time_is_used(tmp_path):
+    late = run(1, status="time_limit", time_solve_s=100.0)
+    a = results(tmp_path / "a", late, run(2), run(3))
+    b = results(tmp_path / "b", run(1, machine_id="m2"))
+    for number, sources in enumerate([[a, b], [b, a]]):
+        (found,) = merge(sources, tmp_path / f"out{number}", mixed_machines=True)
+        assert next(r for r in merged(tmp_path / f"out{number}") if r["run_id"] == "run1") == late
+        assert found.replaced == 0
+
+
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("status", ["time_limit", "failed"])
 def test_the_run_that_the_clock_did_not_end_is_kept(tmp_path, status, reverse):
     a = results(tmp_path / "a", run(1))
     b = results(tmp_path / "b", run(1, status=status, n_nodes=2))
-    merge([b, a] if reverse else [a, b], tmp_path / "out")
+    (found,) = merge([b, a] if reverse else [a, b], tmp_path / "out")
     assert merged(tmp_path / "out") == [run(1)]
+    assert found.replaced == 1
 
 
 def test_versions_of_a_method_do_not_contradict_each_other(tmp_path):

@@ -5,7 +5,7 @@ rule aggregate:
         f"{VIEW}/metrics/metrics.parquet",
         [f"{OUT}/runs/{method}/{chunk}{kind}.parquet" for method, chunk in JOBS for kind in ("", ".trace")],
     output:
-        [f"{VIEW}/tables/{name}.{kind}" for name in ("runs", "traces") for kind in ("parquet", "csv")],
+        [f"{VIEW}/tables/{name}.parquet" for name in ("runs", "traces")],  # long ones have no copy as CSV
         f"{VIEW}/tables/accounting.csv",
         f"{VIEW}/tables/provenance.json",
         f"{VIEW}/tables/overlays.json",
@@ -13,7 +13,8 @@ rule aggregate:
         config=digest(EXPERIMENT.model_dump()),
         cards=digest([registry.read_card(method.baseline).model_dump() for method in PLAN.methods]),
         sources=sources(
-            "workflows/stages/aggregate.py", "workflows/attribution.py", "workflows/records.py"
+            "workflows/stages/aggregate.py", "workflows/attribution.py", "workflows/records.py",
+            "workflows/outcomes.py",
         ),
     run:
         run_stage("workflows", "aggregate", *CHOICE, OUT)

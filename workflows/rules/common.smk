@@ -10,6 +10,7 @@ sys.path.insert(0, workflow.basedir)
 
 from snakemake.exceptions import WorkflowError
 from snakemake.logging import logger
+from snakemake_interface_executor_plugins.settings import ExecMode
 
 from baselines import registry
 from workflows.blocks import Needs
@@ -46,7 +47,9 @@ CHOICE += ["--needs", NEEDS] if NEEDS else []
 os.environ["PYTHONPATH"] = os.pathsep.join(
     [workflow.basedir, *filter(None, [os.environ.get("PYTHONPATH")])]
 )
-os.environ["DCREG_PARALLEL_JOBS"] = str(workflow.cores or 1)
+# Solve jobs that share a job of a cluster run one after the other.
+is_remote = workflow.exec_mode == ExecMode.REMOTE
+os.environ["DCREG_PARALLEL_JOBS"] = "1" if is_remote else str(workflow.cores or 1)
 
 
 # `group-components` of a cluster's profile, once the rules are read, in the process that submits the jobs.

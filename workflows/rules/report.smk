@@ -5,6 +5,8 @@ rule report:
     output:
         f"{VIEW}/report/index.html",
     params:
-        sources=sources("reports"),
+        sources=sources(
+            "reports", "workflows/outcomes.py", "workflows/summary.py", "workflows/metrics"
+        ),
     run:
         run_stage("reports", "experiment", f"{VIEW}/tables", output[0])

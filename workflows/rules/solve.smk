@@ -11,7 +11,10 @@ def oracle_truth(wildcards):
     return [f"{OUT}/truth/{wildcards.chunk}.npz"] if has_oracle(wildcards.method) else []
 
 
+# On a cluster, solve jobs that share a job run one after the other: each takes all of its threads.
 def solve_threads(wildcards):
+    if group_sizes():
+        return max(EXPERIMENT.limits_of(method).threads for method in EXPERIMENT.methods)
     return EXPERIMENT.limits_of(EXPERIMENT.method(wildcards.method)).threads
 
 

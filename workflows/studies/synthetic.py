@@ -179,7 +179,7 @@ def _runs(
     is_optimal = status == Status.OPTIMAL.value
     proven = np.where(is_optimal, 1 - 0.01 * rng.random(count), rng.random(count) ** 2)
     upper = np.where(posed & bounds, objective * rng.uniform(1.0, 1.001, count), np.nan)
-    lower = upper * proven * 0.95
+    lower = upper * np.where(is_optimal, proven, 0.95 * proven)
     late = status == Status.TIME_LIMIT.value
     seconds = np.where(late, LIMIT_S, np.minimum(work * (3e-3 if bounds else 2e-5), 0.9 * LIMIT_S))
     poses = {dim: _poses(rng, count, dim) for dim in rows["dim"].unique()}
