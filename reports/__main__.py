@@ -171,7 +171,8 @@ def archived(
     """Build all pages from an archive, without a run."""
     from reports.archive.pages import build
 
-    say(f"pages     {build(archive, out or Path('results/archive', Path(archive).stem), sha256)}")
+    name = Path(archive).name.removesuffix(".zip")
+    say(f"pages     {build(archive, out or Path('results/archive', name), sha256)}")
 
 
 @app.command()
