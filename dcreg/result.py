@@ -15,7 +15,7 @@ from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, plain, write_text
 from dcreg.names import NO_PROOF_EXPECTED
-from dcreg.problem import InputError, rotation_angle_deg, scale_of
+from dcreg.problem import InputError, OpenDirection, rotation_angle_deg, scale_of
 from dcreg.result_parts import RunnerUp, Sample, Score, Trace
 from dcreg.search import Confined, Outcome, proven_share
 from dcreg.status import Status
@@ -171,8 +171,17 @@ class Result:
         Score over the matches, from `dcreg.register_matches`.
     runner_up : RunnerUp, optional
         The best pose found that clearly differs from this one.
+    covariance : (6, 6) array in 3D, (4, 4) array in 2D, optional
+        Covariance of ``xi`` in ``T_target_source @ Exp(xi)``, with rotation (radians) first, then
+        translation, then the logarithm of the scale (2D; zeros if it is fixed). It follows from the
+        residuals of the pairs and assumes that the pairs are right, with independent and equally large
+        errors. It is far too small for scans of a surface at different points. None if the pairs do not
+        determine the pose.
+    open_directions : list of OpenDirection
+        Motions along which the clouds slide on each other, such as those of a plane. The pairs then fit
+        as well, so the covariance does not show them. Needs at least 200 target points.
     warnings : list of str
-        What needs a second look, and what to do about it.
+        Possible problems with the result, and what to do about them.
     """
 
     status: Status
@@ -200,6 +209,8 @@ class Result:
     downsampled: Sample | None = None
     score: Score | None = None
     runner_up: RunnerUp | None = None
+    covariance: np.ndarray | None = None
+    open_directions: list[OpenDirection] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -277,7 +288,7 @@ class Result:
             "bound", "mode", "lower_bound", "upper_bound", "gap", "gap_tol", "bound_ratio", "is_exact",
             "objective", "objective_certified", "n_nodes", "n_assignments", "time_setup_s",
             "time_solve_s", "certificate_scope", "rmse_matched", "assignment", "downsampled", "score",
-            "runner_up", "warnings",
+            "runner_up", "covariance", "open_directions", "warnings",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "stages": [stage.to_dict() for stage in self.stages]})

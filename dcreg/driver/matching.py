@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dcreg.driver.options import Limits, SolveOptions
+from dcreg.driver.solve import with_uncertainty
 from dcreg.driver.warm_up import warm_up_matches
 from dcreg.families.matches.bound import MatchBound
 from dcreg.families.matches.problem import MatchProblem
@@ -91,7 +92,7 @@ def _solved(
         problem, chosen, score, [best, *others], unproven, status is Status.CONVERGED
     )
     T = problem.pose(pose)
-    return Result(
+    result = Result(
         status=status, model="rigid3d", mode=MODE, bound=BOUND, T_target_source=T, T_certified=T,
         assignment=problem.pairs[chosen], n_inliers=len(chosen),
         lower_bound=lower, upper_bound=value, gap_tol=tolerance.allowed(value),
@@ -103,3 +104,4 @@ def _solved(
         trace=Trace(events), score=scores,
         warnings=warnings,
     )  # fmt: skip
+    return with_uncertainty(result, problem.source, problem.target)

@@ -28,7 +28,7 @@ from dcreg.driver.warm_up import warm_up_mode
 from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, START_BOXES
-from dcreg.problem import Problem
+from dcreg.problem import Problem, apply_pose, open_directions, pose_covariance
 from dcreg.problem.geometry import Frame, exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
 from dcreg.search import Budget, Event, Listener
@@ -191,6 +191,9 @@ class Finish:
             self._report_refinement(np.inf)
             result = refined(result, problem, searched, self.budget, self.known)
             self._report_refinement(result.objective)
+        low, high = problem.scale_range
+        has_scale = problem.model == "similarity2d" and low < high
+        result = with_uncertainty(result, problem.source, problem.target, has_scale=has_scale)
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
 
     def _report_refinement(self, objective: float) -> None:
@@ -272,6 +275,27 @@ class Finish:
             found, root, problem, normalised.frame, normalised.tolerance.allowed(found.upper_bound),
             model=mode.certifies, mode=mode.name, bound=normalised.bound,
         )  # fmt: skip
+
+
+def with_uncertainty(
+    result: Result, source: np.ndarray, target: np.ndarray, *, has_scale: bool = False
+) -> Result:
+    """Return the result with the covariance of its pose, and the directions that the clouds leave open.
+
+    Parameters
+    ----------
+    result : Result
+    source, target : (n, d), (m, d) arrays
+    has_scale : bool
+        Whether the scale was free.
+    """
+    pose, (rows, columns) = result.T_target_source, result.assignment.T
+    matched, moved = source[rows], apply_pose(result.T_target_source, source[rows])
+    return replace(
+        result,
+        covariance=pose_covariance(pose, matched, target[columns], has_scale=has_scale),
+        open_directions=open_directions(moved, target, has_scale=has_scale),
+    )
 
 
 def in_input_units(listener: Listener | None, area: float) -> Listener | None:

@@ -19,3 +19,8 @@ from dcreg.problem.geometry import (
     unit_length,
 )
 from dcreg.problem.problem import Candidates, InputError, Problem, largest_matching, suggestion
+from dcreg.problem.uncertainty import (
+    OpenDirection,
+    open_directions,
+    pose_covariance,
+)

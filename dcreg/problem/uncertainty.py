@@ -1,0 +1,242 @@
+"""How sure each direction of a pose is: its covariance, and directions in which the clouds can slide.
+
+A small change of a pose T is ``T Exp(xi)``, a twist applied to the source first: rotation, then
+translation, then the logarithm of the scale in 2D. GTSAM and small_gicp use the same order and side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dcreg.problem.geometry import apply_pose
+
+# A direction is open if moving along it raises the mean squared distance to the target by less than this
+# share of the largest rise in any direction. With at least 200 points, shapes have 0.2 to 0.6 in their
+# weakest direction, and planes, cylinders, spheres, lines and corridors at most 0.13.
+OPEN = 0.15
+MOST_CONDITION = 1e10  # of the normal matrix; pairs on a line determine no pose
+FEW_POINTS = 200  # of the target; in fewer, points determine a pose that their surface does not
+_STEP = 3.0  # length of a move, in point spacings
+# RMS distance at the pose in point spacings, below which both clouds have the same points. Their noise is
+# then too small for sliding.
+_SAME_POINTS = 0.5
+_SAMPLED = 500  # pairs, evenly spaced, whose distances are compared
+_NEIGHBOURS = {2: 6, 3: 11}  # that show the direction of a curve or surface
+_DENSE = 2_000_000  # distances computed one by one, without loading SciPy
+
+Nearest = Callable[[np.ndarray, int], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class OpenDirection:
+    """A motion of the source along which the clouds slide on each other.
+
+    The motion is given in the coordinates of the target, at the centroid of the matched points: per unit
+    of RMS displacement, the points turn about the axis `rotation` by its length in radians and move by
+    `translation`.
+
+    Attributes
+    ----------
+    rotation : (3,) array, or (1,) array in 2D
+    translation : (d,) array
+    scale : float
+        Relative growth, 0 in 3D.
+    rise : float
+        Rise of the mean squared distance to the target, divided by the largest rise in any direction.
+    """
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    scale: float
+    rise: float
+
+    def __str__(self) -> str:
+        parts = []
+        turn, shift = np.linalg.norm(self.rotation), np.linalg.norm(self.translation)
+        if shift > 0.3:  # of the displacement
+            along = ", ".join(f"{x:.2f}" for x in self.translation / shift)
+            parts.append(f"translation along ({along})")
+        if shift < 0.95 and turn > 0.5 * abs(self.scale):
+            about = ", ".join(f"{x:.2f}" for x in self.rotation / turn)
+            parts.append("rotation" if len(self.rotation) == 1 else f"rotation about ({about})")
+        if shift < 0.95 and abs(self.scale) > 0.5 * turn:
+            parts.append("scale")
+        return " with ".join(parts)
+
+
+def pose_covariance(
+    pose: np.ndarray,
+    source: np.ndarray,
+    target: np.ndarray,
+    *,
+    has_scale: bool = False,
+) -> np.ndarray | None:
+    """Return the covariance of a least-squares pose, from the residuals of its pairs.
+
+    The residuals of right pairs are assumed to be independent and equally large in all directions. Their
+    variance is estimated from the pairs. The covariance is then ``variance * (sum J^T J)^-1`` with the
+    Jacobians ``J`` of the moved points.
+
+    Parameters
+    ----------
+    pose : (d+1, d+1) array
+    source, target : (k, d) arrays
+        Matched points.
+    has_scale : bool
+        Whether the scale was free.
+
+    Returns
+    -------
+    (6, 6) array in 3D, (4, 4) array in 2D, or None
+        Rotation (radians), translation (units of the source), logarithm of the scale (2D; zeros if the
+        scale is fixed), as a twist on the right of the pose. None if the pairs do not determine a pose.
+    """
+    d, centre = source.shape[1], source.mean(axis=0)
+    jacobian = pose[:d, :d] @ _motions(source - centre)  # about the centre, which keeps digits
+    free = jacobian.shape[2] - (d == 2 and not has_scale)
+    normal = np.einsum("kia,kib->ab", jacobian[:, :, :free], jacobian[:, :, :free])
+    residuals = apply_pose(pose, source) - target
+    spare = residuals.size - free
+    size = np.sqrt(np.diag(normal))
+    if spare <= 0 or (size == 0.0).any():
+        return None
+    scaled = normal / np.outer(size, size)
+    if np.linalg.cond(scaled) > MOST_CONDITION:
+        return None
+    variance = float((residuals**2).sum()) / spare
+    about_centre = np.zeros((jacobian.shape[2],) * 2)
+    about_centre[:free, :free] = variance * np.linalg.inv(scaled) / np.outer(size, size)
+    shifted = np.eye(len(about_centre))
+    shifted[_shift(d)] -= _motions(centre[None])[0]
+    shifted[_shift(d), _shift(d)] = np.eye(d)
+    return shifted @ about_centre @ shifted.T
+
+
+def _shift(d: int) -> slice:
+    """Return the places of the translation in a twist."""
+    return slice(3, 6) if d == 3 else slice(1, 3)
+
+
+def open_directions(
+    moved: np.ndarray, target: np.ndarray, *, has_scale: bool = False
+) -> list[OpenDirection]:
+    """Return the directions in which a cloud can slide on the target, as planes and cylinders do.
+
+    Candidates follow from the local directions of curves and surfaces in the target. Each is tried: the
+    cloud moves by three point spacings, and its distances to the target are compared.
+
+    Parameters
+    ----------
+    moved : (k, d) array
+        Matched points of the source at the pose.
+    target : (m, d) array
+    has_scale : bool
+        Whether the scale is free (2D).
+
+    Returns
+    -------
+    list of OpenDirection
+        Those that raise the distances least first. Empty if the target has fewer than `FEW_POINTS`, or if
+        both clouds have the same points.
+    """
+    d = target.shape[1]
+    if len(target) < FEW_POINTS or len(moved) <= d:
+        return []
+    points = moved[:: -(-len(moved) // _SAMPLED)]
+    centred = points - points.mean(axis=0)
+    nearest = _search(target, len(points))
+    at_pose, places = nearest(points, 1)
+    motions = _motions(centred)[:, :, : None if d == 3 or has_scale else 3]
+    normals = _normals(target, nearest, places[:, 0])
+    directions = _candidates(motions, normals)
+    spacing = float(np.median(nearest(target[places[:, 0]], 2)[0][:, 1]))
+    fit = float(np.sqrt((at_pose**2).mean()))
+    if fit <= _SAME_POINTS * spacing:
+        return []
+    step = _STEP * max(spacing, fit)
+    rises = np.array([
+        max(
+            float((nearest(points + sign * step * (motions @ each), 1)[0] ** 2).mean())
+            for sign in (1.0, -1.0)
+        )
+        for each in directions
+    ])  # fmt: skip
+    rises -= fit**2
+    shares = rises / max(float(rises.max()), np.finfo(float).tiny)
+    found = [
+        _described(each, share, d) for each, share in zip(directions, shares, strict=True) if share < OPEN
+    ]  # fmt: skip
+    return sorted(found, key=lambda direction: direction.rise)
+
+
+def _motions(points: np.ndarray) -> np.ndarray:
+    """Return (k, d, p): the displacement of each point by a unit rotation, translation and growth."""
+    k, d = points.shape
+    shift = np.broadcast_to(np.eye(d), (k, d, d))
+    if d == 2:
+        turn = np.stack([-points[:, 1], points[:, 0]], axis=1)[:, :, None]
+        return np.concatenate([turn, shift, points[:, :, None]], axis=2)
+    turn = np.zeros((k, 3, 3))
+    for i, j, l in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # axis i moves j to l
+        turn[:, l, i], turn[:, j, i] = points[:, j], -points[:, l]
+    return np.concatenate([turn, shift], axis=2)
+
+
+def _search(target: np.ndarray, queries: int) -> Nearest:
+    """Return a function from points and a count to distances and rows of their nearest targets."""
+    if queries * len(target) > _DENSE:
+        from scipy.spatial import cKDTree
+
+        tree = cKDTree(target)
+        return lambda points, count: _columns(*tree.query(points, k=count))
+
+    def by_distances(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        squared = np.zeros((len(points), len(target)))
+        for axis in range(target.shape[1]):
+            squared += np.subtract.outer(points[:, axis], target[:, axis]) ** 2
+        rows = np.argpartition(squared, count - 1, axis=1)[:, :count]
+        near = np.take_along_axis(squared, rows, axis=1)
+        order = np.argsort(near, axis=1, kind="stable")
+        near = np.take_along_axis(near, order, axis=1)
+        return np.sqrt(near), np.take_along_axis(rows, order, axis=1)
+
+    return by_distances
+
+
+def _columns(distances: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return distances.reshape(len(distances), -1), rows.reshape(len(rows), -1)
+
+
+def _normals(target: np.ndarray, nearest: Nearest, places: np.ndarray) -> np.ndarray:
+    """Return (k, d, d): 0 along the curve or surface at a target point, up to 1 across it."""
+    around = target[nearest(target[places], 1 + _NEIGHBOURS[target.shape[1]])[1]]
+    off = around - around.mean(axis=1, keepdims=True)
+    spread, axes = np.linalg.eigh(np.einsum("kni,knj->kij", off, off))
+    largest = np.maximum(spread[:, -1:], np.finfo(float).tiny)
+    across = 1.0 - np.sqrt(np.clip(spread / largest, 0.0, 1.0))
+    return np.einsum("kij,kj,klj->kil", axes, across, axes)
+
+
+def _candidates(motions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return motions of unit RMS displacement as rows, the one least across the surface first."""
+    k = len(motions)
+    length = np.einsum("kia,kib->ab", motions, motions) / k
+    across = np.einsum("kia,kij,kjb->ab", motions, normals, motions) / k
+    size = np.sqrt(np.maximum(np.diag(length), np.finfo(float).tiny))
+    length, across = length / np.outer(size, size), across / np.outer(size, size)
+    factor = np.linalg.cholesky(length + 1e-9 * np.eye(len(length)))
+    inverse = np.linalg.inv(factor)
+    _, axes = np.linalg.eigh(inverse @ across @ inverse.T)
+    found = (inverse.T @ axes).T / size
+    moved = np.sqrt(np.einsum("pa,ab,pb->p", found * size, length, found * size))
+    return found[moved > 0.5]  # a rotation about points on a line moves nothing
+
+
+def _described(direction: np.ndarray, share: float, d: int) -> OpenDirection:
+    turns = 1 if d == 2 else 3
+    rotation, translation = direction[:turns], direction[turns : turns + d]
+    scale = float(direction[turns + d]) if len(direction) > turns + d else 0.0
+    return OpenDirection(rotation, translation, scale, max(0.0, share))

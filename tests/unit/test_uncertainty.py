@@ -1,0 +1,278 @@
+"""The covariance of a pose, and the directions that clouds leave open, against independent references."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from data import registry
+from dcreg.problem import apply_pose
+from dcreg.problem.uncertainty import (
+    FEW_POINTS,
+    OPEN,
+    open_directions,
+    pose_covariance,
+)
+
+DRAWS = 400
+
+
+def hat(xi: np.ndarray, d: int) -> np.ndarray:
+    """The matrix whose exponential is the motion xi: rotation, translation, logarithm of the scale."""
+    out = np.zeros((d + 1, d + 1))
+    if d == 2:
+        out[:2, :2] = [[xi[3], -xi[0]], [xi[0], xi[3]]]
+        out[:2, 2] = xi[1:3]
+        return out
+    x, y, z = xi[:3]
+    out[:3, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+    out[:3, 3] = xi[3:]
+    return out
+
+
+def random_pose(rng: np.random.Generator, d: int) -> np.ndarray:
+    pose = np.eye(d + 1)
+    if d == 3:
+        pose[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+    else:
+        angle = rng.uniform(-np.pi, np.pi)
+        c, s = np.cos(angle), np.sin(angle)
+        pose[:2, :2] = rng.uniform(0.5, 1.5) * np.array([[c, -s], [s, c]])
+    pose[:d, d] = rng.standard_normal(d)
+    return pose
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
+def test_covariance_follows_from_the_curvature_of_the_objective(seed, d):
+    rng = np.random.default_rng(seed)
+    source, pose = rng.standard_normal((12, d)), random_pose(rng, d)
+    target = apply_pose(pose, source) + 0.1 * rng.standard_normal((12, d))
+    p = 6 if d == 3 else 4
+    columns = []
+    for step in 1e-6 * np.eye(p):
+        ends = [
+            apply_pose(pose @ expm(hat(sign * step, d)), source) - target for sign in (1.0, -1.0)
+        ]
+        columns.append((ends[0] - ends[1]).ravel() / 2e-6)
+    jacobian = np.array(columns).T
+    variance = ((apply_pose(pose, source) - target) ** 2).sum() / (12 * d - p)
+    expected = variance * np.linalg.inv(jacobian.T @ jacobian)
+    found = pose_covariance(pose, source, target, has_scale=True)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9 * variance)
+
+
+def fitted(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The pose of least squares and its pairs, from the identity: assignments and fits in turns."""
+    d, last = source.shape[1], None
+    pose = np.eye(d + 1)
+    while True:
+        columns = linear_sum_assignment(cdist(apply_pose(pose, source), target) ** 2)[1]
+        if last is not None and (columns == last).all():
+            return pose, columns
+        last, matched = columns, target[columns]
+        x, y = source - source.mean(axis=0), matched - matched.mean(axis=0)
+        u, s, vt = np.linalg.svd(y.T @ x)
+        signs = np.ones(d)
+        signs[-1] = np.sign(np.linalg.det(u @ vt))
+        pose = np.eye(d + 1)
+        pose[:d, :d] = (u * signs) @ vt * ((s * signs).sum() / (x**2).sum() if d == 2 else 1.0)
+        pose[:d, d] = matched.mean(axis=0) - pose[:d, :d] @ source.mean(axis=0)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+@pytest.mark.parametrize("shape", ["fish", "pony"])
+def test_covariance_is_within_a_fifth_of_monte_carlo(shape, noise):
+    rng = np.random.default_rng(5)
+    source = registry.dataset("embedded").points(shape, 60)
+    source = (source - source.mean(axis=0)) / np.ptp(source, axis=0).max()
+    d = source.shape[1]
+    drawn, stated = [], []
+    for _ in range(DRAWS):
+        target = source + noise * rng.standard_normal(source.shape)
+        pose, columns = fitted(source, target)
+        stated.append(pose_covariance(pose, source, target[columns], has_scale=True))
+        if d == 3:
+            turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
+            drawn.append([*turn, *(pose[:3, :3].T @ pose[:3, 3])])
+        else:
+            scale = np.hypot(pose[0, 0], pose[1, 0])
+            turn = np.arctan2(pose[1, 0], pose[0, 0])
+            drawn.append([turn, *np.linalg.solve(pose[:2, :2], pose[:2, 2]), np.log(scale)])
+    ratio = np.sqrt(np.diag(np.mean(stated, axis=0)) / np.diag(np.cov(np.transpose(drawn))))
+    assert (np.abs(ratio - 1.0) < 0.2).all(), ratio
+
+
+def test_a_fixed_scale_has_no_variance(rng):
+    source = rng.random((20, 2))
+    target = source + 0.01 * rng.standard_normal((20, 2))
+    found = pose_covariance(np.eye(3), source, target)
+    assert not found[3].any()
+    assert not found[:, 3].any()
+    assert np.linalg.eigvalsh(found[:3, :3]).min() > 0
+
+
+def test_pairs_that_determine_no_pose_have_no_covariance(rng):
+    on_a_line = np.outer(rng.random(10), [1.0, 2.0, 3.0])
+    noisy = on_a_line + 0.1 * rng.standard_normal((10, 3))
+    assert pose_covariance(np.eye(4), on_a_line, noisy) is None
+    two = rng.random((2, 3))
+    assert pose_covariance(np.eye(4), two, two) is None  # as many equations as unknowns
+    same = np.ones((5, 3))
+    assert pose_covariance(np.eye(4), same, noisy[:5]) is None
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_covariance_far_from_the_origin_keeps_its_digits(d, rng):
+    source, offset = rng.random((30, d)), 5e5
+    target = source + 0.01 * rng.standard_normal((30, d))
+    near = pose_covariance(np.eye(d + 1), source, target, has_scale=True)
+    far = pose_covariance(np.eye(d + 1), source + offset, target + offset, has_scale=True)
+    # a twist about the shifted origin moves the points like the one about the old origin
+    moved = np.eye(len(near))
+    for at, step in enumerate(np.eye(len(near))):
+        speed = hat(step, d) @ np.append(np.full(d, -offset), 1.0)
+        moved[slice(3, 6) if d == 3 else slice(1, 3), at] = speed[:d]
+    expected = moved @ near @ moved.T
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        far / np.outer(size, size), expected / np.outer(size, size), atol=1e-6
+    )
+
+
+# --- open directions ------------------------------------------------------------------------------
+
+
+def plane(rng, n):
+    return np.column_stack([rng.random((n, 2)), np.zeros(n)])
+
+
+def cylinder(rng, n):
+    angle = 2 * np.pi * rng.random(n)
+    return np.column_stack([0.3 * np.cos(angle), 0.3 * np.sin(angle), 1.5 * rng.random(n)])
+
+
+def sphere(rng, n):
+    points = rng.standard_normal((n, 3))
+    return points / np.linalg.norm(points, axis=1)[:, None]
+
+
+def line(rng, n):
+    return np.column_stack([rng.random(n), np.zeros((n, 2))])
+
+
+def line_2d(rng, n):
+    return line(rng, n)[:, :2]
+
+
+def circle(rng, n):
+    return cylinder(rng, n)[:, :2]
+
+
+def box(rng, n):
+    points, axes = rng.random((n, 3)), rng.integers(0, 3, n)
+    points[np.arange(n), axes] = rng.integers(0, 2, n)
+    return points
+
+
+def volume(rng, n):
+    return rng.random((n, 3))
+
+
+def two(shape, rng, n=2000):
+    clouds = [shape(rng, n) for _ in range(2)]
+    return [points + 0.003 * rng.standard_normal(points.shape) for points in clouds]
+
+
+@pytest.mark.parametrize(
+    ("shape", "count"),
+    [
+        (plane, 3),
+        (cylinder, 2),
+        (sphere, 3),
+        (line, 1),
+        (line_2d, 1),
+        (circle, 1),
+        (box, 0),
+        (volume, 0),
+    ],
+)
+def test_directions_in_which_shapes_slide(shape, count, rng):
+    moved, target = two(shape, rng)
+    found = open_directions(moved, target)
+    assert len(found) == count
+    assert all(0.0 <= each.rise < OPEN for each in found)
+    assert [each.rise for each in found] == sorted(each.rise for each in found)
+
+
+def test_motions_are_those_of_the_shape(rng):
+    (slide,) = open_directions(*two(line, rng))
+    assert abs(slide.translation[0]) == pytest.approx(1.0, abs=0.02)
+    assert str(slide).startswith("translation along (")
+    about, along = sorted(
+        open_directions(*two(cylinder, rng)), key=lambda each: abs(each.translation[2])
+    )
+    assert abs(along.translation[2]) > 0.8  # the two may be mixed
+    assert abs(about.rotation[2]) > 0.95 * np.linalg.norm(about.rotation)
+    assert "rotation about (" in str(about)
+    for each in open_directions(*two(plane, rng)):
+        assert abs(each.translation[2]) < 0.05
+        assert np.linalg.norm(each.rotation[:2]) < 0.1
+
+
+@pytest.mark.parametrize("shape", ["pony", "saurian"])
+@pytest.mark.parametrize("n", [200, 400])
+def test_shapes_of_animals_do_not_slide(shape, n):
+    points = registry.dataset("embedded").points(shape, 2 * n)
+    order = np.random.default_rng(1).permutation(2 * n)
+    assert open_directions(points[order[:n]], points[order[n:]]) == []
+
+
+def test_what_cannot_be_told_is_not_reported(rng):
+    moved, target = two(plane, rng, FEW_POINTS - 1)
+    assert open_directions(moved, target) == []
+    same = plane(rng, 500)
+    assert open_directions(same, same) == []
+    assert open_directions(np.ones((300, 3)), np.ones((300, 3))) == []
+
+
+def test_open_directions_do_not_depend_on_how_neighbours_are_found(rng, monkeypatch):
+    moved, target = two(cylinder, rng)
+    found = open_directions(moved, target)
+    monkeypatch.setattr("dcreg.problem.uncertainty._DENSE", 0)
+    for one, other in zip(found, open_directions(moved, target), strict=True):
+        assert one.rise == pytest.approx(other.rise, rel=1e-9)
+
+
+# --- in results -----------------------------------------------------------------------------------
+
+
+def test_a_result_states_both(rng):
+    source, target = two(plane, rng, 250)
+    result = dcreg.register(source, target, n_inliers=250, model="rigid3d", time_limit=3)
+    assert result.covariance.shape == (6, 6)
+    assert len(result.open_directions) == 3
+    stated = result.to_dict()
+    assert len(stated["covariance"]) == 6
+    assert set(stated["open_directions"][0]) == {"rotation", "translation", "scale", "rise"}
+
+
+def test_matches_and_similarities_have_a_covariance(rng):
+    source = rng.random((30, 3))
+    target = source + 0.01 * rng.standard_normal((30, 3))
+    pairs = np.column_stack([np.arange(30)] * 2)
+    over_matches = dcreg.register_matches(source, target, pairs, inlier_distance=0.1, certify=False)
+    assert over_matches.covariance.shape == (6, 6)
+    free, fixed = (
+        dcreg.register(
+            source[:, :2], target[:, :2], n_inliers=30, model="similarity2d", scale_range=scales
+        )
+        for scales in ((0.5, 1.5), (1.0, 1.0))
+    )
+    assert free.covariance[3, 3] > 0.0 == fixed.covariance[3, 3]
