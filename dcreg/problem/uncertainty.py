@@ -94,7 +94,10 @@ def pose_covariance(
         Rotation (radians), translation (units of the source), logarithm of the scale (2D; zeros if the
         scale is fixed), as a twist on the right of the pose. None if the pairs do not determine a pose.
     """
-    d, centre = source.shape[1], source.mean(axis=0)
+    d = source.shape[1]
+    if len(source) <= 1:
+        return None
+    centre = source.mean(axis=0)
     jacobian = pose[:d, :d] @ _motions(source - centre)  # about the centre, which keeps digits
     free = jacobian.shape[2] - (d == 2 and not has_scale)
     normal = np.einsum("kia,kib->ab", jacobian[:, :, :free], jacobian[:, :, :free])

@@ -336,7 +336,7 @@ def test_damaged_files_are_set_aside_and_made_again(checkout):
         path.write_bytes(content)
     output = checkout.command("run", "tiny", "--cores", "2", "--no-report")
     for path in damaged:
-        assert f"damaged   {path}: set aside" in output
+        assert f"damaged   {path}: renamed" in output
         if path.parent.name != "metrics":  # which is made from runs, and removed
             assert path.with_name(path.name + DAMAGED).exists()
     pd.testing.assert_frame_equal(checkout.runs(), before)
