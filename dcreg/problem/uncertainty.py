@@ -53,19 +53,6 @@ class OpenDirection:
     scale: float
     rise: float
 
-    def __str__(self) -> str:
-        parts = []
-        turn, shift = np.linalg.norm(self.rotation), np.linalg.norm(self.translation)
-        if shift > 0.3:  # of the displacement
-            along = ", ".join(f"{x:.2f}" for x in self.translation / shift)
-            parts.append(f"translation along ({along})")
-        if shift < 0.95 and turn > 0.5 * abs(self.scale):
-            about = ", ".join(f"{x:.2f}" for x in self.rotation / turn)
-            parts.append("rotation" if len(self.rotation) == 1 else f"rotation about ({about})")
-        if shift < 0.95 and abs(self.scale) > 0.5 * turn:
-            parts.append("scale")
-        return " with ".join(parts)
-
 
 def pose_covariance(
     pose: np.ndarray,
@@ -152,13 +139,12 @@ def open_directions(
     centred = points - points.mean(axis=0)
     nearest = _search(target, len(points))
     at_pose, places = nearest(points, 1)
-    motions = _motions(centred)[:, :, : None if d == 3 or has_scale else 3]
-    normals = _normals(target, nearest, places[:, 0])
-    directions = _candidates(motions, normals)
     spacing = float(np.median(nearest(target[places[:, 0]], 2)[0][:, 1]))
     fit = float(np.sqrt((at_pose**2).mean()))
     if fit <= _SAME_POINTS * spacing:
         return []
+    motions = _motions(centred)[:, :, : None if d == 3 or has_scale else 3]
+    directions = _candidates(motions, _normals(target, nearest, places[:, 0]))
     step = _STEP * max(spacing, fit)
     rises = np.array([
         max(

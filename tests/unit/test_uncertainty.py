@@ -214,13 +214,11 @@ def test_directions_in_which_shapes_slide(shape, count, rng):
 def test_motions_are_those_of_the_shape(rng):
     (slide,) = open_directions(*two(line, rng))
     assert abs(slide.translation[0]) == pytest.approx(1.0, abs=0.02)
-    assert str(slide).startswith("translation along (")
     about, along = sorted(
         open_directions(*two(cylinder, rng)), key=lambda each: abs(each.translation[2])
     )
     assert abs(along.translation[2]) > 0.8  # the two may be mixed
     assert abs(about.rotation[2]) > 0.95 * np.linalg.norm(about.rotation)
-    assert "rotation about (" in str(about)
     for each in open_directions(*two(plane, rng)):
         assert abs(each.translation[2]) < 0.05
         assert np.linalg.norm(each.rotation[:2]) < 0.1
