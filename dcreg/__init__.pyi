@@ -11,7 +11,7 @@ from .driver.warm_up import warm_up
 from .io import read_candidates, read_matches, read_points
 from .names import bound_names, mode_names
 from .plot import plot_registration, plot_sweep
-from .problem import Candidates, InputError, OpenDirection, Problem
+from .problem import Candidates, InputError, OpenDirection, PoseRange, Problem
 from .result import Result, RunnerUp, Stage, Trace
 from .search import Event, Listener
 from .status import Status
@@ -26,6 +26,7 @@ __all__ = [
     "InputError",
     "Listener",
     "OpenDirection",
+    "PoseRange",
     "Problem",
     "Report",
     "Result",

@@ -10,7 +10,7 @@ from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import register_problem
 from dcreg.driver.sweep import sweep_problems
 from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, SCORES
-from dcreg.problem import Candidates, InputError, Problem
+from dcreg.problem import Candidates, InputError, PoseRange, Problem
 from dcreg.result import Result
 from dcreg.sweep_result import SweepResult
 
@@ -23,12 +23,14 @@ def register(
     model: str,
     scale_range: tuple[float, float] | None = None,
     candidates: Candidates | None = None,
+    pose_range: PoseRange | None = None,
     rel_gap: float = DEFAULT_REL_GAP,
     abs_gap: float | None = None,
     tol: float | None = None,
     time_limit: float | None = DEFAULT_TIME_LIMIT_S,
     node_limit: int | None = None,
     memory_limit_mb: float | None = None,
+    max_rms: float | None = None,
     options: SolveOptions | None = None,
 ) -> Result:
     """Register two clouds without correspondences, globally and with a certificate.
@@ -52,6 +54,8 @@ def register(
     candidates : (n, m) bool array, or n sequences of target indices, optional
         The feasible pairs, e.g. from descriptors or a distance gate. All other pairs are excluded from
         the objective, the bounds and the assignment.
+    pose_range : PoseRange, optional
+        The admissible poses: rotations about one axis, limited angles or translations. Default: all.
     rel_gap : float
         The relative tolerance, as a share of the upper bound, below 1. The search stops when
         ``upper_bound - lower_bound <= max(rel_gap * upper_bound, abs_gap)``.
@@ -73,6 +77,10 @@ def register(
         Maximum number of boxes bounded per stage. A round of up to a thousand boxes is completed.
     memory_limit_mb : float, optional
         Memory of the open boxes. Up to three times as much is in use while their number grows.
+    max_rms : float, optional
+        Decide whether a pose matches the `n_inliers` pairs with at most this RMS residual, in units of
+        the target. The search ends as ``converged`` when such a pose is found, and as ``refuted`` when it
+        is proven that there is none.
     options : SolveOptions, optional
         How to solve: mode, bound, threads, polish, certificate, downsampling, listener.
 
@@ -94,8 +102,8 @@ def register(
     >>> result.status.value, np.round(result.translation, 6).tolist()
     ('optimal', [3.0, 3.0])
     """
-    problem = Problem(source, target, n_inliers, model, scale_range, candidates)
-    limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
+    problem = Problem(source, target, n_inliers, model, scale_range, candidates, pose_range)
+    limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb, max_rms)
     return register_problem(problem, limits, SolveOptions.of(options))
 
 

@@ -328,7 +328,9 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
 
 
 def warnings_for(case: Case) -> list[str]:
-    """Return one line for each rule that applies."""
+    """Return one line for each rule that applies; none if it is proven that no pose is good enough."""
+    if case.result.status is Status.REFUTED:
+        return []
     return [line for rule in RULES if (line := rule(case)) is not None]
 
 

@@ -21,6 +21,7 @@ DEFAULT_REL_GAP = 0.01
 
 # Reason of status ``converged``, shared by results and warnings.
 NO_PROOF_EXPECTED = "proof not expected soon"
+MAX_RMS_MET = "a pose within max_rms was found"
 
 AUTO = "auto"  # the library chooses the mode
 

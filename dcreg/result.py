@@ -14,7 +14,7 @@ from dcreg._version import __version__
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, plain, write_text
-from dcreg.names import NO_PROOF_EXPECTED
+from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED
 from dcreg.problem import InputError, OpenDirection, rotation_angle_deg, scale_of
 from dcreg.result_parts import RunnerUp, Sample, Score, Trace
 from dcreg.search import Confined, Outcome, proven_share
@@ -146,6 +146,8 @@ class Result:
         bound of an exact fit.
     is_exact : bool
         Whether the upper bound is 0 up to rounding. The pose is then optimal, whatever the lower bound.
+    max_rms : float, optional
+        The requested residual, as in `dcreg.register`.
     certificate_scope : str
         What the bounds refer to: ``"similarity pose"``, ``"translation in norm space"``, ...
     objective : float
@@ -209,6 +211,7 @@ class Result:
     downsampled: Sample | None = None
     score: Score | None = None
     runner_up: RunnerUp | None = None
+    max_rms: float | None = None
     covariance: np.ndarray | None = None
     open_directions: list[OpenDirection] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -233,6 +236,8 @@ class Result:
         """Why the status is ``converged``; empty for another status."""
         if self.status is not Status.CONVERGED:
             return ""
+        if self.max_rms is not None and self.rmse_matched <= self.max_rms:
+            return MAX_RMS_MET
         if self.gap_closed:
             return "a later stage is not certified"
         if self.gap <= self.gap_tol:
@@ -287,7 +292,7 @@ class Result:
             "status", "reason", "T_target_source", "T_certified", "scale", "model", "n_inliers",
             "bound", "mode", "lower_bound", "upper_bound", "gap", "gap_tol", "bound_ratio", "is_exact",
             "objective", "objective_certified", "n_nodes", "n_assignments", "time_setup_s",
-            "time_solve_s", "certificate_scope", "rmse_matched", "assignment", "downsampled", "score",
+            "time_solve_s", "certificate_scope", "rmse_matched", "max_rms", "assignment", "downsampled", "score",
             "runner_up", "covariance", "open_directions", "warnings",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
@@ -376,6 +381,12 @@ class Result:
         status = self.status
         if status is Status.OPTIMAL:
             return f"optimal: certified for the {scope}; {self._proven_share()}"
+        if status is Status.REFUTED:
+            rms = float(np.sqrt(self.lower_bound / self.n_inliers))
+            return (
+                f"refuted: no pose matches {text.count(self.n_inliers, 'pair')} with an RMS residual of at "
+                f"most {self.max_rms:g}; proven for every {scope}: at least {rms:.4g}"
+            )
         if status is not Status.CONVERGED:
             later = f"; certified for the {scope}, but a later stage did not finish"
             return (

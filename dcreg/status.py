@@ -12,6 +12,8 @@ class Status(enum.StrEnum):
     OPTIMAL = "optimal"
     #: The method finished without a proof of the optimum; its bounds, if any, are valid.
     CONVERGED = "converged"
+    #: No pose is as good as requested (`max_rms`): proven.
+    REFUTED = "refuted"
     #: The caller stopped the run.
     STOPPED = "stopped"
     #: It hit the time limit; the best pose is kept.

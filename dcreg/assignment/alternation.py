@@ -9,7 +9,7 @@ import numpy as np
 
 from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
 from dcreg.assignment.sparse import nearest_pairs
-from dcreg.problem.geometry import apply_pose, fit_pose
+from dcreg.problem.geometry import apply_pose
 from dcreg.search import Budget, Interrupted
 
 if TYPE_CHECKING:
@@ -120,13 +120,13 @@ def follow_nearest(
     tree: cKDTree,
     T: np.ndarray,
     k: int,
-    scale_range: tuple[float, float],
+    fit_pairs: Callable[[np.ndarray, np.ndarray], np.ndarray],
     budget: Budget | None = None,
 ) -> tuple[np.ndarray, float]:
-    """Alternate the k nearest neighbours and the least-squares pose while their distance falls.
+    """Alternate the k nearest neighbours and their pose while their distance falls.
 
     Returns the final pose and the sum of squared distances of its pairs, which are not one-to-one. `tree`
-    contains the target.
+    contains the target, and `fit_pairs` returns the pose of paired points.
     """
 
     def evaluate(T: np.ndarray) -> tuple[float, np.ndarray]:
@@ -136,7 +136,7 @@ def follow_nearest(
     def fit(T: np.ndarray, pairs: np.ndarray) -> np.ndarray | None:
         if budget is not None and budget.is_over:
             return None
-        return fit_pose(source[pairs[:, 0]], tree.data[pairs[:, 1]], scale_range)
+        return fit_pairs(source[pairs[:, 0]], tree.data[pairs[:, 1]])
 
     value, pairs = evaluate(T)
     T, value, _, _ = alternate(T, value, pairs, fit, evaluate, _MIN_GAIN_NEAREST, MAX_ROUNDS - 1)

@@ -8,7 +8,6 @@ from dcreg.assignment.alternation import alternate
 from dcreg.assignment.large import descend
 from dcreg.assignment.objective import is_large, objective
 from dcreg.problem import Problem
-from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 __all__ = ["alternate", "polish"]
@@ -49,7 +48,7 @@ def polish(
     def fit(T: np.ndarray, pairs: np.ndarray) -> np.ndarray | None:
         if budget.is_over:
             return None
-        return fit_pose(source[pairs[:, 0]], target[pairs[:, 1]], problem.scale_range)
+        return problem.fit(source[pairs[:, 0]], target[pairs[:, 1]])
 
     if candidates is None and is_large(len(source), len(target)):
         return _polish_large(problem, T_target_source, budget, known)

@@ -11,7 +11,7 @@ from dcreg.assignment.alternation import follow_nearest
 from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import nearest_pairs, tree_of
 from dcreg.problem import Problem
-from dcreg.problem.geometry import apply_pose, fit_pose
+from dcreg.problem.geometry import apply_pose
 from dcreg.search import Budget
 
 if TYPE_CHECKING:
@@ -131,7 +131,8 @@ def _alternate(
 ) -> tuple[np.ndarray, float, np.ndarray, int]:
     """Return pose, value and pairs after some long steps, and the matchings made for it and before."""
     low, high = problem.scale_range
-    length = _LONG_STEP if low == high else 1  # a long step could leave the range of scales
+    # a long step could leave the range of scales or of poses
+    length = _LONG_STEP if low == high and problem.pose_range is None else 1
     spent, most = 1, 1 if is_huge(problem) else _MAX_MATCHINGS
     while spent < most and not budget.is_over:
         fitted = _fit(problem, pairs)
@@ -150,7 +151,7 @@ def _alternate(
 
 
 def _fit(problem: Problem, pairs: np.ndarray) -> np.ndarray:
-    return fit_pose(problem.source[pairs[:, 0]], problem.target[pairs[:, 1]], problem.scale_range)
+    return problem.fit(problem.source[pairs[:, 0]], problem.target[pairs[:, 1]])
 
 
 def _matched(
@@ -165,7 +166,7 @@ def _near_fit(problem: Problem, T: np.ndarray, budget: Budget, tree: cKDTree) ->
     """Return the pose at which some source points stop following their nearest neighbours."""
     for count in (_FEW, _MANY) if is_huge(problem) else (_FEW,):
         some, share = _thinned(problem, count)
-        T, _ = follow_nearest(some, tree, T, share, problem.scale_range, budget)
+        T, _ = follow_nearest(some, tree, T, share, problem.fit, budget)
     return T
 
 

@@ -14,7 +14,7 @@ from dcreg.cli.interrupts import raise_again
 from dcreg.names import FIGURE_PACKAGES
 
 # 1 is left to Python: an unexpected error, or a missing package.
-EXIT_OK, EXIT_INPUT, EXIT_LIMIT, EXIT_OUTPUT, EXIT_REFUSED = 0, 2, 3, 4, 5
+EXIT_OK, EXIT_INPUT, EXIT_LIMIT, EXIT_OUTPUT, EXIT_REFUSED, EXIT_REFUTED = 0, 2, 3, 4, 5, 6
 STDOUT = Path("-")
 MAX_NAME = 200  # bytes of the name of an output; the temporary file next to it has a longer name
 
@@ -94,6 +94,8 @@ def write_outputs(status: dcreg.Status, *writers: tuple[Path | None, Writer]) ->
     raise_again()
     solved = status in (dcreg.Status.OPTIMAL, dcreg.Status.CONVERGED)
     code = EXIT_OK if solved else EXIT_LIMIT
+    if status is dcreg.Status.REFUTED:
+        code = EXIT_REFUTED
     for path, write in writers:
         if path is None:
             continue

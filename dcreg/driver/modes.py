@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import functools
 import logging
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import starmap
 from operator import attrgetter
 from typing import Any
@@ -18,7 +21,7 @@ from dcreg.jit import when_compiling
 from dcreg.names import AUTO, DEFAULT_BOUND, MODEL_DIM, mode_names
 from dcreg.problem import InputError, Problem, suggestion
 from dcreg.result import Stage
-from dcreg.search import Bound, Boxes, Budget, minimise
+from dcreg.search import Bound, Boxes, Budget, Interrupted, Outcome, Start, minimise
 from dcreg.search.space_search import Cover
 from dcreg.status import Status
 
@@ -68,13 +71,21 @@ def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = 
     than `NORM_PAIRS` point pairs are searched.
     """
     pairs = len(problem.source) * len(problem.target)
-    only_paper = certificate or bound is not None
-    if problem.model == "similarity2d" or only_paper or pairs > NORM_PAIRS:
+    only_paper = certificate or bound is not None or pairs > NORM_PAIRS
+    if problem.model == "similarity2d" or (only_paper and problem.pose_range is None):
         return "paper"
     return "full"
 
 
-def check_mode(mode: Mode, problem: Problem, bound: str | None, certificate: bool) -> None:
+def check_mode(
+    mode: Mode,
+    problem: Problem,
+    bound: str | None,
+    certificate: bool,
+    *,
+    has_init: bool = False,
+    has_max_rms: bool = False,
+) -> None:
     """Reject settings that this mode would ignore, and clouds that do not fit into memory.
 
     Raises
@@ -84,6 +95,22 @@ def check_mode(mode: Mode, problem: Problem, bound: str | None, certificate: boo
     check_bound(mode, bound)
     if certificate and not mode.certifies:
         raise InputError(f"certificate: mode {mode.name!r} keeps no leaf boxes; use mode 'paper'")
+    for name, given in (("init", has_init), ("max_rms", has_max_rms)):
+        if given and mode.in_norm_space:
+            raise InputError(
+                f"{name}: mode {mode.name!r} searches norms, not poses; use mode 'full', with clouds "
+                f"of at most {NORM_PAIRS:,} point pairs, and omit bound and certificate"
+            )
+    if problem.pose_range is not None:
+        if mode.in_region is None:
+            raise InputError(
+                f"pose_range: mode {mode.name!r} searches all rotations; use mode 'full', or omit mode, "
+                "bound and certificate"
+            )
+        if certificate:
+            raise InputError(
+                "certificate: `dcreg verify` knows no ranges of poses; omit certificate or pose_range"
+            )
     n, m = len(problem.source), len(problem.target)
     if n * m > MAX_PAIRS and not _is_matrix_free(mode, problem, bound):
         remedy = "downsample both clouds first (downsample=200, or --downsample 200)"
@@ -121,13 +148,20 @@ def search_share(mode: Mode) -> float:
 def space_of(mode: Mode, problem: NormalisedProblem) -> Any:
     """Return the space of the certified search."""
     given = "source", "target", "n_inliers", *mode.needs, "candidates", "budget.stop"
-    return mode.space(*attrgetter(*given, "stationary_box")(problem))
+    fields = attrgetter(*given, "stationary_box")(problem)
+    if problem.region is None:
+        return mode.space(*fields)
+    assert mode.in_region is not None
+    return mode.in_region()[0](*fields, region=problem.region)
 
 
 def bound_of(mode: Mode, problem: NormalisedProblem, space: Any) -> Bound:
     """Return the bound of the certified search."""
-    if mode.make_bound is not None:
-        return mode.make_bound(space, threads=problem.threads)
+    make_own = mode.make_bound
+    if problem.region is not None and mode.in_region is not None:
+        make_own = mode.in_region()[1]
+    if make_own is not None:
+        return make_own(space, threads=problem.threads)
     return make_bound(problem.bound, space, threads=problem.threads)
 
 
@@ -156,27 +190,97 @@ def compile_cover(mode: Mode) -> None:
 
 def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     """Search the space of the mode, then recover the pose."""
-    space = space_of(mode, problem)
-    bound = bound_of(mode, problem, space)
     budget = problem.budget
     searching = budget.sub_budget(search_share(mode)).with_patience(problem.patience_s)
-    make_cover = None
-    # only with the mode's own bound, so that another one is used alone
-    if mode.make_cover is not None and problem.bound == mode.own_bound:
-        make_cover = functools.partial(cover_of, mode, space, problem.threads, budget)
-    found = minimise(
-        space, bound, searching, tolerance=problem.tolerance, stage=mode.stage,
-        keep_leaves=problem.keep_leaves, make_cover=make_cover,
-    )  # fmt: skip
+    attempts = list(_attempts(mode, problem, searching))
+    attempt, found = attempts[-1]
+    space = attempt.space
     solution = Solution(
         np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,
-        certified=(bound.roots[0], found),
+        certified=(attempt.bound.roots[0], found),
     )  # fmt: skip
-    solution.add(mode.stage, found)
-    solution.stages += map(Stage.confining, found.confined)
-    solution.stages += starmap(Stage, found.abandoned_s.items())
+    for _, each in attempts:
+        solution.add(mode.stage, each)
+        solution.stages += map(Stage.confining, each.confined)
+        solution.stages += starmap(Stage, each.abandoned_s.items())
     recover_pose(mode, problem, space, found.theta, budget, solution)
     return solution
+
+
+@dataclass
+class Attempt:
+    """One search: of all poses of a model, or of a region."""
+
+    mode: Mode
+    problem: NormalisedProblem
+
+    def __post_init__(self) -> None:
+        self.space = space_of(self.mode, self.problem)
+        self.bound = bound_of(self.mode, self.problem, self.space)
+
+    def run(self, budget: Budget, start: Start | None = None) -> Outcome:
+        """Minimise the objective over the space."""
+        mode, problem, make_cover = self.mode, self.problem, None
+        # Only with the mode's own bound, so that another one is used alone. A cover contains the
+        # stationary poses of the model, which need not be those of a region.
+        is_own = problem.bound == mode.own_bound and problem.region is None
+        if start is None and problem.init is not None:
+            start = self.start(budget)
+        if mode.make_cover is not None and is_own:
+            make_cover = functools.partial(
+                cover_of, mode, self.space, problem.threads, problem.budget
+            )
+        return minimise(
+            self.space, self.bound, budget, tolerance=problem.tolerance, start=start,
+            stage=mode.stage, keep_leaves=problem.keep_leaves, make_cover=make_cover,
+        )  # fmt: skip
+
+    def start(self, budget: Budget) -> Start:
+        """Find a first incumbent, from the initial guess and from the initial poses of the space."""
+        began, space = budget.elapsed(), self.space
+        own = None
+        if self.problem.init is not None:
+            with suppress(Interrupted):
+                own = space.refine(space.parameter(self.problem.init))
+                budget.report_incumbent(own[1])
+        theta, value, spent = space.start(budget, self.problem.tolerance.enough)
+        if own is not None:
+            space.ends = [*space.ends, own[:2]]
+            spent += own[2]
+            if own[1] < value:
+                theta, value = own[:2]
+        return Start(theta, value, spent, budget.elapsed() - began)
+
+
+def _attempts(
+    mode: Mode, problem: NormalisedProblem, budget: Budget
+) -> Iterator[tuple[Attempt, Outcome]]:
+    """Yield the searches that a problem needs, each with its outcome; the last one gives the pose.
+
+    A range of poses with limits is searched with weak bounds near its limits. They are not needed if the
+    range contains the best of all poses. So all poses are searched first, unless a pose outside the range
+    is clearly better than the best one inside.
+    """
+    attempt = Attempt(mode, problem)
+    region = problem.region
+    if region is None or not getattr(region, "has_limits", False):
+        yield attempt, attempt.run(budget)
+        return
+    start = attempt.start(budget)
+    free = Attempt(mode, replace(problem, region=region.without_limits()))
+    best = free.start(budget.silent())
+    floor = 0.0
+    if best.value >= problem.tolerance.cutoff(start.value) or budget.is_over:
+        own = start._replace(theta=free.space.parameter(attempt.space.pose(start.theta)))
+        found = free.run(budget, min(own, best, key=lambda each: each.value))
+        theta = attempt.space.parameter(free.space.pose(found.theta))
+        if attempt.space.admissible(theta[None])[0]:
+            yield attempt, replace(found, theta=theta)
+            return
+        floor = found.lower_bound
+        yield free, replace(found, events=[])  # their upper bounds are those of poses outside
+    found = attempt.run(budget, start)
+    yield attempt, replace(found, lower_bound=max(floor, found.lower_bound))
 
 
 def recover_pose(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,10 @@ class NormalisedProblem:
         Keep the leaf boxes of the certified search.
     patience_s : float, optional
         Seconds that a proof may take, if independent starts agree; None: to the limit.
+    region : Region, optional
+        The admissible poses (`dcreg.families.region`); None: all of the model.
+    init : (d+1, d+1) array, optional
+        An initial guess of the pose.
     """
 
     source: np.ndarray
@@ -52,6 +57,8 @@ class NormalisedProblem:
     budget: Budget
     keep_leaves: bool = False
     patience_s: float | None = None
+    region: Any = None
+    init: np.ndarray | None = None
 
     @property
     def dim(self) -> int:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from typing import Any
+
 import numpy as np
 
 from dcreg.names import DEFAULT_REL_GAP, START_BOXES
-from dcreg.problem.problem import InputError, suggestion
+from dcreg.problem.errors import InputError, suggestion
 from dcreg.search import Budget, Listener, Tolerance
 
 MAX_THREADS = 1024
@@ -56,6 +58,9 @@ class SolveOptions:
     assignment_limit : int, optional
         Maximum number of exact assignments of each search, including those of the initial poses. In
         contrast to a time limit it gives the same result on every machine.
+    init : (d+1, d+1) array, optional
+        An initial guess of the pose, from which one more local search starts. It gives an upper bound at
+        once and does not limit the search; see `PoseRange` for that.
     listener : callable, optional
         Called with every `dcreg.Event`. If none occurs for a quarter of a second, it is called with an
         event of kind ``heartbeat`` from another thread. If it returns True, the solve stops with status
@@ -77,6 +82,7 @@ class SolveOptions:
     downsample: int | None = None
     prove: bool = False
     assignment_limit: int | None = None
+    init: Any = None
     listener: Listener | None = None
 
     def __post_init__(self) -> None:
@@ -129,6 +135,8 @@ class Limits:
     time_s : float, optional
     nodes : int, optional
     memory_mb : float, optional
+    max_rms : float, optional
+        See `dcreg.register`.
     """
 
     rel_gap: float = DEFAULT_REL_GAP
@@ -137,6 +145,7 @@ class Limits:
     time_s: float | None = None
     nodes: int | None = None
     memory_mb: float | None = None
+    max_rms: float | None = None
 
     def check(self, n_inliers: int) -> None:
         """Refuse limits and tolerances that make no sense.
@@ -155,6 +164,7 @@ class Limits:
             check_positive("time_limit", self.time_s)
         check_positive("node_limit", self.nodes, such_as=10_000)
         check_positive("memory_limit_mb", self.memory_mb)
+        check_positive("max_rms", self.max_rms)
 
     def tolerance(
         self, n_inliers: int, rounding: float, exact: float, share: float = 1.0
@@ -173,7 +183,8 @@ class Limits:
             Share of these pairs that is searched. A sample gets this share of `abs_gap`.
         """
         abs_gap = max(share * (self._abs_gap(n_inliers) or 0.0), rounding)
-        return Tolerance(self.rel_gap, abs_gap, exact)
+        target = None if self.max_rms is None else n_inliers * self.max_rms**2
+        return Tolerance(self.rel_gap, abs_gap, exact, target)
 
     def _abs_gap(self, n_inliers: int) -> float | None:
         """Return the absolute tolerance, which may be given as a length per pair."""

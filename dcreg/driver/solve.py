@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -24,11 +25,18 @@ from dcreg.driver.downsample import (
 from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
-from dcreg.driver.warm_up import warm_up_mode
+from dcreg.driver.warm_up import warm_up_mode, warm_up_region
 from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, START_BOXES
-from dcreg.problem import Problem, apply_pose, open_directions, pose_covariance
+from dcreg.problem import (
+    InputError,
+    Problem,
+    apply_pose,
+    checked_pose,
+    open_directions,
+    pose_covariance,
+)
 from dcreg.problem.geometry import Frame, exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
 from dcreg.search import Budget, Event, Listener
@@ -107,17 +115,30 @@ class Setup:
         bound, certificate = options.bound, options.certificate
         name = None if options.mode == AUTO else options.mode
         name = name if mode is None else mode.name  # a mode of its own searches all points
-        searched = to_search(problems, options.downsample, name, bound, certificate)
+        if limits.max_rms is not None and options.downsample is not None:
+            raise InputError(
+                "downsample: a sample says nothing about max_rms on all points; omit one of the two"
+            )
+        searched = problems
+        if limits.max_rms is None:
+            searched = to_search(problems, options.downsample, name, bound, certificate)
+        has_init, has_max_rms = options.init is not None, limits.max_rms is not None
+        if has_init:
+            options = replace(options, init=checked_pose("init", options.init, problems[0].dim))
         largest = searched[-1]
         if name is None:
             name = choose_mode(largest, bound, certificate)
         chosen = mode or find_mode(largest.model, name)
-        check_mode(chosen, largest, bound, certificate)
+        check_mode(
+            chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms
+        )
         limits.check(largest.n_inliers)
         for line in advice(largest):
             _LOGGER.info(line)
         if mode is None:
             warm_up_mode(chosen, bound, *_special(searched[0]))
+            if largest.pose_range is not None:
+                warm_up_region(chosen)
         frame = Frame.of(largest)
         time_s = time.perf_counter() - began
         return cls(problems, searched, frame, chosen, limits, options, time_s)
@@ -153,7 +174,8 @@ class Setup:
             frame.source(source), frame.target(target), k, problem.scale_range, problem.candidates,
             frame, options.bound or mode.own_bound, options.start_box == START_BOXES[0],
             tolerance.scaled(1.0 / frame.area), options.threads, budget, options.certificate,
-            self._patience_s(),
+            self._patience_s(), _region(problem, frame),
+            None if options.init is None else frame.normalised_pose(options.init),
         )  # fmt: skip
 
 
@@ -191,9 +213,10 @@ class Finish:
             self._report_refinement(np.inf)
             result = refined(result, problem, searched, self.budget, self.known)
             self._report_refinement(result.objective)
-        low, high = problem.scale_range
-        has_scale = problem.model == "similarity2d" and low < high
-        result = with_uncertainty(result, problem.source, problem.target, has_scale=has_scale)
+        if problem.pose_range is None:  # the covariance is that of free poses
+            low, high = problem.scale_range
+            has_scale = problem.model == "similarity2d" and low < high
+            result = with_uncertainty(result, problem.source, problem.target, has_scale=has_scale)
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
 
     def _report_refinement(self, objective: float) -> None:
@@ -227,6 +250,7 @@ class Finish:
             status=solution.status, model=problem.model, mode=mode.name,
             bound=normalised.bound, T_target_source=T, T_certified=solution.T, assignment=pairs,
             n_inliers=problem.n_inliers, lower_bound=solution.lower_bound, upper_bound=upper_bound,
+            max_rms=self.setup.limits.max_rms,
             gap_tol=tolerance.allowed(upper_bound), is_exact=tolerance.is_exact(upper_bound),
             certificate_scope=solution.scope,
             objective=final, objective_certified=before[0],
@@ -296,6 +320,15 @@ def with_uncertainty(
         covariance=pose_covariance(pose, matched, target[columns], has_scale=has_scale),
         open_directions=open_directions(moved, target, has_scale=has_scale),
     )
+
+
+def _region(problem: Problem, frame: Frame) -> Any:
+    """Return the admissible poses in normalised coordinates; None: all of the model."""
+    if problem.pose_range is None:
+        return None
+    from dcreg.families.region import Near
+
+    return Near(frame.pose_range(problem.pose_range))
 
 
 def in_input_units(listener: Listener | None, area: float) -> Listener | None:

@@ -12,18 +12,19 @@ import numpy as np
 from dcreg.assignment.descent import polish
 from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import sparse_matching
-from dcreg.driver.modes import COMPILING, compile_cover, run_mode
+from dcreg.driver.modes import COMPILING, Attempt, compile_cover, run_mode
 from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.mode import Mode, all_modes
+from dcreg.families.region import Near
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.jit import forget_old_kernels, when_compiling
-from dcreg.names import BOUND_NAMES
-from dcreg.problem import Problem
+from dcreg.names import BOUND_NAMES, MODEL_DIM
+from dcreg.problem import PoseRange, Problem
 from dcreg.problem.geometry import Frame
-from dcreg.search import Boxes, Budget, Tolerance
+from dcreg.search import Box, Boxes, Budget, Tolerance
 
 _LOGGER = logging.getLogger("dcreg")
 
@@ -76,6 +77,7 @@ def _compile_mode(mode: Mode) -> None:
         for restricted in (False, True):
             warm_up_mode(mode, bound, restricted)
     warm_up_mode(mode, None, many=True, large=True)
+    warm_up_region(mode)
 
 
 @functools.cache
@@ -126,6 +128,27 @@ def warm_up_mode(
             sparse_matching(points, moved, 6)
             if dim == 3:
                 search_sampled_rotation(points, moved, 6, tolerance=Tolerance(), budget=Budget())
+
+
+@functools.cache
+def warm_up_region(mode: Mode) -> None:
+    """Compile (or load from cache) what a search of a range of poses needs besides, once a process."""
+    if mode.in_region is None:
+        return
+    points = np.random.default_rng(0).standard_normal((8, MODEL_DIM[mode.model]))
+    problem = Problem(points, points[:, ::-1], 6, mode.model, pose_range=PoseRange(max_angle=30.0))
+    frame = Frame.of(problem)
+    assert problem.pose_range is not None
+    with when_compiling(lambda: _LOGGER.info(COMPILING)):
+        normalised = NormalisedProblem(
+            frame.source(problem.source), frame.target(problem.target), 6, problem.scale_range, None,
+            frame, mode.own_bound, stationary_box=True, tolerance=Tolerance(), threads=1,
+            budget=Budget(nodes=8), region=Near(frame.pose_range(problem.pose_range)),
+        )  # fmt: skip
+        attempt = Attempt(mode, normalised)
+        attempt.run(normalised.budget)
+        centre = attempt.space.parameter(np.eye(len(points[0]) + 1))
+        attempt.bound.evaluate(Boxes.of([Box(centre - 1e-3, centre + 1e-3)]), None)
 
 
 @functools.cache

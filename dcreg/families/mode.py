@@ -50,6 +50,10 @@ class Mode:
     certifies : str
         Family of the certificate that the search can record (``dcreg.certificate.format.MODELS``), or
         empty.
+    in_region : callable, optional
+        The space of the poses in a ``region=`` (`dcreg.families.region`), otherwise like `space`, and
+        its bound like `make_bound`, or None if the user chooses it. Returned by a function without
+        arguments, so that they are imported only if needed. None: only all poses can be searched.
     stage : str
         Name of the certified search in events and stages.
     name, model : str
@@ -66,6 +70,7 @@ class Mode:
     rotation_scope: str = ""
     in_norm_space: bool = False
     certifies: str = ""
+    in_region: Callable[[], tuple[Callable[..., Any], Callable[..., Bound] | None]] | None = None
     stage: str = "search"
     name: str = ""
     model: str = ""

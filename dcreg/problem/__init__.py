@@ -2,6 +2,7 @@
 
 # ruff: noqa: F401 (names of the package)
 
+from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.geometry import (
     Frame,
     apply_pose,
@@ -18,7 +19,8 @@ from dcreg.problem.geometry import (
     typical_radius,
     unit_length,
 )
-from dcreg.problem.problem import Candidates, InputError, Problem, largest_matching, suggestion
+from dcreg.problem.pose_range import PoseRange, checked_pose
+from dcreg.problem.problem import Candidates, Problem, largest_matching
 from dcreg.problem.uncertainty import (
     OpenDirection,
     open_directions,

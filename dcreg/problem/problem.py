@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Literal
@@ -12,18 +11,9 @@ from typing import Literal
 import numpy as np
 
 from dcreg.names import MODEL_DIM
-
-
-class InputError(ValueError):
-    """Bad input. The message names the field (and file) and the value, and says what to do."""
-
-
-def suggestion(word: str, known: Iterable[str]) -> str:
-    """Return ``; did you mean 'x'?`` or the known names, to end a message about an unknown name."""
-    known = sorted(map(str, known))
-    close = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
-    hint = f"; did you mean {close[0]!r}?" if close else ";"
-    return f"{hint} known: {', '.join(known) or 'none'}"
+from dcreg.problem.errors import InputError, suggestion
+from dcreg.problem.geometry import fit_pose
+from dcreg.problem.pose_range import PoseRange
 
 
 # (n, m) mask, or one sequence of target indices per source point
@@ -90,6 +80,9 @@ def _mask_of_lists(candidates: Candidates, n: int, m: int) -> np.ndarray:
     return mask
 
 
+_FIELDS = (
+    "source", "target", "n_inliers", "model", "scale_range", "candidates", "pose_range",
+)  # fmt: skip
 ModelName = Literal["similarity2d", "rigid3d"]
 LARGEST_COORDINATE = 1e100  # its square, times any number of points, is far from overflow
 LARGEST_SCALE = 1e6  # beyond it, or below its inverse, the clouds share no digits
@@ -114,6 +107,8 @@ class Problem:
         Admissible scale in 2D, default (0.5, 1.5); equal numbers fix it. In 3D the scale is 1.
     candidates : (n, m) bool array, or n sequences of target indices, optional
         The feasible pairs; None: all.
+    pose_range : PoseRange, optional
+        The admissible poses; None: all of the model.
 
     Raises
     ------
@@ -127,6 +122,7 @@ class Problem:
     model: ModelName
     scale_range: tuple[float, float]
     candidates: np.ndarray | None
+    pose_range: PoseRange | None
 
     def __init__(
         self,
@@ -136,6 +132,7 @@ class Problem:
         model: str,
         scale_range: tuple[float, float] | None = None,
         candidates: Candidates | None = None,
+        pose_range: PoseRange | None = None,
     ) -> None:
         if model not in [*MODEL_DIM]:  # it may be unhashable
             raise InputError(f"model: {model!r} is unknown{suggestion(model, MODEL_DIM)}")
@@ -146,13 +143,26 @@ class Problem:
         scale_range = check_scale_range(scale_range, model)
         if candidates is not None:
             candidates = check_candidates(candidates, len(source), len(target), n_inliers)
-        for name in ("source", "target", "n_inliers", "model", "scale_range", "candidates"):
+        if pose_range is not None:
+            if not isinstance(pose_range, PoseRange):
+                raise InputError(
+                    f"pose_range: {pose_range!r} is not a PoseRange; give one such as "
+                    "dcreg.PoseRange(max_angle=30)"
+                )
+            pose_range = pose_range.checked(source, scale_range)
+        for name in _FIELDS:
             object.__setattr__(self, name, locals()[name])
 
     @property
     def dim(self) -> int:
         """Dimension of the points: 2 or 3."""
         return MODEL_DIM[self.model]
+
+    def fit(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Return the least-squares pose of paired (k, d) points; see `PoseRange.fit` for a range."""
+        if self.pose_range is None:
+            return fit_pose(source, target, self.scale_range)
+        return self.pose_range.fit(source, target, self.scale_range)
 
     def with_n_inliers(self, n_inliers: int | float) -> Problem:
         """Return the problem over the same clouds for another number of pairs.

@@ -1,7 +1,7 @@
 """Branch and bound, without geometry: boxes, bounds as a protocol, budget, outcome."""
 
 from dcreg.search.boxes import Bound, Box, Boxes, Confined, Evaluation, Leaves, LongestEdge
-from dcreg.search.branch_and_bound import Outcome, branch_and_bound
+from dcreg.search.branch_and_bound import Outcome, Start, branch_and_bound
 from dcreg.search.budget import (
     Budget,
     Event,
@@ -25,6 +25,7 @@ __all__ = [
     "Listener",
     "LongestEdge",
     "Outcome",
+    "Start",
     "Tolerance",
     "branch_and_bound",
     "minimise",

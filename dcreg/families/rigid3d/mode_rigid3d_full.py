@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.bound import RigidBound
@@ -19,11 +19,19 @@ def make_cover(space: Rigid3D, threads: int = 1) -> CongruentCover:
     return CongruentCover(space, threads)
 
 
+def in_region() -> tuple[Any, Any]:
+    """Return the space of the poses in a region, and its bound."""
+    from dcreg.families.rigid3d.region import RegionBound, rigid_in_region
+
+    return rigid_in_region, RegionBound
+
+
 MODE = Mode(
     "searches translation and rotation together; certifies the rigid pose",
     Rigid3D.between,
     make_bound=RigidBound,
     make_cover=make_cover,
     own_bound="rigid",
+    in_region=in_region,
     stage="rigid",
 )

@@ -47,7 +47,7 @@ from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_m
 from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
 from dcreg.families.starts import distinct
 from dcreg.names import RIGID_POSE
-from dcreg.problem.geometry import apply_pose, representative_points, sampled_pairs
+from dcreg.problem.geometry import apply_pose, fit_pose, representative_points, sampled_pairs
 from dcreg.search import Box, Budget
 
 _SCORED_PAIRS = 100_000_000  # pairs evaluated to score the seeds
@@ -247,7 +247,7 @@ class Rigid3D(CloudSpace):
             for points, count in zip(clouds, counts, strict=True)
         ]
         k = sampled_pairs(self.n_inliers, clouds, some)
-        coarse = Rigid3D(some[0], some[1], k, None, self.stop_flag, self.stationary_box)
+        coarse = self.of_points(some[0], some[1], k)
         _, _, spent = coarse.start(budget.silent())
         self.is_confirmed = coarse.is_confirmed
         if not coarse.ends:
@@ -259,6 +259,10 @@ class Rigid3D(CloudSpace):
             yield coarse.ends[at][0], spent
             spent = 0
 
+    def of_points(self, source: np.ndarray, target: np.ndarray, n_inliers: int) -> Rigid3D:
+        """Return the same space over other points, without candidates."""
+        return Rigid3D(source, target, n_inliers, None, self.stop_flag, self.stationary_box)
+
     def _congruent(self, seed: int, budget: Budget) -> list[np.ndarray]:
         """Return the parameters of poses of a round of congruent triples; scales take turns."""
         if budget.is_over:
@@ -269,8 +273,14 @@ class Rigid3D(CloudSpace):
             stop=self.stop_flag,
         )  # fmt: skip
         if self.n_pairs > DENSE_DESCENTS:
-            poses = best_descents(poses, source, target, self.n_inliers, seed=seed)
+            poses = best_descents(
+                poses, source, target, self.n_inliers, seed=seed, fit_pairs=self.fit_pairs
+            )
         return [self._parameter(T) for T in poses]
+
+    def fit_pairs(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Return the (4, 4) least-squares pose of paired (k, 3) points."""
+        return fit_pose(source, target, (1.0, 1.0))
 
     @staticmethod
     def _vertices(theta: np.ndarray) -> np.ndarray:
@@ -305,8 +315,13 @@ class Rigid3D(CloudSpace):
         T[:3, 3] = theta[4:]
         return np.linalg.inv(T) if self._swapped else T
 
-    def _parameter(self, T: np.ndarray) -> np.ndarray:
+    def parameter(self, T: np.ndarray) -> np.ndarray:
+        """Return the parameter of a (4, 4) pose of the source: the inverse of `pose`."""
+        return self.normalised(self._parameter(np.linalg.inv(T) if self._swapped else T))
+
+    @classmethod
+    def _parameter(cls, T: np.ndarray) -> np.ndarray:
         """Return the quaternion and translation of a pose, by the fit to four moved points."""
         tetrahedron = np.concatenate([np.zeros((1, 3)), np.eye(3)])
         moved = apply_pose(T, tetrahedron)
-        return self.fit(tetrahedron.T, moved.T)
+        return cls.fit(tetrahedron.T, moved.T)

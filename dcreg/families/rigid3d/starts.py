@@ -9,7 +9,7 @@ Mitra and Cohen-Or 2008); the details are this project's.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
@@ -180,11 +180,12 @@ def best_descents(
     count: int = 3,
     *,
     seed: int = 0,
+    fit_pairs: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """Refine poses by nearest neighbours of a sample of the source, and return the best distinct ones.
 
     For clouds so large that a one-to-one matching takes long. Alternates the nearest neighbours of the
-    trimmed sample and the least-squares pose.
+    trimmed sample and their pose by `fit_pairs`.
 
     Returns
     -------
@@ -197,7 +198,7 @@ def best_descents(
     sample = source[np.sort(rng.permutation(len(source))[:MAX_SAMPLE])]
     k = max(3, round(n_inliers * len(sample) / len(source)))
     tree = cKDTree(target)
-    ends = [follow_nearest(sample, tree, T, k, (1.0, 1.0)) for T in poses]
+    ends = [follow_nearest(sample, tree, T, k, fit_pairs) for T in poses]
     if not ends:
         return np.empty((0, 4, 4))
     found, values = np.array([T for T, _ in ends]), np.array([value for _, value in ends])

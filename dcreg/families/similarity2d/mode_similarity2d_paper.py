@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dcreg.families.mode import Mode
 from dcreg.families.similarity2d.space import Similarity2D
@@ -18,10 +18,18 @@ def make_cover(space: Similarity2D, threads: int = 1) -> NearestCover:
     return NearestCover(space, threads)
 
 
+def in_region() -> tuple[Any, None]:
+    """Return the space of the poses in a region; the bounds are the usual ones."""
+    from dcreg.families.similarity2d.region import similarity_in_region
+
+    return similarity_in_region, None
+
+
 MODE = Mode(
     "searches the similarity as the paper does; certifies the pose",
     Similarity2D,
     needs=("scale_range",),
     make_cover=make_cover,
     certifies="similarity2d",
+    in_region=in_region,
 )

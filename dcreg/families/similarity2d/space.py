@@ -190,3 +190,8 @@ class Similarity2D(FeatureSpace):
     def pose(self, theta: np.ndarray) -> np.ndarray:
         a, b, tx, ty = theta
         return np.array([[a, -b, tx], [b, a, ty], [0.0, 0.0, 1.0]])
+
+    @staticmethod
+    def parameter(T: np.ndarray) -> np.ndarray:
+        """Return the parameter of a (3, 3) pose: the inverse of `pose`."""
+        return np.array([T[0, 0], T[1, 0], T[0, 2], T[1, 2]])

@@ -40,7 +40,7 @@ from dcreg.jit import jit, jit_part
 
 # Boxes with rotations farther than this from the centre, as tangents of half the angle, are bounded by
 # caps only: the second-order loss exceeds the objective there, so the other bounds are vacuous.
-_WIDE = 0.6
+WIDE = 0.6
 # An assignment of so many pairs takes as long as one bound by duals: such boxes are bounded by caps
 # only.
 FEW_PAIRS = 1000
@@ -88,7 +88,7 @@ def allocate_found(kept: np.ndarray) -> Found:
 
 
 @jit
-def _geometry(lower, upper, centre, half, buffer):
+def geometry(lower, upper, centre, half, buffer):
     """Express the box relative to its centre. Fills the next two; `buffer` is (8, 3)."""
     for c in range(7):
         centre[c] = 0.5 * (lower[c] + upper[c])
@@ -104,7 +104,7 @@ def _geometry(lower, upper, centre, half, buffer):
 
 
 @jit_part
-def _is_small(box, radius, k, cutoff):
+def is_small(box, radius, k, cutoff):
     """Whether a box is so small that exact assignments pay: its displacements cost below `cutoff`."""
     return k * (2.0 * math.atan(box.tangent) * radius + box.shift_radius) ** 2 < cutoff
 
@@ -137,17 +137,17 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
             break
         if steps[at] == _DONE:
             continue
-        box = _geometry(lower[at], upper[at], centre, half, buffer)
-        if steps[at] == _BEGIN and not few and box.tangent <= _WIDE:
+        box = geometry(lower[at], upper[at], centre, half, buffer)
+        if steps[at] == _BEGIN and not few and box.tangent <= WIDE:
             steps[at] = BY_DUALS
             continue
         look_from(clouds, centre, view)
         if steps[at] == _BEGIN:
             steps[at] = _DONE
-            small = _is_small(box, radius, k, cutoff)
+            small = is_small(box, radius, k, cutoff)
             bounds[at], solved = _capped(view, box, cutoff, small, costs)
             spent += solved
-            if bounds[at] >= cutoff or not small or box.tangent > _WIDE:
+            if bounds[at] >= cutoff or not small or box.tangent > WIDE:
                 continue
         steps[at] = _DONE
         pair_costs(view, costs)
@@ -190,7 +190,7 @@ def bound_boxes_by_duals(lower, upper, cutoff, clouds, limits, found, work):
         if steps[at] != BY_DUALS:
             continue
         steps[at] = _DONE
-        box = _geometry(lower[at], upper[at], centre, half, buffer)
+        box = geometry(lower[at], upper[at], centre, half, buffer)
         look_from(clouds, centre, view)
         loss, joint = loss_of(box, limits), joint_loss_of(box, limits)
         goal = needed(joint.root, joint.rest, cutoff)
@@ -201,7 +201,7 @@ def bound_boxes_by_duals(lower, upper, cutoff, clouds, limits, found, work):
         if bounds[at] >= cutoff:
             continue
         boxes.losses[at, 0], boxes.losses[at, 1] = joint.root, joint.rest
-        if _is_small(box, radius, k, cutoff):
+        if is_small(box, radius, k, cutoff):
             steps[at] = _SOLVE
             for j in range(m):
                 found.duals[at, j] = work.columns[3, j]

@@ -1,0 +1,72 @@
+"""Similarities in 2D of a region: spaces. The DC bounds hold for every pose, so they need no change."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dcreg.families.region import BoxPoses, Far, InRegion, Near, NearSpace, Region, shift_box
+from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.search import Box
+
+
+class SimilarityInRegion(InRegion, Similarity2D):
+    """Similarities in a region."""
+
+    def roots(self) -> list[Box]:
+        (box,) = super().roots()
+        self.stationary = Box(box.lower[2:], box.upper[2:])
+        shifts = shift_box(self.stationary, self.region, self.scale_range[1])
+        lower, upper = np.append(box.lower[:2], shifts.lower), np.append(box.upper[:2], shifts.upper)
+        return [Box(lower, upper)]
+
+    def box_poses(self, lower: np.ndarray, upper: np.ndarray) -> BoxPoses:
+        """Return the poses of boxes of (s cos a, s sin a, t_x, t_y)."""
+        (a, b, *_), centres = 0.5 * (lower + upper).T, 0.5 * (lower + upper)
+        half = 0.5 * (upper - lower)
+        radius, length = np.linalg.norm(half[:, :2], axis=1), np.hypot(a, b)
+        ratio = radius / np.maximum(length, 1e-300)
+        angle = np.where(ratio < 1.0, np.arcsin(np.minimum(ratio, 1.0)), math.pi)
+        linear = np.moveaxis(np.array([[a, -b], [b, a]]), 2, 0)
+        return BoxPoses(linear, centres[:, 2:], radius, np.linalg.norm(half[:, 2:], axis=1), angle)
+
+
+class SimilarityNear(NearSpace, SimilarityInRegion):
+    """Similarities near a reference pose, which does not rotate."""
+
+    def roots(self) -> list[Box]:
+        """Return a box around the sector of the angles and scales that the range allows."""
+        (box,) = super().roots()
+        low, high = self.scale_range
+        limit = math.radians(self.region.pose_range.max_angle)
+        reach = high * math.sin(min(limit, 0.5 * math.pi)) * (1.0 + 1e-9)
+        least = (low if limit < 0.5 * math.pi else high) * math.cos(limit)
+        lower, upper = box.lower.copy(), box.upper.copy()
+        lower[:2] = max(lower[0], least * (1.0 - 1e-9 * np.sign(least))), -reach
+        upper[1] = reach
+        return [Box(lower, upper)]
+
+    def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
+        rows = np.flatnonzero(col_of >= 0)
+        x, y = self.clouds.source[:, rows].T, self.clouds.target[:, col_of[rows]].T
+        return self.parameter(self.region.pose_range.fit(x, y, self.scale_range))
+
+
+class SimilarityFar(SimilarityInRegion):
+    """Similarities that differ from known ones."""
+
+
+def similarity_in_region(
+    source: np.ndarray,
+    target: np.ndarray,
+    n_inliers: int,
+    scale_range: tuple[float, float],
+    candidates: np.ndarray | None,
+    *settings: Any,
+    region: Region,
+) -> SimilarityInRegion:
+    """Return the space of the similarities in a region."""
+    kind = {Near: SimilarityNear, Far: SimilarityFar}[type(region)]
+    return kind(source, target, n_inliers, scale_range, candidates, *settings).within(region)
