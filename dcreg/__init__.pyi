@@ -1,7 +1,8 @@
 """The public names and where they live; ``__init__.py`` loads each of them on its first use."""
 
 from . import certificate, search
-from .api import register, register_matches, sweep
+from .alternatives_result import Alternative, Alternatives
+from .api import alternatives, register, register_matches, sweep
 from .assignment.objective import objective
 from .certificate import Certificate
 from .certificate.verification import Report, verify
@@ -20,6 +21,8 @@ from .sweep_result import SweepResult
 __version__: str
 
 __all__ = [
+    "Alternative",
+    "Alternatives",
     "Candidates",
     "Certificate",
     "Event",
@@ -37,6 +40,7 @@ __all__ = [
     "SweepResult",
     "Trace",
     "advice",
+    "alternatives",
     "bound_names",
     "certificate",
     "mode_names",

@@ -18,6 +18,8 @@ MODEL_DIM = {"similarity2d": 2, "rigid3d": 3}
 DEFAULT_TIME_LIMIT_S = 60.0
 # Default share of the upper bound at which a gap counts as closed.
 DEFAULT_REL_GAP = 0.01
+# Default ratio of objectives up to which another pose is nearly as good as the best one.
+DEFAULT_RATIO = 1.5
 
 # Reason of status ``converged``, shared by results and warnings.
 NO_PROOF_EXPECTED = "proof not expected soon"

@@ -147,8 +147,9 @@ def warm_up_region(mode: Mode) -> None:
         )  # fmt: skip
         attempt = Attempt(mode, normalised)
         attempt.run(normalised.budget)
-        centre = attempt.space.parameter(np.eye(len(points[0]) + 1))
-        attempt.bound.evaluate(Boxes.of([Box(centre - 1e-3, centre + 1e-3)]), None)
+        root = attempt.bound.roots[0]
+        small = Box(root.centre - 1e-3 * root.half_widths, root.centre + 1e-3 * root.half_widths)
+        attempt.bound.evaluate(Boxes.of([small]), None)
 
 
 @functools.cache
