@@ -1,18 +1,19 @@
 """The public names and where they live; ``__init__.py`` loads each of them on its first use."""
 
 from . import certificate, search
-from .alternatives_result import Alternative, Alternatives
-from .api import alternatives, register, register_matches, sweep
+from .api import register, register_matches, sweep
 from .assignment.objective import objective
 from .certificate import Certificate
 from .certificate.verification import Report, verify
 from .diagnostics import advice
 from .driver.options import SolveOptions
 from .driver.warm_up import warm_up
-from .io import read_candidates, read_matches, read_points
+from .io import read_candidates, read_matches, read_points, read_pose
 from .names import bound_names, mode_names
-from .plot import plot_registration, plot_sweep
+from .plot import plot_answer, plot_registration, plot_sweep
 from .problem import Candidates, InputError, OpenDirection, PoseRange, Problem
+from .questions.alternatives import Alternative, Alternatives, alternatives
+from .questions.certify import Certified, certify
 from .result import Result, RunnerUp, Stage, Trace
 from .search import Event, Listener
 from .status import Status
@@ -25,6 +26,7 @@ __all__ = [
     "Alternatives",
     "Candidates",
     "Certificate",
+    "Certified",
     "Event",
     "InputError",
     "Listener",
@@ -43,13 +45,16 @@ __all__ = [
     "alternatives",
     "bound_names",
     "certificate",
+    "certify",
     "mode_names",
     "objective",
+    "plot_answer",
     "plot_registration",
     "plot_sweep",
     "read_candidates",
     "read_matches",
     "read_points",
+    "read_pose",
     "register",
     "register_matches",
     "search",

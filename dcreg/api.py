@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import register_problem
 from dcreg.driver.sweep import sweep_problems
-from dcreg.names import DEFAULT_RATIO, DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, SCORES
+from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, SCORES
 from dcreg.problem import Candidates, InputError, PoseRange, Problem
 from dcreg.result import Result
-
-if TYPE_CHECKING:
-    from dcreg.alternatives_result import Alternatives
 from dcreg.sweep_result import SweepResult
 
 
@@ -188,73 +184,6 @@ def sweep(
     distinct = {problem.n_inliers: problem for problem in map(first.with_n_inliers, counts)}
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
     return sweep_problems([distinct[k] for k in sorted(distinct)], limits, SolveOptions.of(options))
-
-
-def alternatives(
-    source: np.ndarray,
-    target: np.ndarray,
-    *,
-    n_inliers: int | float,
-    model: str,
-    ratio: float = DEFAULT_RATIO,
-    distance: float | None = None,
-    most: int = 20,
-    scale_range: tuple[float, float] | None = None,
-    candidates: Candidates | None = None,
-    rel_gap: float = DEFAULT_REL_GAP,
-    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
-    options: SolveOptions | None = None,
-) -> Alternatives:
-    """Find all distinct poses that are nearly as good as the best one, or prove that there is none.
-
-    Solves the problem of `dcreg.register`, then minimises over all poses that are farther than `distance`
-    from those found so far, until the minimum is proven to exceed the threshold: `ratio` times the upper
-    bound, at least ``n_inliers * (distance / 3)^2``.
-
-    Parameters
-    ----------
-    source, target, n_inliers, model, scale_range, candidates, rel_gap
-        As in `dcreg.register`. Clouds that `register` would sample are replaced by their samples.
-    ratio : float
-        A pose is nearly as good if its objective is at most this multiple of the best one; at least 1.
-    distance : float, optional
-        Poses are distinct if the RMS displacement of the source points between them exceeds this length,
-        in units of the target. Default: three RMS residuals of the best pose, at least 1 % of the RMS
-        radius of the target.
-    most : int
-        The search ends with this many other poses. A sphere has infinitely many.
-    time_limit : float, optional
-        Seconds for both parts together; None or inf: no limit.
-    options : SolveOptions, optional
-        As in `dcreg.register`, without a certificate.
-
-    Returns
-    -------
-    Alternatives
-
-    Raises
-    ------
-    InputError
-        For bad input, before any search.
-
-    Examples
-    --------
-    >>> import numpy as np, dcreg
-    >>> rectangle = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [0.0, 1.0]])
-    >>> found = dcreg.alternatives(
-    ...     rectangle, rectangle + 5.0, n_inliers=4, model="similarity2d", scale_range=(1, 1)
-    ... )
-    >>> found.is_complete, [round(other.angle_deg) for other in found.others]
-    (True, [180])
-    """
-    # the other functions do without these modules
-    from dcreg.driver.alternatives import find_alternatives
-
-    problem = Problem(source, target, n_inliers, model, scale_range, candidates)
-    limits = Limits(rel_gap, time_s=time_limit)
-    return find_alternatives(
-        problem, limits, SolveOptions.of(options), ratio=ratio, distance=distance, most=most
-    )
 
 
 def register_matches(

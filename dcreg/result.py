@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,107 +16,9 @@ from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, plain, write_text
 from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED
 from dcreg.problem import InputError, OpenDirection, rotation_angle_deg, scale_of
-from dcreg.result_parts import RunnerUp, Sample, Score, Trace
-from dcreg.search import Confined, Outcome, proven_share
+from dcreg.result_parts import RunnerUp, Sample, Score, Stage, Trace
+from dcreg.search import proven_share
 from dcreg.status import Status
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Bounds, work and time of one stage of a solve.
-
-    Attributes
-    ----------
-    name : str
-        ``search``, ``rotation``, ``rigid``, ``triples``, ``distances``, ``polish``, ``pairs``, ``all
-        points``; in sweeps also ``local searches``; in `dcreg.register_matches` ``start`` and
-        ``rotation``.
-    time_s : float
-    n_nodes, n_assignments : int
-    status : Status, optional
-        None if the stage has no bounds.
-    lower_bound, upper_bound : float, optional
-        Bounds on the objective of this stage.
-    gap_tol : float, optional
-        The tolerance of this stage, if it differs from the one of the solve.
-    objective_before, objective_after : float, optional
-        Sum of squared residuals of the matched pairs before and after the polish.
-    greedy_assignment : bool, optional
-        True if the time limit was hit before the pairs were matched, so that they were chosen greedily.
-    n_tried, n_boxes : int, optional
-        Of ``triples`` and ``distances``: the congruent triples or the boxes tried, and the boxes to which
-        the following search is confined.
-    outside : float, optional
-        Of ``triples`` and ``distances``: a lower bound on the objective of every optimum
-        outside these boxes.
-    """
-
-    name: str
-    time_s: float
-    n_nodes: int = 0
-    n_assignments: int = 0
-    status: Status | None = None
-    lower_bound: float | None = None
-    upper_bound: float | None = None
-    gap_tol: float | None = None
-    objective_before: float | None = None
-    objective_after: float | None = None
-    greedy_assignment: bool | None = None
-    n_tried: int | None = None
-    n_boxes: int | None = None
-    outside: float | None = None
-
-    @classmethod
-    def confining(cls, confined: Confined) -> Stage:
-        """Return the stage that confined a search to few boxes."""
-        return cls(
-            confined.stage, confined.time_s, n_tried=confined.n_tried, n_boxes=len(confined.boxes),
-            outside=confined.outside,
-        )  # fmt: skip
-
-    @classmethod
-    def of(cls, name: str, found: Outcome, gap_tol: float | None = None) -> Stage:
-        """Return the stage of one search."""
-        return cls(
-            name, found.time_s, found.n_nodes, found.n_assignments, found.status,
-            found.lower_bound, found.upper_bound, gap_tol,
-        )  # fmt: skip
-
-    def scaled(self, factor: float) -> Stage:
-        """Return the stage with its bounds multiplied by `factor`."""
-        names = ("lower_bound", "upper_bound", "gap_tol", "outside")
-        present = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        return replace(self, **{name: factor * value for name, value in present.items()})
-
-    def summary(self) -> str:
-        """Return one line about a stage that has bounds."""
-        low, high = self.lower_bound or 0.0, self.upper_bound or 0.0
-        is_exact = self.status is Status.OPTIMAL and low <= 0.0
-        share = "exact fit" if is_exact else text.percent(proven_share(low, high))
-        work = f"{text.count(self.n_nodes, 'node')}, {self.time_s:.2f} s"
-        return f"{self.status}, bounds [{low:.5g}, {high:.5g}] ({share}), {work}"
-
-    def confinement(self) -> str:
-        """Return one line about a stage that confined a search."""
-        count = self.n_tried or 0
-        if self.name == "triples":
-            tried = text.count(count, "congruent triple")
-        else:
-            tried = f"distances in {text.count(count, 'box', 'boxes')}"
-        if not self.n_boxes:
-            return (
-                f"{tried} show that no objective is below {self.outside:.5g}, {self.time_s:.2f} s"
-            )
-        boxes = text.count(self.n_boxes, "box", "boxes")
-        return (
-            f"{tried} confine objectives below {self.outside:.5g} to {boxes}, {self.time_s:.2f} s"
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON, without the values that the stage lacks."""
-        values = {"stage": self.name, **vars(self)}
-        del values["name"]
-        return plain({key: value for key, value in values.items() if value is not None})
 
 
 @dataclass(frozen=True, repr=False)
@@ -292,8 +194,8 @@ class Result:
             "status", "reason", "T_target_source", "T_certified", "scale", "model", "n_inliers",
             "bound", "mode", "lower_bound", "upper_bound", "gap", "gap_tol", "bound_ratio", "is_exact",
             "objective", "objective_certified", "n_nodes", "n_assignments", "time_setup_s",
-            "time_solve_s", "certificate_scope", "rmse_matched", "max_rms", "assignment", "downsampled", "score",
-            "runner_up", "covariance", "open_directions", "warnings",
+            "time_solve_s", "certificate_scope", "rmse_matched", "max_rms", "assignment", "downsampled",
+            "score", "runner_up", "covariance", "open_directions", "warnings",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "stages": [stage.to_dict() for stage in self.stages]})
@@ -384,8 +286,8 @@ class Result:
         if status is Status.REFUTED:
             rms = float(np.sqrt(self.lower_bound / self.n_inliers))
             return (
-                f"refuted: no pose matches {text.count(self.n_inliers, 'pair')} with an RMS residual of at "
-                f"most {self.max_rms:g}; proven for every {scope}: at least {rms:.4g}"
+                f"refuted: no {scope} matches {text.count(self.n_inliers, 'pair')} with an RMS residual "
+                f"of at most {self.max_rms:g}; proven: it is at least {rms:.4g}"
             )
         if status is not Status.CONVERGED:
             later = f"; certified for the {scope}, but a later stage did not finish"

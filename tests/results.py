@@ -4,7 +4,7 @@ import numpy as np
 from typer.testing import CliRunner
 
 from dcreg import Event, Result, Status, SweepResult, Trace
-from dcreg.cli.commands import app
+from dcreg.cli.program import app
 
 
 def run(*arguments):

@@ -14,7 +14,7 @@ def main() -> None:
     interrupts.end_at_once()
     _start_fast()
     try:
-        from dcreg.cli.commands import app
+        from dcreg.cli.program import app
 
         app(prog_name="dcreg")
     except ModuleNotFoundError as error:

@@ -1,110 +1,29 @@
-"""The commands of ``dcreg``.
-
-A command loads what it needs when it runs: `--help` and `--version` load neither NumPy nor the solver.
-"""
+"""The commands that solve and verify."""
 
 from __future__ import annotations
 
-import functools
-import inspect
-from collections.abc import Callable
-from dataclasses import is_dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_type_hints
+from typing import TYPE_CHECKING
 
 import typer
-from typer.core import TyperGroup
 
 import dcreg
 from dcreg.cli import output
-from dcreg.cli.interrupts import Interrupt, leave
+from dcreg.cli.app import app, command, required_count, run_search
 from dcreg.cli.options import (
-    ARGUMENTS,
     CloudFiles,
     MatchSearch,
     Outputs,
+    Poses,
     Quiet,
     Search,
-    flag,
-    parameters_of,
-    parse_count,
     parse_counts,
 )
 from dcreg.names import FIGURE_PACKAGES
 
 if TYPE_CHECKING:
     import numpy as np
-
-
-class Commands(TyperGroup):
-    """The commands; a signal that interrupts one of them gives one line and an exit code."""
-
-    def invoke(self, ctx: Any) -> Any:
-        try:
-            return super().invoke(ctx)
-        except Interrupt as interrupt:
-            leave(interrupt)
-
-
-app = typer.Typer(
-    name="dcreg",
-    cls=Commands,
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-
-
-def command(function: Callable[..., int]) -> Callable[..., int]:
-    """Add a command that returns its exit code; bad input gives one line and `EXIT_INPUT`.
-
-    Each field of a parameter that is a dataclass becomes a parameter of the command.
-    """
-    hints = get_type_hints(function)
-    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
-    parameters = list(parameters_of(function))
-    parameters.sort(key=lambda each: each.default is not inspect.Parameter.empty)
-    # the library's messages begin with the name of an argument, which is an option here
-    names = {each.name for each in parameters}.difference(ARGUMENTS)
-    options = {name.removesuffix("_path"): flag(name) for name in names}
-
-    @functools.wraps(function)
-    def run(**given: Any) -> NoReturn:
-        for name, kind in groups.items():
-            given[name] = kind(
-                **{each: given.pop(each) for each in inspect.signature(kind).parameters}
-            )
-        try:
-            code = function(**given)
-        except dcreg.InputError as error:
-            name, colon, rest = str(error).partition(":")
-            output.print_error(f"{options.get(name, name)}{colon}{rest}")
-            code = output.EXIT_INPUT
-        raise typer.Exit(code)
-
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {each.name: each.annotation for each in parameters}
-    about, *_ = (inspect.getdoc(function) or "").split("\n\nParameters\n")
-    app.command(help=about)(run)
-    return function
-
-
-def _run(
-    solve: Callable[..., Any], *given: Any, quiet: bool, options: dict[str, Any], **keywords: Any
-) -> Any:
-    """Call `solve` while its progress is shown and Ctrl-C stops it."""
-    from dcreg.cli.progress import Progress
-
-    absolute = any(keywords.get(name) for name in ("abs_gap", "tol"))
-    if keywords["rel_gap"] == 0 and not (absolute or quiet):
-        output.print_warning(
-            "--rel-gap 0: unless the fit is exact, the gap hardly ever closes completely, so the search "
-            "ends without a proof; give a share such as --rel-gap 0.001"
-        )
-    with Progress(quiet=quiet) as progress:
-        chosen = dcreg.SolveOptions(**options, listener=progress)
-        return progress.run(partial(solve, *given, **keywords, options=chosen))
 
 
 def _finish(
@@ -141,6 +60,8 @@ def register(
     clouds: CloudFiles,
     n_inliers: str | None = None,
     search: Search,
+    poses: Poses,
+    max_rms: float | None = None,
     outputs: Outputs,
     certificate_path: Path | None = None,
     quiet: Quiet = False,
@@ -150,10 +71,13 @@ def register(
     Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off.
 
     Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C
-    (the best pose is still written); 4 an output file could not be written.
+    (the best pose is still written); 4 an output file could not be written; 6 refuted
+    (--max-rms: proven that no pose fits so well).
 
     Parameters
     ----------
+    max_rms : D
+        Only decide whether a pose matches K pairs with at most this RMS residual.
     n_inliers : K
         Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
         a fraction: '1' is one pair, '1.0' is all pairs. Required; `dcreg sweep` helps to choose it.
@@ -163,16 +87,13 @@ def register(
     paths = {**outputs.paths, "--certificate": certificate_path}
     output.check_outputs(paths, *clouds.names.values(), search.candidates_path)
     output.check_figure(outputs.plot_path, [".html"])
-    if n_inliers is None:
-        raise dcreg.InputError(
-            "--n-inliers: missing; give the number of pairs to match, such as 40 or 0.8, or let "
-            "`dcreg sweep` suggest one"
-        )
+    count = required_count(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(len(points[0]))
     options["certificate"] = certificate_path is not None
-    keywords["n_inliers"] = parse_count(n_inliers)
-    result = _run(dcreg.register, *points, quiet=quiet, options=options, **keywords)
+    keywords["pose_range"], options["init"] = poses.settings()
+    keywords |= {"n_inliers": count, "max_rms": max_rms}
+    result = run_search(dcreg.register, *points, quiet=quiet, options=options, **keywords)
     return _finish(result, points, clouds.names, outputs, certificate_path)
 
 
@@ -193,7 +114,9 @@ def register_matches(
     output.check_figure(outputs.plot_path, [".html"])
     points = clouds.read("rigid3d")
     pairs = dcreg.read_matches(matches, *map(len, points))
-    result = _run(dcreg.register_matches, *points, pairs, **vars(search), options={}, quiet=quiet)
+    result = run_search(
+        dcreg.register_matches, *points, pairs, **vars(search), options={}, quiet=quiet
+    )
     return _finish(result, points, {**clouds.names, "matches": matches}, outputs)
 
 
@@ -236,7 +159,7 @@ def sweep(
     counts = parse_counts(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(len(points[0]))
-    found = _run(dcreg.sweep, *points, counts, quiet=quiet, options=options, **keywords)
+    found = run_search(dcreg.sweep, *points, counts, quiet=quiet, options=options, **keywords)
     typer.echo(found)
     write: output.Writer = partial(found.write_json, **clouds.names)
     if out_path is not None and out_path.suffix.lower() == ".csv":
@@ -296,21 +219,3 @@ def version() -> None:
     packages = ("numpy", "scipy", "numba")
     listing = ", ".join(f"{name} {package_version(name)}" for name in packages)
     typer.echo(f"python {platform.python_version()}, {listing}")
-
-
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"dcreg {dcreg.__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def dcreg_command(
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version."
-        ),
-    ] = False,
-) -> None:
-    """Globally optimal point cloud registration by branch and bound."""

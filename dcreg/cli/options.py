@@ -100,7 +100,13 @@ def _range(text: str) -> list[int | float]:
 
 # --- from docstrings to options -----------------------------------------------------------------------
 
-ARGUMENTS = ("certificate", "source", "target", "matches")  # all other parameters are options
+ARGUMENTS = (
+    "certificate",
+    "pose",
+    "source",
+    "target",
+    "matches",
+)  # all other parameters are options
 PARSERS = {float: number, int: whole_number}
 # What the help texts name.
 NAMES = {
@@ -265,6 +271,56 @@ class Search:
         path = keywords.pop("candidates_path")
         keywords["candidates"] = None if path is None else dcreg.read_candidates(path, n_source)
         return keywords, options
+
+
+@dataclass
+class Poses:
+    """The admissible poses: those of the model, or a range around an initial guess.
+
+    Attributes
+    ----------
+    init : POSE
+        Initial guess of the pose: a matrix as text or .npy, JSON of dcreg, or one pose of KITTI or TUM.
+        Ranges are relative to it; without one it only gives an upper bound at once.
+    axis : X,Y,Z
+        Only rotations about this axis (3D), such as 0,0,1 for level scans.
+    max_angle : DEG
+        Maximum rotation from the initial guess, or from no rotation.
+    max_translation : D
+        Maximum displacement of the centroid of the source from the initial guess, or from no motion.
+    rotation : switch
+        Search rotations, or only translations.
+    """
+
+    init: str | None = None
+    axis: str | None = None
+    max_angle: float = 180.0
+    max_translation: float = math.inf
+    rotation: bool = True
+
+    def settings(self) -> tuple[dcreg.PoseRange | None, np.ndarray | None]:
+        """Return the range of poses, if it is restricted, and the initial guess."""
+        init = None if self.init is None else dcreg.read_pose(self.init)
+        if not self.rotation and (self.axis is not None or self.max_angle < 180.0):
+            raise dcreg.InputError(
+                "--no-rotation: excludes --axis and --max-angle; omit them, or --no-rotation"
+            )
+        given = dcreg.PoseRange(
+            None if self.axis is None else parse_axis(self.axis),
+            self.max_angle if self.rotation else 0.0, self.max_translation, init,
+        )  # fmt: skip
+        is_free = given.axis is None and given.max_angle >= 180.0
+        return None if is_free and math.isinf(given.max_translation) else given, init
+
+
+def parse_axis(text: str) -> list[float]:
+    """Return `--axis`: three numbers, separated by commas."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise dcreg.InputError(
+            f"--axis: '{text}' is not a direction; give three numbers such as 0,0,1"
+        ) from None
 
 
 @dataclass

@@ -67,9 +67,7 @@ def to_search(
     if len(source) == len(first.source) and len(target) == len(first.target):
         return problems
     clouds, samples = (first.source, first.target), (source, target)
-    sample = Problem(
-        source, target, 1, first.model, first.scale_range, pose_range=first.pose_range
-    )
+    sample = Problem(source, target, 1, first.model, first.scale_range, pose_range=first.pose_range)
     return [
         sample.with_n_inliers(sampled_pairs(each.n_inliers, clouds, samples)) for each in problems
     ]

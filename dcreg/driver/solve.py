@@ -129,9 +129,7 @@ class Setup:
         if name is None:
             name = choose_mode(largest, bound, certificate)
         chosen = mode or find_mode(largest.model, name)
-        check_mode(
-            chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms
-        )
+        check_mode(chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms)
         limits.check(largest.n_inliers)
         for line in advice(largest):
             _LOGGER.info(line)

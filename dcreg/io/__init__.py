@@ -5,5 +5,6 @@ They need only NumPy, and SciPy for ``.mat``. A new format is one more reader in
 """
 
 from dcreg.io.points import READERS, read_candidates, read_matches, read_points
+from dcreg.io.pose import read_pose
 
-__all__ = ["READERS", "read_candidates", "read_matches", "read_points"]
+__all__ = ["READERS", "read_candidates", "read_matches", "read_points", "read_pose"]

@@ -8,7 +8,8 @@ except ModuleNotFoundError as error:
         name=error.name,
     ) from None
 
+from dcreg.plot.answer import plot_answer
 from dcreg.plot.registration import plot_registration
 from dcreg.plot.sweep import plot_sweep
 
-__all__ = ["plot_registration", "plot_sweep"]
+__all__ = ["plot_answer", "plot_registration", "plot_sweep"]

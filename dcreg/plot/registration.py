@@ -69,14 +69,15 @@ def figures(source: np.ndarray, target: np.ndarray, result: Result) -> dict[str,
     stages = _stages(result.trace)
     pairs = _pair_lines(moved, target, result.assignment)
     return {
-        "before": _clouds(source, target),
-        "after": _clouds(moved, target, pairs),
+        "before": clouds_figure(source, target),
+        "after": clouds_figure(moved, target, pairs),
         "bounds against time": _history(result, stages, "time_s", "time in s"),
         "bounds against nodes": _history(result, stages, "n_nodes", "nodes, all stages together"),
     }
 
 
-def _clouds(source: np.ndarray, target: np.ndarray, *more: go.BaseTraceType) -> go.Figure:
+def clouds_figure(source: np.ndarray, target: np.ndarray, *more: go.BaseTraceType) -> go.Figure:
+    """Return both clouds in one figure, with more traces."""
     drawn = [_points(target, "target", TARGET), _points(source, "source", SOURCE), *more]
     fig = figure(drawn)
     if source.shape[1] == 3:

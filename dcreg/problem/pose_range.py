@@ -241,7 +241,9 @@ def checked_pose(name: str, pose: Any, d: int) -> np.ndarray:
             f"{' times a scale' if d == 2 else ''}; give a proper pose (determinant above 0)"
         )
     if d == 3 and abs(scale - 1.0) > _RIGID:
-        raise InputError(f"{name}: its scale is {scale:.6g}, but rigid3d has no scale; divide by it")
+        raise InputError(
+            f"{name}: its scale is {scale:.6g}, but rigid3d has no scale; divide by it"
+        )
     T[:d, :d] = rotation * (scale if d == 2 else 1.0)
     return T
 

@@ -15,7 +15,6 @@ from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.geometry import fit_pose
 from dcreg.problem.pose_range import PoseRange
 
-
 # (n, m) mask, or one sequence of target indices per source point
 Candidates = np.ndarray | Sequence[Sequence[int]]
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from dcreg.status import Status
 
-
 _ABOVE = 1.0 + 1e-9  # a lower bound that exceeds a value by this factor is above it
 
 

@@ -34,7 +34,7 @@ def options(command: str) -> str:
     """Options of one command of `dcreg`."""
     from typer.main import get_command
 
-    from dcreg.cli.commands import app
+    from dcreg.cli.program import app
 
     rows = []
     for option in get_command(app).commands[command].params:

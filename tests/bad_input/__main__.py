@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dcreg.cli.commands import app
+from dcreg.cli.program import app
 from tests.bad_input import AREAS
 from tests.bad_input.case import CLOUDS, Case
 

@@ -7,7 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.families.region import BoxPoses, Far, InRegion, Near, NearSpace, Region, angles, shift_box
+from dcreg.families.region import (
+    BoxPoses,
+    Far,
+    InRegion,
+    Near,
+    NearSpace,
+    Region,
+    angles,
+    shift_box,
+)
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.kernels.anywhere import bound_boxes_anywhere
 from dcreg.families.rigid3d.space import Rigid3D
@@ -124,7 +133,9 @@ class RegionBound(RigidBound):
             return super()._evaluate(boxes, cutoff)
         found, outside = Evaluation.empty(boxes), np.flatnonzero(~inside)
         m = self.space.n_target
-        kept = np.zeros((len(boxes), m), np.uint16) if boxes.warm_start is None else boxes.warm_start
+        kept = (
+            np.zeros((len(boxes), m), np.uint16) if boxes.warm_start is None else boxes.warm_start
+        )
         found.warm_start = kept
         if inside.any():
             some = super()._evaluate(boxes[inside], cutoff)

@@ -19,7 +19,10 @@ class SimilarityInRegion(InRegion, Similarity2D):
         (box,) = super().roots()
         self.stationary = Box(box.lower[2:], box.upper[2:])
         shifts = shift_box(self.stationary, self.region, self.scale_range[1])
-        lower, upper = np.append(box.lower[:2], shifts.lower), np.append(box.upper[:2], shifts.upper)
+        lower, upper = (
+            np.append(box.lower[:2], shifts.lower),
+            np.append(box.upper[:2], shifts.upper),
+        )
         return [Box(lower, upper)]
 
     def box_poses(self, lower: np.ndarray, upper: np.ndarray) -> BoxPoses:

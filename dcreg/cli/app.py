@@ -1,0 +1,128 @@
+"""The program ``dcreg``: how its commands are made, and what they share.
+
+A command loads what it needs when it runs: `--help` and `--version` load neither NumPy nor the solver.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import is_dataclass
+from functools import partial
+from typing import Annotated, Any, NoReturn, get_type_hints
+
+import typer
+from typer.core import TyperGroup
+
+import dcreg
+from dcreg.cli import output
+from dcreg.cli.interrupts import Interrupt, leave
+from dcreg.cli.options import ARGUMENTS, flag, parameters_of, parse_count
+
+# In the order of the help.
+ORDER = (
+    "register", "sweep", "register-matches", "certify", "alternatives", "batch", "verify", "version",
+)  # fmt: skip
+
+
+class Commands(TyperGroup):
+    """The commands; a signal that interrupts one of them gives one line and an exit code."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names in the order of `ORDER`."""
+        return sorted(super().list_commands(ctx), key=ORDER.index)
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except Interrupt as interrupt:
+            leave(interrupt)
+
+
+app = typer.Typer(
+    name="dcreg",
+    cls=Commands,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def command(function: Callable[..., int]) -> Callable[..., int]:
+    """Add a command that returns its exit code; bad input gives one line and `EXIT_INPUT`.
+
+    Each field of a parameter that is a dataclass becomes a parameter of the command.
+    """
+    hints = get_type_hints(function)
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    parameters = list(parameters_of(function))
+    parameters.sort(key=lambda each: each.default is not inspect.Parameter.empty)
+    # the library's messages begin with the name of an argument, which is an option here
+    names = {each.name for each in parameters}.difference(ARGUMENTS)
+    options = {name.removesuffix("_path"): flag(name) for name in names}
+
+    @functools.wraps(function)
+    def run(**given: Any) -> NoReturn:
+        for name, kind in groups.items():
+            given[name] = kind(
+                **{each: given.pop(each) for each in inspect.signature(kind).parameters}
+            )
+        try:
+            code = function(**given)
+        except dcreg.InputError as error:
+            name, colon, rest = str(error).partition(":")
+            output.print_error(f"{options.get(name, name)}{colon}{rest}")
+            code = output.EXIT_INPUT
+        raise typer.Exit(code)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    about, *_ = (inspect.getdoc(function) or "").split("\n\nParameters\n")
+    app.command(help=about)(run)
+    return function
+
+
+def run_search(
+    solve: Callable[..., Any], *given: Any, quiet: bool, options: dict[str, Any], **keywords: Any
+) -> Any:
+    """Call `solve` while its progress is shown and Ctrl-C stops it."""
+    from dcreg.cli.progress import Progress
+
+    absolute = any(keywords.get(name) for name in ("abs_gap", "tol"))
+    if keywords["rel_gap"] == 0 and not (absolute or quiet):
+        output.print_warning(
+            "--rel-gap 0: unless the fit is exact, the gap hardly ever closes completely, so the search "
+            "ends without a proof; give a share such as --rel-gap 0.001"
+        )
+    with Progress(quiet=quiet) as progress:
+        chosen = dcreg.SolveOptions(**options, listener=progress)
+        return progress.run(partial(solve, *given, **keywords, options=chosen))
+
+
+def required_count(n_inliers: str | None) -> int | float:
+    """Return `--n-inliers`, which must be given."""
+    if n_inliers is None:
+        raise dcreg.InputError(
+            "--n-inliers: missing; give the number of pairs to match, such as 40 or 0.8, or let "
+            "`dcreg sweep` suggest one"
+        )
+    return parse_count(n_inliers)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"dcreg {dcreg.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def dcreg_command(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """Globally optimal point cloud registration by branch and bound."""

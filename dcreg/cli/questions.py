@@ -1,0 +1,136 @@
+"""The commands that ask about poses: ``dcreg certify`` and ``dcreg alternatives``."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+import dcreg
+from dcreg.cli import output
+from dcreg.cli.app import command, required_count, run_search
+from dcreg.cli.options import CloudFiles, Quiet, Search
+from dcreg.names import DEFAULT_RATIO
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+@command
+def certify(
+    *,
+    pose: str,
+    clouds: CloudFiles,
+    n_inliers: str | None = None,
+    search: Search,
+    json_path: Path | None = None,
+    plot_path: Path | None = None,
+    quiet: Quiet = False,
+) -> int:
+    """Judge a POSE of SOURCE from any program: optimal, improvable or open.
+
+    Exit code: 0 optimal; 2 bad input; 3 open (a limit ended the search);
+    4 an output file could not be written; 6 improvable (a better pose is
+    printed).
+
+    Parameters
+    ----------
+    pose : POSE
+        A matrix as text or .npy, JSON of dcreg, or one pose of KITTI or TUM.
+    n_inliers : K
+        Pairs to match, as for `dcreg register`. Required.
+    json_path : OUT
+        Write the answer; '-' is standard output.
+    plot_path : OUT.html
+        Write a page with the clouds at both poses.
+    """
+    names = _check_outputs(plot_path, json_path, clouds, search, pose)
+    count, T = required_count(n_inliers), dcreg.read_pose(pose)
+    points = clouds.read(search.model)
+    keywords, options = search.settings(len(points[0]))
+    keywords["n_inliers"] = count
+    found = run_search(dcreg.certify, *points, T, quiet=quiet, options=options, **keywords)
+    codes = {"optimal": output.EXIT_OK, "improvable": output.EXIT_REFUTED}
+    code = codes.get(found.verdict, output.EXIT_LIMIT)
+    return _finish(found, points, names, json_path, plot_path) or code
+
+
+@command
+def alternatives(
+    *,
+    clouds: CloudFiles,
+    n_inliers: str | None = None,
+    search: Search,
+    ratio: float = DEFAULT_RATIO,
+    distance: float | None = None,
+    most: int = 20,
+    json_path: Path | None = None,
+    plot_path: Path | None = None,
+    quiet: Quiet = False,
+) -> int:
+    """Find all distinct poses that are nearly as good as the best one, or prove that it is unique.
+
+    Exit code: 0 the list is proven to be complete; 2 bad input; 3 there may
+    be more; 4 an output file could not be written.
+
+    Parameters
+    ----------
+    n_inliers : K
+        Pairs to match, as for `dcreg register`. Required.
+    ratio : X
+        A pose is nearly as good if its objective is at most X times the best one.
+    distance : D
+        Poses are distinct if the RMS displacement of the source points between them exceeds D. Default:
+        three RMS residuals, at least 1 % of the RMS radius of the target.
+    most : N
+        End with N other poses.
+    json_path : OUT
+        Write the answer; '-' is standard output.
+    plot_path : OUT.html
+        Write a page with the clouds at each pose.
+    """
+    names = _check_outputs(plot_path, json_path, clouds, search)
+    count = required_count(n_inliers)
+    points = clouds.read(search.model)
+    keywords, options = search.settings(len(points[0]))
+    keywords |= {"n_inliers": count, "ratio": ratio, "distance": distance, "most": most}
+    found = run_search(dcreg.alternatives, *points, quiet=quiet, options=options, **keywords)
+    code = output.EXIT_OK if found.is_complete else output.EXIT_LIMIT
+    return _finish(found, points, names, json_path, plot_path) or code
+
+
+def _check_outputs(
+    plot_path: Path | None,
+    json_path: Path | None,
+    clouds: CloudFiles,
+    search: Search,
+    pose: str | None = None,
+) -> dict[str, str]:
+    """Check the outputs of a question; return the names of the input files."""
+    paths = {"--json": json_path, "--plot": plot_path}
+    output.check_outputs(paths, *clouds.names.values(), search.candidates_path, pose)
+    output.check_figure(plot_path, [".html"])
+    return clouds.names if pose is None else {**clouds.names, "pose": pose}
+
+
+def _finish(
+    found: Any,
+    clouds: tuple[np.ndarray, np.ndarray],
+    names: dict[str, str],
+    json_path: Path | None,
+    plot_path: Path | None,
+) -> int:
+    """Print an answer and write its files; return 0, or the exit code of a failure."""
+    to_stdout = json_path == output.STDOUT
+    typer.echo(found, err=to_stdout)
+    if to_stdout:
+        typer.echo(found.to_json(**names))
+        json_path = None
+    shown = names["source"], names["target"]
+    return output.write_outputs(
+        dcreg.Status.OPTIMAL,
+        (json_path, partial(found.write_json, **names)),
+        (plot_path, lambda path: dcreg.plot_answer(*clouds, found, path, names=shown)),
+    )

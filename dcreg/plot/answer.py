@@ -1,0 +1,75 @@
+"""A page for the answer to a question about poses: the clouds at each of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from dcreg.plot.page import page_title, write_page
+from dcreg.plot.registration import clouds_figure
+from dcreg.problem import InputError, apply_pose
+from dcreg.result import Result
+
+_MAX_POSES = 8  # drawn
+
+
+class Answer(Protocol):
+    """What `plot_answer` needs of `dcreg.Certified` and `dcreg.Alternatives`."""
+
+    question: str
+    result: Result
+
+    @property
+    def poses(self) -> dict[str, np.ndarray]:
+        """The poses by name."""
+        ...
+
+    @property
+    def answer(self) -> str:
+        """The answer in a sentence."""
+        ...
+
+    def entries(self) -> object:
+        """Names and values of the summary."""
+        ...
+
+
+def plot_answer(
+    source: np.ndarray,
+    target: np.ndarray,
+    answer: Answer,
+    path: str | Path,
+    *,
+    names: tuple[str, str] = ("source", "target"),
+) -> None:
+    """Write a page with the clouds at each pose of an answer.
+
+    Parameters
+    ----------
+    source, target : (n, d) and (m, d) arrays, d = 2 or 3
+    answer : Certified or Alternatives
+    path : str or Path
+        The ``.html`` file to write.
+    names : (str, str)
+        Names of the clouds on the page.
+
+    Raises
+    ------
+    InputError
+        If `path` has another suffix.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".html":
+        raise InputError(f"{path}: the suffix {path.suffix!r} is not supported; use .html")
+    drawn = list(answer.poses.items())[:_MAX_POSES]
+    facts = list(answer.entries())[1:]  # type: ignore[call-overload]
+    write_page(
+        path,
+        page_title(answer.question, names),
+        answer.answer,
+        {name: clouds_figure(apply_pose(T, source), target) for name, T in drawn},
+        warnings=answer.result.warnings,
+        facts=[each for each in facts if each[0] != "warning"],
+    )

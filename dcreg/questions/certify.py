@@ -1,0 +1,225 @@
+"""Is this pose right? The objective of a pose from any program, and how much better a pose can be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dcreg import text
+from dcreg._version import __version__
+from dcreg.assignment.objective import objective
+from dcreg.driver.options import Limits, SolveOptions
+from dcreg.driver.solve import register_problem
+from dcreg.files import as_json, plain, write_text
+from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S
+from dcreg.problem import (
+    Candidates,
+    InputError,
+    PoseRange,
+    Problem,
+    apply_pose,
+    checked_pose,
+    exact_objective,
+    nearest_rotation,
+    rotation_angle_deg,
+    scale_of,
+)
+from dcreg.result import Result
+
+# Verdicts on a pose.
+OPTIMAL, IMPROVABLE, OPEN = "optimal", "improvable", "open"
+_ROUNDING = 1e-6  # relative
+_NOTABLE = 0.1  # share of the tolerance by which a better pose has to be better
+
+
+@dataclass(frozen=True, repr=False)
+class Certified:
+    """What is known about a given pose; see `dcreg.certify`.
+
+    Attributes
+    ----------
+    verdict : str
+        ``optimal``: proven up to the tolerance. ``improvable``: the pose of `result` is better by more
+        than a tenth of the tolerance. ``open``: neither.
+    T_target_source : (d+1, d+1) array
+        The given pose.
+    objective : float
+        Its sum of squared residuals over the cheapest `n_inliers` pairs, in squared units of the target.
+    lower_bound : float
+        No pose has a lower objective.
+    gap_tol : float
+        The gap that counts as closed.
+    displacement : float
+        RMS displacement of the source points between the given pose and that of `result`.
+    angle_deg : float
+        Angle of the rotation between them.
+    result : Result
+        The search, which had the given pose as initial guess.
+    """
+
+    verdict: str
+    T_target_source: np.ndarray
+    objective: float
+    lower_bound: float
+    gap_tol: float
+    displacement: float
+    angle_deg: float
+    result: Result
+
+    question = "certification"
+
+    @property
+    def poses(self) -> dict[str, np.ndarray]:
+        """The given pose and the best known one."""
+        return {"given pose": self.T_target_source, "best known pose": self.result.T_target_source}
+
+    @property
+    def max_improvement(self) -> float:
+        """The most by which any pose can lower the objective."""
+        return max(0.0, self.objective - self.lower_bound)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        names = (
+            "verdict", "T_target_source", "objective", "lower_bound", "max_improvement", "gap_tol",
+            "displacement", "angle_deg",
+        )  # fmt: skip
+        values = {name: getattr(self, name) for name in names}
+        return plain({**values, "result": self.result.to_dict()})
+
+    def to_json(self, **more: Any) -> str:
+        """Return `to_dict`, the version and `more` keys as JSON."""
+        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
+
+    def write_json(self, path: str | Path, **more: Any) -> None:
+        """Write `to_json` to a file."""
+        write_text(path, self.to_json(**more) + "\n")
+
+    def entries(self) -> Iterator[tuple[str, str]]:
+        """Yield names and values of the summary."""
+        k = self.result.n_inliers
+        yield "given pose", self.answer
+        rms = np.sqrt(self.objective / k)
+        yield (
+            "objective",
+            f"{self.objective:.6g} (RMS residual {rms:.6g} over {text.count(k, 'pair')})",
+        )
+        share = self.max_improvement / self.objective if self.objective > 0.0 else 0.0
+        yield "best possible", f"{self.lower_bound:.6g}: at most {text.percent(share)} less"
+        if self.verdict != OPTIMAL:
+            yield (
+                "best known pose",
+                f"objective {self.result.objective:.6g}; differs from the given pose by "
+                f"{self.displacement:.4g} (RMS displacement) and {self.angle_deg:.4g} deg",
+            )
+        yield "search", self.result.summary()
+
+    @property
+    def answer(self) -> str:
+        """The verdict in a sentence."""
+        if self.verdict == OPTIMAL:
+            return "optimal up to the tolerance: proven"
+        if self.verdict == IMPROVABLE:
+            return "improvable: another pose has a lower objective"
+        return "open: no better pose is known, and the bounds do not exclude one"
+
+    def __str__(self) -> str:
+        return text.listing(list(self.entries()))
+
+    def __repr__(self) -> str:
+        return f"<Certified {self.answer}>"
+
+
+def certify(
+    source: np.ndarray,
+    target: np.ndarray,
+    pose: np.ndarray,
+    *,
+    n_inliers: int | float,
+    model: str,
+    scale_range: tuple[float, float] | None = None,
+    candidates: Candidates | None = None,
+    pose_range: PoseRange | None = None,
+    rel_gap: float = DEFAULT_REL_GAP,
+    abs_gap: float | None = None,
+    tol: float | None = None,
+    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
+    node_limit: int | None = None,
+    memory_limit_mb: float | None = None,
+    options: SolveOptions | None = None,
+) -> Certified:
+    """Judge a pose from any program: is it optimal, and how much better can another pose be?
+
+    Parameters
+    ----------
+    source, target, n_inliers, model, scale_range, candidates, pose_range
+        As in `dcreg.register`.
+    pose : (d+1, d+1) array
+        From source to target.
+    rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb
+        As in `dcreg.register`.
+    options : SolveOptions, optional
+        As in `dcreg.register`, without `init`.
+
+    Returns
+    -------
+    Certified
+
+    Raises
+    ------
+    InputError
+        For bad input, before any search.
+
+    Examples
+    --------
+    >>> import numpy as np, dcreg
+    >>> points = np.random.default_rng(0).random((20, 2))
+    >>> pose = np.eye(3)
+    >>> pose[:2, 2] = 3.0, 3.0
+    >>> dcreg.certify(points, points + 3.0, pose, n_inliers=20, model="similarity2d").verdict
+    'optimal'
+    """
+    problem = Problem(source, target, n_inliers, model, scale_range, candidates, pose_range)
+    chosen = SolveOptions.of(options)
+    if chosen.init is not None:
+        raise InputError("init: the given pose is the initial guess; omit it")
+    T = checked_pose("pose", pose, problem.dim)
+    low, high = problem.scale_range
+    if not low * (1.0 - 1e-9) <= scale_of(T) <= high * (1.0 + 1e-9):
+        raise InputError(
+            f"pose: its scale {scale_of(T):.6g} is outside scale_range ({low:g}, {high:g}); give a "
+            "larger range"
+        )
+    if problem.pose_range is not None and not problem.pose_range.contains(T):
+        raise InputError("pose: outside pose_range; give a larger range, or another pose")
+    clouds, k = (problem.source, problem.target), problem.n_inliers
+    value, _ = objective(*clouds, T, k, problem.candidates)
+    limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
+    result = register_problem(problem, limits, replace(chosen, init=T))
+    return _judged(problem, T, value, result, limits)
+
+
+def _judged(
+    problem: Problem, T: np.ndarray, value: float, result: Result, limits: Limits
+) -> Certified:
+    source, target, k, d = problem.source, problem.target, problem.n_inliers, problem.dim
+    best = result.T_target_source
+    # the bounds of a sample do not refer to all points
+    lower_bound = 0.0 if result.downsampled is not None else min(result.lower_bound, value)
+    exact = exact_objective(source, target, k)
+    allowed = limits.tolerance(k, exact / 100.0, exact).allowed(value)
+    verdict = OPEN
+    if value - lower_bound <= allowed * (1.0 + _ROUNDING):
+        verdict = OPTIMAL
+    elif result.objective < value - _NOTABLE * allowed:
+        verdict = IMPROVABLE
+    gaps = apply_pose(best, source) - apply_pose(T, source)
+    turn = nearest_rotation(best[:d, :d]) @ nearest_rotation(T[:d, :d]).T
+    return Certified(
+        verdict, T, value, lower_bound, allowed, float(np.sqrt((gaps**2).sum(axis=1).mean())),
+        abs(rotation_angle_deg(turn)), result,
+    )  # fmt: skip
