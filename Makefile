@@ -171,6 +171,11 @@ golden: setup
 fuzz: dev
 	@$(BIN)/python -m tests.fuzz --count $(or $(COUNT),10000)
 
+## questions: ask each question about COUNT small problems and count wrong answers (expected: 0)
+.PHONY: questions
+questions: dev
+	@$(BIN)/python -m tests.questions --count $(or $(COUNT),1000)
+
 ## bad-input: try every kind of bad input and count tracebacks, hangs and unclear messages (expected: 0)
 .PHONY: bad-input
 bad-input: dev

@@ -116,7 +116,7 @@ def _histories(
     """Return relative gaps, at most 1, and the work spent until then, of some runs."""
     import polars as pl
 
-    own = pl.LazyFrame({"run_id": run_ids})
+    own = pl.LazyFrame({"run_id": run_ids}, {"run_id": pl.String})
     known = traces.filter(pl.col("upper_bound") > 0).join(
         own, on="run_id", how="semi", maintain_order="left"
     )

@@ -1,0 +1,114 @@
+"""One check per question: solve a small problem, and return what its answer states wrongly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+import dcreg
+from dcreg.problem import apply_pose
+from dcreg.status import Status
+from tests.questions.problems import small
+
+# (answer in a word, faults)
+Checked = tuple[str, list[str]]
+
+
+def check_max_rms(number: int) -> Checked:
+    """Is there a pose with at most this residual? All matchings decide."""
+    one = small(number)
+    p, eps = one.problem, one.rounding()
+    optimum = min(value for value, _ in one.fits())
+    factor = (0.5, 0.9, 0.99, 1.01, 1.1, 2.0)[number // 3 % 6]
+    tau = factor * np.sqrt((optimum + 100 * eps) / p.n_inliers)
+    found = dcreg.register(p.source, p.target, max_rms=tau, **one.keywords)
+    threshold, faults = p.n_inliers * tau**2, []
+    if found.status is Status.REFUTED and optimum <= threshold - eps:
+        faults.append(f"refuted, but {optimum} <= {threshold}")
+    is_met = found.objective <= threshold
+    if is_met and optimum > threshold + eps:
+        faults.append(f"pose with {found.objective}, but the optimum is {optimum} > {threshold}")
+    if found.lower_bound > optimum + eps:
+        faults.append(f"lower bound {found.lower_bound} above the optimum {optimum}")
+    return ("met" if is_met else found.status.value), faults
+
+
+def check_certify(number: int) -> Checked:
+    """Is this pose optimal? It is the fit to some matching, or a rough one."""
+    one = small(number)
+    p, eps = one.problem, one.rounding()
+    fits = sorted(one.fits(), key=lambda fit: fit[0])
+    rng = np.random.default_rng([8, number])
+    T = fits[min(int(rng.integers(4)) ** 2, len(fits) - 1)][1].copy()
+    if number % 5 == 0:
+        T[:-1, -1] += 0.05 * rng.standard_normal(p.dim)
+    found = dcreg.certify(p.source, p.target, T, **one.keywords)
+    value, _ = dcreg.objective(p.source, p.target, T, p.n_inliers)
+    optimum, faults = fits[0][0], []
+    if abs(found.objective - value) > eps:
+        faults.append(f"objective {found.objective}, but it is {value}")
+    if found.lower_bound > optimum + eps:
+        faults.append(f"lower bound {found.lower_bound} above the optimum {optimum}")
+    if found.verdict == "optimal" and value > optimum + found.gap_tol * (1 + 1e-5) + eps:
+        faults.append(f"optimal, but {value} exceeds the optimum {optimum} by more than the gap")
+    if found.verdict == "improvable" and found.result.objective >= value:
+        faults.append("improvable, but the pose given is no worse")
+    return found.verdict, faults
+
+
+def check_alternatives(number: int) -> Checked:
+    """Are these all poses that are nearly as good? Every good fit must be near a listed pose."""
+    one = small(number)
+    p, eps = one.problem, one.rounding()
+    ratio = (1.0, 1.2, 1.5, 2.0)[number // 3 % 4]
+    found = dcreg.alternatives(p.source, p.target, ratio=ratio, **one.keywords)
+    listed, faults = list(found.poses.values()), []
+    for at, T in enumerate(listed[1:], 1):
+        value, _ = dcreg.objective(p.source, p.target, T, p.n_inliers)
+        if value > found.threshold + eps:
+            faults.append(f"pose {at} has the objective {value} > {found.threshold}")
+        if min(_apart(p.source, T, other) for other in listed[:at]) < found.distance * (1 - 1e-6):
+            faults.append(f"pose {at} is not distinct")
+    if found.is_complete:
+        for value, T in one.fits():
+            if value <= found.threshold - eps:
+                gap = min(_apart(p.source, T, other) for other in listed)
+                if gap > found.distance * (1 + 1e-6):
+                    faults.append(
+                        f"a pose with {value} <= {found.threshold} is missing ({gap} away)"
+                    )
+                    break
+    words = "unique" if found.is_unique else f"{'all' if found.is_complete else 'at least'}"
+    return words, faults
+
+
+def check_range(number: int) -> Checked:
+    """The best pose of a range: bounds on both sides of the optimum of all matchings."""
+    one = small(number, with_range=True)
+    p, eps = one.problem, one.rounding()
+    assert p.pose_range is not None
+    found = dcreg.register(p.source, p.target, pose_range=p.pose_range, **one.keywords)
+    optimum, faults = min(value for value, _ in one.fits()), []
+    if not p.pose_range.contains(found.T_target_source):
+        faults.append(f"the pose {found.T_target_source.tolist()} is outside the range")
+    if found.lower_bound > optimum + eps:
+        faults.append(f"lower bound {found.lower_bound} above the optimum {optimum}")
+    if found.upper_bound < optimum - eps:
+        faults.append(f"upper bound {found.upper_bound} below the optimum {optimum}")
+    if found.status is Status.OPTIMAL and found.upper_bound > optimum + found.gap_tol + eps:
+        faults.append(f"optimal with {found.upper_bound}, but the optimum is {optimum}")
+    return found.status.value, faults
+
+
+CHECKS: dict[str, Callable[[int], Checked]] = {
+    "max_rms": check_max_rms,
+    "certify": check_certify,
+    "alternatives": check_alternatives,
+    "range": check_range,
+}
+
+
+def _apart(source: np.ndarray, T: np.ndarray, other: np.ndarray) -> float:
+    gaps = apply_pose(T, source) - apply_pose(other, source)
+    return float(np.sqrt((gaps**2).sum(axis=1).mean()))
