@@ -9,6 +9,7 @@ from .diagnostics import advice
 from .driver.options import SolveOptions
 from .driver.warm_up import warm_up
 from .io import read_candidates, read_matches, read_points
+from .io.moved import write_moved
 from .names import bound_names, mode_names
 from .plot import plot_registration, plot_sweep
 from .problem import Candidates, InputError, OpenDirection, Problem
@@ -51,4 +52,5 @@ __all__ = [
     "sweep",
     "verify",
     "warm_up",
+    "write_moved",
 ]
