@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_type_hints
@@ -109,28 +109,37 @@ def _run(
 
 def _finish(
     result: dcreg.Result,
-    clouds: tuple[np.ndarray, np.ndarray],
-    names: dict[str, str],
+    points: tuple[np.ndarray, np.ndarray],
+    clouds: CloudFiles,
     outputs: Outputs,
     certificate_path: Path | None = None,
+    **more: str,
 ) -> int:
-    """Print a registration and write its files; `names` are those of the input files."""
+    """Print a registration and write its files; the JSON has `more` keys."""
     json_path = outputs.json_path
+    (in_files,) = clouds.in_files([result])
+    names: dict[str, Any] = {**clouds.names, **more, **clouds.n_dropped}
     # standard output belongs to the JSON if that is written there
     to_stdout = json_path == output.STDOUT
     typer.echo(result, err=to_stdout)
     if to_stdout:
-        typer.echo(result.to_json(**names))
+        typer.echo(in_files.to_json(**names))
         json_path = None
-    shown = names["source"], names["target"]
+    shown = clouds.source, clouds.target
     return output.write_outputs(
         result.status,
-        (json_path, partial(result.write_json, **names)),
+        (json_path, partial(in_files.write_json, **names)),
         (outputs.trace_path, result.trace.write_jsonl),
         (certificate_path, result.write_certificate),
         (
             outputs.plot_path,
-            lambda path: dcreg.plot_registration(*clouds, result, path, names=shown),
+            lambda path: dcreg.plot_registration(*points, result, path, names=shown),
+        ),
+        (
+            outputs.output_path,
+            lambda path: dcreg.write_moved(
+                clouds.source, result.T_target_source, path, key=clouds.source_key
+            ),
         ),
     )
 
@@ -161,19 +170,18 @@ def register(
         Write a certificate for `dcreg verify`.
     """
     paths = {**outputs.paths, "--certificate": certificate_path}
-    output.check_outputs(paths, *clouds.names.values(), search.candidates_path)
-    output.check_figure(outputs.plot_path, [".html"])
+    outputs.check(paths, *clouds.names.values(), search.candidates_path)
     if n_inliers is None:
         raise dcreg.InputError(
             "--n-inliers: missing; give the number of pairs to match, such as 40 or 0.8, or let "
             "`dcreg sweep` suggest one"
         )
     points = clouds.read(search.model)
-    keywords, options = search.settings(len(points[0]))
+    keywords, options = search.settings(clouds)
     options["certificate"] = certificate_path is not None
     keywords["n_inliers"] = parse_count(n_inliers)
     result = _run(dcreg.register, *points, quiet=quiet, options=options, **keywords)
-    return _finish(result, points, clouds.names, outputs, certificate_path)
+    return _finish(result, points, clouds, outputs, certificate_path)
 
 
 @command
@@ -189,12 +197,11 @@ def register_matches(
     matches : MATCHES
         Matches, the most likely ones first: two columns, source row and target row, from 0.
     """
-    output.check_outputs(outputs.paths, *clouds.names.values(), matches)
-    output.check_figure(outputs.plot_path, [".html"])
+    outputs.check(outputs.paths, *clouds.names.values(), matches)
     points = clouds.read("rigid3d")
-    pairs = dcreg.read_matches(matches, *map(len, points))
+    pairs = clouds.read_matches(matches)
     result = _run(dcreg.register_matches, *points, pairs, **vars(search), options={}, quiet=quiet)
-    return _finish(result, points, {**clouds.names, "matches": matches}, outputs)
+    return _finish(result, points, clouds, outputs, matches=matches)
 
 
 @command
@@ -235,10 +242,11 @@ def sweep(
     output.check_outputs({"--out": out_path, "--plot": plot_path}, *inputs)
     counts = parse_counts(n_inliers)
     points = clouds.read(search.model)
-    keywords, options = search.settings(len(points[0]))
+    keywords, options = search.settings(clouds)
     found = _run(dcreg.sweep, *points, counts, quiet=quiet, options=options, **keywords)
     typer.echo(found)
-    write: output.Writer = partial(found.write_json, **clouds.names)
+    in_files = replace(found, results=clouds.in_files(found.results))
+    write: output.Writer = partial(in_files.write_json, **clouds.names, **clouds.n_dropped)
     if out_path is not None and out_path.suffix.lower() == ".csv":
         write = found.write_csv
     names = clouds.source, clouds.target
