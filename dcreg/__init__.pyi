@@ -9,6 +9,7 @@ from .diagnostics import advice
 from .driver.options import SolveOptions
 from .driver.warm_up import warm_up
 from .io import read_candidates, read_matches, read_points
+from .io.g2o import PoseEdge, write_pose_graph
 from .io.moved import write_moved
 from .names import bound_names, mode_names
 from .plot import plot_registration, plot_sweep
@@ -27,6 +28,7 @@ __all__ = [
     "InputError",
     "Listener",
     "OpenDirection",
+    "PoseEdge",
     "Problem",
     "Report",
     "Result",
@@ -53,4 +55,5 @@ __all__ = [
     "verify",
     "warm_up",
     "write_moved",
+    "write_pose_graph",
 ]

@@ -258,6 +258,46 @@ def sweep(
 
 
 @command
+def batch(
+    *,
+    pairs: Path,
+    out_path: Path,
+    n_inliers: str | None = None,
+    search: Search,
+    drop_invalid: bool = False,
+    graph_path: Path | None = None,
+    jobs: int = 1,
+    quiet: Quiet = False,
+) -> int:
+    """Register each pair of a table and write a table of results.
+
+    The same command continues after an interruption: pairs with the same files
+    and options are not solved again, unless they failed.
+
+    Exit code: 0 all finished; 2 bad input, or some pairs failed; 3 some stopped
+    at a limit, or Ctrl-C; 4 an output file could not be written.
+
+    Parameters
+    ----------
+    pairs : PAIRS.csv
+        Table with the columns source and target, files relative to its folder, and optionally n_inliers.
+    out_path : OUT.csv
+        Write a row for each pair: status, pose, bounds or error. It is written whole after each pair.
+    n_inliers : K
+        Pairs to match, as for `dcreg register`, where the table gives no number.
+    drop_invalid : switch
+        Drop points with NaN or infinity.
+    graph_path : OUT.g2o
+        Write the poses as a pose graph for g2o. In 2D it needs --scale-range 1 1.
+    jobs : N
+        Number of processes.
+    """
+    from dcreg.cli.batch import Batch
+
+    return Batch(pairs, search, n_inliers, drop_invalid).run(out_path, graph_path, jobs, quiet)
+
+
+@command
 def verify(*, certificate: Path, clouds: CloudFiles, quiet: Quiet = False) -> int:
     """Check a certificate against its clouds, using only NumPy and SciPy.
 

@@ -104,7 +104,13 @@ def _range(text: str) -> list[int | float]:
 
 # --- from docstrings to options -----------------------------------------------------------------------
 
-ARGUMENTS = ("certificate", "source", "target", "matches")  # all other parameters are options
+ARGUMENTS = (
+    "certificate",
+    "source",
+    "target",
+    "matches",
+    "pairs",
+)  # all other parameters are options
 PARSERS = {float: number, int: whole_number}
 # What the help texts name.
 NAMES = {

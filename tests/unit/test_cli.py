@@ -143,7 +143,7 @@ def test_candidates_are_read_as_pairs(call, sweep_call, tmp_path, fake, fake_swe
 def test_help_and_version():
     outcome = run("--help")
     assert outcome.exit_code == 0
-    for command in ("register", "register-matches", "sweep", "verify", "version"):
+    for command in ("register", "register-matches", "sweep", "batch", "verify", "version"):
         assert command in outcome.stdout
     outcome = run("version")
     assert outcome.exit_code == 0
