@@ -9,6 +9,8 @@ from .diagnostics import advice
 from .driver.options import SolveOptions
 from .driver.warm_up import warm_up
 from .io import read_candidates, read_matches, read_points, read_pose
+from .io.g2o import PoseEdge, write_pose_graph
+from .io.moved import write_moved
 from .names import bound_names, mode_names
 from .plot import plot_answer, plot_registration, plot_sweep
 from .problem import Candidates, InputError, OpenDirection, PoseRange, Problem
@@ -31,6 +33,7 @@ __all__ = [
     "InputError",
     "Listener",
     "OpenDirection",
+    "PoseEdge",
     "PoseRange",
     "Problem",
     "Report",
@@ -61,4 +64,6 @@ __all__ = [
     "sweep",
     "verify",
     "warm_up",
+    "write_moved",
+    "write_pose_graph",
 ]

@@ -46,6 +46,8 @@ FIGURE_PACKAGES = {
     ".png": ("plotly", "matplotlib", "seaborn"),
     ".svg": ("plotly", "matplotlib", "seaborn"),
 }
+# Suffixes of the files of points that are written.
+CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".npy", ".npz")
 # Scores by which `register_matches` selects among the poses that matches agree on; default first.
 SCORES = ("correspondences", "surfaces")
 

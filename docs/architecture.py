@@ -30,7 +30,7 @@ LINES = {
     "cli": "The command line",
     "api": "Public functions and names",
     "driver": "Normalise, start, search, polish, result",
-    "io": "Readers of point clouds and lists of pairs",
+    "io": "Readers and writers of clouds, pairs and pose graphs",
     "plot": "HTML pages and figures of results",
     "results": "Results, runner-up poses and warnings",
     "certificate": "Certificates and their verification",

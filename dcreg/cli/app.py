@@ -18,7 +18,8 @@ from typer.core import TyperGroup
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.interrupts import Interrupt, leave
-from dcreg.cli.options import ARGUMENTS, flag, parameters_of, parse_count
+from dcreg.cli.numbers import parse_count
+from dcreg.cli.options import ARGUMENTS, flag, parameters_of
 
 # In the order of the help.
 ORDER = (

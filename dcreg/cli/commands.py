@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.app import app, command, required_count, run_search
+from dcreg.cli.numbers import parse_counts
 from dcreg.cli.options import (
     CloudFiles,
     MatchSearch,
@@ -18,7 +20,6 @@ from dcreg.cli.options import (
     Poses,
     Quiet,
     Search,
-    parse_counts,
 )
 from dcreg.names import FIGURE_PACKAGES
 
@@ -28,28 +29,37 @@ if TYPE_CHECKING:
 
 def _finish(
     result: dcreg.Result,
-    clouds: tuple[np.ndarray, np.ndarray],
-    names: dict[str, str],
+    points: tuple[np.ndarray, np.ndarray],
+    clouds: CloudFiles,
     outputs: Outputs,
     certificate_path: Path | None = None,
+    **more: str,
 ) -> int:
-    """Print a registration and write its files; `names` are those of the input files."""
+    """Print a registration and write its files; the JSON has `more` keys."""
     json_path = outputs.json_path
+    (in_files,) = clouds.in_files([result])
+    names: dict[str, Any] = {**clouds.names, **more, **clouds.n_dropped}
     # standard output belongs to the JSON if that is written there
     to_stdout = json_path == output.STDOUT
     typer.echo(result, err=to_stdout)
     if to_stdout:
-        typer.echo(result.to_json(**names))
+        typer.echo(in_files.to_json(**names))
         json_path = None
-    shown = names["source"], names["target"]
+    shown = clouds.source, clouds.target
     return output.write_outputs(
         result.status,
-        (json_path, partial(result.write_json, **names)),
+        (json_path, partial(in_files.write_json, **names)),
         (outputs.trace_path, result.trace.write_jsonl),
         (certificate_path, result.write_certificate),
         (
             outputs.plot_path,
-            lambda path: dcreg.plot_registration(*clouds, result, path, names=shown),
+            lambda path: dcreg.plot_registration(*points, result, path, names=shown),
+        ),
+        (
+            outputs.output_path,
+            lambda path: dcreg.write_moved(
+                clouds.source, result.T_target_source, path, key=clouds.source_key
+            ),
         ),
     )
 
@@ -85,16 +95,15 @@ def register(
         Write a certificate for `dcreg verify`.
     """
     paths = {**outputs.paths, "--certificate": certificate_path}
-    output.check_outputs(paths, *clouds.names.values(), search.candidates_path)
-    output.check_figure(outputs.plot_path, [".html"])
+    outputs.check(paths, *clouds.names.values(), search.candidates_path)
     count = required_count(n_inliers)
     points = clouds.read(search.model)
-    keywords, options = search.settings(len(points[0]))
+    keywords, options = search.settings(clouds)
     options["certificate"] = certificate_path is not None
     keywords["pose_range"], options["init"] = poses.settings()
     keywords |= {"n_inliers": count, "max_rms": max_rms}
     result = run_search(dcreg.register, *points, quiet=quiet, options=options, **keywords)
-    return _finish(result, points, clouds.names, outputs, certificate_path)
+    return _finish(result, points, clouds, outputs, certificate_path)
 
 
 @command
@@ -110,14 +119,13 @@ def register_matches(
     matches : MATCHES
         Matches, the most likely ones first: two columns, source row and target row, from 0.
     """
-    output.check_outputs(outputs.paths, *clouds.names.values(), matches)
-    output.check_figure(outputs.plot_path, [".html"])
+    outputs.check(outputs.paths, *clouds.names.values(), matches)
     points = clouds.read("rigid3d")
-    pairs = dcreg.read_matches(matches, *map(len, points))
+    pairs = clouds.read_matches(matches)
     result = run_search(
         dcreg.register_matches, *points, pairs, **vars(search), options={}, quiet=quiet
     )
-    return _finish(result, points, {**clouds.names, "matches": matches}, outputs)
+    return _finish(result, points, clouds, outputs, matches=matches)
 
 
 @command
@@ -158,10 +166,11 @@ def sweep(
     output.check_outputs({"--out": out_path, "--plot": plot_path}, *inputs)
     counts = parse_counts(n_inliers)
     points = clouds.read(search.model)
-    keywords, options = search.settings(len(points[0]))
+    keywords, options = search.settings(clouds)
     found = run_search(dcreg.sweep, *points, counts, quiet=quiet, options=options, **keywords)
     typer.echo(found)
-    write: output.Writer = partial(found.write_json, **clouds.names)
+    in_files = replace(found, results=clouds.in_files(found.results))
+    write: output.Writer = partial(in_files.write_json, **clouds.names, **clouds.n_dropped)
     if out_path is not None and out_path.suffix.lower() == ".csv":
         write = found.write_csv
     names = clouds.source, clouds.target
@@ -170,6 +179,46 @@ def sweep(
         (out_path, write),
         (plot_path, lambda path: dcreg.plot_sweep(found, path, names=names)),
     )
+
+
+@command
+def batch(
+    *,
+    pairs: Path,
+    out_path: Path,
+    n_inliers: str | None = None,
+    search: Search,
+    drop_invalid: bool = False,
+    graph_path: Path | None = None,
+    jobs: int = 1,
+    quiet: Quiet = False,
+) -> int:
+    """Register each pair of a table and write a table of results.
+
+    The same command continues after an interruption: pairs with the same files
+    and options are not solved again, unless they failed.
+
+    Exit code: 0 all finished; 2 bad input, or some pairs failed; 3 some stopped
+    at a limit, or Ctrl-C; 4 an output file could not be written.
+
+    Parameters
+    ----------
+    pairs : PAIRS.csv
+        Table with the columns source and target, files relative to its folder, and optionally n_inliers.
+    out_path : OUT.csv
+        Write a row for each pair: status, pose, bounds or error. It is written whole after each pair.
+    n_inliers : K
+        Pairs to match, as for `dcreg register`, where the table gives no number.
+    drop_invalid : switch
+        Drop points with NaN or infinity.
+    graph_path : OUT.g2o
+        Write the poses as a pose graph for g2o. In 2D it needs --scale-range 1 1.
+    jobs : N
+        Number of processes.
+    """
+    from dcreg.cli.batch import Batch
+
+    return Batch(pairs, search, n_inliers, drop_invalid).run(out_path, graph_path, jobs, quiet)
 
 
 @command

@@ -17,8 +17,11 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 
 import dcreg
+from dcreg.cli import output
+from dcreg.cli.numbers import number, parse_axis, whole_number
 from dcreg.names import (
     AUTO,
+    CLOUD_SUFFIXES,
     DEFAULT_REL_GAP,
     DEFAULT_TIME_LIMIT_S,
     MODEL_DIM,
@@ -31,87 +34,18 @@ from dcreg.names import (
 if TYPE_CHECKING:  # NumPy is loaded with the first file, not for --help
     import numpy as np
 
-MAX_CARDINALITIES = 1000  # of one range of a sweep
-
-
-# --- numbers ------------------------------------------------------------------------------------------
-
-
-# Typer's own conversions name the option but not the value.
-def number(text: str) -> float:
-    """Return a number, or raise an error that shows the text."""
-    try:
-        return float(text)
-    except ValueError:
-        raise typer.BadParameter(f"'{text}' is not a number; give one such as 0.5") from None
-
-
-def whole_number(text: str) -> int:
-    """Return a whole number, or raise an error that shows the text."""
-    try:
-        return int(text)
-    except ValueError:
-        raise typer.BadParameter(f"'{text}' is not a whole number; give one such as 4") from None
-
-
-def parse_count(text: str) -> int | float:
-    """Return `--n-inliers`: an integer is a number of pairs, a decimal point makes it a fraction."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    raise dcreg.InputError(
-        f"--n-inliers: '{text}' is not a number; give a count such as 40 or a fraction such as 0.8"
-    )
-
-
-def parse_counts(text: str) -> list[int | float]:
-    """Return `--n-inliers` of a sweep: numbers and ranges ``FROM:TO:STEP``, separated by commas."""
-    counts: list[int | float] = []
-    for part in filter(None, (part.strip() for part in text.split(","))):
-        counts += _range(part) if ":" in part else [parse_count(part)]
-    return counts
-
-
-def _range(text: str) -> list[int | float]:
-    first, last, *rest = ends = [parse_count(number) for number in text.split(":")]
-    if len({type(number) for number in ends}) > 1:
-        raise dcreg.InputError(
-            f"--n-inliers: '{text}' mixes counts and fractions; a fraction needs a decimal point, "
-            "as in 0.3:1.0:0.1"
-        )
-    if not rest and isinstance(first, int):
-        rest = [1]
-    if len(rest) != 1 or not all(map(math.isfinite, ends)) or rest[0] <= 0 or first > last:
-        raise dcreg.InputError(
-            f"--n-inliers: '{text}' is not a range FROM:TO:STEP with FROM <= TO and STEP > 0; "
-            "give one such as 0.3:1.0:0.1 or 20:60:5"
-        )
-    step = rest[0]
-    n_steps = math.floor((last - first) / step + 1e-9)  # 0.7 / 0.1 is slightly less than 7
-    if n_steps >= MAX_CARDINALITIES:
-        raise dcreg.InputError(
-            f"--n-inliers: '{text}' is a range of {n_steps + 1} numbers; choose a step that leaves at "
-            f"most {MAX_CARDINALITIES}"
-        )
-    return [round(first + at * step, 12) for at in range(n_steps + 1)]
-
+    from dcreg.cli.rows import CloudRows
 
 # --- from docstrings to options -----------------------------------------------------------------------
 
-ARGUMENTS = (
-    "certificate",
-    "pose",
-    "source",
-    "target",
-    "matches",
-)  # all other parameters are options
+# all other parameters are options
+ARGUMENTS = "certificate", "pose", "source", "target", "matches", "pairs"
 PARSERS = {float: number, int: whole_number}
 # What the help texts name.
 NAMES = {
     "auto": AUTO,
     "bounds": ", ".join(bound_names()),
+    "cloud_suffixes": " ".join(CLOUD_SUFFIXES),
     "models": " or ".join(MODEL_DIM),
     "modes_2d": ", ".join(mode_names("similarity2d")),
     "modes_3d": ", ".join(mode_names("rigid3d")),
@@ -172,24 +106,37 @@ class CloudFiles:
         Array of an .npz or .mat source.
     target_key : KEY
         Array of an .npz or .mat target.
+    drop_invalid : switch
+        Drop points with NaN or infinity. Row numbers still refer to the files, fractions to the points
+        that are left. By default, such points are an error.
     """
 
     source: str
     target: str
     source_key: str | None = None
     target_key: str | None = None
+    drop_invalid: bool = False
+
+    def __post_init__(self) -> None:
+        self.rows: CloudRows | None = None  # with --drop-invalid, once the files are read
+        self.sizes = 0, 0
 
     @property
     def names(self) -> dict[str, str]:
         """The files as they were given."""
         return {"source": self.source, "target": self.target}
 
+    @property
+    def n_dropped(self) -> dict[str, int]:
+        """Numbers of points that are dropped; empty without --drop-invalid."""
+        return {} if self.rows is None else self.rows.n_dropped
+
     def read(self, model: str | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the points of both files; refuse points that do not have the dimension of `model`."""
         files = ((self.source, self.source_key), (self.target, self.target_key))
         clouds = []
         for path, key in files:
-            points = dcreg.read_points(path, key=key)
+            points = dcreg.read_points(path, key=key, keep_invalid=self.drop_invalid)
             found = points.shape[1]
             if found != (needed := MODEL_DIM.get(model or "", found)):
                 fitting = next(name for name, dim in MODEL_DIM.items() if dim == found)
@@ -198,7 +145,26 @@ class CloudFiles:
                     f"give another file, or use `dcreg register --model {fitting}`"
                 )
             clouds.append(points)
-        return clouds[0], clouds[1]
+        source, target = clouds
+        self.sizes = len(source), len(target)
+        if self.drop_invalid:
+            from dcreg.cli.rows import CloudRows
+
+            self.rows = CloudRows.of(source, target, names=self.names)
+            return self.rows.valid(source, target)
+        return source, target
+
+    def read_candidates(self, path: str) -> list[list[int]]:
+        """Return the feasible pairs of a file for the points that `read` returned."""
+        return (self.rows or dcreg).read_candidates(path, self.sizes[0])
+
+    def read_matches(self, path: str) -> np.ndarray:
+        """Return the matches of a file for the points that `read` returned."""
+        return (self.rows or dcreg).read_matches(path, *self.sizes)
+
+    def in_files(self, results: list[dcreg.Result]) -> list[dcreg.Result]:
+        """Return results whose pairs are rows of the files."""
+        return results if self.rows is None else self.rows.in_files(results)
 
 
 @dataclass
@@ -263,13 +229,16 @@ class Search:
     prove: bool = False
     downsample: int | None = None
 
-    def settings(self, n_source: int) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the keywords of the library's functions and those of `dcreg.SolveOptions`."""
+    def settings(self, clouds: CloudFiles) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return the keywords of the library's functions and those of `dcreg.SolveOptions`.
+
+        The files of `clouds` have been read.
+        """
         names = ("mode", "bound", "start_box", "threads", "polish", "prove", "downsample")
         options = {name: getattr(self, name) for name in names}
         keywords = {name: value for name, value in vars(self).items() if name not in names}
         path = keywords.pop("candidates_path")
-        keywords["candidates"] = None if path is None else dcreg.read_candidates(path, n_source)
+        keywords["candidates"] = None if path is None else clouds.read_candidates(path)
         return keywords, options
 
 
@@ -311,16 +280,6 @@ class Poses:
         )  # fmt: skip
         is_free = given.axis is None and given.max_angle >= 180.0
         return None if is_free and math.isinf(given.max_translation) else given, init
-
-
-def parse_axis(text: str) -> list[float]:
-    """Return `--axis`: three numbers, separated by commas."""
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise dcreg.InputError(
-            f"--axis: '{text}' is not a direction; give three numbers such as 0,0,1"
-        ) from None
 
 
 @dataclass
@@ -368,13 +327,23 @@ class Outputs:
         Write the bound history.
     plot_path : OUT.html
         Write a page with figures.
+    output_path : OUT
+        Write the source moved by the final pose: {cloud_suffixes}. In the format of the source, its other
+        attributes are kept, and normals are rotated.
     """
 
     json_path: Path | None = None
     trace_path: Path | None = None
     plot_path: Path | None = None
+    output_path: Path | None = None
 
     @property
     def paths(self) -> dict[str, Path | None]:
         """The file of each option."""
         return {flag(name): path for name, path in vars(self).items()}
+
+    def check(self, paths: dict[str, Path | None], *inputs: str | None) -> None:
+        """Refuse before the search what could not be written; `paths` are those of all options."""
+        output.check_outputs(paths, *inputs)
+        output.check_figure(self.plot_path, [".html"])
+        output.check_suffix("--output", self.output_path, CLOUD_SUFFIXES)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -42,7 +42,9 @@ def check_outputs(outputs: dict[str, Path | None], *inputs: str | None) -> None:
     *inputs : str, optional
         Files that are read and must not be overwritten.
     """
-    taken: dict[Path, str] = {Path(name).resolve(): "an input" for name in inputs if name}
+    # FILE.npz:KEY is both a name and a file with a key
+    files = {part for name in inputs if name for part in (name, name.rpartition(":")[0]) if part}
+    taken: dict[Path, str] = {Path(name).resolve(): "an input" for name in files}
     for option, path in outputs.items():
         if path is None or (path == STDOUT and option == "--json"):
             continue
@@ -70,7 +72,7 @@ def check_outputs(outputs: dict[str, Path | None], *inputs: str | None) -> None:
             ) from None
 
 
-def check_suffix(option: str, path: Path | None, known: list[str]) -> None:
+def check_suffix(option: str, path: Path | None, known: Sequence[str]) -> None:
     """Refuse a file whose suffix is not one of `known`."""
     if path is not None and path.suffix.lower() not in known:
         raise dcreg.InputError(f"{option} {path}: the name must end in {' or '.join(known)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,12 +50,12 @@ def certify(
     names = _check_outputs(plot_path, json_path, clouds, search, pose)
     count, T = required_count(n_inliers), dcreg.read_pose(pose)
     points = clouds.read(search.model)
-    keywords, options = search.settings(len(points[0]))
+    keywords, options = search.settings(clouds)
     keywords["n_inliers"] = count
     found = run_search(dcreg.certify, *points, T, quiet=quiet, options=options, **keywords)
     codes = {"optimal": output.EXIT_OK, "improvable": output.EXIT_REFUTED}
     code = codes.get(found.verdict, output.EXIT_LIMIT)
-    return _finish(found, points, names, json_path, plot_path) or code
+    return _finish(found, points, clouds, names, json_path, plot_path) or code
 
 
 @command
@@ -94,11 +95,11 @@ def alternatives(
     names = _check_outputs(plot_path, json_path, clouds, search)
     count = required_count(n_inliers)
     points = clouds.read(search.model)
-    keywords, options = search.settings(len(points[0]))
+    keywords, options = search.settings(clouds)
     keywords |= {"n_inliers": count, "ratio": ratio, "distance": distance, "most": most}
     found = run_search(dcreg.alternatives, *points, quiet=quiet, options=options, **keywords)
     code = output.EXIT_OK if found.is_complete else output.EXIT_LIMIT
-    return _finish(found, points, names, json_path, plot_path) or code
+    return _finish(found, points, clouds, names, json_path, plot_path) or code
 
 
 def _check_outputs(
@@ -117,20 +118,23 @@ def _check_outputs(
 
 def _finish(
     found: Any,
-    clouds: tuple[np.ndarray, np.ndarray],
+    points: tuple[np.ndarray, np.ndarray],
+    clouds: CloudFiles,
     names: dict[str, str],
     json_path: Path | None,
     plot_path: Path | None,
 ) -> int:
     """Print an answer and write its files; return 0, or the exit code of a failure."""
     to_stdout = json_path == output.STDOUT
+    in_files = replace(found, result=clouds.in_files([found.result])[0])
+    more: dict[str, Any] = {**names, **clouds.n_dropped}
     typer.echo(found, err=to_stdout)
     if to_stdout:
-        typer.echo(found.to_json(**names))
+        typer.echo(in_files.to_json(**more))
         json_path = None
     shown = names["source"], names["target"]
     return output.write_outputs(
         dcreg.Status.OPTIMAL,
-        (json_path, partial(found.write_json, **names)),
-        (plot_path, lambda path: dcreg.plot_answer(*clouds, found, path, names=shown)),
+        (json_path, partial(in_files.write_json, **more)),
+        (plot_path, lambda path: dcreg.plot_answer(*points, found, path, names=shown)),
     )

@@ -1,6 +1,6 @@
-"""Readers of point clouds, with errors that say how to fix the file.
+"""Readers of point clouds, with errors that say how to fix the file, and writers of results.
 
-They need only NumPy, and SciPy for ``.mat``. A new format is one more reader in the table of
+Readers need only NumPy, and SciPy for ``.mat``. A new format is one more reader in the table of
 `dcreg.io.points`.
 """
 

@@ -9,22 +9,27 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from dcreg.io.text import DIMENSIONS, fail, listing
+from dcreg.io.text import DIMENSIONS, Points, fail, listing
 
 if TYPE_CHECKING:
     from dcreg.io.matlab import Arrays
 
 
-def read_npy(stream: BinaryIO, _: str | None) -> np.ndarray:
+def read_npy(stream: BinaryIO, _: str | None) -> Points:
     """Read the array of an ``.npy`` file."""
     array = _loaded(stream, partial(np.load, allow_pickle=False))
     if not isinstance(array, np.ndarray):
         fail("holds several arrays", "rename it to .npz")
-    return _real(array)
+    return Points(_real(array))
 
 
-def read_npz(stream: BinaryIO, key: str | None) -> np.ndarray:
+def read_npz(stream: BinaryIO, key: str | None) -> Points:
     """Read the array `key` of an ``.npz`` file, or its only point cloud."""
+    return Points(npz_cloud(stream, key)[1])
+
+
+def npz_cloud(stream: BinaryIO, key: str | None) -> tuple[str, np.ndarray]:
+    """Return the name and the array of the point cloud of an ``.npz`` file."""
     arrays = _loaded(stream, partial(_npz_arrays, key=key))
     if arrays is None:
         fail("holds a single array", "rename it to .npy")
@@ -48,11 +53,11 @@ def _member(archive: np.lib.npyio.NpzFile, name: str) -> np.ndarray | None:
         raise
 
 
-def read_mat(stream: BinaryIO, key: str | None) -> np.ndarray:
+def read_mat(stream: BinaryIO, key: str | None) -> Points:
     """Read the array `key` of a MATLAB file up to v7, or its only point cloud."""
     from dcreg.io import matlab  # few calls need it
 
-    return _pick(stream, _loaded(stream, matlab.load), key)
+    return Points(_pick(stream, _loaded(stream, matlab.load), key)[1])
 
 
 def _loaded(stream: BinaryIO, load: Callable[[BinaryIO], Any]) -> Any:
@@ -67,23 +72,24 @@ def _loaded(stream: BinaryIO, load: Callable[[BinaryIO], Any]) -> Any:
         fail(f"is not a readable {suffix} file ({reason})", remedy)
 
 
-def _pick(stream: BinaryIO, arrays: Arrays, key: str | None) -> np.ndarray:
-    """Return the array called `key`, or the only one that can be a point cloud."""
+def _pick(stream: BinaryIO, arrays: Arrays, key: str | None) -> tuple[str, np.ndarray]:
+    """Return name and content of the array `key`, or of the only one that can be a point cloud."""
     names = listing(list(arrays))
     if key is not None:
         if key not in arrays:
             fail(f"has no array '{key}'", f"choose one of: {names}")
-        return _real(arrays[key], key)
+        return key, _real(arrays[key], key)
     clouds = {name: array for name, array in arrays.items() if _is_cloud(array)}
     if not clouds:
         fail("holds no numeric array with 2 or 3 columns", f"arrays found: {names}")
+    first = next(iter(clouds))
     if len(clouds) > 1:
-        name, first = Path(stream.name).name, next(iter(clouds))
+        name = Path(stream.name).name
         fail(
             f"is ambiguous, several arrays can be point clouds: {listing(list(clouds))}",
             f"name one, for example '{name}:{first}' or --source-key / --target-key {first}",
         )
-    return _real(next(iter(clouds.values())))
+    return first, _real(clouds[first])
 
 
 def _is_cloud(array: np.ndarray | None) -> bool:

@@ -9,7 +9,17 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from dcreg.io.text import EXPORT, Row, fail, lines_of, listing, natural, numbers_of, rows_of
+from dcreg.io.text import (
+    EXPORT,
+    Points,
+    Row,
+    fail,
+    lines_of,
+    listing,
+    natural,
+    numbers_of,
+    rows_of,
+)
 
 CORRECT = "correct the header or " + EXPORT
 
@@ -36,7 +46,7 @@ def _axis_columns(names: list[str]) -> list[int]:
     return [names.index(axis) for axis in "xyz" if axis in names]
 
 
-def _text_body(content: bytes, start: int, skip: int, count: int, after: int = 0) -> list[Row]:
+def text_body(content: bytes, start: int, skip: int, count: int, after: int = 0) -> list[Row]:
     """Return `count` text rows of the body, which follow `skip` rows and precede `after` rows."""
     lines = lines_of(content[start:])
     rows = list(rows_of(lines, content[:start].count(b"\n") + 1))
@@ -44,20 +54,18 @@ def _text_body(content: bytes, start: int, skip: int, count: int, after: int = 0
     return rows[skip : skip + count]
 
 
-def _binary_body(
-    content: bytes,
-    start: int,
-    record: np.dtype,
-    count: int,
-    columns: list[int],
-    after: int | None = 0,
+def binary_body(
+    content: bytes, start: int, record: np.dtype, count: int, after: int | None = 0
 ) -> np.ndarray:
-    """Return the given columns of `count` binary records at `start`, which precede `after` bytes."""
+    """Return `count` binary records at `start`, which precede `after` bytes."""
     size = max(0, len(content) - start)
     own = None if after is None else max(0, size - after) // record.itemsize
     _check_count(count, size // record.itemsize, own)
-    table = np.frombuffer(content, record, count, start)
-    return np.column_stack([table[f"{column}"].reshape(count) for column in columns])
+    return np.frombuffer(content, record, count, start)
+
+
+def _columns_of(table: np.ndarray, columns: list[int]) -> Points:
+    return Points(np.column_stack([table[f"{column}"].reshape(len(table)) for column in columns]))
 
 
 def _check_count(announced: int, available: int, own: int | None = None) -> None:
@@ -71,7 +79,7 @@ def _check_count(announced: int, available: int, own: int | None = None) -> None
 
 # --- PLY ------------------------------------------------------------------------------------------------
 
-_TYPES = {
+PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
     **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
@@ -101,11 +109,59 @@ class _Element:
         return np.dtype([(f"{i}", order + p.type) for i, p in enumerate(self.properties)])
 
 
-def read_ply(stream: BinaryIO, _: str | None) -> np.ndarray:
+class Ply(NamedTuple):
+    """Where the vertices of a PLY file are.
+
+    Attributes
+    ----------
+    order : str
+        Byte order as NumPy writes it; empty for text.
+    vertex : _Element
+    columns : list of int
+        The properties x, y and, if present, z.
+    header : int
+        Length of the header.
+    start : int
+        Offset of the first vertex in a binary file; in text that of the body.
+    skip : int
+        Number of rows of text that precede the vertices.
+    after : int, optional
+        What follows the vertices: rows of text, or bytes; None if only parsing would tell.
+    """
+
+    order: str
+    vertex: _Element
+    columns: list[int]
+    header: int
+    start: int
+    skip: int
+    after: int | None
+
+
+def read_ply(stream: BinaryIO, _: str | None) -> Points:
     """Read the element ``vertex`` of a PLY file."""
     content = stream.read()
-    header, start = _read_header(content, ".ply", "end_header", magic="ply")
-    order, elements = _parsed(header)
+    ply = ply_layout(content)
+    if ply.order:
+        return _columns_of(ply_records(content, ply), ply.columns)
+    return numbers_of(ply_rows(content, ply), ply.columns, len(ply.vertex.properties))
+
+
+def ply_rows(content: bytes, ply: Ply) -> list[Row]:
+    """Return the rows of the vertices of a text file."""
+    return text_body(content, ply.start, ply.skip, ply.vertex.count, ply.after or 0)
+
+
+def ply_records(content: bytes, ply: Ply) -> np.ndarray:
+    """Return the records of the vertices of a binary file."""
+    vertex = ply.vertex
+    return binary_body(content, ply.start, vertex.record(ply.order), vertex.count, ply.after)
+
+
+def ply_layout(content: bytes) -> Ply:
+    """Find the vertices of a PLY file."""
+    lines, header = _read_header(content, ".ply", "end_header", magic="ply")
+    order, elements = _parsed(lines)
     vertex = next((element for element in elements if element.name == "vertex"), None)
     if vertex is None:
         fail("declares no element 'vertex'", "export the file with its points")
@@ -116,8 +172,8 @@ def read_ply(stream: BinaryIO, _: str | None) -> np.ndarray:
     before, behind = elements[:at], elements[at + 1 :]
     if not order:
         skip, rest = (sum(e.count for e in part) for part in (before, behind))
-        body = _text_body(content, start, skip, vertex.count, rest)
-        return numbers_of(body, columns, len(vertex.properties))
+        return Ply(order, vertex, columns, header, header, skip, rest)
+    start = header
     for element in before:
         start = _skip_element(content, start, element, order)
     after = (
@@ -125,7 +181,7 @@ def read_ply(stream: BinaryIO, _: str | None) -> np.ndarray:
         if any(element.has_list for element in behind)
         else sum(element.record(order).itemsize * element.count for element in behind)
     )
-    return _binary_body(content, start, vertex.record(order), vertex.count, columns, after)
+    return Ply(order, vertex, columns, header, start, 0, after)
 
 
 def _parsed(header: list[Row]) -> tuple[str, list[_Element]]:
@@ -139,11 +195,11 @@ def _parsed(header: list[Row]) -> tuple[str, list[_Element]]:
             case ["element", name, text] if (count := natural(text)) is not None:
                 elements.append(_Element(name, count, []))
             case ["property", "list", length, kind, name] if (
-                elements and {length, kind} <= _TYPES.keys()
+                elements and {length, kind} <= PLY_TYPES.keys()
             ):
-                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[length]))
-            case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1].properties.append(_Property(name, _TYPES[kind]))
+                elements[-1].properties.append(_Property(name, PLY_TYPES[kind], PLY_TYPES[length]))
+            case ["property", kind, name] if elements and kind in PLY_TYPES:
+                elements[-1].properties.append(_Property(name, PLY_TYPES[kind]))
             case ["comment" | "obj_info" | "#", *_] | ["ply"] | ["end_header"]:
                 pass
             case _:
@@ -174,30 +230,52 @@ def _skip_element(content: bytes, start: int, element: _Element, order: str) -> 
 # --- PCD ------------------------------------------------------------------------------------------------
 
 
-def read_pcd(stream: BinaryIO, _: str | None) -> np.ndarray:
+class Pcd(NamedTuple):
+    """Fields of a PCD file, their types, the columns of coordinates, and where the points begin."""
+
+    names: list[str]
+    types: list[np.dtype]
+    columns: list[int]
+    n_points: int
+    kind: str
+    start: int
+
+    @property
+    def first(self) -> list[int]:
+        """The first text column of each field, and the number of text columns."""
+        return np.cumsum([0, *(dtype.shape[0] for dtype in self.types)]).tolist()
+
+
+def read_pcd(stream: BinaryIO, _: str | None) -> Points:
     """Read the points of a PCD file (Point Cloud Library): ascii, binary or compressed."""
     content = stream.read()
+    pcd = pcd_layout(content)
+    if pcd.kind != "ascii":
+        return _columns_of(pcd_records(content, pcd), pcd.columns)
+    body = text_body(content, pcd.start, 0, pcd.n_points)
+    return numbers_of(body, [pcd.first[column] for column in pcd.columns], pcd.first[-1])
+
+
+def pcd_records(content: bytes, pcd: Pcd) -> np.ndarray:
+    """Return the points of a binary file as records, whose fields are called "0", "1", ..."""
+    record = np.dtype([(f"{i}", dtype) for i, dtype in enumerate(pcd.types)])
+    if pcd.kind == "binary":
+        return binary_body(content, pcd.start, record, pcd.n_points)
+    return _unpacked(content, pcd.start, record, pcd.n_points)
+
+
+def pcd_layout(content: bytes) -> Pcd:
+    """Read the header of a PCD file."""
     rows, start = _read_header(content, ".pcd", "DATA")
     header = {values[0].upper(): values[1:] for _, values in rows}
     types, n_points = _types(header), _count(header)
     columns = _axis_columns(header["FIELDS"])
-    counts = [dtype.shape[0] for dtype in types]
-    if any(counts[column] != 1 for column in columns):
+    if any(types[column].shape[0] != 1 for column in columns):
         fail("its x, y or z hold several values per point", EXPORT)
-    match header["DATA"]:
-        case ["ascii"]:
-            body = _text_body(content, start, 0, n_points)
-            # a field with a count above one fills several text columns
-            first = np.cumsum([0, *counts]).tolist()
-            return numbers_of(body, [first[column] for column in columns], first[-1])
-        case ["binary"]:
-            record = np.dtype([(f"{i}", dtype) for i, dtype in enumerate(types)])
-            return _binary_body(content, start, record, n_points, columns)
-        case ["binary_compressed"]:
-            return _unpacked(content, start, types, n_points, columns)
-        case other:
-            remedy = "use ascii, binary or binary_compressed"
-            fail(f"unknown DATA kind '{' '.join(other)}'", remedy)
+    kind = " ".join(header["DATA"])
+    if kind not in ("ascii", "binary", "binary_compressed"):
+        fail(f"unknown DATA kind '{kind}'", "use ascii, binary or binary_compressed")
+    return Pcd(header["FIELDS"], types, columns, n_points, kind, start)
 
 
 def _types(header: dict[str, list[str]]) -> list[np.dtype]:
@@ -234,10 +312,9 @@ def _natural(text: str) -> int:
     return count
 
 
-def _unpacked(
-    content: bytes, start: int, types: list[np.dtype], n_points: int, columns: list[int]
-) -> np.ndarray:
-    """Return the coordinates from compressed data, which hold one field after the other."""
+def _unpacked(content: bytes, start: int, record: np.dtype, n_points: int) -> np.ndarray:
+    """Return the records of compressed data, which hold one field after the other."""
+    types = [record[name] for name in record.names or ()]
     ends = np.cumsum([0] + [dtype.itemsize * n_points for dtype in types]).tolist()
     try:
         packed_size, size = struct.unpack_from("<II", content, start)
@@ -247,8 +324,10 @@ def _unpacked(
             raise IndexError
     except (struct.error, IndexError):
         fail("the compressed data are damaged or cut off", EXPORT)
-    axes = [np.frombuffer(data, types[c].base, n_points, ends[c]) for c in columns]
-    return np.column_stack(axes)
+    table = np.empty(n_points, record)
+    for i, dtype in enumerate(types):
+        table[f"{i}"] = np.frombuffer(data, dtype, n_points, ends[i])
+    return table
 
 
 def lzf_decompress(packed: bytes, size: int) -> bytes:
@@ -279,7 +358,7 @@ def lzf_decompress(packed: bytes, size: int) -> bytes:
 # --- OFF ------------------------------------------------------------------------------------------------
 
 
-def read_off(stream: BinaryIO, _: str | None) -> np.ndarray:
+def read_off(stream: BinaryIO, _: str | None) -> Points:
     """Read the vertices of a 3D OFF file."""
     rows = list(rows_of(lines_of(stream.read())))
     if not rows:

@@ -11,10 +11,10 @@ import numpy as np
 
 from dcreg.io.arrays import read_mat, read_npy, read_npz
 from dcreg.io.mesh import read_off, read_pcd, read_ply
-from dcreg.io.text import DIMENSIONS, fail, naming, read_text
+from dcreg.io.text import DIMENSIONS, Points, fail, naming, read_text
 
 # Every reader takes the file and the name of an array; only archives have named arrays.
-READERS: dict[str, Callable[[BinaryIO, str | None], np.ndarray]] = {
+READERS: dict[str, Callable[[BinaryIO, str | None], Points]] = {
     ".txt": read_text,
     ".csv": read_text,
     ".xyz": partial(read_text, any_width=True),
@@ -29,7 +29,9 @@ KEYED_SUFFIXES = (".npz", ".mat")
 MAX_ROWS = 2**31  # of a cloud
 
 
-def read_points(path: str | Path, *, key: str | None = None) -> np.ndarray:
+def read_points(
+    path: str | Path, *, key: str | None = None, keep_invalid: bool = False
+) -> np.ndarray:
     """Read a point cloud.
 
     Parameters
@@ -39,18 +41,20 @@ def read_points(path: str | Path, *, key: str | None = None) -> np.ndarray:
         array may be named as ``file.npz:key``.
     key : str, optional
         Name of the array in an ``.npz`` or ``.mat`` file; needed only if several arrays qualify.
+    keep_invalid : bool
+        Return points with NaN or infinity as well. By default, they are an error.
 
     Returns
     -------
     (n, d) float64 array
-        One point per row, d = 2 or 3, all values finite.
+        One point per row, d = 2 or 3; all values are finite, unless `keep_invalid` is set.
 
     Raises
     ------
     InputError
         If the file is missing, damaged, empty, not finite, ambiguous or of the wrong dimension.
     """
-    path, key = _split_key(path, key)
+    path, key = split_key(path, key)
     suffix = path.suffix.lower()
     with naming(path):
         if path.is_dir():
@@ -62,14 +66,14 @@ def read_points(path: str | Path, *, key: str | None = None) -> np.ndarray:
         try:
             # NaN and infinity are found later, also those that a conversion of numbers makes
             with path.open("rb") as stream, np.errstate(all="ignore"):
-                return _checked(READERS[suffix](stream, key))
+                return _checked(READERS[suffix](stream, key), keep_invalid)
         except FileNotFoundError:
             fail("no such file", f"check the path (working folder: {Path.cwd()})")
         except OSError as error:
             fail(f"cannot be read: {error.strerror or error}", "check permissions and the disk")
 
 
-def _split_key(path: str | Path, key: str | None) -> tuple[Path, str | None]:
+def split_key(path: str | Path, key: str | None) -> tuple[Path, str | None]:
     """Split ``file.npz:key``, unless `key` is given or a file of this full name exists."""
     text = str(path)
     stem, _, name = text.rpartition(":")
@@ -78,8 +82,9 @@ def _split_key(path: str | Path, key: str | None) -> tuple[Path, str | None]:
     return Path(text), key
 
 
-def _checked(points: np.ndarray) -> np.ndarray:
+def _checked(found: Points, keep_invalid: bool) -> np.ndarray:
     """Return the points as floats; check what every format requires."""
+    points = found.array
     if points.ndim != 2 or points.shape[1] not in DIMENSIONS:
         remedy = "points go in rows, with 2 or 3 columns"
         if points.ndim == 2 and points.shape[0] in DIMENSIONS:
@@ -89,11 +94,13 @@ def _checked(points: np.ndarray) -> np.ndarray:
         fail("holds no points", "give a file with at least one point")
     points = np.ascontiguousarray(points, dtype=np.float64)
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size:
+    if bad.size and not keep_invalid:
+        first = f"first in point {bad[0]} (from 0): {points[bad[0]].tolist()}"
+        if found.lines is not None:
+            first = f"first in line {found.lines[bad[0]]}"
         fail(
-            f"NaN or infinity in {bad.size} of {len(points)} points, "
-            f"first in point {bad[0]} (from 0): {points[bad[0]].tolist()}",
-            "remove these points",
+            f"NaN or infinity in {bad.size} of {len(points)} points, {first}",
+            "remove these points, or give --drop-invalid to leave them out",
         )
     return points
 
@@ -149,9 +156,9 @@ def read_matches(path: str | Path, n_source: int, n_target: int) -> np.ndarray:
 
 def _read_pairs(path: str | Path, n_source: int, n_target: int | None) -> np.ndarray:
     """Read an (N, 2) table of row numbers; without `n_target`, a target row may be any."""
-    pairs = read_points(path)
+    pairs = read_points(path, keep_invalid=True)
     with naming(Path(path)):
-        if pairs.shape[1] != 2 or (pairs != np.round(pairs)).any():
+        if pairs.shape[1] != 2 or not np.isfinite(pairs).all() or (pairs != np.round(pairs)).any():
             fail("not a table of pairs", "give two columns of row numbers, from 0")
         clouds = ("source", n_source), ("target", n_target)
         for rows, (cloud, count) in zip(pairs.T, clouds, strict=True):

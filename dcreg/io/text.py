@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
+import io
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, NoReturn
+from typing import BinaryIO, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -19,6 +20,23 @@ EXPORT = "export the file again"  # the remedy for damage that cannot be edited
 # One text row: its line number in the file (from 1) and its fields.
 Row = tuple[int, list[str]]
 _DECIMAL_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
+_COMMENT = re.compile(r"#|%|//")
+
+
+class Points(NamedTuple):
+    """Numbers as a reader finds them, not yet checked, and the line of each row of a text file."""
+
+    array: np.ndarray
+    lines: list[int] | None = None
+
+
+class TextTable(NamedTuple):
+    """Rows of a text file, the lower-case names of its header, and the columns of coordinates."""
+
+    rows: list[Row]
+    names: list[str]
+    columns: list[int]
+    width: int
 
 
 def fail(problem: str, remedy: str) -> NoReturn:
@@ -41,13 +59,19 @@ def listing(names: Sequence[str], maximum: int = 12) -> str:
     return ", ".join(names[:maximum]) + rest if names else "none"
 
 
-def read_text(stream: BinaryIO, _: str | None, *, any_width: bool = False) -> np.ndarray:
+def read_text(stream: BinaryIO, _: str | None, *, any_width: bool = False) -> Points:
     """Read rows of 2 or 3 numbers, or the columns that a header row calls x, y and z.
 
     A line with the number of points may precede them. With `any_width` rows may be longer: the columns
     after the third (normals, colours, intensities) are ignored.
     """
-    rows = list(rows_of(lines_of(stream.read())))
+    table = text_table(stream.read(), any_width=any_width)
+    return numbers_of(table.rows, table.columns, table.width)
+
+
+def text_table(content: bytes, *, any_width: bool) -> TextTable:
+    """Return the rows of a text file and find its coordinates, see `read_text`."""
+    rows = list(rows_of(lines_of(content)))
     if not rows:
         fail("is empty", "give one point or pair per line")
     announced = None
@@ -63,12 +87,12 @@ def read_text(stream: BinaryIO, _: str | None, *, any_width: bool = False) -> np
     if not rows:
         fail("holds no points", "give one point or pair per line")
     width = len(rows[0][1] if names is None else names)
-    return numbers_of(rows, _columns(names, width, any_width), width)
-
-
-def _columns(names: list[str] | None, width: int, any_width: bool) -> list[int]:
-    """Return the columns of coordinates: those called x, y and z in the header, else all 2 or 3."""
     lowered = [name.strip("\"' ").lower() for name in names or []]
+    return TextTable(rows, lowered, _columns(lowered, width, any_width), width)
+
+
+def _columns(lowered: list[str], width: int, any_width: bool) -> list[int]:
+    """Return the columns of coordinates: those called x, y and z in the header, else all 2 or 3."""
     if "x" in lowered and "y" in lowered:
         return [lowered.index(axis) for axis in "xyz" if axis in lowered]
     if width not in DIMENSIONS and not (any_width and width > 3):
@@ -90,7 +114,7 @@ def lines_of(content: bytes) -> list[str]:
 def rows_of(lines: Iterable[str], first_line: int = 1) -> Iterator[Row]:
     """Yield the fields of each line, except blank lines and comments (``#``, ``%``, ``//``)."""
     for number, line in enumerate(lines, first_line):
-        content = re.split(r"#|%|//", line, maxsplit=1)[0].strip()
+        content = _COMMENT.split(line, maxsplit=1)[0].strip()
         if content:
             try:
                 yield number, _fields(content)
@@ -105,13 +129,41 @@ def _fields(content: str) -> list[str]:
     a comma within a number is a decimal comma.
     """
     content = content.rstrip(";").rstrip()
-    separator = ";" if ";" in content else "," if "," in content else None
+    separator = _separator(content)
     if separator is None:
         return [field.strip('"') for field in content.split()]
     fields = [field.strip() for field in next(csv.reader([content], delimiter=separator))]
     if separator == ";":
         fields = [_DECIMAL_COMMA.sub(r"\1.\2", field) for field in fields]
     return fields[:-1] if fields[-1] == "" else fields
+
+
+def _separator(content: str) -> str | None:
+    """Return what separates the fields of a line; None: blanks."""
+    return ";" if ";" in content else "," if "," in content else None
+
+
+def with_fields(line: str, changes: Mapping[int, str]) -> str:
+    """Return a line with some fields replaced; blanks, comments and all other fields are kept."""
+    content = _COMMENT.split(line, maxsplit=1)[0]
+    core = content.strip().rstrip(";").rstrip()
+    lead, tail = line[: line.find(core)], line[line.find(core) + len(core) :]
+    separator = _separator(core)
+    if separator is None:
+        parts = re.split(r"(\s+)", core)
+        for column, text in changes.items():
+            parts[2 * column] = text
+        return f"{lead}{''.join(parts)}{tail}"
+    is_quoted = '"' in core
+    fields = next(csv.reader([core], delimiter=separator)) if is_quoted else core.split(separator)
+    has_comma = separator == ";" and any(_DECIMAL_COMMA.match(field.strip()) for field in fields)
+    for column, text in changes.items():
+        fields[column] = text.replace(".", ",") if has_comma else text
+    if not is_quoted:
+        return f"{lead}{separator.join(fields)}{tail}"
+    stream = io.StringIO()
+    csv.writer(stream, delimiter=separator, lineterminator="").writerow(fields)
+    return f"{lead}{stream.getvalue()}{tail}"
 
 
 def natural(field: str) -> int | None:
@@ -132,7 +184,7 @@ def _looks_decimal(field: str) -> bool:
     return "," in field or bool(re.fullmatch(r"-?\d+\s+-?\d+", field))
 
 
-def numbers_of(rows: Sequence[Row], columns: Sequence[int], width: int) -> np.ndarray:
+def numbers_of(rows: Sequence[Row], columns: Sequence[int], width: int) -> Points:
     """Return the given columns of text rows as floats; errors name the line."""
     points = np.empty((len(rows), len(columns)))
     for i, (line, fields) in enumerate(rows):
@@ -149,6 +201,4 @@ def numbers_of(rows: Sequence[Row], columns: Sequence[int], width: int) -> np.nd
                 remedy = "if it has a decimal comma, write a point instead"
             fail(f"line {line}: '{bad[:40]}' is not a number", remedy)
         points[i] = numbers
-        if not np.isfinite(points[i]).all():
-            fail(f"line {line} holds NaN or infinity", "remove that point")
-    return points
+    return Points(points, [line for line, _ in rows])

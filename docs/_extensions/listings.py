@@ -109,6 +109,7 @@ LISTINGS = {
     "targets": targets,
     "register-options": lambda: options("register"),
     "sweep-options": lambda: options("sweep"),
+    "batch-options": lambda: options("batch"),
     "matches-options": lambda: options("register-matches"),
     "verify-options": lambda: options("verify"),
     "modes": modes,

@@ -139,6 +139,7 @@ OUTPUTS = {  # option of register: a name it takes
     "--trace": "o.jsonl",
     "--plot": "o.html",
     "--certificate": "o.npz",
+    "--output": "o.ply",
 }
 
 

@@ -11,9 +11,9 @@ from dcreg.io import READERS
 from tests.bad_input.case import A2, Case, npz, register
 
 TEXT = {
-    "nan": (b"1 2\n3 nan\n", "line 2 holds NaN", "remove that point"),
-    "infinity": (b"1 2\ninf 4\n", "line 2 holds NaN or infinity", "remove that point"),
-    "overflow": (b"1 2\n1e999 4\n", "line 2 holds NaN or infinity", "remove that point"),
+    "nan": (b"1 2\n3 nan\n", "in 1 of 2 points, first in line 2", "--drop-invalid"),
+    "infinity": (b"1 2\ninf 4\n", "in 1 of 2 points, first in line 2", "--drop-invalid"),
+    "overflow": (b"1 2\n1e999 4\n", "in 1 of 2 points, first in line 2", "--drop-invalid"),
     "word": (b"1 2\n3 four\n", "line 2: 'four'", "correct or remove that line"),
     "two points in a number": (b"1 2\n3 1.2.3\n", "line 2: '1.2.3'", "correct or remove"),
     "hexadecimal": (b"1 2\n3 0x10\n", "line 2: '0x10'", "correct or remove that line"),
@@ -77,7 +77,7 @@ PLY_CHANGES = {
                    "copy or export the file again"),
     "no points": (b"vertex 3", b"vertex 0", "announces 0 points, the file holds 3", "correct the"),
     "word": (b"1 0 0", b"1 x 0", "line 11: 'x' is not a number", "correct or remove"),
-    "nan": (b"1 0 0", b"1 nan 0", "line 11 holds NaN", "remove that point"),
+    "nan": (b"1 0 0", b"1 nan 0", "in 1 of 3 points, first in line 11", "--drop-invalid"),
     "short row": (b"1 0 0", b"1 0", "line 11 has 2 values, expected 3", "the same number"),
     "property before elements": (b"element vertex 3\n", b"", "'property double x'", "export the"),
 }  # fmt: skip
@@ -139,7 +139,7 @@ OFF_CHANGES = {
     "fewer than announced": (b"3 1 0", b"9 1 0", "announces 9 points, the file holds 4", "copy or"),
     "more than announced": (b"3 1 0", b"2 1 0", "announces 2 points, the file holds 3", "correct"),
     "word": (b"1 0 0", b"1 x 0", "line 4: 'x'", "correct or remove that line"),
-    "nan": (b"1 0 0", b"1 nan 0", "line 4 holds NaN", "remove that point"),
+    "nan": (b"1 0 0", b"1 nan 0", "in 1 of 3 points, first in line 4", "--drop-invalid"),
     "short row": (b"1 0 0", b"1 0", "line 4 has 2 values", "the same number of values"),
     "four dimensions": (b"OFF", b"4OFF", "line 1: '4OFF'", "export the file again"),
 }

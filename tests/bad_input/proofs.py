@@ -25,7 +25,7 @@ PAIRS = {
     "huge source": (b"1e30 0\n", "1e+30 is not a source row", "use rows from 0 to 7"),
     "huge target": (b"0 1e30\n", "1e+30 is not a target row", "use row numbers, from 0"),
     "largest integer": (b"0 9223372036854775808\n", "9.22337e+18 is not a target row", "use row"),
-    "nan": (b"0 nan\n", "line 1 holds NaN", "remove that point"),
+    "nan": (b"0 nan\n", "not a table of pairs", "give two columns of row numbers"),
     "words": (b"0 1\na b\n", "line 2: 'a'", "correct or remove that line"),
     "too few": (b"0 0\n", "at most 1 pairs can be matched", "allow more pairs"),
     "one target for all": (b"0 0\n1 0\n2 0\n3 0\n4 0\n5 0\n", "at most 1 pairs", "allow more pairs"),

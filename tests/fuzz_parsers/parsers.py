@@ -27,6 +27,8 @@ from data.contract import DataError
 from dcreg.certificate import format as certificates
 from dcreg.certificate.verification import verify
 from dcreg.io import read_matches, read_points
+from dcreg.io.moved import write_moved
+from dcreg.names import CLOUD_SUFFIXES
 from dcreg.problem import InputError
 from reports.archive import read as archives
 from reports.archive import write as archiving
@@ -183,6 +185,23 @@ def read_cloud(path: Path) -> None:
             read_matches(path, 8, 8)
 
 
+def move_cloud(path: Path) -> None:
+    """Move what can be read, and compare the file that is written."""
+    points = read_points(path, keep_invalid=True)
+    d, valid = points.shape[1], np.isfinite(points).all(axis=1)
+    pose = np.eye(d + 1)
+    pose[:2, :2], pose[:d, d] = [[0.0, -1.0], [1.0, 0.0]], np.arange(d)
+    expected = points.copy()
+    with np.errstate(all="ignore"):
+        expected[valid] = points[valid] @ pose[:d, :d].T + pose[:d, d]
+    extent = np.ptp(expected[valid], axis=0).max() if valid.any() else 0.0
+    for suffix in {path.suffix, ".pcd"}.intersection(CLOUD_SUFFIXES):
+        file = path.with_name(f"moved{suffix}")
+        write_moved(path, pose, file)
+        found = read_points(file, keep_invalid=True)
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * extent + 1e-30)
+
+
 # --- certificates --------------------------------------------------------------------------------
 
 
@@ -326,6 +345,7 @@ PARSERS = [
         150,
     ),
     Parser("points", make_points, read_cloud, (InputError,), 500),
+    Parser("moved-points", make_points, move_cloud, (InputError,), 150),
     Parser(
         "certificates", make_certificate, read_certificate, (certificates.CertificateError,), 200
     ),

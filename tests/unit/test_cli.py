@@ -143,7 +143,7 @@ def test_candidates_are_read_as_pairs(call, sweep_call, tmp_path, fake, fake_swe
 def test_help_and_version():
     outcome = run("--help")
     assert outcome.exit_code == 0
-    for command in ("register", "register-matches", "sweep", "verify", "version"):
+    for command in ("register", "register-matches", "sweep", "batch", "verify", "version"):
         assert command in outcome.stdout
     outcome = run("version")
     assert outcome.exit_code == 0
@@ -170,7 +170,10 @@ def test_bad_file_exits_2_and_names_it(call, tmp_path, fake):
     call[1] = bad
     outcome = run(*call)
     assert outcome.exit_code == 2
-    assert outcome.stderr == f"error: {bad}: line 2 holds NaN or infinity; remove that point\n"
+    assert outcome.stderr == (
+        f"error: {bad}: NaN or infinity in 1 of 2 points, first in line 2; remove these points, or "
+        "give --drop-invalid to leave them out\n"
+    )
     assert fake.called is None
 
 

@@ -1,0 +1,116 @@
+"""One pair of a batch: the search and the row of its result."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+import dcreg
+from dcreg.cli.numbers import parse_count
+from dcreg.cli.options import CloudFiles, Search, flag
+from dcreg.names import MODEL_DIM
+
+# The text of each column of a table of results.
+Row = dict[str, str]
+_OPTIONS = {"n_inliers", *(each.name for each in fields(Search))}
+_NUMBERS = ("n_inliers", "objective", "rmse_matched", "lower_bound", "upper_bound")
+
+
+@dataclass(frozen=True)
+class Task:
+    """A pair to solve.
+
+    Attributes
+    ----------
+    place : int
+        Row of the pair in its table.
+    source, target : str
+        Files of points.
+    n_inliers : str
+        As on the command line.
+    search : Search
+    drop_invalid : bool
+    """
+
+    place: int
+    source: str
+    target: str
+    n_inliers: str
+    search: Search
+    drop_invalid: bool
+
+
+def columns(model: str) -> list[str]:
+    """Return the columns of a table of results."""
+    size = range(MODEL_DIM[model] + 1)
+    return [
+        *("source", "target", "source_id", "target_id", "status"),
+        *_NUMBERS,
+        *(f"T{i}{j}" for i in size for j in size),
+        *("dropped_source", "dropped_target", "time_s", "warning", "error", "covariance", "inputs"),
+    ]
+
+
+def solve(task: Task) -> Row:
+    """Return the status, pose and bounds of a pair, or the error that prevented them."""
+    began = time.perf_counter()
+    try:
+        row = _solved(task)
+    except dcreg.InputError as error:
+        name, colon, rest = str(error).partition(":")
+        row = failed(f"{flag(name) if name in _OPTIONS else name}{colon}{rest}")
+    except Exception as error:
+        row = failed(f"{type(error).__name__}: {error}")
+    return {**row, "time_s": f"{time.perf_counter() - began:.3f}"}
+
+
+def failed(message: str) -> Row:
+    """Return the row of a pair without a result."""
+    return {"status": dcreg.Status.FAILED.value, "error": " ".join(message.split())}
+
+
+def _solved(task: Task) -> Row:
+    clouds = CloudFiles(task.source, task.target, drop_invalid=task.drop_invalid)
+    points = clouds.read(task.search.model)
+    keywords, options = task.search.settings(clouds)
+    keywords["n_inliers"] = parse_count(task.n_inliers)
+    result = dcreg.register(*points, **keywords, options=dcreg.SolveOptions(**options))
+    return {
+        "status": result.status.value,
+        **{name: _text(getattr(result, name)) for name in _NUMBERS},
+        **{f"T{i}{j}": _text(x) for (i, j), x in np.ndenumerate(result.T_target_source)},
+        **{name: str(n) for name, n in clouds.n_dropped.items()},
+        "warning": result.warnings[0] if result.warnings else "",
+        "covariance": _covariance_text(result.covariance),
+    }
+
+
+def _text(value: Any) -> str:
+    """Return a number as the shortest text that gives it back."""
+    return str(value) if isinstance(value, int | np.integer) else repr(float(value))
+
+
+def _covariance_text(covariance: np.ndarray | None) -> str:
+    """Return the upper triangle, row by row."""
+    if covariance is None:
+        return ""
+    return " ".join(map(_text, covariance[np.triu_indices(len(covariance))]))
+
+
+def edge_of(row: Row) -> dcreg.PoseEdge | None:
+    """Return the pose of a row as an edge of a pose graph; None if the pair failed."""
+    if row["status"] == dcreg.Status.FAILED.value:
+        return None
+    pose = [float(text) for name, text in row.items() if name[0] == "T"]
+    size = round(len(pose) ** 0.5)
+    covariance, values = None, row["covariance"].split()
+    if values:
+        length = {3: 4, 4: 6}[size]
+        covariance = np.zeros((length, length))
+        covariance[np.triu_indices(length)] = [float(value) for value in values]
+        covariance += np.triu(covariance, 1).T
+    ends = int(row["source_id"]), int(row["target_id"])
+    return dcreg.PoseEdge(*ends, np.reshape(pose, (size, size)), covariance)

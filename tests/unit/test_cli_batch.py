@@ -1,0 +1,343 @@
+"""``dcreg batch``: a table of pairs, its results, and what is kept when the command runs again."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import dcreg
+from dcreg.cli import batch
+from dcreg.cli.options import Search
+from dcreg.cli.pair import Task, failed
+from dcreg.cli.workers import solve_all
+from tests.results import run
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Three scans in a folder, and a table of two pairs; scan i is scan 0 turned by i quarters."""
+    points = np.random.default_rng(2).random((10, 3))
+    folder = tmp_path / "scans"
+    folder.mkdir()
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    rng = np.random.default_rng(3)
+    for i in range(3):
+        scan = points @ np.linalg.matrix_power(turn, i).T + [i, 0, 0]
+        np.savetxt(folder / f"{i}.txt", scan + 1e-4 * rng.standard_normal(scan.shape))
+    return write(tmp_path, "source,target,n_inliers\n0.txt,1.txt,\n1.txt,2.txt,8\n")
+
+
+def write(folder, text):
+    path = folder / "scans" / "pairs.csv"
+    path.write_text(text)
+    return path
+
+
+def call(table, *options, model="rigid3d"):
+    out = table.parents[1] / "out.csv"
+    return run("batch", table, "--out", out, "--model", model, "--n-inliers", "0.9", *options)
+
+
+def rows(table):
+    with (table.parents[1] / "out.csv").open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def pose(row, size=4):
+    return np.array([[float(row[f"T{i}{j}"]) for j in range(size)] for i in range(size)])
+
+
+@pytest.fixture
+def solved(monkeypatch):
+    """The pairs that are solved, in this process; results are at once there."""
+    found = []
+
+    def solve_at_once(tasks, jobs, is_stopped):
+        for task in tasks:
+            found.append(task)
+            yield task, batch_row(task)
+
+    monkeypatch.setattr(batch, "solve_all", solve_at_once)
+    return found
+
+
+def batch_row(task):
+    if "bad" in task.source:
+        return failed("bad.txt: no such file")
+    T = {f"T{i}{j}": str(float(i == j)) for i in range(4) for j in range(4)}
+    status = "time_limit" if task.n_inliers == "3" else "converged"
+    return {"status": status, "rmse_matched": "0.5", "time_s": "1.0", **T}
+
+
+# --- results ----------------------------------------------------------------------------------------
+
+
+def test_each_pair_has_the_result_of_register(table, tmp_path):
+    outcome = call(table, "--graph", tmp_path / "o.g2o", "--jobs", "2")
+    assert outcome.exit_code == 0, outcome.output
+    assert outcome.stdout == "2 pairs: 2 optimal\n"
+    assert "[2/2] " in outcome.stderr
+    first, second = rows(table)
+    assert [first[name] for name in ("source", "target", "n_inliers")] == ["0.txt", "1.txt", "9"]
+    assert second["n_inliers"] == "8"
+    clouds = [dcreg.read_points(table.parent / f"{i}.txt") for i in range(2)]
+    result = dcreg.register(*clouds, n_inliers=0.9, model="rigid3d")
+    np.testing.assert_array_equal(pose(first), result.T_target_source)
+    for name in ("objective", "lower_bound", "upper_bound", "rmse_matched"):
+        assert float(first[name]) == getattr(result, name)
+    upper = result.covariance[np.triu_indices(6)]
+    np.testing.assert_array_equal(np.array(first["covariance"].split(), dtype=float), upper)
+    lines = (tmp_path / "o.g2o").read_text().splitlines()
+    assert [line.split()[:2] for line in lines[:3]] == [
+        ["VERTEX_SE3:QUAT", f"{i}"] for i in range(3)
+    ]
+    assert [line.split()[:3] for line in lines[3:]] == [
+        ["EDGE_SE3:QUAT", "1", "0"],
+        ["EDGE_SE3:QUAT", "2", "1"],
+    ]
+    assert "identity" not in outcome.stderr
+
+
+def test_2d_with_a_fixed_scale(table, tmp_path):
+    for i in range(3):
+        scan = np.loadtxt(table.parent / f"{i}.txt")[:, :2]
+        np.savetxt(table.parent / f"{i}.txt", scan)
+    graph = ("--graph", tmp_path / "o.g2o")
+    outcome = call(table, *graph, model="similarity2d")
+    assert outcome.exit_code == 2
+    assert "fix the scale with --scale-range 1 1" in outcome.stderr
+    outcome = call(table, *graph, "--scale-range", "1", "1", model="similarity2d")
+    assert outcome.exit_code == 0, outcome.output
+    assert pose(rows(table)[0], 3) == pytest.approx(
+        np.array([[0, -1, 1], [1, 0, 0], [0, 0, 1]]), abs=0.01
+    )
+    edge = (tmp_path / "o.g2o").read_text().splitlines()[-1].split()
+    assert edge[:3] == ["EDGE_SE2", "2", "1"]
+    assert len(edge) == 3 + 3 + 6
+
+
+def test_a_failed_pair_does_not_stop_the_others(table, tmp_path):
+    np.savetxt(table.parent / "nan.txt", np.full((5, 3), np.nan))
+    scan = np.loadtxt(table.parent / "0.txt")
+    scan[2] = np.nan
+    np.savetxt(table.parent / "gap.txt", scan)
+    write(
+        tmp_path,
+        "source,target,n_inliers\nabsent.txt,1.txt,\n0.txt,1.txt,99\nnan.txt,1.txt,\ngap.txt,1.txt,7\n",
+    )
+    outcome = call(table, "--drop-invalid", "--quiet", "--graph", tmp_path / "o.g2o")
+    assert outcome.exit_code == 2
+    assert outcome.stdout == "4 pairs: 3 failed, 1 optimal\n"
+    assert len(outcome.stderr.splitlines()) == 3
+    absent, many, invalid, good = rows(table)
+    assert "absent.txt: no such file" in absent["error"]
+    assert many["error"].startswith("--n-inliers: 99 pairs")
+    assert "all 5 points hold NaN" in invalid["error"]
+    assert {row["status"] for row in (absent, many, invalid)} == {"failed"}
+    assert (good["status"], good["dropped_source"], good["dropped_target"]) == ("optimal", "1", "0")
+    assert (tmp_path / "o.g2o").read_text().count("EDGE") == 1
+
+
+class Ends:
+    """A task that ends the process which receives it."""
+
+    def __init__(self, *ending):
+        self.ending = ending
+
+    def __reduce__(self):
+        return self.ending
+
+
+def test_a_crash_costs_only_its_pair(table):
+    search = Search(model="rigid3d")
+    files = [str(table.parent / f"{i}.txt") for i in range(2)]
+    good = Task(2, *files, "5", search, drop_invalid=False)
+    tasks = [Ends(os._exit, (7,)), Ends(signal.raise_signal, (signal.SIGKILL,)), good]
+    found = [row for _, row in solve_all(tasks, 1, lambda: False)]
+    assert found[0]["error"] == "the process ended with code 7"
+    assert found[1]["error"] == "the process ended with signal 9"
+    assert found[2]["status"] == "optimal"
+
+
+@pytest.mark.parametrize(
+    ("lines", "code", "shares"),
+    [
+        ("0.txt,1.txt,4\n", 0, "1 pairs: 1 converged"),
+        ("0.txt,1.txt,3\n1.txt,2.txt,4\n", 3, "2 pairs: 1 time_limit, 1 converged"),
+        ("0.txt,1.txt,3\nbad.txt,2.txt,4\n", 2, "2 pairs: 1 time_limit, 1 failed"),
+    ],
+)
+def test_exit_codes(table, tmp_path, solved, lines, code, shares):
+    write(tmp_path, f"source,target,n_inliers\n{lines}")
+    outcome = call(table)
+    assert outcome.exit_code == code
+    assert outcome.stdout == f"{shares}\n"
+
+
+def test_poses_without_a_covariance_are_named(table, tmp_path, solved):
+    outcome = call(table, "--graph", tmp_path / "o.g2o")
+    assert outcome.exit_code == 0
+    assert outcome.stderr.count("the information of its edge is the identity") == 2
+    assert "warning: 0.txt 1.txt: the covariance is missing" in outcome.stderr
+
+
+# --- resuming ---------------------------------------------------------------------------------------
+
+
+def test_finished_pairs_are_kept(table, tmp_path, solved):
+    call(table)
+    before = rows(table)
+    outcome = call(table)
+    assert len(solved) == 2
+    assert "2 of 2 pairs are in" in outcome.stderr
+    assert rows(table) == before
+    # a row of its own for each pair, in the order of the table
+    write(tmp_path, "source,target,n_inliers\n1.txt,0.txt,5\n1.txt,2.txt,8\n0.txt,1.txt,\n")
+    call(table)
+    assert len(solved) == 3
+    names = [(row["source"], row["target"], row["source_id"]) for row in rows(table)]
+    assert names == [("1.txt", "0.txt", "0"), ("1.txt", "2.txt", "0"), ("0.txt", "1.txt", "1")]
+
+
+def test_other_files_and_options_are_solved_again(table, solved):
+    call(table)
+    np.savetxt(table.parent / "0.txt", np.eye(3))
+    call(table)
+    assert [task.place for task in solved] == [0, 1, 0]
+    call(table, "--time-limit", "7")
+    call(table, "--drop-invalid")
+    assert len(solved) == 7
+    assert len(rows(table)) == 2
+
+
+def test_failed_pairs_are_tried_again_and_limits_are_not(table, tmp_path, solved):
+    write(tmp_path, "source,target,n_inliers\nbad.txt,1.txt,4\n0.txt,1.txt,3\n")
+    assert call(table).exit_code == 2
+    assert call(table).exit_code == 2
+    assert [task.place for task in solved] == [0, 1, 0]
+    assert [row["status"] for row in rows(table)] == ["failed", "time_limit"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_an_interrupted_batch_continues(table, tmp_path, number):
+    """The second pair is unrelated noise: its search takes its whole time limit."""
+    for name in "ab":
+        points = np.random.default_rng(ord(name)).random((60, 3))
+        np.savetxt(table.parent / f"{name}.txt", points)
+    write(tmp_path, "source,target,n_inliers\n0.txt,1.txt,9\na.txt,b.txt,0.5\n")
+    command = [sys.executable, "-m", "dcreg", "batch", table, "--out", tmp_path / "out.csv"]
+    command += ["--model", "rigid3d", "--prove", "--time-limit", "5", "--rel-gap", "0"]
+    process = subprocess.Popen(
+        list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stderr.readline().startswith("[1/2] 0.txt 1.txt: optimal")
+        time.sleep(0.5)
+        process.send_signal(number)
+        # the processes of the pairs hold standard error open: they have ended, too
+        stdout, stderr = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    before = rows(table)
+    assert [row["status"] for row in before] == ["optimal"]
+    if number == signal.SIGINT:
+        assert process.returncode == 3, stderr
+        assert stdout == "2 pairs: 1 optimal, 1 not solved\n"
+        assert "run the same command again" in stderr
+    outcome = run(*command[3:])
+    assert outcome.exit_code == 3, outcome.output
+    after = rows(table)
+    assert after[0] == before[0]
+    assert after[1]["status"] == "time_limit"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.csv", "scans"]
+
+
+def test_a_full_disk_ends_the_batch(table, solved, monkeypatch):
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(batch, "write_text", fail)
+    outcome = call(table)
+    assert outcome.exit_code == 4
+    assert "No space left on device; free some space, then run the command again" in outcome.stderr
+    assert solved == []
+
+
+def test_an_unwritable_graph(table, tmp_path, solved, monkeypatch):
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(dcreg, "write_pose_graph", fail)
+    outcome = call(table, "--graph", tmp_path / "o.g2o")
+    assert outcome.exit_code == 4
+    assert "cannot write" in outcome.stderr
+    assert len(rows(table)) == 2
+
+
+# --- bad input --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("source,n_inliers\n0.txt,3\n", "no column 'target'; let the first line name the columns"),
+        ("source,target\n", "holds no pairs; give one per line"),
+        ("", "no column 'source'"),
+        ("source,target\n0.txt\n", "line 2 has no target; add it"),
+        (
+            "source,target,n_inliers\n0.txt,1.txt,many\n",
+            "line 2: --n-inliers: 'many' is not a number",
+        ),
+        ("source,target\n\xff,1.txt\n", "give a table of pairs in UTF-8"),
+        (None, "cannot be read (No such file or directory)"),
+    ],
+)
+def test_a_bad_table_is_refused(table, solved, text, words):
+    table.unlink()
+    if text is not None:
+        table.write_bytes(text.encode("latin-1"))
+    outcome = call(table)
+    assert outcome.exit_code == 2
+    assert f"error: {table}: " in outcome.stderr
+    assert words in outcome.stderr
+    assert not solved
+
+
+def test_a_number_of_pairs_is_needed(table, solved):
+    outcome = run("batch", table, "--out", table.parents[1] / "o.csv", "--model", "rigid3d")
+    assert outcome.exit_code == 2
+    assert "line 2 has no n_inliers; add it or give --n-inliers" in outcome.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--jobs", "0"], "--jobs: 0 processes; give a positive number"),
+        (["--model", "rigid2d"], "--model: 'rigid2d' is unknown; known: similarity2d, rigid3d"),
+        (["--out", "o.txt"], "--out o.txt: the name must end in .csv"),
+        (["--graph", "o.txt"], "--graph o.txt: the name must end in .g2o"),
+        (["--graph", "absent/o.g2o"], "no folder 'absent'; create it first"),
+    ],
+)
+def test_bad_options_are_refused(table, solved, options, words):
+    outcome = call(table, *options)
+    assert outcome.exit_code == 2
+    assert words in outcome.stderr
+    assert not solved
+
+
+def test_a_file_of_something_else_is_not_overwritten(table, solved):
+    out = table.parents[1] / "out.csv"
+    out.write_text("my,notes\n")
+    outcome = call(table)
+    assert outcome.exit_code == 2
+    assert "is not a table of `dcreg batch` for this model; name another file" in outcome.stderr
+    assert out.read_text() == "my,notes\n"
+    outcome = run("batch", table, "--out", table, "--model", "rigid3d", "--n-inliers", "3")
+    assert "is also an input" in outcome.stderr
