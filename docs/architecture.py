@@ -29,6 +29,7 @@ GROUPS = {
 LINES = {
     "cli": "The command line",
     "api": "Public functions and names",
+    "questions": "Is a pose optimal, is it the only one?",
     "driver": "Normalise, start, search, polish, result",
     "io": "Readers and writers of clouds, pairs and pose graphs",
     "plot": "HTML pages and figures of results",

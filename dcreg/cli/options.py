@@ -316,6 +316,27 @@ class MatchSearch:
 
 
 @dataclass
+class AnswerFiles:
+    """The files of the answer to a question.
+
+    Attributes
+    ----------
+    json_path : OUT
+        Write the answer; '-' is standard output.
+    plot_path : OUT.html
+        Write a page with the clouds at each pose.
+    """
+
+    json_path: Path | None = None
+    plot_path: Path | None = None
+
+    def check(self, *inputs: str | None) -> None:
+        """Refuse before the search what could not be written."""
+        output.check_outputs({"--json": self.json_path, "--plot": self.plot_path}, *inputs)
+        output.check_figure(self.plot_path, [".html"])
+
+
+@dataclass
 class Outputs:
     """The files of one registration.
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.problem.geometry import Frame
+from dcreg.problem import Frame
 from dcreg.result import Stage
 from dcreg.search import Box, Budget, Event, Outcome, Tolerance
 from dcreg.status import Status

@@ -30,6 +30,7 @@ from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, START_BOXES
 from dcreg.problem import (
+    Frame,
     InputError,
     Problem,
     apply_pose,
@@ -37,7 +38,7 @@ from dcreg.problem import (
     open_directions,
     pose_covariance,
 )
-from dcreg.problem.geometry import Frame, exact_objective, rounding_error
+from dcreg.problem.geometry import exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
 from dcreg.search import Budget, Event, Listener
 

@@ -22,8 +22,7 @@ from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.jit import forget_old_kernels, when_compiling
 from dcreg.names import BOUND_NAMES, MODEL_DIM
-from dcreg.problem import PoseRange, Problem
-from dcreg.problem.geometry import Frame
+from dcreg.problem import Frame, PoseRange, Problem
 from dcreg.search import Box, Boxes, Budget, Tolerance
 
 _LOGGER = logging.getLogger("dcreg")

@@ -10,8 +10,7 @@ import dcreg
 from dcreg.families.region import Far, Near, angles
 from dcreg.families.rigid3d.region import RegionBound, rigid_in_region
 from dcreg.families.similarity2d.region import similarity_in_region
-from dcreg.problem import Problem, apply_pose
-from dcreg.problem.geometry import Frame
+from dcreg.problem import Frame, Problem, apply_pose
 from dcreg.search import Boxes, LongestEdge
 
 seeds = st.integers(0, 10_000)
