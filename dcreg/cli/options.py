@@ -162,7 +162,7 @@ class CloudFiles:
         """Return the matches of a file for the points that `read` returned."""
         return (self.rows or dcreg).read_matches(path, *self.sizes)
 
-    def in_files(self, results: list[dcreg.Result]) -> list[dcreg.Result]:
+    def in_files(self, results: list[Any]) -> list[Any]:
         """Return results whose pairs are rows of the files."""
         return results if self.rows is None else self.rows.in_files(results)
 

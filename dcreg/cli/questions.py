@@ -1,8 +1,8 @@
-"""The commands that ask about poses: ``dcreg certify`` and ``dcreg alternatives``."""
+"""The commands that ask about poses: ``certify``, ``alternatives`` and ``max-inliers``."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ import dcreg
 from dcreg.cli import output
 from dcreg.cli.app import command, required_count, run_search
 from dcreg.cli.options import AnswerFiles, CloudFiles, Quiet, Search
-from dcreg.names import DEFAULT_RATIO
+from dcreg.names import DEFAULT_RATIO, DEFAULT_TIME_LIMIT_S
 
 if TYPE_CHECKING:
     import numpy as np
@@ -92,6 +92,62 @@ def alternatives(
     return _finish(found, points, clouds, clouds.names, files) or code
 
 
+@dataclass
+class Count:
+    """The settings of `dcreg.max_inliers`.
+
+    Attributes
+    ----------
+    model : NAME
+        Kind of pose: {models}.
+    distance : D
+        Distance within which a pair counts, in units of the target.
+    scale_range : LO HI
+        Admissible scales, as for `dcreg register`.
+    candidates_path : FILE
+        Feasible pairs, as for `dcreg register`.
+    time_limit : S
+        Seconds of all searches together; inf: no limit.
+    threads : N
+        Number of threads.
+    """
+
+    model: str
+    distance: float
+    scale_range: tuple[float, float] | None = None
+    candidates_path: str | None = None
+    time_limit: float = DEFAULT_TIME_LIMIT_S
+    threads: int = 1
+
+
+@command
+def max_inliers(
+    *, clouds: CloudFiles, count: Count, files: AnswerFiles, quiet: Quiet = False
+) -> int:
+    """Bound the largest number of pairs that a pose brings within a distance.
+
+    Exit code: 0 the bounds agree; 2 bad input; 3 they differ; 4 an output
+    file could not be written.
+    """
+    files.check(*clouds.names.values(), count.candidates_path)
+    points = clouds.read(count.model)
+    keywords = dict(vars(count))
+    path, threads = keywords.pop("candidates_path"), keywords.pop("threads")
+    keywords["candidates"] = None if path is None else clouds.read_candidates(path)
+    found = run_search(
+        dcreg.max_inliers, *points, quiet=quiet, options={"threads": threads}, **keywords
+    )
+    code = output.EXIT_OK if found.is_exact else output.EXIT_LIMIT
+    return _finish(found, points, clouds, clouds.names, files) or code
+
+
+def _in_files(found: Any, clouds: CloudFiles) -> Any:
+    """Return the answer with pairs that are rows of the files."""
+    if isinstance(found, dcreg.MaxInliers):
+        return clouds.in_files([found])[0]
+    return replace(found, result=clouds.in_files([found.result])[0])
+
+
 def _finish(
     found: Any,
     points: tuple[np.ndarray, np.ndarray],
@@ -102,7 +158,7 @@ def _finish(
     """Print an answer and write its files; return 0, or the exit code of a failure."""
     json_path, plot_path = files.json_path, files.plot_path
     to_stdout = json_path == output.STDOUT
-    in_files = replace(found, result=clouds.in_files([found.result])[0])
+    in_files = _in_files(found, clouds)
     more: dict[str, Any] = {**names, **clouds.n_dropped}
     typer.echo(found, err=to_stdout)
     if to_stdout:

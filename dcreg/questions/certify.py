@@ -73,6 +73,11 @@ class Certified:
     question = "certification"
 
     @property
+    def warnings(self) -> list[str]:
+        """Those of the search."""
+        return self.result.warnings
+
+    @property
     def poses(self) -> dict[str, np.ndarray]:
         """The given pose and the best known one."""
         return {"given pose": self.T_target_source, "best known pose": self.result.T_target_source}

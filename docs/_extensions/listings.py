@@ -63,7 +63,7 @@ def questions() -> str:
 
     asked = {
         "`register`, `sweep`, `candidates`": lambda mode: True,
-        "`certify`, `init`, `max_rms`": lambda mode: not mode.in_norm_space,
+        "`certify`, `init`, `max_rms`, `max_inliers`": lambda mode: not mode.in_norm_space,
         "`alternatives`, `max_angle`, `max_translation`": lambda mode: bool(mode.in_region),
         "`axis`": lambda mode: bool(mode.in_region) and mode.model != "similarity2d",
         "certificate file": lambda mode: bool(mode.certifies),
@@ -73,7 +73,10 @@ def questions() -> str:
     head = ("question or option", *(f"`{mode.model}`, mode `{mode.name}`" for mode in modes))
     return table(
         head,
-        ((name, *("yes" if works(mode) else "" for mode in modes)) for name, works in asked.items()),
+        (
+            (name, *("yes" if works(mode) else "" for mode in modes))
+            for name, works in asked.items()
+        ),
     )
 
 
@@ -133,6 +136,7 @@ LISTINGS = {
     "matches-options": lambda: options("register-matches"),
     "verify-options": lambda: options("verify"),
     "certify-options": lambda: options("certify"),
+    "max-inliers-options": lambda: options("max-inliers"),
     "alternatives-options": lambda: options("alternatives"),
     "modes": modes,
     "questions": questions,
