@@ -12,9 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dcreg.assignment.objective import is_large
+from dcreg.assignment.sparse import nearest_pairs, tree_of
 from dcreg.names import NO_PROOF_EXPECTED
 from dcreg.problem import (
     Problem,
+    apply_pose,
     exact_objective,
     median_spacing,
     nearest_rotation,
@@ -267,16 +270,30 @@ def loose_pairs(case: Case) -> str | None:
     scales, or too few pairs.
     """
     problem, result = case.problem, case.result
-    spacing = median_spacing(problem.target)
-    if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_greedy:
+    spacing, rmse = median_spacing(problem.target), _lowest_rmse(case)
+    if rmse <= _LOOSE * spacing or spacing == 0.0:
         return None
     if _was_cut_short(result) or scale_at_limit(case) or other_size(case) or few_pairs(case):
         return None
     return (
-        f"the RMS residual of the pairs is {result.rmse_matched:.3g}, but the point spacing of the "
-        f"target is only {spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. "
+        f"the RMS residual of the pairs is at least {rmse:.3g}, but the point spacing of the target is "
+        f"only {spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. "
         "Try a smaller n_inliers (`dcreg sweep` tries several), or remove outliers first"
     )
+
+
+def _lowest_rmse(case: Case) -> float:
+    """Return a lower bound on the RMS residual of any one-to-one pairs at the pose.
+
+    For small clouds it is that of the pairs, which are the best ones. The pairs of large clouds can be
+    rough or chosen greedily; the distances to the nearest target points are a lower bound then.
+    """
+    problem, result = case.problem, case.result
+    if not (is_large(len(problem.source), len(problem.target)) or result.is_greedy):
+        return result.rmse_matched
+    moved = apply_pose(result.T_target_source, problem.source)
+    _, nearest = nearest_pairs(moved, tree_of(problem.target), result.n_inliers)
+    return math.sqrt(nearest / result.n_inliers)
 
 
 def _was_cut_short(result: Result) -> bool:
