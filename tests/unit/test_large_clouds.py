@@ -171,6 +171,22 @@ def test_a_descent_on_large_clouds_ends_below_its_start(rng, huge, monkeypatch):
     assert Rotation.from_matrix(found.T_target_source[:3, :3]).magnitude() < 0.035  # of 0.041
 
 
+def test_an_exact_fit_of_all_points_is_optimal_whatever_the_sample_proves(rng):
+    target = spiral(rng, 300)
+    source = (target[:240] - TRANSLATION) @ ROTATION
+    options = {"n_inliers": 240, "model": "rigid3d", "mode": "full", "downsample": 100}
+    found = register(source, target, **options)
+    assert found.status is Status.OPTIMAL
+    assert found.is_exact
+    assert found.lower_bound == 0.0 <= found.upper_bound == found.objective < 1e-20
+    assert found.upper_bound <= found.gap_tol
+    assert found.downsampled is None  # the bounds refer to all points
+    assert found.warnings == []
+    np.testing.assert_allclose(found.T_certified, found.T_target_source)
+    noisy = target + 1e-3 * rng.standard_normal(target.shape)
+    assert register(source, noisy, **options).downsampled is not None
+
+
 def test_the_objective_before_the_refinement_is_that_of_good_pairs(rng):
     problem, T = nearly_registered(rng, 3000, 2100)
     optimum, _ = objective(problem.source, problem.target, T, 2100)
