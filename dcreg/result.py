@@ -167,7 +167,7 @@ class Result:
     downsampled : Sample, optional
         Sizes of the sample that was searched, if it was not the full clouds. Then bounds, `gap_tol` and
         `T_certified` refer to the sample; final pose, pairs and objectives refer to all points. None if
-        the fit of all points is exact.
+        an exact fit of all points is proven instead.
     score : Score, optional
         Score over the matches, from `dcreg.register_matches`.
     runner_up : RunnerUp, optional
