@@ -142,6 +142,17 @@ def test_large_clouds_are_judged_by_nearest_points(shift, warned, greedy, monkey
     assert bool(found) == warned
 
 
+@pytest.mark.parametrize(("factor", "warned"), [(4.0, False), (6.0, True)])
+def test_large_clouds_with_distant_pairs(factor, warned, monkeypatch):
+    monkeypatch.setattr(diagnostics, "is_large", lambda n, m: True)
+    source, target = clouds(noise=0.05)
+    result = solve(source, target, 20)
+    lowest = case(result, source, target).lowest_rmse
+    assert lowest <= result.rmse_matched
+    distant = case(result, source, target, objective=factor * 20 * lowest**2)
+    assert ("connect distant points" in str(diagnostics.distant_pairs(distant))) == warned
+
+
 def test_a_target_ten_times_larger():
     source, target = clouds()
     lines = solve(source, 12.0 * target, 30, time_limit=2.0).warnings
