@@ -22,7 +22,7 @@ HUGE = 80_000
 _FEW = 4000  # source points that follow their nearest neighbours
 _MANY = 16_000  # ... where only one matching follows
 _MAX_MATCHINGS = 5  # before the last one, which is to be proved
-_PROVING_SHARE = 0.5  # of the time left, for the last matching
+_PROVING_SHARE = 0.25  # of the time left, for the last matching
 _QUICK_SHARE = 0.1  # ... for that of `quick_value`
 # Alternating matching and fit converges slowly along the slopes of large clouds: a step is extended to
 # so many times its length, and the plain step is taken if that fails.
