@@ -9,12 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from dcreg.assignment.objective import is_large
+from dcreg.assignment.sparse import nearest_pairs, tree_of
 from dcreg.names import NO_PROOF_EXPECTED
 from dcreg.problem import (
     Problem,
+    apply_pose,
     exact_objective,
     median_spacing,
     nearest_rotation,
@@ -33,12 +37,10 @@ _MUCH_LARGER = 100.0
 FAR = 10.0  # RMS radius divided by typical radius, from which points count as far
 _OTHER_SIZE = 10.0
 TOO_MANY_PAIRS = "pairs are probably too many"  # part of the line of `loose_pairs`
+_VAGUE = 5.0  # objective divided by its lower bound; it is below 3 if there are enough near pairs
 _ROUGH = 1.01  # objective divided by upper bound; a larger ratio is more than rounding
-# Objective ratio of the runner-up. In 180 problems of four shapes, all 45 wrong poses and 18 of 135 right
-# ones had a lower ratio.
-_CLOSE = 1.5
-# RMSE in units of the point spacing of the target. Scans of one object stay below if n_inliers is right.
-_LOOSE = 2.0
+_CLOSE = 1.5  # objective ratio of the runner-up; lower for 45 of 45 wrong and 18 of 135 right poses
+_LOOSE = 2.0  # RMSE in point spacings of the target; lower for one object and the right n_inliers
 _FEW_PAIRS = 20  # more pairs hardly fit by chance, except on surfaces
 _REMEDY = (
     "Use downsample=200 (--downsample 200): it searches with a sample of the points and refines the "
@@ -101,6 +103,19 @@ class Case:
     problem: Problem
     result: Result
     in_norm_space: bool
+
+    @cached_property
+    def lowest_rmse(self) -> float:
+        """Lower bound on the RMS residual of any one-to-one pairs at the pose.
+
+        That of the pairs, or of nearest target points if the pairs may be rough or greedy.
+        """
+        problem, result = self.problem, self.result
+        if not (is_large(len(problem.source), len(problem.target)) or result.is_greedy):
+            return result.rmse_matched
+        moved = apply_pose(result.T_target_source, problem.source)
+        nearest = nearest_pairs(moved, tree_of(problem.target), result.n_inliers)[1]
+        return math.sqrt(nearest / result.n_inliers)
 
 
 def _is_rounding(value: float, case: Case) -> bool:
@@ -170,6 +185,22 @@ def rough_pairs(case: Case) -> str | None:
         return f"the search was stopped before all pairs were matched: {what}"
     fewer = "" if result.downsampled else ", or use downsample=200 (--downsample 200)"
     return f"the time limit was hit before all pairs were matched: {what}. Allow more time{fewer}"
+
+
+def distant_pairs(case: Case) -> str | None:
+    """Some pairs of large clouds connect distant points, so that better ones may exist."""
+    result, lowest = case.result, case.result.n_inliers * case.lowest_rmse**2
+    if (
+        result.is_greedy
+        or result.objective <= _VAGUE * lowest
+        or _is_rounding(result.objective, case)
+    ):
+        return None
+    return (
+        f"the pairs cost {result.objective:.3g}, and any pairs at this pose at least {lowest:.3g}: some "
+        f"pairs connect distant points, because there are fewer than {result.n_inliers} near pairs, and "
+        "better ones may exist. Try a smaller n_inliers (`dcreg sweep` tries several)"
+    )
 
 
 def scale_at_limit(case: Case) -> str | None:
@@ -267,14 +298,14 @@ def loose_pairs(case: Case) -> str | None:
     scales, or too few pairs.
     """
     problem, result = case.problem, case.result
-    spacing = median_spacing(problem.target)
-    if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_greedy:
+    spacing, rmse = median_spacing(problem.target), case.lowest_rmse
+    if rmse <= _LOOSE * spacing or spacing == 0.0:
         return None
     if _was_cut_short(result) or scale_at_limit(case) or other_size(case) or few_pairs(case):
         return None
     return (
-        f"the RMS residual of the pairs is {result.rmse_matched:.3g}, but the point spacing of the "
-        f"target is only {spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. "
+        f"the RMS residual of the pairs is at least {rmse:.3g}, but the point spacing of the target is "
+        f"only {spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. "
         "Try a smaller n_inliers (`dcreg sweep` tries several), or remove outliers first"
     )
 
@@ -317,6 +348,7 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
     nothing_proven,
     surrogate_mismatch,
     rough_pairs,
+    distant_pairs,
     scale_at_limit,
     undetermined,
     other_size,
