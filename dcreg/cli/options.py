@@ -206,7 +206,8 @@ class Search:
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
-        Search for a proof to the time limit. By default, mode full ends after a few seconds without one.
+        Search for a proof to the time limit, also in a sweep. By default, mode full and searches of samples
+        end after a few seconds without one.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.
@@ -294,7 +295,8 @@ class MatchSearch:
         Criterion for the pose: 'correspondences' is the cost of the matches; 'surfaces' also compares
         the surfaces of dense scans and gives no bounds.
     certify : switch
-        Prove bounds by branch and bound. Default: only with --score correspondences.
+        Prove bounds by branch and bound, to the time limit. Default: only with --score correspondences,
+        for a few seconds.
     rel_gap : X
         Gap at which to stop, as a share of the upper bound.
     abs_gap : X

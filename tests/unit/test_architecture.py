@@ -83,6 +83,7 @@ LARGE = {
     "api.sweep": "as register",
     "questions.alternatives.alternatives": "as register",
     "questions.certify.certify": "as register",
+    "questions.inliers.max_inliers": "as register",
 }
 
 

@@ -66,7 +66,9 @@ def centred(problem, T):
 @pytest.mark.parametrize("several", [False, True])
 def test_pose_is_found_among_wrong_matches_and_certified(n_right, n_wrong, several):
     source, target, matches, T = planted(n_right, n_wrong, noise=0.01, several=several)
-    found = dcreg.register_matches(source, target, matches, inlier_distance=REACH, time_limit=60)
+    found = dcreg.register_matches(
+        source, target, matches, inlier_distance=REACH, certify=True, time_limit=60
+    )
     assert found.status is dcreg.Status.OPTIMAL
     turn = Rotation.from_matrix(found.rotation @ T[:3, :3].T).magnitude()
     assert turn < 0.02
