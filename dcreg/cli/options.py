@@ -206,8 +206,8 @@ class Search:
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
-        Search for a proof to the time limit, also in a sweep. By default, mode full and searches of samples
-        end after a few seconds without one.
+        Search for a proof to the time limit, also in a sweep. By default, mode full and searches of
+        samples end after a few seconds without one.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.
