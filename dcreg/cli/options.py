@@ -271,7 +271,7 @@ class Poses:
     def settings(self) -> tuple[dcreg.PoseRange | None, np.ndarray | None]:
         """Return the range of poses, if it is restricted, and the initial guess."""
         init = None if self.init is None else dcreg.read_pose(self.init)
-        if not self.rotation and (self.axis is not None or self.max_angle < 180.0):
+        if not self.rotation and (self.axis is not None or self.max_angle != 180.0):
             raise dcreg.InputError(
                 "--no-rotation: excludes --axis and --max-angle; omit them, or --no-rotation"
             )
@@ -279,7 +279,7 @@ class Poses:
             None if self.axis is None else parse_axis(self.axis),
             self.max_angle if self.rotation else 0.0, self.max_translation, init,
         )  # fmt: skip
-        is_free = given.axis is None and given.max_angle >= 180.0
+        is_free = given.axis is None and given.max_angle == 180.0
         return None if is_free and math.isinf(given.max_translation) else given, init
 
 

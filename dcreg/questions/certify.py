@@ -70,7 +70,7 @@ class Certified:
     angle_deg: float
     result: Result
 
-    question = "certification"
+    question = "given pose"
 
     @property
     def warnings(self) -> list[str]:
