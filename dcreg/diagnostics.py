@@ -7,7 +7,7 @@ apply. The line says what is wrong and what to do. `warnings_for` applies all `R
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,18 +21,14 @@ from dcreg.problem import (
     apply_pose,
     exact_objective,
     median_spacing,
-    nearest_rotation,
     rms_radius,
-    rotation_angle_deg,
     rounding_error,
     typical_radius,
 )
-from dcreg.result import Result, RunnerUp
+from dcreg.result import Result
 from dcreg.status import Status
 
 _MANY_POINTS, _VERY_MANY_POINTS = 1000, 4000
-# Poses differ if they displace the source by more than this fraction of the target's RMS radius.
-DISTINCT = 0.2
 _MUCH_LARGER = 100.0
 FAR = 10.0  # RMS radius divided by typical radius, from which points count as far
 _OTHER_SIZE = 10.0
@@ -364,37 +360,3 @@ def warnings_for(case: Case) -> list[str]:
     if case.result.status is Status.REFUTED:
         return []
     return [line for rule in RULES if (line := rule(case)) is not None]
-
-
-def find_runner_up(
-    problem: Problem, T: np.ndarray, objective: float, ends: Iterable[tuple[np.ndarray, float]]
-) -> RunnerUp | None:
-    """Return the cheapest of the `ends` that differs from the pose `T`, or None.
-
-    Parameters
-    ----------
-    problem : Problem
-    T : (d+1, d+1) array
-    objective : float
-        The objective at `T`.
-    ends : iterable of (pose, objective)
-        Final poses of local searches, in the coordinates of the clouds.
-    """
-    source, target, d = problem.source, problem.target, problem.dim
-    minimum = DISTINCT * rms_radius(target)
-    centre = source.mean(axis=0)
-    covariance = np.cov(source, rowvar=False, bias=True).reshape(d, d)
-
-    def displacement(other: np.ndarray) -> float:
-        linear, shift = other[:d, :d] - T[:d, :d], other[:d, d] - T[:d, d]
-        squared = ((linear @ centre + shift) ** 2).sum() + np.trace(linear @ covariance @ linear.T)
-        return float(np.sqrt(max(squared, 0.0)))  # rounding can make it negative
-
-    others = [end for end in ends if np.isfinite(end[1]) and displacement(end[0]) > minimum]
-    if not others:
-        return None
-    other, value = min(others, key=lambda end: end[1])
-    rounding = exact_objective(source, target, problem.n_inliers)
-    angle = rotation_angle_deg(nearest_rotation(other[:d, :d] @ T[:d, :d].T))
-    ratio = (value + rounding) / (objective + rounding)
-    return RunnerUp(other, ratio, abs(angle), displacement(other))

@@ -14,11 +14,11 @@ from dcreg.assignment.descent import polish
 from dcreg.assignment.large import descend, greedy_seconds, near_value, quick_value
 from dcreg.assignment.objective import Matched, is_large, objective, quick_objective
 from dcreg.assignment.sparse import tree_of
-from dcreg.diagnostics import find_runner_up
 from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE, NORM_PAIRS
 from dcreg.problem import InputError, Problem, representative_points
 from dcreg.problem.geometry import exact_objective, rounding_error, sampled_pairs
 from dcreg.result import Result, Sample, Stage
+from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget
 from dcreg.status import Status
 

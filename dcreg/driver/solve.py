@@ -13,7 +13,7 @@ import numpy as np
 from dcreg.assignment.objective import Matched, is_large, objective, quick_objective
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
-from dcreg.diagnostics import Case, advice, find_runner_up, warnings_for
+from dcreg.diagnostics import Case, advice, warnings_for
 from dcreg.driver.downsample import (
     ALL_POINTS,
     Pose,
@@ -40,6 +40,7 @@ from dcreg.problem import (
 )
 from dcreg.problem.geometry import exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
+from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget, Event, Listener
 from dcreg.status import Status
 

@@ -8,7 +8,7 @@ from scipy.spatial.distance import cdist
 
 import dcreg
 from dcreg import diagnostics
-from dcreg.diagnostics import find_runner_up
+from dcreg.runner_up import find_runner_up
 from dcreg.result import Sample
 from dcreg.status import Status
 from tests.problems import register
