@@ -41,6 +41,8 @@ def record(
         lower_bound = min(lower_bound, found.upper_bound - gap_tol)
         needed = found.upper_bound - gap_tol
     pairs, is_empty = problem.candidates, np.isinf(boxes["bounds"])
+    # with `max_rms`, boxes are no longer divided from a smaller bound on
+    is_open = boxes["is_open"] | (boxes["bounds"] < found.upper_bound - gap_tol)
     return Certificate(
         source_digest=digest(problem.source),
         target_digest=digest(problem.target),
@@ -56,7 +58,7 @@ def record(
         leaf_upper=boxes["upper"],
         # no more than the statement needs: larger bounds are expensive to prove again
         leaf_bounds=np.where(is_empty, np.inf, np.minimum(boxes["bounds"], needed)),
-        leaf_reasons=np.select([is_empty, boxes["is_open"]], [INADMISSIBLE, OPEN], PRUNED),
+        leaf_reasons=np.select([is_empty, is_open], [INADMISSIBLE, OPEN], PRUNED),
         theta=found.theta,
         lower_bound=lower_bound,
         upper_bound=found.upper_bound,

@@ -54,9 +54,9 @@ class Boxes(NamedTuple):
     half: np.ndarray
     shift: np.ndarray
 
-    def __getitem__(self, rows: np.ndarray) -> Boxes:  # type: ignore[override]
+    def some(self, rows: np.ndarray) -> Boxes:
         """Return some of the boxes."""
-        return Boxes(*(np.asarray(value)[rows] for value in self))
+        return Boxes(*(value[rows] for value in self))
 
 
 class RigidPoses(Objective):
@@ -157,7 +157,7 @@ class RigidPoses(Objective):
         small = np.flatnonzero((boxes.tangent <= WIDE) & (displaced < DISPLACED))
         if not small.size:
             return bounds
-        boxes, displaced = boxes[small], displaced[small]
+        boxes, displaced = boxes.some(small), displaced[small]
         costs = _squared_distances(boxes.moved, boxes.fixed) + self.penalty
         solved = [self._solve(cost) for cost in costs]
         columns = np.array([each[1] for each in solved])
@@ -174,12 +174,12 @@ class RigidPoses(Objective):
         duals = np.array([duals_of(solved[at][0], columns[at])[:m] for at in left])
         rows = (costs[left] + duals[:, None]).min(axis=2)[:, None, None]
         cost = sum_of_smallest(rows - squares[left], self.k).min(axis=(1, 2)) - duals.sum(axis=1)
-        found = self.proven(boxes[left], cost)
+        found = self.proven(boxes.some(left), cost)
         again = np.flatnonzero((found < needed) & is_linear[left])
         if again.size:
             rest = left[again]
             found[again] = np.maximum(
-                found[again], self.cayley_bound(boxes[rest], columns[rest], duals[again])
+                found[again], self.cayley_bound(boxes.some(rest), columns[rest], duals[again])
             )
         bounds[small[left]] = found
         return bounds

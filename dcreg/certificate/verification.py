@@ -179,6 +179,9 @@ def _check(
     check_claim(c, slack, exact)
     report.checks.append("the stated bounds, reasons and tolerance are consistent")
     if objective.only_optima:  # then no single pose contradicts more than the claim
+        most = max(c.lower_bound, c.upper_bound - c.gap_tol) + slack
+        high = np.flatnonzero(c.leaf_bounds > most)
+        require(not high.size, f"leaf_bounds: leaf {high[:1]} states more than the claim needs")
         c = replace(c, leaf_bounds=np.minimum(c.leaf_bounds, c.lower_bound))
     check_start_box(objective, c.start_lower, c.start_upper)
     report.checks.append("the start box contains every optimum")
@@ -261,12 +264,12 @@ def objective_of(c: Certificate, source: np.ndarray, target: np.ndarray) -> Obje
     """Return the objective of the certificate over the normalised clouds."""
     n, m = len(source), len(target)
     is_dense = n * m <= MAX_DENSE
-    clouds = [(source - c.source_centre) / c.unit, (target - c.target_centre) / c.unit]
+    moving, fixed = (source - c.source_centre) / c.unit, (target - c.target_centre) / c.unit
     pairs = feasible_pairs(c, n, m) if is_dense else None
     if c.model == "rigid3d" and n > m:  # the smaller cloud moves
-        clouds.reverse()
+        moving, fixed = fixed, moving
         pairs = None if pairs is None else pairs.T
-    objective = OBJECTIVES[c.model](*clouds, c.n_inliers, tuple(c.scale_range), pairs)
+    objective = OBJECTIVES[c.model](moving, fixed, c.n_inliers, tuple(c.scale_range), pairs)
     if not is_dense and (len(c.candidates) or not objective.is_sorted_order):
         raise CertificateError(f"cannot be checked: {n} x {m} pairs exceed {MAX_DENSE:,}")
     return objective
