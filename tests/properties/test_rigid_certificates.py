@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import dcreg
-from dcreg.certificate.rigid import RigidPoses
+from dcreg.certificate.assignment import cheapest_pairs
+from dcreg.certificate.rigid import Boxes, RigidPoses
 from dcreg.certificate.verification import objective_of
 from dcreg.problem.geometry import apply_pose, fit_pose
 from tests.problems import SEEDS, cloud_pairs, register
@@ -95,3 +96,49 @@ def quaternion(T):
     x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
     q = np.array([w, x, y, z])
     return np.append(q / q[np.argmax(np.abs(q))], T[:3, 3])
+
+
+@settings(max_examples=200, deadline=None)
+@given(SEEDS, st.integers(2, 6), st.sampled_from([0.1, 1.0, 3.0]))
+def test_displacements_bound_a_stationary_pose(seed, k, noise):
+    """Also where the third-order terms matter: far from the centre, with noise and an eccentric cloud."""
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((k, 3)) + rng.uniform(-3.0, 3.0, 3)
+    y = x + noise * rng.standard_normal((k, 3))
+    T = fit_pose(x, y, (1.0, 1.0))
+    optimum = float(((apply_pose(T, x) - y) ** 2).sum())
+    objective = RigidPoses(x, y, k, (1.0, 1.0))
+    for _ in range(20):
+        axis = rng.standard_normal(3)
+        r = rng.uniform(0.05, 0.6) * axis / np.linalg.norm(axis)
+        s = rng.uniform(0.0, 2.0) * rng.standard_normal(3)
+        if rng.random() < 0.5:  # along the drift of the cloud
+            s = np.linalg.norm(s) * np.cross(r, np.cross(r, x.mean(axis=0))) / (r @ r)
+        turn = Rotation.from_quat(np.append(r, 1.0)).as_matrix()
+        moved = x @ (turn.T @ T[:3, :3]).T  # at the centre of the box; the optimum is turned by r
+        fixed = y - (T[:3, 3] - s)
+        cost = ((moved - fixed) ** 2 - (2.0 * np.cross(r, moved) + s) ** 2).sum()
+        boxes = Boxes(
+            moved[None], fixed[None], np.tile(r, (1, 8, 1)), np.array([np.linalg.norm(r)]),
+            np.abs(s)[None], np.array([np.linalg.norm(s)]),
+        )  # fmt: skip
+        assert objective.proven(boxes, np.array([cost]))[0] <= optimum * (1.0 + 1e-9) + 1e-9
+
+
+@settings(max_examples=200, deadline=None)
+@given(PAIRS, SEEDS, st.sampled_from([0.5, 0.2]), st.sampled_from([0.0, 0.3, 1.0]))
+def test_cayleys_form_bounds_every_pose_of_a_box(problem, seed, turn, shift):
+    source, target, k = problem
+    if len(source) > len(target):
+        source, target = target, source
+    objective, rng = RigidPoses(source, target, k, (1.0, 1.0)), np.random.default_rng(seed)
+    centre = np.concatenate([[1.0], rng.uniform(-0.5, 0.5, 3), rng.standard_normal(3)])
+    half = np.concatenate([[0.0], turn * rng.random(3), shift * rng.random(3)])
+    lower, upper = (centre - half)[None], (centre + half)[None]
+    boxes = objective.boxes(lower, upper)
+    ends = rng.choice([-1.0, 1.0], (60, 7))
+    thetas = centre + half * np.concatenate([ends, rng.uniform(-1.0, 1.0, (40, 7))])
+    least = min(objective.value(theta) for theta in thetas)
+    columns = cheapest_pairs(objective.costs(centre), k)[1][None]
+    for duals in np.zeros((1, len(target))), rng.random((1, len(target))):
+        assert objective.cayley_bound(boxes, columns, duals)[0] <= least + 1e-8
