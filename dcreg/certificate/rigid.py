@@ -129,14 +129,22 @@ class RigidPoses(Objective):
     # --- bounds over boxes
 
     def own_bounds(self) -> list[BoxBound]:
-        return [self.nearest_bound, self.optimum_bound]
+        return [self.nearest_bound]
 
     def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """Bound by spherical caps: nearest points of either cloud, or pairs if these may suffice."""
+        """Bound the optima in boxes by caps, and those in small boxes by the other bounds."""
         boxes = self.boxes(lower, upper)
+        bounds = self.cap_bound(boxes, needed)
+        left = np.flatnonzero((bounds < needed) & (boxes.tangent <= WIDE))
+        if left.size:
+            bounds[left] = np.maximum(bounds[left], self.optimum_bound(boxes.some(left), needed))
+        return bounds
+
+    def cap_bound(self, boxes: Boxes, needed: float) -> np.ndarray:
+        """Bound by spherical caps: nearest points of either cloud, or pairs if these may suffice."""
         costs = self.cap_costs(boxes)
         loss = self.k * boxes.shift**2
-        bounds, plain = np.zeros(len(lower)), np.zeros(len(lower))
+        bounds, plain = np.zeros(len(costs)), np.zeros(len(costs))
         for axis in (2, 1):
             nearest = costs.min(axis=axis)
             beyond = np.maximum(np.sqrt(nearest) - boxes.shift[:, None], 0.0)
@@ -148,13 +156,13 @@ class RigidPoses(Objective):
             bounds[at] = max(bounds[at], self._solve(costs[at])[2] - loss[at])
         return bounds
 
-    def optimum_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
+    def optimum_bound(self, boxes: Boxes, needed: float) -> np.ndarray:
         """Bound the stationary poses in small boxes, by displacements to the centre or Cayley's form."""
-        bounds, boxes = np.zeros(len(lower)), self.boxes(lower, upper)
+        bounds = np.zeros(len(boxes.half))
         # an upper bound on the sum of the squared displacements, relative to the bound needed
         reach = 2.0 * np.arctan(boxes.tangent) * self.radius + boxes.shift
         displaced = self.k * reach**2 / needed
-        small = np.flatnonzero((boxes.tangent <= WIDE) & (displaced < DISPLACED))
+        small = np.flatnonzero(displaced < DISPLACED)
         if not small.size:
             return bounds
         boxes, displaced = boxes.some(small), displaced[small]

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.certificate.assignment import cheapest_pairs
-from dcreg.certificate.rigid import Boxes, RigidPoses
+from dcreg.certificate.rigid import WIDE, Boxes, RigidPoses
 from dcreg.certificate.verification import objective_of
 from dcreg.problem.geometry import apply_pose, fit_pose
 from tests.problems import SEEDS, cloud_pairs, register
@@ -87,8 +87,11 @@ def test_no_box_around_the_optimum_is_proven_above_it(problem, seed, size, is_ti
     if is_tilted:  # a flat axis
         lower[:, 4] = upper[:, 4] = theta[4]
     for needed in (truth * 1.001 + 1e-6, 2.0 * truth + 1e-3):
-        for bound in objective.own_bounds():
-            assert (bound(lower, upper, needed) <= truth + 1e-8).all()
+        boxes = objective.boxes(lower, upper)
+        near = boxes.some(boxes.tangent <= WIDE)
+        assert (objective.cap_bound(boxes, needed) <= truth + 1e-8).all()
+        assert (objective.optimum_bound(near, needed) <= truth + 1e-8).all()
+        assert (objective.nearest_bound(lower, upper, needed) <= truth + 1e-8).all()
 
 
 def quaternion(T):
