@@ -343,12 +343,13 @@ def _matrices(quaternions: np.ndarray) -> np.ndarray:
 def _largest_mean(points: np.ndarray, count: int) -> float:
     """Return an upper bound on the norm of the mean of `count` points.
 
-    It is the maximum over all directions of the mean of the largest projections. A direction is at an
+    It is at most the mean of the largest norms. It is the maximum over all directions of the mean of the
+    largest projections. A direction is at an
     angle of at most ``2 asin(sqrt(1/2) / cells)`` from the centre of its cell on a face of a cube.
     """
     if count == len(points):
         return float(np.linalg.norm(points.mean(axis=0)))
-    best = np.inf
+    best = -sum_of_smallest(-np.linalg.norm(points, axis=1), count) / count
     for cells in (8, 24):
         steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
         face = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
