@@ -23,7 +23,7 @@ from dcreg.certificate.objective import BoxBound, Objective
 WIDE = 0.6  # tangent of half the angle from which the bound by displacements is vacuous
 # Squared displacements in a box, as multiples of the bound needed, up to which two bounds are tried.
 DISPLACED, LINEAR = 100.0, 16.0
-WORTH_ASSIGNMENT = 0.6  # share of the bound needed from which the pairs of caps are assigned
+WORTH_ASSIGNMENT = 0.7  # share of the bound needed from which the pairs of caps are assigned
 MAX_CELLS = 1 << 16  # costs held at once
 BITS = (np.arange(8)[:, None] >> np.arange(3)) & 1
 
