@@ -12,7 +12,9 @@ from dcreg.families.registry import make_bound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.families.translation3d.space import Translation3D
 from dcreg.problem import Frame, Problem
+from dcreg.problem.geometry import apply_pose, fit_pose
 from dcreg.search import Budget, Tolerance, minimise
+from tests.problems import register
 
 DIM = {"similarity2d": 2, "translation3d": 3}
 
@@ -64,6 +66,19 @@ def made_case(model):
     assert len(certificate.leaf_bounds) > 20
     assert certificate.lower_bound > 0
     return certificate, source, target
+
+
+@cache
+def rigid_case(extra=0, **options):
+    """A certificate of rigid 3D poses, with its clouds; with outliers, the source is the larger one."""
+    source, target = clouds("translation3d", n=8, extra=extra)
+    pose = np.linalg.inv(fit_pose(source[:8], target[:8], (1.0, 1.0)))
+    source[:8] += 0.9 * (apply_pose(pose, target[:8]) - source[:8])  # a tenth of the noise
+    target = target[: 8 + max(0, extra - 1)]
+    result = register(
+        source, target, n_inliers=8, model="rigid3d", certificate=True, prove=True, **options
+    )
+    return result.certificate, source, target
 
 
 def check(tmp_path, certificate, source, target, **options):

@@ -22,7 +22,11 @@ from dcreg.files import whole_file
 
 FORMAT = "dcreg leaf cover"
 FORMAT_VERSION = 4
-MODELS = ("similarity2d", "translation3d")
+MODELS = {  # dimension of the points, and number of parameters
+    "similarity2d": (2, 4),
+    "translation3d": (3, 3),
+    "rigid3d": (3, 7),
+}
 LARGEST = 1e150  # absolute value of an entry: its square is a number
 
 # Why a leaf was not divided further.
@@ -66,8 +70,10 @@ class Certificate:
     ----------
     source_digest, target_digest : str
         `digest` of the clouds as given to `dcreg.register`.
-    model : {"similarity2d", "translation3d"}
-        2D similarity poses, or translations in norm space about `target_centre`.
+    model : {"similarity2d", "translation3d", "rigid3d"}
+        2D similarity poses, translations in norm space about `target_centre`, or rigid 3D poses. The
+        last ones are quaternions and translations that move the smaller cloud, the source if both have
+        the same size.
     mode, bound, status : str
         How the leaves were found, for information only, except that ``status == "optimal"`` claims a
         closed gap, and a lower bound above 0 or an exact fit.
@@ -79,7 +85,7 @@ class Certificate:
     start_lower, start_upper : (d,) arrays
     leaf_lower, leaf_upper : (L, d) arrays
     leaf_bounds : (L,) array
-        +inf only for inadmissible leaves.
+        +inf only for inadmissible leaves. Rigid 3D poses: bounds on the optima in the leaf.
     leaf_reasons : (L,) int8 array
         PRUNED, INADMISSIBLE or OPEN.
     theta : (d,) array
@@ -217,10 +223,9 @@ def check_shapes(c: Certificate) -> None:
     CertificateError
         Naming the entry.
     """
-    require(
-        c.model in MODELS, f"model {c.model!r} is unknown; a certificate refers to one of {MODELS}"
-    )
-    dim, d = (2, 4) if c.model == "similarity2d" else (3, 3)
+    is_known = c.model in MODELS
+    require(is_known, f"model {c.model!r} is unknown; a certificate refers to one of {(*MODELS,)}")
+    dim, d = MODELS[c.model]
     count = len(np.atleast_1d(c.leaf_bounds))
     shapes: tuple[tuple[tuple[int, ...], tuple[str, ...]], ...] = (
         ((2,), ("scale_range",)),

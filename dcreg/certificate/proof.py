@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcreg.certificate.format import INADMISSIBLE, Certificate, CertificateError, UnprovenError
-from dcreg.certificate.objectives import Objective
+from dcreg.certificate.objective import Objective
 
 TANGENT_STEPS = 10  # attempts to find a better tangent point
 # Coordinates are equal if they differ by less than this fraction of the start box, or of the clouds if
@@ -23,7 +23,11 @@ Progress = Callable[[int, int], None]
 
 
 def check_partition(
-    start_lower: np.ndarray, start_upper: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    start_lower: np.ndarray,
+    start_upper: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    numbers: np.ndarray | None = None,
 ) -> None:
     """Check that the leaves are a partition of the start box: no gap, no overlap, nothing outside.
 
@@ -37,14 +41,19 @@ def check_partition(
         Start box, in normalised units.
     lower, upper : (L, d) arrays
         Leaf boxes.
+    numbers : (L,) int array, optional
+        Their numbers in messages; by default, 0 to L - 1.
 
     Raises
     ------
     CertificateError
         Naming a leaf next to the gap or in the overlap.
     """
+    numbers = np.arange(len(lower)) if numbers is None else numbers
     if not (lower <= upper).all():
-        raise CertificateError(f"leaf {np.argmin((lower <= upper).all(axis=1))} is not a box")
+        raise CertificateError(
+            f"leaf {numbers[np.argmin((lower <= upper).all(axis=1))]} is not a box"
+        )
     grid = _Grid.of(start_lower, start_upper, lower, upper)
     wide = np.flatnonzero(grid.first < grid.last)  # a flat axis cannot be divided
     parts = [(grid.first, grid.last, np.arange(len(lower)))]
@@ -54,10 +63,10 @@ def check_partition(
             leaf = leaves[0]
             if (grid.low[leaf] != first).any() or (grid.high[leaf] != last).any():
                 raise CertificateError(
-                    f"leaves: a gap or a part outside of the start box next to leaf {leaf}"
+                    f"leaves: a gap or a part outside of the start box next to leaf {numbers[leaf]}"
                 )
             continue
-        axis, cut, left, right = _cut(grid, leaves, wide)
+        axis, cut, left, right = _cut(grid, leaves, wide, numbers)
         cut_last, cut_first = last.copy(), first.copy()
         cut_last[axis] = cut_first[axis] = cut
         parts += [(first, cut_last, left), (cut_first, last, right)]
@@ -100,7 +109,7 @@ class _Grid(NamedTuple):
 
 
 def _cut(
-    grid: _Grid, leaves: np.ndarray, axes: np.ndarray
+    grid: _Grid, leaves: np.ndarray, axes: np.ndarray, numbers: np.ndarray
 ) -> tuple[int, int, np.ndarray, np.ndarray]:
     """Return a plane that crosses none of `leaves`: its axis and rank, and the leaves on either side.
 
@@ -123,7 +132,8 @@ def _cut(
         if best[0] == 0.0:
             break
     if best is None:
-        raise CertificateError(f"leaves: {leaves[0]} and {leaves[1]} or others near them overlap")
+        one, other = numbers[leaves[:2]]
+        raise CertificateError(f"leaves: {one} and {other} or others near them overlap")
     return best[1:]
 
 
@@ -152,7 +162,9 @@ class Proof:
         self.max_boxes = max_boxes
         self.progress = progress
         self.n_boxes = 0  # bounded in all calls of `run`
-        self._bounds = [objective.nearest_bound, objective.interval_bound, self.tangent_bound]
+        self._bounds = objective.own_bounds() or [
+            objective.nearest_bound, objective.interval_bound, self.tangent_bound,
+        ]  # fmt: skip
         if objective.is_sorted_order:  # there the tangent bound needs no assignments and suffices
             self._bounds.remove(objective.interval_bound)
 

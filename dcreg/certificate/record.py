@@ -22,7 +22,7 @@ def record(
     found : Outcome
         With its leaves.
     start : Box
-        Its only root.
+        Its root; if there are several, the smallest box that contains all of them.
     problem : Problem
         As given, in its own units.
     frame : Frame
@@ -35,7 +35,14 @@ def record(
     assert found.leaves is not None
     boxes = found.leaves.arrays()
     needed = max(found.lower_bound, found.upper_bound - gap_tol)
+    lower_bound = found.lower_bound
+    if names["model"] == "rigid3d" and found.upper_bound > gap_tol:
+        # the tolerance needs no more, and in six dimensions a larger bound takes many more boxes
+        lower_bound = min(lower_bound, found.upper_bound - gap_tol)
+        needed = found.upper_bound - gap_tol
     pairs, is_empty = problem.candidates, np.isinf(boxes["bounds"])
+    # with `max_rms`, boxes are no longer divided from a smaller bound on
+    is_open = boxes["is_open"] | (boxes["bounds"] < found.upper_bound - gap_tol)
     return Certificate(
         source_digest=digest(problem.source),
         target_digest=digest(problem.target),
@@ -51,9 +58,9 @@ def record(
         leaf_upper=boxes["upper"],
         # no more than the statement needs: larger bounds are expensive to prove again
         leaf_bounds=np.where(is_empty, np.inf, np.minimum(boxes["bounds"], needed)),
-        leaf_reasons=np.select([is_empty, boxes["is_open"]], [INADMISSIBLE, OPEN], PRUNED),
+        leaf_reasons=np.select([is_empty, is_open], [INADMISSIBLE, OPEN], PRUNED),
         theta=found.theta,
-        lower_bound=found.lower_bound,
+        lower_bound=lower_bound,
         upper_bound=found.upper_bound,
         gap_tol=gap_tol,
         candidates=np.empty((0, 2)) if pairs is None else np.argwhere(pairs),

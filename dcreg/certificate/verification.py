@@ -11,7 +11,7 @@ too many boxes, the smaller bound that the stated tolerance permits is proven in
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,8 @@ from dcreg.certificate.format import (
     read,
     require,
 )
-from dcreg.certificate.objectives import OBJECTIVES, Objective
+from dcreg.certificate.objective import Objective
+from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Progress, Proof, check_partition
 
 MAX_DENSE = 4_000_000  # pairs of points up to which cost matrices are formed
@@ -103,8 +104,8 @@ def verify(
     source, target : (n, d), (m, d) arrays
         Exactly as given to `dcreg.register`.
     max_boxes : int, optional
-        The proof of a bound fails after this number of boxes; default 1000 plus 20 per leaf. The smaller
-        bound that the tolerance permits is then tried with as many.
+        The proof of a bound fails after this number of boxes; default 1000 plus 20 per leaf, or 60 for
+        rigid 3D poses. The smaller bound that the tolerance permits is then tried with as many.
     n_samples : int
         Number of random parameters that are compared with the bounds of their leaves.
     progress : callable, optional
@@ -173,20 +174,27 @@ def _check(
 
     objective = objective_of(c, source, target)
     # rounding: relative to the claim, and to a residual of the size of the cloud
-    slack = 1e-9 * abs(c.lower_bound) + 1e-12 * c.n_inliers
+    slack = 1e-9 * abs(c.lower_bound) + 1e-12 * c.n_inliers + objective.rounding
     exact = exact_up_to(c, source, target)
     check_claim(c, slack, exact)
     report.checks.append("the stated bounds, reasons and tolerance are consistent")
+    if objective.only_optima:  # then no single pose contradicts more than the claim
+        most = max(c.lower_bound, c.upper_bound - c.gap_tol) + slack
+        high = np.flatnonzero(c.leaf_bounds > most)
+        require(not high.size, f"leaf_bounds: leaf {high[:1]} states more than the claim needs")
+        c = replace(c, leaf_bounds=np.minimum(c.leaf_bounds, c.lower_bound))
     check_start_box(objective, c.start_lower, c.start_upper)
     report.checks.append("the start box contains every optimum")
-    check_partition(c.start_lower, c.start_upper, c.leaf_lower, c.leaf_upper)
+    for lower, upper, leaves in objective.roots(c):
+        check_partition(lower, upper, c.leaf_lower[leaves], c.leaf_upper[leaves], leaves)
     report.checks.append("the leaves are a partition of the start box")
     try:
         check_optimum(objective, c, slack)
         report.checks.append(f"the stated parameter attains {report.upper_bound:.9g}")
         tried = check_samples(objective, c, slack, n_samples)
         report.checks.append(f"none of {tried} sampled parameters is below the bound of its leaf")
-        proof = Proof(objective, slack, max_boxes or 1000 + 20 * len(c.leaf_bounds), progress)
+        most = max_boxes or 1000 + objective.boxes_per_leaf * len(c.leaf_bounds)
+        proof = Proof(objective, slack, most, progress)
         lower_bound = _prove(report, proof, c)
     finally:
         report.n_assignments = objective.n_assignments
@@ -256,13 +264,12 @@ def objective_of(c: Certificate, source: np.ndarray, target: np.ndarray) -> Obje
     """Return the objective of the certificate over the normalised clouds."""
     n, m = len(source), len(target)
     is_dense = n * m <= MAX_DENSE
-    objective = OBJECTIVES[c.model](
-        (source - c.source_centre) / c.unit,
-        (target - c.target_centre) / c.unit,
-        c.n_inliers,
-        tuple(c.scale_range),
-        feasible_pairs(c, n, m) if is_dense else None,
-    )
+    moving, fixed = (source - c.source_centre) / c.unit, (target - c.target_centre) / c.unit
+    pairs = feasible_pairs(c, n, m) if is_dense else None
+    if c.model == "rigid3d" and n > m:  # the smaller cloud moves
+        moving, fixed = fixed, moving
+        pairs = None if pairs is None else pairs.T
+    objective = OBJECTIVES[c.model](moving, fixed, c.n_inliers, tuple(c.scale_range), pairs)
     if not is_dense and (len(c.candidates) or not objective.is_sorted_order):
         raise CertificateError(f"cannot be checked: {n} x {m} pairs exceed {MAX_DENSE:,}")
     return objective

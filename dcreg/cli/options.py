@@ -182,7 +182,8 @@ class Search:
         Feasible pairs: two columns, source row and target row, counted from 0. Default: all pairs.
     mode : NAME
         Search mode. In 2D: {modes_2d}. In 3D: {modes_3d}. Default: {auto}, which in 3D selects full, or
-        paper if a bound or a certificate is requested or more than 4 million point pairs are searched.
+        paper if a bound is requested, for more than 4 million point pairs, or with a certificate for
+        more than 160 thousand.
     bound : NAME
         Lower bounding function: {bounds}; 'a+b' takes the maximum of two.
     start_box : NAME

@@ -21,7 +21,7 @@ from dcreg.jit import when_compiling
 from dcreg.names import AUTO, DEFAULT_BOUND, MODEL_DIM, mode_names
 from dcreg.problem import InputError, Problem, suggestion
 from dcreg.result import Stage
-from dcreg.search import Bound, Boxes, Budget, Interrupted, Outcome, Start, minimise
+from dcreg.search import Bound, Box, Boxes, Budget, Interrupted, Outcome, Start, minimise
 from dcreg.search.space_search import Cover
 from dcreg.status import Status
 
@@ -43,6 +43,8 @@ LARGE_PAIRS = {2: 1_000_000, 3: 1_000_000}
 LARGE_SAMPLE = {2: 300, 3: 400}
 # In 3D, point pairs above which norms are searched, unless a sample is.
 NORM_PAIRS = 4_000_000
+# In 3D, point pairs up to which a certificate is one of rigid poses: it is searched without a cover.
+CERTIFIED_PAIRS = 160_000
 # Share of the time for the translation search; the rotation search follows.
 TRANSLATION_SHARE = 0.8
 
@@ -67,11 +69,11 @@ def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = 
     """Return the mode that gives the best pose for the time.
 
     In 3D this is ``full``, which had the highest success rate over all shapes, disturbances, sizes and
-    limits measured (``make modes``). It is ``paper`` if a certificate or a bound is requested, or if more
-    than `NORM_PAIRS` point pairs are searched.
+    limits measured (``make modes``). It is ``paper`` if a bound is requested, if more than `NORM_PAIRS`
+    point pairs are searched, or if a certificate of more than `CERTIFIED_PAIRS` is requested.
     """
     pairs = len(problem.source) * len(problem.target)
-    only_paper = certificate or bound is not None or pairs > NORM_PAIRS
+    only_paper = bound is not None or pairs > (CERTIFIED_PAIRS if certificate else NORM_PAIRS)
     if problem.model == "similarity2d" or (only_paper and problem.pose_range is None):
         return "paper"
     return "full"
@@ -197,7 +199,7 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     space = attempt.space
     solution = Solution(
         np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,
-        certified=(attempt.bound.roots[0], found),
+        certified=(box_around(attempt.bound.roots), found),
     )  # fmt: skip
     for _, each in attempts:
         solution.add(mode.stage, each)
@@ -205,6 +207,12 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
         solution.stages += starmap(Stage, each.abandoned_s.items())
     recover_pose(mode, problem, space, found.theta, budget, solution)
     return solution
+
+
+def box_around(boxes: list[Box]) -> Box:
+    """Return the smallest box that contains all of `boxes`."""
+    each = Boxes.of(boxes)
+    return Box(each.lower.min(axis=0), each.upper.max(axis=0))
 
 
 @dataclass

@@ -40,8 +40,9 @@ class SolveOptions:
         Refine the final pose locally on the full objective. The result reports this separately from the
         certificate.
     certificate : bool
-        Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verify`. Mode ``paper``
-        only; in 3D the certificate covers the translation.
+        Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verify`. In 3D, mode
+        ``full`` certifies the rigid pose; by default it is selected up to 160,000 point pairs. Mode
+        ``paper`` certifies the translation in norm space.
     downsample : int, optional
         Search with at most this many points of each cloud, chosen by farthest-point sampling after
         outlier removal, and refine the pose on all points. An integer `n_inliers` refers to the full

@@ -109,7 +109,6 @@ RANGES = {
 }
 IN_3D = {
     "bound of full": (("--mode", "full", "--bound", "dc"), "--bound: mode 'full'", "mode"),
-    "certificate of full": (("--mode", "full", "--certificate", "c.npz"), "--certificate", "mode"),
     "scale": (("--scale-range", "0.9", "1.1"), "--scale-range: (0.9, 1.1)", "leave it out"),
     "unknown mode": (("--mode", "best"), "--mode: 'best' is unknown", "known: "),
     "misspelled mode": (("--mode", "papr"), "--mode: 'papr'", "did you mean 'paper'"),

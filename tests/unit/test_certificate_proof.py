@@ -16,7 +16,7 @@ from dcreg.certificate.proof import Proof, check_partition
 from dcreg.certificate.verification import verify
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Boxes, LongestEdge
-from tests.certificates import DIM, certify, clouds, made_case
+from tests.certificates import DIM, certify, clouds, made_case, rigid_case
 from tests.problems import models_with_boxes
 
 
@@ -40,8 +40,9 @@ assert not [name for name in sys.modules if name.startswith("numba")]
 """
 
 
-def test_verification_runs_where_the_search_cannot_be_imported(tmp_path, case):
-    certificate, source, target = case
+@pytest.mark.parametrize("model", [*DIM, "rigid3d"])
+def test_verification_runs_where_the_search_cannot_be_imported(tmp_path, model):
+    certificate, source, target = made_case(model) if model in DIM else rigid_case()
     names = [tmp_path / name for name in ("certificate.npz", "source.npy", "target.npy")]
     write(names[0], certificate)
     np.save(names[1], source)

@@ -167,7 +167,8 @@ def test_trace_is_monotone_within_a_stage_and_ends(spatial):
         (1000, 1200, 800, {}, "full"),
         (2100, 2000, 2000, {}, "paper"),
         (30, 30, 30, {"bound": "interval"}, "paper"),
-        (30, 30, 30, {"certificate": True}, "paper"),
+        (30, 30, 30, {"certificate": True}, "full"),
+        (500, 500, 400, {"certificate": True}, "paper"),
     ],
 )
 def test_auto_selects_the_mode_for_the_problem(n, m, k, settings, mode, rng):
@@ -186,7 +187,7 @@ def test_result_states_the_mode_that_ran(asked, spatial):
     assert (full.mode, full.bound, full.certificate_scope) == ("full", "rigid", "rigid pose")
     assert full.status is Status.OPTIMAL
     np.testing.assert_allclose(full.T_target_source, T, atol=1e-5)
-    paper = register(source, target, n_inliers=30, model="rigid3d", mode=asked, certificate=True)
+    paper = register(source, target, n_inliers=30, model="rigid3d", mode=asked, bound="tight")
     assert (paper.mode, paper.certificate_scope) == ("paper", "translation in norm space")
 
 
@@ -198,30 +199,28 @@ def test_full_mode_bounds_the_objective_it_reports(spatial, rng):
     assert result.lower_bound <= result.objective <= result.upper_bound + 1e-9
 
 
-@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
-def test_certificate_of_a_search_is_verified_separately(model, planar, spatial, rng, tmp_path):
+@pytest.mark.parametrize(
+    ("model", "mode"), [("similarity2d", "paper"), ("rigid3d", "paper"), ("rigid3d", "full")]
+)
+def test_certificate_of_a_search_is_verified_separately(
+    model, mode, planar, spatial, rng, tmp_path
+):
     source, target, _ = planar if model == "similarity2d" else spatial
     target = target + 0.05 * rng.standard_normal(target.shape)
-    result = register(source, target, n_inliers=0.8, model=model, mode="paper", certificate=True)
+    result = register(source, target, n_inliers=0.8, model=model, mode=mode, certificate=True)
     result.write_certificate(tmp_path / "proof.npz")
     report = dcreg.verify(tmp_path / "proof.npz", source, target)
     assert report.accepted, report.reason
-    assert report.lower_bound == pytest.approx(result.lower_bound)
+    needed = result.upper_bound - result.gap_tol if mode == "full" else result.lower_bound
+    assert report.lower_bound == pytest.approx(needed)
     assert report.upper_bound == pytest.approx(result.upper_bound)
     assert not dcreg.verify(tmp_path / "proof.npz", source + 1e-3, target).accepted
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"mode": "full", "certificate": True}, "certificate: mode 'full' keeps no leaf boxes"),
-        ({"mode": "full", "bound": "tight"}, "bound: mode 'full' has its own bounds"),
-    ],
-)
-def test_mode_full_refuses_what_it_would_ignore(spatial, options, words):
+def test_mode_full_refuses_what_it_would_ignore(spatial):
     source, target, _ = spatial
-    with pytest.raises(dcreg.InputError, match=words):
-        register(source, target, n_inliers=30, model="rigid3d", **options)
+    with pytest.raises(dcreg.InputError, match="bound: mode 'full' has its own bounds"):
+        register(source, target, n_inliers=30, model="rigid3d", mode="full", bound="tight")
 
 
 def test_a_fixed_scale_leaves_rotation_and_translation(planar):

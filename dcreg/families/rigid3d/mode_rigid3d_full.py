@@ -32,6 +32,7 @@ MODE = Mode(
     make_bound=RigidBound,
     make_cover=make_cover,
     own_bound="rigid",
+    certifies="rigid3d",
     in_region=in_region,
     stage="rigid",
 )

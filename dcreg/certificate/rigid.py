@@ -1,0 +1,361 @@
+"""The objective over rigid poses in 3D, with simple bounds on it, in NumPy and SciPy only.
+
+The smaller cloud moves: theta is a quaternion (w, x, y, z) of any length, then a translation t. The
+quaternions are those of the four facets w, x, y, z = 1 of the cube [-1, 1]^4. A leaf is a box on one of
+the facets times a box of translations. `docs/certificate.md` proves the bounds, which are
+
+- spherical caps: a rotated point stays on a cap around its position at the centre of the box;
+- displacements: an optimum is stationary, so its pairs cost little more at the centre of the box than
+  the squares of their displacements to it;
+- Cayley's form, in which the residuals are linear in the pose.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcreg.certificate.assignment import cheapest_pairs, duals_of, sum_of_smallest
+from dcreg.certificate.format import Certificate, require
+from dcreg.certificate.objective import BoxBound, Objective
+
+WIDE = 0.6  # tangent of half the angle from which the bound by displacements is vacuous
+# Squared displacements in a box, as multiples of the bound needed, up to which two bounds are tried.
+DISPLACED, LINEAR = 100.0, 16.0
+WORTH_ASSIGNMENT = 0.7  # share of the bound needed from which the pairs of caps are assigned
+MAX_CELLS = 1 << 16  # costs held at once
+BITS = (np.arange(8)[:, None] >> np.arange(3)) & 1
+
+
+class Boxes(NamedTuple):
+    """B boxes of poses, relative to their centres.
+
+    Attributes
+    ----------
+    moved : (B, n, 3) array
+        Source, rotated to the centre.
+    fixed : (B, m, 3) array
+        Target, minus the translation of the centre.
+    gibbs : (B, 8, 3) array
+        Gibbs vectors (axis times the tangent of half the angle) of the vertices.
+    tangent : (B,) array
+        Their maximum length; inf if one does not exist.
+    half : (B, 3) array
+        Half widths of the translations.
+    shift : (B,) array
+        Maximum length of a shift.
+    """
+
+    moved: np.ndarray
+    fixed: np.ndarray
+    gibbs: np.ndarray
+    tangent: np.ndarray
+    half: np.ndarray
+    shift: np.ndarray
+
+    def some(self, rows: np.ndarray) -> Boxes:
+        """Return some of the boxes."""
+        return Boxes(*(value[rows] for value in self))
+
+
+class RigidPoses(Objective):
+    """theta = (w, x, y, z, t) moves a point x of the smaller cloud to R x + t."""
+
+    scope = "over all rigid poses"
+    only_optima = True
+    boxes_per_leaf = 60
+
+    def prepare(self) -> None:
+        n, m, k = len(self.source), len(self.target), self.k
+        squares = (self.source**2).sum(axis=1)
+        # a unit step of a coordinate of the quaternion rotates by 1 to 2 radians
+        self.weights = np.array([1.3 * np.sqrt(squares.mean())] * 4 + [1.0] * 3)
+        self.inertia = -float(sum_of_smallest(-squares, k))  # maximum sum of |x|^2 over k points
+        self.mean = _largest_mean(self.source, k)
+        self.radius = float(np.sqrt(squares.max()))
+        reach = 2.0 * (self.radius + float(np.linalg.norm(self.target, axis=1).max()))
+        self.rounding = 16.0 * np.finfo(float).eps * (k + m) * reach**2
+        # any constant is valid; this one keeps infeasible pairs out of optimal matchings
+        self.penalty = np.zeros((1, 1))
+        if self.feasible is not None:
+            self.penalty = np.where(self.feasible, 0.0, k * reach**2)
+        self.n_at_once = max(1, MAX_CELLS // (n * m))
+
+    # --- the objective
+
+    def costs(self, theta: np.ndarray) -> np.ndarray:
+        moved = self.source @ _matrices(theta[None, :4])[0].T + theta[4:]
+        return ((moved[:, None] - self.target) ** 2).sum(axis=2)
+
+    def region(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the region; the optimal translation is (mean of matched y) - R (mean of matched x)."""
+        low = sum_of_smallest(self.target.T, self.k) / self.k
+        high = -sum_of_smallest(-self.target.T, self.k) / self.k
+        return np.append(-np.ones(4), low - self.mean), np.append(np.ones(4), high + self.mean)
+
+    def roots(self, c: Certificate) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Return the four facets times the box of translations, with the leaves on them."""
+        is_cube = (c.start_lower[:4] == -1.0).all() and (c.start_upper[:4] == 1.0).all()
+        require(is_cube, "start box: the quaternions do not span the cube [-1, 1]^4")
+        is_on = (c.leaf_lower[:, :4] == 1.0) & (c.leaf_upper[:, :4] == 1.0)
+        stray = np.flatnonzero(is_on.sum(axis=1) != 1)
+        require(
+            not stray.size, f"leaves: leaf {stray[:1]} does not lie on one facet of quaternions"
+        )
+        roots = []
+        for axis in range(4):
+            lower = c.start_lower.copy()
+            lower[axis] = 1.0
+            leaves = np.flatnonzero(is_on[:, axis])
+            require(leaves.size > 0, f"leaves: a gap: none on facet {axis} of quaternions")
+            roots.append((lower, c.start_upper, leaves))
+        return roots
+
+    def admissible(self, thetas: np.ndarray) -> np.ndarray:
+        """Return whether the quaternion has a direction."""
+        return np.linalg.norm(thetas[:, :4], axis=1) > 0.1
+
+    def lower_bounds(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
+        """Bound by the k smallest distances to the nearest target."""
+        out = np.empty(len(thetas))
+        for at in range(0, len(thetas), self.n_at_once):
+            part = thetas[at : at + self.n_at_once]
+            moved = self.source @ _matrices(part[:, :4]).swapaxes(1, 2) + part[:, None, 4:]
+            costs = _squared_distances(moved, self.target) + self.penalty
+            out[at : at + self.n_at_once] = sum_of_smallest(costs.min(axis=2), self.k)
+        return out - self.rounding
+
+    # --- bounds over boxes
+
+    def own_bounds(self) -> list[BoxBound]:
+        return [self.nearest_bound]
+
+    def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
+        """Bound the optima in boxes by caps, and those in small boxes by the other bounds."""
+        boxes = self.boxes(lower, upper)
+        bounds = self.cap_bound(boxes, needed)
+        left = np.flatnonzero((bounds < needed) & (boxes.tangent <= WIDE))
+        if left.size:
+            bounds[left] = np.maximum(bounds[left], self.optimum_bound(boxes.some(left), needed))
+        return bounds
+
+    def cap_bound(self, boxes: Boxes, needed: float) -> np.ndarray:
+        """Bound by spherical caps: nearest points of either cloud, or pairs if these may suffice."""
+        costs = self.cap_costs(boxes)
+        loss = self.k * boxes.shift**2
+        bounds, plain = np.zeros(len(costs)), np.zeros(len(costs))
+        for axis in (2, 1):
+            nearest = costs.min(axis=axis)
+            beyond = np.maximum(np.sqrt(nearest) - boxes.shift[:, None], 0.0)
+            plain = np.maximum(plain, sum_of_smallest(nearest, self.k))
+            bounds = np.maximum(bounds, sum_of_smallest(beyond**2, self.k))
+        bounds = np.maximum(bounds, plain - loss)
+        is_worth = (bounds < needed) & (plain >= WORTH_ASSIGNMENT * (needed + loss))
+        for at in np.flatnonzero(is_worth):
+            bounds[at] = max(bounds[at], self._solve(costs[at])[2] - loss[at])
+        return bounds
+
+    def optimum_bound(self, boxes: Boxes, needed: float) -> np.ndarray:
+        """Bound the stationary poses in small boxes, by displacements to the centre or Cayley's form."""
+        bounds = np.zeros(len(boxes.half))
+        # an upper bound on the sum of the squared displacements, relative to the bound needed
+        reach = 2.0 * np.arctan(boxes.tangent) * self.radius + boxes.shift
+        displaced = self.k * reach**2 / needed
+        small = np.flatnonzero(displaced < DISPLACED)
+        if not small.size:
+            return bounds
+        boxes, displaced = boxes.some(small), displaced[small]
+        costs = _squared_distances(boxes.moved, boxes.fixed) + self.penalty
+        solved = [self._solve(cost) for cost in costs]
+        columns = np.array([each[1] for each in solved])
+        totals = np.array([each[2] for each in solved])
+        squares = self.displacements(boxes)
+        matched = (columns < costs.shape[2]).astype(float)
+        # the matching at the centre limits what the first bound can prove
+        most = totals - (squares @ matched[:, None, :, None]).max(axis=(1, 2, 3))
+        is_linear = (displaced < LINEAR) & (totals >= needed * (1.0 + boxes.tangent**2))
+        left = np.flatnonzero((self.proven(boxes, most) >= needed) | is_linear)
+        if not left.size:
+            return bounds
+        m = costs.shape[2]
+        duals = np.array([duals_of(solved[at][0], columns[at])[:m] for at in left])
+        rows = (costs[left] + duals[:, None]).min(axis=2)[:, None, None]
+        cost = sum_of_smallest(rows - squares[left], self.k).min(axis=(1, 2)) - duals.sum(axis=1)
+        found = self.proven(boxes.some(left), cost)
+        again = np.flatnonzero((found < needed) & is_linear[left])
+        if again.size:
+            rest = left[again]
+            found[again] = np.maximum(
+                found[again], self.cayley_bound(boxes.some(rest), columns[rest], duals[again])
+            )
+        bounds[small[left]] = found
+        return bounds
+
+    def _solve(self, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the costs with free columns, the optimal column of each row, and the minimum sum."""
+        self.n_assignments += 1
+        wide, columns = cheapest_pairs(cost, self.k)
+        return wide, columns, float(wide[np.arange(len(wide)), columns].sum())
+
+    def boxes(self, lower: np.ndarray, upper: np.ndarray) -> Boxes:
+        """Express B boxes relative to their centres."""
+        centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)[:, 4:]
+        q = centre[:, None, :4]
+        wide = np.argsort(lower[:, :4] - upper[:, :4], axis=1)[:, None, :3]
+        low, high = (np.take_along_axis(ends[:, None, :4], wide, axis=2) for ends in (lower, upper))
+        vertices = np.repeat(q, 8, axis=1)
+        wide = np.repeat(wide, 8, axis=1)
+        np.put_along_axis(vertices, wide, np.where(BITS, high, low), axis=2)
+        # vertex times the conjugate of the centre
+        real = (vertices * q).sum(axis=2, keepdims=True)
+        vector = q[..., :1] * vertices[..., 1:] - vertices[..., :1] * q[..., 1:]
+        vector -= _cross(vertices[..., 1:], q[..., 1:])
+        exists = (real > 0.0).all(axis=(1, 2))
+        gibbs = np.where(exists[:, None, None], vector / np.where(real > 0.0, real, 1.0), 0.0)
+        tangent = np.where(exists, np.sqrt((gibbs**2).sum(axis=2).max(axis=1)), np.inf)
+        return Boxes(
+            self.source @ _matrices(centre[:, :4]).swapaxes(1, 2),
+            self.target - centre[:, None, 4:], gibbs, tangent, half, np.sqrt((half**2).sum(axis=1)),
+        )  # fmt: skip
+
+    def cap_costs(self, boxes: Boxes) -> np.ndarray:
+        """Return (B, n, m) squared distances between targets and the caps of source points.
+
+        A point at the angle phi from the centre of a cap of angle w has the angle max(phi - w, 0) from
+        the cap. The sine of phi is rounded up, so that the distance is rounded down.
+        """
+        angle = 2.0 * np.arctan(boxes.tangent)[:, None, None]
+        cos, sin = np.cos(angle), np.sin(angle)
+        a = (boxes.moved**2).sum(axis=2)[:, :, None]
+        b = (boxes.fixed**2).sum(axis=2)[:, None]
+        inner = boxes.moved @ boxes.fixed.swapaxes(1, 2)
+        length = np.sqrt(a) * np.sqrt(b)
+        near = length * length
+        near *= 1.0 + 1e-14
+        cost = inner * inner
+        near -= cost
+        np.maximum(near, 0.0, out=near)
+        np.sqrt(near, out=near)
+        near *= sin
+        near += np.multiply(inner, cos, out=cost)
+        np.multiply(length, cos, out=cost)
+        np.copyto(near, length, where=inner >= cost)
+        near *= -2.0
+        np.add(a, b, out=cost)
+        cost += near
+        np.maximum(cost, 0.0, out=cost)
+        cost += self.penalty
+        return cost
+
+    @staticmethod
+    def displacements(boxes: Boxes) -> np.ndarray:
+        """Return (B, 8, S, n) squares of ``2 r x x + s`` at the vertices (r, s) of the boxes."""
+        turned = 2.0 * _cross(boxes.gibbs[:, :, None], boxes.moved[:, None])
+        shifts = _signed(boxes.half)[:, None]
+        squares = 2.0 * (shifts @ turned.swapaxes(2, 3))
+        squares += (turned**2).sum(axis=3)[:, :, None]
+        squares += (shifts**2).sum(axis=3)[..., None]
+        return squares
+
+    def proven(self, boxes: Boxes, cost: np.ndarray) -> np.ndarray:
+        """Return the E that solves ``E + root sqrt(E) + rest = cost``; 0 if there is none."""
+        square = boxes.tangent**2
+        root = 4.0 * square / (1.0 + square) * np.sqrt(self.inertia)
+        rest = 4.0 * square / np.sqrt(1.0 + square) * boxes.shift * self.k * self.mean
+        left = np.maximum(cost - rest, 0.0)
+        return (0.5 * (np.sqrt(root * root + 4.0 * left) - root)) ** 2
+
+    def cayley_bound(self, boxes: Boxes, columns: np.ndarray, duals: np.ndarray) -> np.ndarray:
+        """Bound by Cayley's form, linearised at the best pose for the matching at the centre."""
+        reach, h = np.abs(boxes.gibbs).max(axis=1), boxes.half
+        half = h + np.roll(reach, -1, axis=1) * np.roll(h, -2, axis=1)
+        half += np.roll(reach, -2, axis=1) * np.roll(h, -1, axis=1)
+        turn, shift = self._fit(boxes, columns)
+        turn, shift = np.clip(turn, -reach, reach), np.clip(shift, -half, half)
+        moved, fixed = boxes.moved[:, :, None], boxes.fixed[:, None]
+        both = moved + fixed
+        residual = moved - fixed + shift[:, None, None] + _cross(turn[:, None, None], both)
+        torque = _cross(both, residual)
+        constant = (residual**2).sum(axis=3) + self.penalty + duals[:, None]
+        minima = np.full(len(half), np.inf)
+        for r in np.moveaxis(boxes.gibbs - turn[:, None], 1, 0):
+            turned = constant + 2.0 * (torque @ r[:, None, :, None])[..., 0]
+            for s in np.moveaxis(_signed(half) - shift[:, None], 1, 0):
+                rows = (turned + 2.0 * (residual @ s[:, None, :, None])[..., 0]).min(axis=2)
+                minima = np.minimum(minima, sum_of_smallest(rows, self.k))
+        return np.maximum(minima - duals.sum(axis=1), 0.0) / (1.0 + boxes.tangent**2)
+
+    @staticmethod
+    def _fit(boxes: Boxes, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the r and s that minimise the sum of ``|x - y + s + r x (x + y)|^2`` over a matching."""
+        m = boxes.fixed.shape[1]
+        matched = (columns < m)[:, :, None]
+        y = np.take_along_axis(boxes.fixed, np.minimum(columns, m - 1)[:, :, None], axis=1)
+        both, off = (boxes.moved + y) * matched, ((boxes.moved - y) * matched)
+        eye = np.eye(3)
+        turned = _cross(eye[:, None], both[:, None])  # (B, 3, k, 3): for each unit vector r
+        pushed = eye[:, None] * matched[:, None]
+        if not boxes.half.any():
+            pushed = pushed[:, :0]
+        jacobian = np.concatenate([turned, pushed], axis=1).reshape(len(y), -1, 3 * y.shape[1])
+        normal = jacobian @ jacobian.swapaxes(1, 2)
+        normal += 1e-9 * np.eye(normal.shape[1])  # any pose is valid
+        found = -np.linalg.solve(normal, jacobian @ off.reshape(len(y), -1, 1))[..., 0]
+        shift = found[:, 3:] if found.shape[1] > 3 else np.zeros((len(y), 3))
+        return found[:, :3], shift
+
+
+def _squared_distances(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return (..., n, m) squared distances of (..., n, 3) and (..., m, 3) points."""
+    costs = x @ y.swapaxes(-1, -2)
+    costs *= -2.0
+    costs += (x**2).sum(axis=-1)[..., :, None]
+    costs += (y**2).sum(axis=-1)[..., None, :]
+    return np.maximum(costs, 0.0, out=costs)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the cross product along the last axis; faster than NumPy's."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for axis in range(3):
+        one, other = (axis + 1) % 3, (axis + 2) % 3
+        out[..., axis] = a[..., one] * b[..., other] - a[..., other] * b[..., one]
+    return out
+
+
+def _signed(half: np.ndarray) -> np.ndarray:
+    """Return the (B, 8, 3) vertices of boxes around 0; only one if all boxes are flat."""
+    return half[:, None] * (2.0 * BITS - 1.0) if half.any() else half[:, None]
+
+
+def _matrices(quaternions: np.ndarray) -> np.ndarray:
+    """Return the (B, 3, 3) rotations of quaternions of any length."""
+    w, x, y, z = quaternions.T / np.linalg.norm(quaternions, axis=1)
+    rows = (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def _largest_mean(points: np.ndarray, count: int) -> float:
+    """Return an upper bound on the norm of the mean of `count` points.
+
+    It is at most the mean of the largest norms. It is the maximum over all directions of the mean of the
+    largest projections. A direction is at an
+    angle of at most ``2 asin(sqrt(1/2) / cells)`` from the centre of its cell on a face of a cube.
+    """
+    if count == len(points):
+        return float(np.linalg.norm(points.mean(axis=0)))
+    best = -sum_of_smallest(-np.linalg.norm(points, axis=1), count) / count
+    for cells in (8, 24):
+        steps = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
+        face = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        half = np.concatenate([np.insert(face, axis, 1.0, axis=1) for axis in range(3)])
+        half /= np.linalg.norm(half, axis=1, keepdims=True)
+        means = -sum_of_smallest(-(np.concatenate([half, -half]) @ points.T), count) / count
+        farthest = max(0.0, float(means.max()))
+        best = min(best, farthest / np.cos(2.0 * np.arcsin(np.sqrt(0.5) / cells)))
+    return float(best)

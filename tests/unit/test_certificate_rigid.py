@@ -1,0 +1,253 @@
+"""Certificates of rigid poses in 3D: true ones are accepted, edited ones refused."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import dcreg
+from dcreg.certificate import format, read, write
+from dcreg.certificate.rigid import RigidPoses
+from dcreg.certificate.verification import objective_of, verify
+from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.status import Status
+from tests.certificates import rigid_case
+from tests.problems import register
+from tests.unit.test_cli import run
+
+LEAVES = ("leaf_lower", "leaf_upper", "leaf_bounds", "leaf_reasons")
+
+
+@pytest.fixture(scope="module", params=[0, 2], ids=["all match", "outliers"])
+def case(request):
+    certificate, source, target = rigid_case(request.param)
+    assert certificate.status == "optimal"
+    assert certificate.lower_bound > 0
+    return certificate, source, target
+
+
+# --- true certificates ------------------------------------------------------------------------
+
+
+def test_file_of_a_proof_is_accepted(case, tmp_path):
+    certificate, source, target = case
+    write(tmp_path / "c.npz", certificate)
+    assert read(tmp_path / "c.npz").model == "rigid3d"
+    report = verify(tmp_path / "c.npz", source, target)
+    assert report.accepted, report.reason
+    area = certificate.unit**2
+    assert report.upper_bound == certificate.upper_bound * area
+    assert report.lower_bound == certificate.lower_bound * area
+    assert report.lower_bound == pytest.approx(report.upper_bound - report.gap_tol)
+    assert report.statement.startswith("over all rigid poses: ")
+    assert not report.is_trivial
+    assert len(report.checks) == 8
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"node_limit": 300}, {"start_box": "radius"}, {"rel_gap": 0.2}, {"max_rms": 0.01}],
+    ids=str,
+)
+def test_other_searches_are_accepted(options):
+    certificate, source, target = rigid_case(2, **options)
+    report = verify(certificate, source, target)
+    assert report.accepted, report.reason
+    if "node_limit" in options:
+        assert certificate.status == "node_limit"
+        assert (certificate.leaf_reasons == format.OPEN).any()
+
+
+@pytest.mark.parametrize("extra", [0, 2])
+def test_candidates_are_part_of_the_statement(extra):
+    _, source, target = rigid_case(extra)
+    allowed = np.random.default_rng(3).random((len(source), len(target))) < 0.6
+    allowed[np.arange(8), np.arange(8)] = True
+    result = register(
+        source, target, n_inliers=8, model="rigid3d", candidates=allowed, certificate=True
+    )
+    assert result.mode == "full"
+    assert result.status is Status.OPTIMAL
+    report = dcreg.verify(result.certificate, source, target)
+    assert report.accepted, report.reason
+    assert f"among {allowed.sum()} candidates" in report.statement
+
+
+def test_exact_fit_is_accepted(rng):
+    source = rng.standard_normal((9, 3))
+    target = source[::-1] + 4.0
+    result = register(source, target, n_inliers=9, model="rigid3d", certificate=True)
+    assert result.status is Status.OPTIMAL
+    assert dcreg.verify(result.certificate, source, target).accepted
+
+
+def test_the_command_writes_and_verifies_a_certificate(tmp_path):
+    for name, points in zip("ab", rigid_case()[1:], strict=True):
+        np.savetxt(tmp_path / f"{name}.txt", points)
+    points = tmp_path / "a.txt", tmp_path / "b.txt"
+    asked = ["--model", "rigid3d", "--n-inliers", "8", "--certificate", tmp_path / "c.npz"]
+    for mode in ("full", "paper", "auto"):
+        found = run("register", *points, *asked, "--mode", mode)
+        assert found.exit_code == 0, found.output
+        proven = run("verify", tmp_path / "c.npz", *points)
+        assert proven.exit_code == 0, proven.output
+        assert ("over all rigid poses" in proven.output) == (mode != "paper")
+
+
+def test_a_range_of_poses_has_no_certificate():
+    _, source, target = rigid_case()
+    near = dcreg.PoseRange(max_angle=10.0)
+    with pytest.raises(dcreg.InputError, match="certificate: `dcreg verify` knows no ranges"):
+        register(source, target, n_inliers=8, model="rigid3d", pose_range=near, certificate=True)
+
+
+def test_start_box_contains_the_region_of_the_check():
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        n, m = sorted(rng.integers(1, 9, 2))
+        x, y = rng.standard_normal((n, 3)) ** 3, rng.standard_normal((m, 3))
+        k = int(rng.integers(1, n + 1))
+        lower, upper = RigidPoses(x, y, k, (1.0, 1.0)).region()
+        for stationary in (True, False):
+            box = Rigid3D(x, y, k, stationary_box=stationary).translations()
+            assert (box.lower <= lower[4:] + 1e-9).all()
+            assert (box.upper >= upper[4:] - 1e-9).all()
+
+
+# --- edited certificates ----------------------------------------------------------------------
+
+
+def some(c, rows):
+    return {name: getattr(c, name)[rows] for name in LEAVES}
+
+
+def with_row(c, name, row, value):
+    entries = getattr(c, name).copy()
+    entries[row] = value
+    return {name: entries}
+
+
+def moved_to(c, leaf, axis):
+    """The leaf with its facet changed."""
+    lower, upper = c.leaf_lower.copy(), c.leaf_upper.copy()
+    own = int(np.flatnonzero(lower[leaf, :4] == upper[leaf, :4])[0])
+    for ends in (lower, upper):
+        ends[leaf, [own, axis if axis != own else (axis + 1) % 4]] = ends[
+            leaf, [axis if axis != own else (axis + 1) % 4, own]
+        ]
+    return {"leaf_lower": lower, "leaf_upper": upper}
+
+
+def widest(c):
+    """A leaf and an axis along which its box is wide, and does not reach the end of the start box."""
+    inner = np.where(c.leaf_upper < c.start_upper - 1e-3, c.leaf_upper - c.leaf_lower, 0.0)
+    return np.unravel_index(np.argmax(inner), inner.shape)
+
+
+def grown(c, change):
+    leaf, axis = widest(c)
+    width = (c.leaf_upper - c.leaf_lower)[leaf, axis]
+    return with_row(c, "leaf_upper", (leaf, axis), c.leaf_upper[leaf, axis] + change * width)
+
+
+def other_pose(c, share):
+    """A worse pose that is claimed to be the optimum, with bounds to match."""
+    value = c.objective.value(theta := c.theta + np.array([0.0, 0.02, -0.02, 0.01, 0, 0, 0]))
+    bound = c.upper_bound + share * (value - c.upper_bound)
+    return {
+        "theta": theta, "upper_bound": value, "lower_bound": bound, "gap_tol": value - bound,
+        "leaf_bounds": np.full(len(c.leaf_bounds), bound),
+    }  # fmt: skip
+
+
+EDITS = {
+    "lower bound above the upper": lambda c: {"lower_bound": 1.01 * c.upper_bound},
+    "lower bound above the leaves": lambda c: {"lower_bound": 0.5 * (c.lower_bound + c.upper_bound)},
+    "negative lower bound": lambda c: {"lower_bound": -1.0},
+    "all bounds raised": lambda c: {"leaf_bounds": c.leaf_bounds + 1.0},
+    "one bound raised": lambda c: with_row(c, "leaf_bounds", 3, 2.0 * c.upper_bound),
+    "one bound lowered": lambda c: with_row(c, "leaf_bounds", 3, 0.5 * c.lower_bound),
+    "another pose as the optimum": lambda c: other_pose(c, 0.5),
+    "another pose, nearly true": lambda c: other_pose(c, 0.1),
+    "leaf removed": lambda c: some(c, np.arange(1, len(c.leaf_bounds))),
+    "last leaf removed": lambda c: some(c, np.arange(len(c.leaf_bounds) - 1)),
+    "facet removed": lambda c: some(c, c.leaf_lower[:, 2] != 1.0),
+    "leaf duplicated": lambda c: some(c, np.append(np.arange(len(c.leaf_bounds)), 5)),
+    "leaf shrunk": lambda c: grown(c, -0.1),
+    "leaf grown": lambda c: grown(c, 0.1),
+    "leaf on another facet": lambda c: moved_to(c, 4, 1),
+    "leaf replaced by its neighbour": lambda c: some(
+        c, np.where(np.arange(len(c.leaf_bounds)) == 4, 5, np.arange(len(c.leaf_bounds)))
+    ),
+    "leaf on no facet": lambda c: with_row(c, "leaf_lower", (4, slice(4)), -1.0),
+    "leaf turned inside out": lambda c: {"leaf_lower": c.leaf_upper, "leaf_upper": c.leaf_lower},
+    "smaller start box": lambda c: {
+        "start_lower": c.start_lower * 0.9, "start_upper": c.start_upper * 0.9,
+        "leaf_lower": c.leaf_lower * 0.9, "leaf_upper": c.leaf_upper * 0.9,
+    },
+    "start box moved": lambda c: {
+        name: getattr(c, name) + np.append(np.zeros(4), np.full(3, 0.1))
+        for name in ("start_lower", "start_upper", "leaf_lower", "leaf_upper")
+    },
+    "half of the quaternions": lambda c: {
+        "start_lower": np.append(np.zeros(4), c.start_lower[4:])
+    },
+    "more quaternions": lambda c: {"start_upper": np.append(2 * np.ones(4), c.start_upper[4:])},
+    "identity as the pose": lambda c: {"theta": np.array([1.0, 0, 0, 0, 0, 0, 0])},
+    "pose rotated": lambda c: {"theta": c.theta + np.array([0, 1e-3, 0, 0, 0, 0, 0])},
+    "pose shifted": lambda c: {"theta": c.theta + np.array([0, 0, 0, 0, 1e-3, 0, 0])},
+    "pose mirrored": lambda c: {"theta": c.theta * np.array([1, -1, -1, -1, 1, 1, 1])},
+    "no quaternion": lambda c: {"theta": np.append(np.zeros(4), c.theta[4:])},
+    "upper bound lowered": lambda c: {"upper_bound": 0.999 * c.upper_bound},
+    "upper bound raised": lambda c: {"upper_bound": 1.001 * c.upper_bound},
+    "one pair less": lambda c: {"n_inliers": c.n_inliers - 1},
+    "one pair more": lambda c: {"n_inliers": c.n_inliers + 1},
+    "smaller tolerance": lambda c: {"gap_tol": 0.1 * c.gap_tol},
+    "leaves called empty": lambda c: {
+        "leaf_reasons": np.full(len(c.leaf_bounds), format.INADMISSIBLE),
+    },
+    "unknown reason": lambda c: with_row(c, "leaf_reasons", 0, 9),
+    "another unit": lambda c: {"unit": 1.001 * c.unit},
+    "another centre": lambda c: {"source_centre": c.source_centre + 1e-3},
+    "another model": lambda c: {"model": "translation3d"},
+    "unknown model": lambda c: {"model": "affine3d"},
+    "fewer candidates": lambda c: {"candidates": [[i, (i + 1) % 8] for i in range(8)]},
+    "not a number": lambda c: with_row(c, "leaf_upper", (0, 5), np.nan),
+    "other source": lambda c: {"source_digest": "0" * 64},
+    "clouds exchanged": lambda c: {
+        "source_digest": c.target_digest, "target_digest": c.source_digest,
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("edit", EDITS)
+def test_edited_certificate_is_refused(case, edit, tmp_path):
+    """Each is sealed again, with the right checksum. Samples do not help the proof."""
+    certificate, source, target = case
+    object.__setattr__(certificate, "objective", objective_of(certificate, source, target))
+    edited = dataclasses.replace(certificate, **EDITS[edit](certificate))
+    write(tmp_path / "c.npz", edited)
+    report = verify(tmp_path / "c.npz", source, target, n_samples=0)
+    assert not report.accepted
+    assert report.reason
+    assert not report.statement
+
+
+def test_other_clouds_are_refused(case):
+    certificate, source, target = case
+    assert "source: differs" in verify(certificate, source + 1e-9, target).reason
+    assert "target: differs" in verify(certificate, source, target[::-1]).reason
+    assert "source: differs" in verify(certificate, target, source).reason
+
+
+@pytest.mark.parametrize("change", ["truncated", "one byte"])
+def test_damaged_file_is_refused(case, change, tmp_path):
+    certificate, source, target = case
+    write(tmp_path / "c.npz", certificate)
+    content = bytearray((tmp_path / "c.npz").read_bytes())
+    if change == "truncated":
+        content = content[: len(content) // 2]
+    else:
+        content[len(content) // 2] ^= 0x10
+    (tmp_path / "c.npz").write_bytes(content)
+    assert not verify(tmp_path / "c.npz", source, target).accepted
