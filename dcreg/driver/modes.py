@@ -68,8 +68,10 @@ def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = 
 
     In 3D this is ``full``, which had the highest success rate over all shapes, disturbances, sizes and
     limits measured (``make modes``). It is ``paper`` if a certificate or a bound is requested, or if more
-    than `NORM_PAIRS` point pairs are searched.
+    than `NORM_PAIRS` point pairs are searched. The model ``similarity3d`` only has mode ``full``.
     """
+    if problem.model == "similarity3d":
+        return "full"
     pairs = len(problem.source) * len(problem.target)
     only_paper = certificate or bound is not None or pairs > NORM_PAIRS
     if problem.model == "similarity2d" or (only_paper and problem.pose_range is None):
@@ -94,7 +96,8 @@ def check_mode(
     """
     check_bound(mode, bound)
     if certificate and not mode.certifies:
-        raise InputError(f"certificate: mode {mode.name!r} keeps no leaf boxes; use mode 'paper'")
+        remedy = "use mode 'paper'" if _has_paper(problem.model) else f"{problem.model} has none"
+        raise InputError(f"certificate: mode {mode.name!r} keeps no leaf boxes; {remedy}")
     for name, given in (("init", has_init), ("max_rms", has_max_rms)):
         if given and mode.in_norm_space:
             raise InputError(
@@ -114,7 +117,7 @@ def check_mode(
     n, m = len(problem.source), len(problem.target)
     if n * m > MAX_PAIRS and not _is_matrix_free(mode, problem, bound):
         remedy = "downsample both clouds first (downsample=200, or --downsample 200)"
-        if problem.dim == 3:
+        if problem.model == "rigid3d":
             remedy += f", or use mode 'paper' with bound {DEFAULT_BOUND!r} and without candidates"
         raise InputError(f"source, target: {n} x {m} pairs exceed {MAX_PAIRS:,}; {remedy}")
 
@@ -127,8 +130,12 @@ def check_bound(mode: Mode, bound: str | None) -> None:
     if mode.make_bound is not None:
         raise InputError(
             f"bound: mode {mode.name!r} has its own bounds and does not accept {bound!r}; leave "
-            "the bound out, or choose mode 'paper'"
+            f"the bound out{', or choose mode ' + repr('paper') if _has_paper(mode.model) else ''}"
         )
+
+
+def _has_paper(model: str) -> bool:
+    return "paper" in mode_names(model)
 
 
 def _is_matrix_free(mode: Mode, problem: Problem, bound: str | None) -> bool:

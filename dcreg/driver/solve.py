@@ -124,7 +124,9 @@ class Setup:
             searched = to_search(problems, options.downsample, name, bound, certificate)
         has_init, has_max_rms = options.init is not None, limits.max_rms is not None
         if has_init:
-            options = replace(options, init=checked_pose("init", options.init, problems[0].dim))
+            first = problems[0]
+            init = checked_pose("init", options.init, first.dim, has_scale=first.has_scale)
+            options = replace(options, init=init)
         largest = searched[-1]
         if name is None:
             name = choose_mode(largest, bound, certificate)
@@ -213,7 +215,7 @@ class Finish:
             self._report_refinement(result.objective)
         if problem.pose_range is None:  # the covariance is that of free poses
             low, high = problem.scale_range
-            has_scale = problem.model == "similarity2d" and low < high
+            has_scale = problem.has_scale and low < high
             result = with_uncertainty(result, problem.source, problem.target, has_scale=has_scale)
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
 

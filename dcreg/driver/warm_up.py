@@ -24,6 +24,7 @@ from dcreg.jit import forget_old_kernels, when_compiling
 from dcreg.names import BOUND_NAMES, MODEL_DIM
 from dcreg.problem import PoseRange, Problem
 from dcreg.problem.geometry import Frame
+from dcreg.problem.problem import DEFAULT_SCALE_RANGE
 from dcreg.search import Box, Boxes, Budget, Tolerance
 
 _LOGGER = logging.getLogger("dcreg")
@@ -102,8 +103,7 @@ def warm_up_mode(
         Whether the clouds are too large for a dense matrix.
     """
     generator = np.random.default_rng(0)
-    dim = 2 if mode.model == "similarity2d" else 3
-    scale_range = (0.5, 1.5) if dim == 2 else (1.0, 1.0)
+    dim, scale_range = MODEL_DIM[mode.model], DEFAULT_SCALE_RANGE[mode.model]
     points = generator.standard_normal((8, dim))
     moved = points[:, ::-1].copy()
     candidates = ~np.eye(8, dtype=bool) if restricted else None
@@ -119,14 +119,14 @@ def warm_up_mode(
         polish(Problem(points, moved, 6, mode.model, candidates=candidates), np.eye(dim + 1))
         # what is met past the limit
         objective(points, moved, np.eye(dim + 1), 6, stop=np.ones(1, np.uint8))
-        if many and mode.name == "full":
+        if many and mode.model == "rigid3d" and mode.name == "full":
             cloud = generator.standard_normal((1 + FEW_PAIRS, 3))
             space = Rigid3D(cloud[:1], cloud, 1)
             (box, *_) = space.roots()
             RigidBound(space).evaluate(Boxes.of([box]), None)
         if large:
             sparse_matching(points, moved, 6)
-            if dim == 3:
+            if mode.model == "rigid3d":
                 search_sampled_rotation(points, moved, 6, tolerance=Tolerance(), budget=Budget())
 
 

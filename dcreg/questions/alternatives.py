@@ -272,6 +272,11 @@ def _check(
     check_positive("most", most, such_as=20, optional=False)
     if problem.pose_range is not None:
         raise InputError("pose_range: alternatives are searched among all poses; omit it")
+    if problem.model == "similarity3d":
+        raise InputError(
+            "model: similarity3d has no search for alternatives; use register, or rescale one cloud and "
+            "use model rigid3d"
+        )
     if options.certificate:
         raise InputError("certificate: a search for alternatives keeps none; omit it")
 
