@@ -338,7 +338,8 @@ def in_input_units(listener: Listener | None, area: float) -> Listener | None:
     return lambda event: listener(event.scaled(area))
 
 
-def _special(problem: Problem) -> tuple[bool, bool, bool]:
-    """Return `restricted`, `many` and `large` of `warm_up_mode` for a problem."""
+def _special(problem: Problem) -> tuple[bool, bool, bool, bool]:
+    """Return `restricted`, `many`, `large` and `whole` of `warm_up_mode` for a problem."""
     restricted, n, m = problem.candidates is not None, len(problem.source), len(problem.target)
-    return restricted, n * m > FEW_PAIRS, not restricted and is_large(n, m)
+    whole = problem.model == "similarity3d" and problem.n_inliers == n == m
+    return restricted, n * m > FEW_PAIRS, not restricted and is_large(n, m), whole
