@@ -105,7 +105,7 @@ class Problem:
         Number of pairs; a float in (0, 1] is a fraction of ``min(n, m)``.
     model : {"similarity2d", "rigid3d", "similarity3d"}
     scale_range : (low, high), optional
-        Admissible scale of a similarity, default (0.5, 1.5); equal numbers fix it. In ``rigid3d`` it is 1.
+        Admissible scale, default (0.5, 1.5); equal numbers fix it. The scale of ``rigid3d`` is 1.
     candidates : (n, m) bool array, or n sequences of target indices, optional
         The feasible pairs; None: all.
     pose_range : PoseRange, optional
@@ -202,7 +202,7 @@ def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndar
     if points.ndim != 2 or points.shape[1] != dim:
         raise InputError(
             f"{name}: shape {points.shape}, but model {model} needs (n, {dim}); "
-            f"give one point per row, or choose the other model"
+            f"give one point per row, or choose another model"
         )
     if len(points) == 0:
         raise InputError(f"{name}: no points; give at least one")

@@ -1,7 +1,8 @@
 """How sure each direction of a pose is: its covariance, and directions in which the clouds can slide.
 
 A small change of a pose T is ``T Exp(xi)``, a twist applied to the source first: rotation, then
-translation, then the logarithm of the scale of a similarity. GTSAM and small_gicp use the same order and side.
+translation, then the logarithm of the scale of a similarity. GTSAM and small_gicp use the same order and
+side.
 """
 
 from __future__ import annotations

@@ -20,34 +20,33 @@ and E* >= min over the scales s of the range of S_yy + s^2 S_xx - 2 s G_L.
 Spherical shells
 ----------------
 Turned by at most an angle and scaled by [a, b], x_i stays on a part of a spherical shell. With d_ij the
-distance of y_j from it, |sigma R x_i + t - y_j| >= d_ij - rho everywhere. Because the best translation for
-a scale, a rotation and a matching is a mean, E* + k rho^2 >= min_P sum p_ij d_ij^2, as for caps. The
-nearest point of the shell is that of the scale clipped to [a, b], because the squared distance is a
-parabola in the scale, and the largest inner product of y_j with a turned x_i is the best one for every
-scale.
+distance of y_j from it, |sigma R x_i + t - y_j| >= d_ij - rho everywhere. Because the best translation
+for a scale, a rotation and a matching is a mean, E* + k rho^2 >= min_P sum p_ij d_ij^2, as for caps. For
+d_ij, the largest inner product of y_j with a turned x_i is the best one for every scale. The squared
+distance is then a parabola in the scale, and the best scale is that of its vertex, clipped to [a, b].
 
 Displacements
 -------------
 Let (sigma, R, t) be an optimum in the box with matching P and residuals e_i = sigma R x_i + t - y_i, and
 x'_i = R x_i. It is stationary in translation and rotation, so sum p e = 0 and sum p x' x e = 0. Let G' =
-sum p e.x', which is the derivative of E / 2 with respect to the scale. If the scale is inside its range,
-G' = 0; at the lower end G' >= 0, at the upper end G' <= 0.
+sum p e.x'; it is proportional to the derivative of E with respect to the scale. If the scale is inside
+its range, G' = 0.
 
-The centre of the box moves x_i to Q x'_i, where Q is a rotation by the angle w about an axis u, and Q =
-cos w Id + sin w [u] + (1 - cos w) u u^T. Let u_i = x_i - sigma x'_i - t be the displacement to the centre.
-Then
+As x'_i = R x_i, the image of the point at the centre of the box is x_i = Q x'_i, where Q is a rotation
+by the angle w about a unit vector a, and Q = cos w Id + sin w [a] + (1 - cos w) a a^T. Let u_i = x_i -
+sigma x'_i - t be the displacement to the centre. Then
 
-    sum p e.u  =  (cos w - sigma) G' + (1 - cos w) sum p (e.u)(x'.u).
+    sum p e.u  =  (cos w - sigma) G' + (1 - cos w) sum p (e.a)(x'.a).
 
 s_c is the middle of the scales of the box. If the box contains one end of the range, s_c is this end
-instead. Then either G' = 0, or sigma = 1 (the optimum is at this end). In the latter case (cos w - 1) G' <=
-0 at the lower end, and at any end both terms together are -(1 - cos w) sum p e.(Id - u u^T) x'. So in all
-cases sum p e.u <= (1 - cos w) sqrt(E*) sqrt(sum p |x|^2), and with c_ij = |x_i - y_j|^2,
+instead. Then either G' = 0, or the optimum is at this end and sigma = 1. In the second case both terms
+together are -(1 - cos w) sum p e.(Id - a a^T) x'. So in both cases sum p e.u <= (1 - cos w) sqrt(E*)
+sqrt(sum p |x|^2), and with c_ij = |x_i - y_j|^2,
 
     sum p c  =  sum p |e + u|^2  <=  E* + sum p |u|^2 + 2 (1 - cos w) sqrt(E*) sqrt(sum p |x|^2).
 
-A box that contains both ends of a range with low < high is bounded by shells only. If low = high, sigma is
-1 and the last argument holds.
+A box that contains both ends of a range with low < high is bounded by shells only. If low = high, sigma
+is 1 and the second case holds.
 
 For a Gibbs vector r, x - sigma R x has the squared norm (1 - sigma)^2 |x|^2 + 4 sigma |r x x|^2 / (1 +
 |r|^2). Its inner product with t differs from that of -(sigma - 1) x - 2 sigma r x x by at most 2 sigma

@@ -1,7 +1,7 @@
 """Lower bounds over boxes of similarities in 3D.
 
-A box has eight axes: four of a quaternion, three of the translation, and the scale of y = s R x + t. Point
-sets are stored by axis, (3, n) and (3, m). `dcreg.families.similarity3d.bound` proves the bounds.
+A box has eight axes: four of a quaternion, three of the translation, and the scale of y = s R x + t.
+Point sets are stored by axis, (3, n) and (3, m). `dcreg.families.similarity3d.bound` proves the bounds.
 """
 
 from __future__ import annotations
