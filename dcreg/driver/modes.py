@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from dcreg.driver.normalised import NormalisedProblem, Solution
-from dcreg.families.mode import Mode, all_modes
+from dcreg.families.mode import Mode, load_mode
 from dcreg.families.registry import bound_parts, make_bound
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.jit import when_compiling
-from dcreg.names import AUTO, DEFAULT_BOUND, MODEL_DIM, mode_names
+from dcreg.names import AUTO, DEFAULT_BOUND, MODEL_DIM, mode_files, mode_names
 from dcreg.problem import InputError, Problem, suggestion
 from dcreg.result import Stage
 from dcreg.search import Bound, Boxes, Budget, Interrupted, Outcome, Start, minimise
@@ -55,9 +55,8 @@ def find_mode(model: str, name: str) -> Mode:
     InputError
         For an unknown name, listing the known ones.
     """
-    for mode in all_modes():
-        if (mode.model, mode.name) == (model, name):
-            return mode
+    if (model, name) in mode_files():
+        return load_mode(model, name)
     raise InputError(
         f"mode: {name!r} is unknown for {model}{suggestion(name, [AUTO, *mode_names(model)])}"
     )
