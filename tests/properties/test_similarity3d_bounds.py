@@ -193,7 +193,7 @@ def test_displacements_are_those_of_a_direct_computation(problem, data, seed):
     low = generator.exponential(size=model.n_source)
     work = np.empty((5, low.size))
     work[0] = low
-    found = _by_displacements(view, seen, least, most, scale, limits, work, np.empty(64), 0.1)
+    found = _by_displacements(view, seen, (scale, least, most), limits, work, np.empty(64), 0.1)
     stretch = max(1.0 - least, most - 1.0)
     rows = low - stretch**2 * (view.source**2).sum(axis=0)
     signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
@@ -266,3 +266,37 @@ def test_infeasible_pairs_stay_out_and_the_bounds_hold(problem, scale_range, see
             best = min(best, ((moved - target[each]) ** 2).sum())
     slack = 1e-7 * (1.0 + best)
     assert found.lower_bound - slack <= best <= found.upper_bound + slack
+
+
+@pytest.mark.parametrize("scale_range", [(0.5, 1.5), (0.5, 0.9), (1.1, 1.5), (1.0, 1.0)])
+def test_loss_about_an_optimum_is_of_second_order(rng, scale_range):
+    """Also where the scale of the optimum is at an end of the range."""
+    source = centred(rng.standard_normal((12, 3)))
+    target = centred(source + 0.3 * rng.standard_normal((12, 3)))
+    model = Similarity3D(source, target, 10, scale_range)
+    start = np.array([1.0, 0, 0, 0, 0, 0, 0, np.clip(1.0, *scale_range)])
+    theta, best, _ = model.refine(start)
+    losses = []
+    for size in (0.02, 0.01):
+        half = size * np.array([0.0, 1, 1, 1, 1, 1, 1, 1])
+        lower, upper = theta - half, theta + half
+        lower[SCALE], upper[SCALE] = np.clip([lower[SCALE], upper[SCALE]], *scale_range)
+        losses.append(best - lower_bound(SimilarityBound(model), Box(lower, upper), best))
+    assert losses[0] < 0.2 * best
+    assert 0.0 < losses[1] < 0.3 * losses[0]
+
+
+@pytest.mark.parametrize("k", [10, 12])
+def test_bounds_do_not_depend_on_the_number_of_threads(rng, k):
+    model = Similarity3D(
+        centred(rng.standard_normal((12, 3))), centred(rng.standard_normal((12, 3))), k, (0.5, 1.5)
+    )
+    centres = rng.uniform(-0.5, 0.5, (40, 8))
+    centres[:, 0], centres[:, SCALE] = 1.0, 1.0
+    half = 0.05 * np.array([0.0, 1, 1, 1, 1, 1, 1, 1])
+    if model.only_rotates:
+        centres[:, 4:SCALE] = half[4:SCALE] = 0.0
+    boxes = Boxes(centres - half, centres + half)
+    found = [SimilarityBound(model, threads=n).evaluate(boxes, 5.0) for n in (1, 2)]
+    assert np.array_equal(found[0].lower_bounds, found[1].lower_bounds)
+    assert np.array_equal(found[0].values, found[1].values)

@@ -102,7 +102,7 @@ def bound_similarities(lower, upper, cutoff, clouds, limits, scales, bounds, val
         row_minima(costs, b, work[0])
         bounds[at] = max(
             bounds[at],
-            _by_displacements(view, box, least, most, scale, limits, work, out, total(b)),
+            _by_displacements(view, box, (scale, least, most), limits, work, out, total(b)),
         )
     return spent
 
@@ -127,11 +127,12 @@ def _shelled(costs, shift_radius, cutoff, small, view):
 
 
 @jit_part
-def _by_displacements(view, box, least, most, scale, limits, work, out, duals):
+def _by_displacements(view, box, scales, limits, work, out, duals):
     """Return the bound by displacements, for reduced row minima in ``work[0]`` and the sum of duals.
 
-    `least` and `most` are the scales of the box relative to `scale`.
+    `scales` are the scale that represents the box, and the ends of its scales relative to this one.
     """
+    scale, least, most = scales
     low, k = work[0], view.k
     stretch = max(1.0 - least, most - 1.0)
     for i in range(low.size):
