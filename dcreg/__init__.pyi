@@ -16,6 +16,7 @@ from .plot import plot_answer, plot_registration, plot_sweep
 from .problem import Candidates, InputError, OpenDirection, PoseRange, Problem
 from .questions.alternatives import Alternative, Alternatives, alternatives
 from .questions.certify import Certified, certify
+from .questions.inliers import MaxInliers, max_inliers
 from .result import Result, RunnerUp, Stage, Trace
 from .search import Event, Listener
 from .status import Status
@@ -32,6 +33,7 @@ __all__ = [
     "Event",
     "InputError",
     "Listener",
+    "MaxInliers",
     "OpenDirection",
     "PoseEdge",
     "PoseRange",
@@ -49,6 +51,7 @@ __all__ = [
     "bound_names",
     "certificate",
     "certify",
+    "max_inliers",
     "mode_names",
     "objective",
     "plot_answer",

@@ -226,8 +226,8 @@ def register_matches(
         partial overlap and is meaningless for sparse clouds. Its pose need not have minimum cost and is
         not certified.
     certify : bool, optional
-        False: the pose only, with lower bound 0 and status ``converged``. Default: True for
-        ``correspondences``.
+        False: the pose only, with lower bound 0 and status ``converged``. True: search to the time limit
+        for a proof. Default, for ``correspondences``: end without a proof that takes more than seconds.
     rel_gap, abs_gap : optional
         Tolerances on the gap of the cost, as in `dcreg.register`. Like `node_limit`, they affect only the
         certificate.

@@ -7,38 +7,36 @@ apply. The line says what is wrong and what to do. `warnings_for` applies all `R
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from dcreg.assignment.objective import is_large
+from dcreg.assignment.sparse import nearest_pairs, tree_of
 from dcreg.names import NO_PROOF_EXPECTED
 from dcreg.problem import (
     Problem,
+    apply_pose,
     exact_objective,
     median_spacing,
-    nearest_rotation,
     rms_radius,
-    rotation_angle_deg,
     rounding_error,
     typical_radius,
 )
-from dcreg.result import Result, RunnerUp
+from dcreg.result import Result
 from dcreg.status import Status
 
 _MANY_POINTS, _VERY_MANY_POINTS = 1000, 4000
-# Poses differ if they displace the source by more than this fraction of the target's RMS radius.
-DISTINCT = 0.2
 _MUCH_LARGER = 100.0
 FAR = 10.0  # RMS radius divided by typical radius, from which points count as far
 _OTHER_SIZE = 10.0
 TOO_MANY_PAIRS = "pairs are probably too many"  # part of the line of `loose_pairs`
+_VAGUE = 5.0  # objective divided by its lower bound; it is below 3 if there are enough near pairs
 _ROUGH = 1.01  # objective divided by upper bound; a larger ratio is more than rounding
-# Objective ratio of the runner-up. In 180 problems of four shapes, all 45 wrong poses and 18 of 135 right
-# ones had a lower ratio.
-_CLOSE = 1.5
-# RMSE in units of the point spacing of the target. Scans of one object stay below if n_inliers is right.
-_LOOSE = 2.0
+_CLOSE = 1.5  # objective ratio of the runner-up; lower for 45 of 45 wrong and 18 of 135 right poses
+_LOOSE = 2.0  # RMSE in point spacings of the target; lower for one object and the right n_inliers
 _FEW_PAIRS = 20  # more pairs hardly fit by chance, except on surfaces
 _REMEDY = (
     "Use downsample=200 (--downsample 200): it searches with a sample of the points and refines the "
@@ -101,6 +99,19 @@ class Case:
     problem: Problem
     result: Result
     in_norm_space: bool
+
+    @cached_property
+    def lowest_rmse(self) -> float:
+        """Lower bound on the RMS residual of any one-to-one pairs at the pose.
+
+        That of the pairs, or of nearest target points if the pairs may be rough or greedy.
+        """
+        problem, result = self.problem, self.result
+        if not (is_large(len(problem.source), len(problem.target)) or result.is_greedy):
+            return result.rmse_matched
+        moved = apply_pose(result.T_target_source, problem.source)
+        nearest = nearest_pairs(moved, tree_of(problem.target), result.n_inliers)[1]
+        return math.sqrt(nearest / result.n_inliers)
 
 
 def _is_rounding(value: float, case: Case) -> bool:
@@ -170,6 +181,22 @@ def rough_pairs(case: Case) -> str | None:
         return f"the search was stopped before all pairs were matched: {what}"
     fewer = "" if result.downsampled else ", or use downsample=200 (--downsample 200)"
     return f"the time limit was hit before all pairs were matched: {what}. Allow more time{fewer}"
+
+
+def distant_pairs(case: Case) -> str | None:
+    """Some pairs of large clouds connect distant points, so that better ones may exist."""
+    result, lowest = case.result, case.result.n_inliers * case.lowest_rmse**2
+    if (
+        result.is_greedy
+        or result.objective <= _VAGUE * lowest
+        or _is_rounding(result.objective, case)
+    ):
+        return None
+    return (
+        f"the pairs cost {result.objective:.3g}, and any pairs at this pose at least {lowest:.3g}: some "
+        f"pairs connect distant points, because there are fewer than {result.n_inliers} near pairs, and "
+        "better ones may exist. Try a smaller n_inliers (`dcreg sweep` tries several)"
+    )
 
 
 def scale_at_limit(case: Case) -> str | None:
@@ -267,14 +294,14 @@ def loose_pairs(case: Case) -> str | None:
     scales, or too few pairs.
     """
     problem, result = case.problem, case.result
-    spacing = median_spacing(problem.target)
-    if result.rmse_matched <= _LOOSE * spacing or spacing == 0.0 or result.is_greedy:
+    spacing, rmse = median_spacing(problem.target), case.lowest_rmse
+    if rmse <= _LOOSE * spacing or spacing == 0.0:
         return None
     if _was_cut_short(result) or scale_at_limit(case) or other_size(case) or few_pairs(case):
         return None
     return (
-        f"the RMS residual of the pairs is {result.rmse_matched:.3g}, but the point spacing of the "
-        f"target is only {spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. "
+        f"the RMS residual of the pairs is at least {rmse:.3g}, but the point spacing of the target is "
+        f"only {spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. "
         "Try a smaller n_inliers (`dcreg sweep` tries several), or remove outliers first"
     )
 
@@ -317,6 +344,7 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
     nothing_proven,
     surrogate_mismatch,
     rough_pairs,
+    distant_pairs,
     scale_at_limit,
     undetermined,
     other_size,
@@ -332,37 +360,3 @@ def warnings_for(case: Case) -> list[str]:
     if case.result.status is Status.REFUTED:
         return []
     return [line for rule in RULES if (line := rule(case)) is not None]
-
-
-def find_runner_up(
-    problem: Problem, T: np.ndarray, objective: float, ends: Iterable[tuple[np.ndarray, float]]
-) -> RunnerUp | None:
-    """Return the cheapest of the `ends` that differs from the pose `T`, or None.
-
-    Parameters
-    ----------
-    problem : Problem
-    T : (d+1, d+1) array
-    objective : float
-        The objective at `T`.
-    ends : iterable of (pose, objective)
-        Final poses of local searches, in the coordinates of the clouds.
-    """
-    source, target, d = problem.source, problem.target, problem.dim
-    minimum = DISTINCT * rms_radius(target)
-    centre = source.mean(axis=0)
-    covariance = np.cov(source, rowvar=False, bias=True).reshape(d, d)
-
-    def displacement(other: np.ndarray) -> float:
-        linear, shift = other[:d, :d] - T[:d, :d], other[:d, d] - T[:d, d]
-        squared = ((linear @ centre + shift) ** 2).sum() + np.trace(linear @ covariance @ linear.T)
-        return float(np.sqrt(max(squared, 0.0)))  # rounding can make it negative
-
-    others = [end for end in ends if np.isfinite(end[1]) and displacement(end[0]) > minimum]
-    if not others:
-        return None
-    other, value = min(others, key=lambda end: end[1])
-    rounding = exact_objective(source, target, problem.n_inliers)
-    angle = rotation_angle_deg(nearest_rotation(other[:d, :d] @ T[:d, :d].T))
-    ratio = (value + rounding) / (objective + rounding)
-    return RunnerUp(other, ratio, abs(angle), displacement(other))

@@ -70,7 +70,8 @@ class Result:
         The leaf boxes of the search, if requested.
     downsampled : Sample, optional
         Sizes of the sample that was searched, if it was not the full clouds. Then bounds, `gap_tol` and
-        `T_certified` refer to the sample; final pose, pairs and objectives refer to all points.
+        `T_certified` refer to the sample; final pose, pairs and objectives refer to all points. None if
+        an exact fit of all points is proven instead.
     score : Score, optional
         Score over the matches, from `dcreg.register_matches`.
     runner_up : RunnerUp, optional
@@ -295,7 +296,7 @@ class Result:
                 f"{status.value}: best pose so far{later if self.gap_closed else ', not certified'}"
             )
         certified = f"certified for the {scope}" if self.gap_closed else "not certified"
-        goes_on = self.reason == NO_PROOF_EXPECTED and self.downsampled is None
+        goes_on = self.reason == NO_PROOF_EXPECTED and not (self.downsampled or self.score)
         remedy = "; prove=True (--prove) searches longer" if goes_on else ""
         return f"converged: {self.reason}; {certified}{remedy}"
 

@@ -24,11 +24,12 @@ PICTURE = ROOT / "docs" / "architecture.svg"
 GROUPS = {
     "cli": ("cli", "__main__"),
     "api": ("__init__", "api"),
-    "results": ("result", "result_parts", "sweep_result", "diagnostics"),
+    "results": ("result", "result_parts", "sweep_result", "diagnostics", "runner_up"),
 }
 LINES = {
     "cli": "The command line",
     "api": "Public functions and names",
+    "questions": "Is a pose optimal, is it the only one?",
     "driver": "Normalise, start, search, polish, result",
     "io": "Readers and writers of clouds, pairs and pose graphs",
     "plot": "HTML pages and figures of results",

@@ -22,6 +22,7 @@ NOT_NEEDED = "not_needed"  # left out, because the claims that would use it are 
 GROUPS: dict[Status, Group] = {
     Status.OPTIMAL: Group("finished"),
     Status.CONVERGED: Group("finished"),
+    Status.REFUTED: Group("finished"),
     Status.TIME_LIMIT: Group("limited", is_timed=True),
     Status.MEMORY_LIMIT: Group("limited", is_timed=True),
     Status.NODE_LIMIT: Group("limited"),

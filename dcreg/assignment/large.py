@@ -10,7 +10,7 @@ import numpy as np
 from dcreg.assignment.alternation import follow_nearest
 from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import nearest_pairs, tree_of
-from dcreg.problem import Problem
+from dcreg.problem import Problem, exact_objective
 from dcreg.problem.geometry import apply_pose
 from dcreg.search import Budget
 
@@ -22,6 +22,8 @@ HUGE = 80_000
 _FEW = 4000  # source points that follow their nearest neighbours
 _MANY = 16_000  # ... where only one matching follows
 _MAX_MATCHINGS = 5  # before the last one, which is to be proved
+_PROVING_SHARE = 0.25  # of the time left, for the last matching
+_QUICK_SHARE = 0.1  # ... for that of `quick_value`
 # Alternating matching and fit converges slowly along the slopes of large clouds: a step is extended to
 # so many times its length, and the plain step is taken if that fails.
 _LONG_STEP = 4
@@ -96,25 +98,39 @@ def descend(
     tree : cKDTree, optional
         Of the target.
     prove : bool
-        Whether the last matching should be optimal, which takes long; huge clouds go without.
+        Whether the last matching should be optimal. It may take `_PROVING_SHARE` of the time left.
     """
     T = _near_fit(problem, T_target_source, budget, tree or tree_of(problem.target))
-    left = budget.left()
-    stop = _OVER if left is not None and left < _seconds(problem, _MATCHING_S) else budget.hard_stop
+    stop = budget.hard_stop if has_time_to_match(problem, budget) else _OVER
     value, pairs = _matched(problem, T, stop)
-    spent = 1
-    if not stop[0]:
+    greedy, spent = bool(stop[0]), 1
+    if not greedy:
         T, value, pairs, spent = _alternate(problem, T, value, pairs, budget)
     if not budget.is_over:  # the best pose of the pairs is free
         T = _fit(problem, pairs)
         value = residual(problem, T, pairs)
     before = max(value, residual(problem, T_target_source, pairs))
-    if prove and not is_huge(problem) and not (stop[0] or budget.is_over):
-        proved, best = _matched(problem, T, stop, prove=True)
+    is_exact = value <= exact_objective(problem.source, problem.target, problem.n_inliers)
+    if prove and not (greedy or is_exact or budget.is_over):
+        proving = budget.isolated_sub_budget(_PROVING_SHARE)
+        proved, best = _matched(problem, T, proving.stop, prove=True)
         spent += 1
         if proved < value:
             value, pairs = proved, best
-    return Descent(T, value, pairs, before, spent, greedy=bool(stop[0]))
+    return Descent(T, value, pairs, before, spent, greedy)
+
+
+def quick_value(problem: Problem, T: np.ndarray, budget: Budget) -> float:
+    """Return the sum of squared residuals of rough pairs at a pose; inf if there is no time for them."""
+    if budget.is_over or not has_time_to_match(problem, budget):
+        return np.inf
+    return _matched(problem, T, budget.isolated_sub_budget(_QUICK_SHARE).stop)[0]
+
+
+def has_time_to_match(problem: Problem, budget: Budget) -> bool:
+    """Tell whether the time left is enough for one quick matching."""
+    left = budget.left()
+    return left is None or left >= _seconds(problem, _MATCHING_S)
 
 
 def greedy_seconds(problem: Problem) -> float:

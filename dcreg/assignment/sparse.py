@@ -162,17 +162,19 @@ def _matching_of_size(
     """
     n = len(columns)
     top = 4.0 * n * (costs.max() or 1.0)  # exceeds any matching: as many rows as possible
+    empty = _Partial.of(n, m)
     if k == n:
-        col_of = _penalised_matching(columns, costs, m, top, stop)
+        col_of = empty.continued(columns, costs, top, stop).col_of
         complete = bool((col_of >= 0).all())
         return col_of, _own_costs(columns, costs, col_of, top) if complete else None, 1
     low, n_low, high, n_high = 0.0, 0, top, n + 1
+    smaller = empty  # the matching for the penalty `low`
     penalty = 2.0 * float(np.partition(costs[:, 0], k - 1)[k - 1]) or 1e-9 * top
     enough = None
     most = _MAX_PENALTIES if prove else int(np.clip(_ROUGH_ROWS // k, 1, _MAX_PENALTIES))
     for solved in range(1, most + 1):
-        col_of = _penalised_matching(columns, costs, m, penalty, stop)
-        size = int((col_of >= 0).sum())
+        found = smaller.continued(columns, costs, penalty, stop)
+        col_of, size = found.col_of, found.size
         if size == k:
             return col_of, _own_costs(columns, costs, col_of, penalty), solved
         if size > k:
@@ -180,7 +182,7 @@ def _matching_of_size(
             if not prove and size <= (1.0 + _ROUGH) * k:
                 break
         else:
-            low, n_low = penalty, size
+            low, n_low, smaller = penalty, size, found
             if not prove and size >= (1.0 - _ROUGH) * k:
                 return col_of, None, solved
         if enough is None:
@@ -191,7 +193,8 @@ def _matching_of_size(
             penalty = top if is_high else min(4.0 * penalty, top)
         else:
             share = np.clip((k - n_low) / (n_high - n_low), 0.05, 0.95)
-            penalty = low + float(share) * (high - low)
+            # the number of matched rows is nearly linear in the logarithm of the penalty
+            penalty = low * (high / low) ** float(share) if low else float(share) * high
     if enough is None:
         return col_of, None, solved
     # ties, or the penalty would have to be too exact: keep the cheapest k pairs of a larger matching
@@ -202,13 +205,32 @@ def _matching_of_size(
     return col_of, None, solved
 
 
-def _penalised_matching(
-    columns: np.ndarray, costs: np.ndarray, m: int, penalty: float, stop: np.ndarray
-) -> np.ndarray:
-    """Return each row's column (-1: none) in the cheapest matching if unmatched rows cost `penalty`."""
-    col_of = np.empty(len(columns), np.int64)
-    penalised_matching(columns, costs, m, penalty, stop, col_of)
-    return col_of
+@dataclass(frozen=True)
+class _Partial:
+    """The cheapest matching for a penalty: columns of rows, rows of columns (-1: none), and duals."""
+
+    col_of: np.ndarray
+    row_of: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+
+    @classmethod
+    def of(cls, n: int, m: int) -> _Partial:
+        """Return the matching without pairs, that for the penalty 0."""
+        return cls(np.full(n, -1), np.full(m, -1), np.zeros(n), np.zeros(m))
+
+    @property
+    def size(self) -> int:
+        return int((self.col_of >= 0).sum())
+
+    def continued(
+        self, columns: np.ndarray, costs: np.ndarray, penalty: float, stop: np.ndarray
+    ) -> _Partial:
+        """Return the cheapest matching for a larger penalty."""
+        found = _Partial(self.col_of.copy(), self.row_of.copy(), self.u.copy(), self.v.copy())
+        state = found.col_of, found.row_of, found.u, found.v
+        penalised_matching(columns, costs, penalty, stop, *state)
+        return found
 
 
 def _greedy(columns: np.ndarray, costs: np.ndarray, m: int, k: int) -> np.ndarray:

@@ -23,7 +23,8 @@ from dcreg.cli.options import ARGUMENTS, flag, parameters_of
 
 # In the order of the help.
 ORDER = (
-    "register", "sweep", "register-matches", "certify", "alternatives", "batch", "verify", "version",
+    "register", "sweep", "register-matches", "certify", "alternatives", "max-inliers", "batch",
+    "verify", "version",
 )  # fmt: skip
 
 
@@ -91,7 +92,7 @@ def run_search(
     from dcreg.cli.progress import Progress
 
     absolute = any(keywords.get(name) for name in ("abs_gap", "tol"))
-    if keywords["rel_gap"] == 0 and not (absolute or quiet):
+    if keywords.get("rel_gap") == 0 and not (absolute or quiet):
         output.print_warning(
             "--rel-gap 0: unless the fit is exact, the gap hardly ever closes completely, so the search "
             "ends without a proof; give a share such as --rel-gap 0.001"

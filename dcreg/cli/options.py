@@ -162,7 +162,7 @@ class CloudFiles:
         """Return the matches of a file for the points that `read` returned."""
         return (self.rows or dcreg).read_matches(path, *self.sizes)
 
-    def in_files(self, results: list[dcreg.Result]) -> list[dcreg.Result]:
+    def in_files(self, results: list[Any]) -> list[Any]:
         """Return results whose pairs are rows of the files."""
         return results if self.rows is None else self.rows.in_files(results)
 
@@ -207,7 +207,8 @@ class Search:
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
-        Search for a proof to the time limit. By default, mode full ends after a few seconds without one.
+        Search for a proof to the time limit, also in a sweep. By default, mode full and searches of
+        samples end after a few seconds without one.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.
@@ -271,7 +272,7 @@ class Poses:
     def settings(self) -> tuple[dcreg.PoseRange | None, np.ndarray | None]:
         """Return the range of poses, if it is restricted, and the initial guess."""
         init = None if self.init is None else dcreg.read_pose(self.init)
-        if not self.rotation and (self.axis is not None or self.max_angle < 180.0):
+        if not self.rotation and (self.axis is not None or self.max_angle != 180.0):
             raise dcreg.InputError(
                 "--no-rotation: excludes --axis and --max-angle; omit them, or --no-rotation"
             )
@@ -279,7 +280,7 @@ class Poses:
             None if self.axis is None else parse_axis(self.axis),
             self.max_angle if self.rotation else 0.0, self.max_translation, init,
         )  # fmt: skip
-        is_free = given.axis is None and given.max_angle >= 180.0
+        is_free = given.axis is None and given.max_angle == 180.0
         return None if is_free and math.isinf(given.max_translation) else given, init
 
 
@@ -295,7 +296,8 @@ class MatchSearch:
         Criterion for the pose: 'correspondences' is the cost of the matches; 'surfaces' also compares
         the surfaces of dense scans and gives no bounds.
     certify : switch
-        Prove bounds by branch and bound. Default: only with --score correspondences.
+        Prove bounds by branch and bound, to the time limit. Default: only with --score correspondences,
+        for a few seconds.
     rel_gap : X
         Gap at which to stop, as a share of the upper bound.
     abs_gap : X
@@ -314,6 +316,27 @@ class MatchSearch:
     abs_gap: float | None = None
     time_limit: float = DEFAULT_TIME_LIMIT_S
     node_limit: int | None = None
+
+
+@dataclass
+class AnswerFiles:
+    """The files of the answer to a question.
+
+    Attributes
+    ----------
+    json_path : OUT
+        Write the answer; '-' is standard output.
+    plot_path : OUT.html
+        Write a page with the clouds at each pose.
+    """
+
+    json_path: Path | None = None
+    plot_path: Path | None = None
+
+    def check(self, *inputs: str | None) -> None:
+        """Refuse before the search what could not be written."""
+        output.check_outputs({"--json": self.json_path, "--plot": self.plot_path}, *inputs)
+        output.check_figure(self.plot_path, [".html"])
 
 
 @dataclass

@@ -1,10 +1,9 @@
-"""The commands that ask about poses: ``dcreg certify`` and ``dcreg alternatives``."""
+"""The commands that ask about poses: ``certify``, ``alternatives`` and ``max-inliers``."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -12,8 +11,8 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.app import command, required_count, run_search
-from dcreg.cli.options import CloudFiles, Quiet, Search
-from dcreg.names import DEFAULT_RATIO
+from dcreg.cli.options import AnswerFiles, CloudFiles, Quiet, Search
+from dcreg.names import DEFAULT_RATIO, DEFAULT_TIME_LIMIT_S
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,8 +25,7 @@ def certify(
     clouds: CloudFiles,
     n_inliers: str | None = None,
     search: Search,
-    json_path: Path | None = None,
-    plot_path: Path | None = None,
+    files: AnswerFiles,
     quiet: Quiet = False,
 ) -> int:
     """Judge a POSE of SOURCE from any program: optimal, improvable or open.
@@ -42,12 +40,9 @@ def certify(
         A matrix as text or .npy, JSON of dcreg, or one pose of KITTI or TUM.
     n_inliers : K
         Pairs to match, as for `dcreg register`. Required.
-    json_path : OUT
-        Write the answer; '-' is standard output.
-    plot_path : OUT.html
-        Write a page with the clouds at both poses.
     """
-    names = _check_outputs(plot_path, json_path, clouds, search, pose)
+    files.check(*clouds.names.values(), search.candidates_path, pose)
+    names = {**clouds.names, "pose": pose}
     count, T = required_count(n_inliers), dcreg.read_pose(pose)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
@@ -55,7 +50,7 @@ def certify(
     found = run_search(dcreg.certify, *points, T, quiet=quiet, options=options, **keywords)
     codes = {"optimal": output.EXIT_OK, "improvable": output.EXIT_REFUTED}
     code = codes.get(found.verdict, output.EXIT_LIMIT)
-    return _finish(found, points, clouds, names, json_path, plot_path) or code
+    return _finish(found, points, clouds, names, files) or code
 
 
 @command
@@ -67,8 +62,7 @@ def alternatives(
     ratio: float = DEFAULT_RATIO,
     distance: float | None = None,
     most: int = 20,
-    json_path: Path | None = None,
-    plot_path: Path | None = None,
+    files: AnswerFiles,
     quiet: Quiet = False,
 ) -> int:
     """Find all distinct poses that are nearly as good as the best one, or prove that it is unique.
@@ -87,33 +81,71 @@ def alternatives(
         three RMS residuals, at least 1 % of the RMS radius of the target.
     most : N
         End with N other poses.
-    json_path : OUT
-        Write the answer; '-' is standard output.
-    plot_path : OUT.html
-        Write a page with the clouds at each pose.
     """
-    names = _check_outputs(plot_path, json_path, clouds, search)
+    files.check(*clouds.names.values(), search.candidates_path)
     count = required_count(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
     keywords |= {"n_inliers": count, "ratio": ratio, "distance": distance, "most": most}
     found = run_search(dcreg.alternatives, *points, quiet=quiet, options=options, **keywords)
     code = output.EXIT_OK if found.is_complete else output.EXIT_LIMIT
-    return _finish(found, points, clouds, names, json_path, plot_path) or code
+    return _finish(found, points, clouds, clouds.names, files) or code
 
 
-def _check_outputs(
-    plot_path: Path | None,
-    json_path: Path | None,
-    clouds: CloudFiles,
-    search: Search,
-    pose: str | None = None,
-) -> dict[str, str]:
-    """Check the outputs of a question; return the names of the input files."""
-    paths = {"--json": json_path, "--plot": plot_path}
-    output.check_outputs(paths, *clouds.names.values(), search.candidates_path, pose)
-    output.check_figure(plot_path, [".html"])
-    return clouds.names if pose is None else {**clouds.names, "pose": pose}
+@dataclass
+class Count:
+    """The settings of `dcreg.max_inliers`.
+
+    Attributes
+    ----------
+    model : NAME
+        Kind of pose: {models}.
+    distance : D
+        Distance within which a pair counts, in units of the target.
+    scale_range : LO HI
+        Admissible scales, as for `dcreg register`.
+    candidates_path : FILE
+        Feasible pairs, as for `dcreg register`.
+    time_limit : S
+        Seconds of all searches together; inf: no limit.
+    threads : N
+        Number of threads.
+    """
+
+    model: str
+    distance: float
+    scale_range: tuple[float, float] | None = None
+    candidates_path: str | None = None
+    time_limit: float = DEFAULT_TIME_LIMIT_S
+    threads: int = 1
+
+
+@command
+def max_inliers(
+    *, clouds: CloudFiles, count: Count, files: AnswerFiles, quiet: Quiet = False
+) -> int:
+    """Bound the largest number of pairs that a pose brings within a distance.
+
+    Exit code: 0 the bounds agree; 2 bad input; 3 they differ; 4 an output
+    file could not be written.
+    """
+    files.check(*clouds.names.values(), count.candidates_path)
+    points = clouds.read(count.model)
+    keywords = dict(vars(count))
+    path, threads = keywords.pop("candidates_path"), keywords.pop("threads")
+    keywords["candidates"] = None if path is None else clouds.read_candidates(path)
+    found = run_search(
+        dcreg.max_inliers, *points, quiet=quiet, options={"threads": threads}, **keywords
+    )
+    code = output.EXIT_OK if found.is_exact else output.EXIT_LIMIT
+    return _finish(found, points, clouds, clouds.names, files) or code
+
+
+def _in_files(found: Any, clouds: CloudFiles) -> Any:
+    """Return the answer with pairs that are rows of the files."""
+    if isinstance(found, dcreg.MaxInliers):
+        return clouds.in_files([found])[0]
+    return replace(found, result=clouds.in_files([found.result])[0])
 
 
 def _finish(
@@ -121,12 +153,12 @@ def _finish(
     points: tuple[np.ndarray, np.ndarray],
     clouds: CloudFiles,
     names: dict[str, str],
-    json_path: Path | None,
-    plot_path: Path | None,
+    files: AnswerFiles,
 ) -> int:
     """Print an answer and write its files; return 0, or the exit code of a failure."""
+    json_path, plot_path = files.json_path, files.plot_path
     to_stdout = json_path == output.STDOUT
-    in_files = replace(found, result=clouds.in_files([found.result])[0])
+    in_files = _in_files(found, clouds)
     more: dict[str, Any] = {**names, **clouds.n_dropped}
     typer.echo(found, err=to_stdout)
     if to_stdout:

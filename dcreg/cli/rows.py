@@ -6,6 +6,7 @@ Searches number the points that are left; files of pairs and results number the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -105,7 +106,7 @@ class CloudRows:
         pairs = np.column_stack([self.source.places[pairs[:, 0]], self.target.places[pairs[:, 1]]])
         return pairs[(pairs >= 0).all(axis=1)]
 
-    def in_files(self, results: list[dcreg.Result]) -> list[dcreg.Result]:
+    def in_files(self, results: list[Any]) -> list[Any]:
         """Return results whose pairs are rows of the files."""
         kept = self.source.kept, self.target.kept
         return [

@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from dcreg.assignment.descent import polish
-from dcreg.assignment.large import descend, greedy_seconds, near_value
+from dcreg.assignment.large import descend, greedy_seconds, near_value, quick_value
 from dcreg.assignment.objective import Matched, is_large, objective, quick_objective
 from dcreg.assignment.sparse import tree_of
-from dcreg.diagnostics import find_runner_up
 from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE, NORM_PAIRS
 from dcreg.problem import InputError, Problem, representative_points
-from dcreg.problem.geometry import rounding_error, sampled_pairs
+from dcreg.problem.geometry import exact_objective, rounding_error, sampled_pairs
 from dcreg.result import Result, Sample, Stage
+from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget
 from dcreg.status import Status
 
@@ -161,7 +161,7 @@ class Refined(NamedTuple):
     ends : list of (pose, float)
         Where local searches ended, with the objective, or an estimate for a clearly worse pose.
     before : float
-        The objective at the first pose before, or an upper bound on it.
+        The objective of rough pairs at the first pose, an upper bound on its objective.
     greedy : bool
         Whether the pairs of the first pose were chosen greedily.
     n_assignments : int
@@ -207,13 +207,17 @@ def _refined_large(
     known: Matched | None,
 ) -> Refined:
     """Follow nearest neighbours from the poses, and match only where these end."""
-    tree = tree_of(problem.target)
+    tree, sizes = tree_of(problem.target), (problem.source, problem.target, problem.n_inliers)
     near = [near_value(problem, pose, tree) for pose in (T, *others)]
     first = descend(problem, T, budget, tree)
     poses: list[Pose] = [(first.value, first.T_target_source, first.pairs)]
     ends, spent = [(first.T_target_source, first.value)], first.n_assignments
-    rounding = rounding_error(problem.source, problem.target, problem.n_inliers)
-    scale = (first.before + rounding) / (near[0] + rounding)  # both at the pose of the sample
+    before = first.before
+    if not (first.greedy or first.value <= exact_objective(*sizes)):
+        # the pairs of the last pose can be far from the best ones at the first pose
+        before, spent = min(before, quick_value(problem, T, budget)), spent + 1
+    rounding = rounding_error(*sizes)
+    scale = (before + rounding) / (near[0] + rounding)  # both at the pose of the sample
     for other, value in zip(others, near[1:], strict=True):
         if first.greedy or budget.is_over:
             break
@@ -228,7 +232,7 @@ def _refined_large(
     if known is not None:
         cheapest = known.cheapest(problem.source, problem.target, poses[0][1], problem.n_inliers)
         poses.append((cheapest[0], poses[0][1], cheapest[1]))
-    return Refined(poses, ends, first.before, first.greedy, spent)
+    return Refined(poses, ends, before, first.greedy, spent)
 
 
 def refine_poses(problem: Problem, poses: Sequence[Pose], budget: Budget) -> tuple[list[Pose], int]:

@@ -8,17 +8,24 @@ from dataclasses import replace
 import numpy as np
 
 from dcreg.driver.options import Limits, SolveOptions
-from dcreg.driver.solve import with_uncertainty
+from dcreg.driver.solve import PATIENCE_S, with_uncertainty
 from dcreg.driver.warm_up import warm_up_matches
 from dcreg.families.matches.bound import MatchBound
 from dcreg.families.matches.problem import MatchProblem
 from dcreg.families.matches.start import is_near, promising_poses, surface_consistent_poses
-from dcreg.families.matches.warnings import warnings_of
+from dcreg.families.matches.warnings import (
+    LIMIT,
+    NO_PROSPECT,
+    TOLERANCE,
+    is_clear,
+    warnings_of,
+)
 from dcreg.names import SCORES
 from dcreg.problem import InputError, suggestion
 from dcreg.problem.geometry import EXACT
 from dcreg.result import Result, Score, Stage, Trace
 from dcreg.search import Budget
+from dcreg.search.space_search import UNSURE
 from dcreg.status import Status
 
 MODE, BOUND = "matches", "nested"
@@ -33,11 +40,13 @@ def register_match_problem(
     if replace(options, listener=None) != SolveOptions():
         raise InputError("options: registration over matches has one mode; set only the listener")
     limits.check(problem.max_cardinality)
+    patience_s = None if certify else PATIENCE_S
     certify = _certified(score, certify)
     warm_up_matches()
     setup = time.perf_counter() - began
     with limits.budget(options, options.listener) as budget:
-        return _solved(problem, score, certify, limits, budget, setup)
+        patient = budget.with_patience(patience_s)
+        return _solved(problem, score, certify, limits, patient, setup)
 
 
 def _certified(score: str, certify: bool | None) -> bool:
@@ -52,6 +61,17 @@ def _certified(score: str, certify: bool | None) -> bool:
     if not isinstance(certify, bool | np.bool_ | None):
         raise InputError(f"certify: {certify!r} is not a bool; give True, False or None")
     return score == "correspondences" if certify is None else bool(certify)
+
+
+def _patient(
+    budget: Budget, score: str, starts: list[tuple[float, np.ndarray]], threshold: float
+) -> Budget:
+    """Return the budget with more patience if another pose may turn out to be the best one."""
+    (best, pose), *others = starts
+    other = max((end for end, T in others if not is_near(T, pose, threshold)), default=0.0)
+    if budget.patience_s is None or is_clear(score, best, other):
+        return budget
+    return budget.with_patience(UNSURE * budget.patience_s)
 
 
 def _solved(
@@ -74,23 +94,28 @@ def _solved(
     )
     status = budget.ended_by if budget.is_over else Status.CONVERGED
     lower, events = 0.0, []
+    threshold = problem.inlier_threshold
     if certify:
-        bound = MatchBound(problem, value, tolerance)
-        found = bound.search(budget, (pose.ravel(), value))
-        pose, status = found.theta.reshape(3, 4), found.status
-        lower, events = found.lower_bound, found.events
-        stages.append(Stage.of("rotation", found))
-        value, chosen = problem.cost(pose)
-        best = problem.score(value)
+        lower = problem.floor
+        if (proven := tolerance.status(lower, value)) is Status.OPTIMAL:
+            status = proven
+        else:
+            bound = MatchBound(problem, value, tolerance)
+            found = bound.search(_patient(budget, score, starts, threshold), (pose.ravel(), value))
+            pose, status = found.theta.reshape(3, 4), found.status
+            lower, events = max(lower, found.lower_bound), found.events
+            stages.append(Stage.of("rotation", found))
+            value, chosen = problem.cost(pose)
+            best = problem.score(value)
     lower = max(0.0, lower)
     scores = Score(problem.score(value), problem.score(lower))
-    threshold = problem.inlier_threshold
     others = [evidence for evidence, other in starts if not is_near(other, pose, threshold)]
     objective = float(problem.residuals(pose)[chosen].sum())
     unproven = scores if certify and status is not Status.OPTIMAL else None
-    warnings = warnings_of(
-        problem, chosen, score, [best, *others], unproven, status is Status.CONVERGED
-    )
+    end = LIMIT if status is not Status.CONVERGED else NO_PROSPECT
+    if tolerance.status(lower, value) is Status.CONVERGED:
+        end = TOLERANCE
+    warnings = warnings_of(problem, chosen, score, [best, *others], unproven, end)
     T = problem.pose(pose)
     result = Result(
         status=status, model="rigid3d", mode=MODE, bound=BOUND, T_target_source=T, T_certified=T,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.problem.geometry import Frame
+from dcreg.problem import Frame
 from dcreg.result import Stage
 from dcreg.search import Box, Budget, Event, Outcome, Tolerance
 from dcreg.status import Status
@@ -39,7 +39,7 @@ class NormalisedProblem:
     patience_s : float, optional
         Seconds that a proof may take, if independent starts agree; None: to the limit.
     region : Region, optional
-        The admissible poses (`dcreg.families.region`); None: all of the model.
+        The admissible poses (``dcreg.families.region``); None: all of the model.
     init : (d+1, d+1) array, optional
         An initial guess of the pose.
     """

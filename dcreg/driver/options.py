@@ -52,8 +52,8 @@ class SolveOptions:
     prove : bool
         Search to the time limit for a proof. By default, mode ``full`` and searches of samples end with
         status ``converged`` if a proof takes, or is expected to take, more than five seconds after the
-        initial poses: 25 if these are not confirmed; for a sample, 0.25 and 1.25. Sweeps, and searches
-        with a limit on boxes or assignments, continue to their limits.
+        initial poses: 25 if these are not confirmed; for a sample, 0.25 and 1.25. Sweeps over all points,
+        and searches with a limit on boxes or assignments, continue to their limits.
     assignment_limit : int, optional
         Maximum number of exact assignments of each search, including those of the initial poses. In
         contrast to a time limit it gives the same result on every machine.

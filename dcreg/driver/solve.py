@@ -13,7 +13,7 @@ import numpy as np
 from dcreg.assignment.objective import Matched, is_large, objective, quick_objective
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
-from dcreg.diagnostics import Case, advice, find_runner_up, warnings_for
+from dcreg.diagnostics import Case, advice, warnings_for
 from dcreg.driver.downsample import (
     ALL_POINTS,
     Pose,
@@ -30,6 +30,7 @@ from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, START_BOXES
 from dcreg.problem import (
+    Frame,
     InputError,
     Problem,
     apply_pose,
@@ -37,9 +38,11 @@ from dcreg.problem import (
     open_directions,
     pose_covariance,
 )
-from dcreg.problem.geometry import Frame, exact_objective, rounding_error
+from dcreg.problem.geometry import exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
+from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget, Event, Listener
+from dcreg.status import Status
 
 _LOGGER = logging.getLogger("dcreg")
 # Seconds for a proof by default. A proof about a sample says little about all points, so it gets less.
@@ -213,11 +216,26 @@ class Finish:
             self._report_refinement(np.inf)
             result = refined(result, problem, searched, self.budget, self.known)
             self._report_refinement(result.objective)
+        result = self._exact(result)
         if problem.pose_range is None:  # the covariance is that of free poses
             low, high = problem.scale_range
             has_scale = problem.has_scale and low < high
             result = with_uncertainty(result, problem.source, problem.target, has_scale=has_scale)
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
+
+    def _exact(self, result: Result) -> Result:
+        """Return an exact fit as optimal on all points: 0 is a lower bound of every sum of squares."""
+        problem = self.setup.problems[self.at]
+        sizes = (problem.source, problem.target, problem.n_inliers)
+        exact, value = exact_objective(*sizes), result.objective
+        if value > exact or result.success or result.certificate is not None:
+            return result
+        tolerance = self.setup.limits.tolerance(problem.n_inliers, rounding_error(*sizes), exact)
+        return replace(
+            result, status=Status.OPTIMAL, lower_bound=0.0, upper_bound=value, is_exact=True,
+            gap_tol=tolerance.allowed(value), T_certified=result.T_target_source,
+            objective_certified=value, downsampled=None,
+        )  # fmt: skip
 
     def _report_refinement(self, objective: float) -> None:
         """Report the objective on all points; it is no bound of the search, so the trace omits it."""

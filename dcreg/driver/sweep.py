@@ -54,9 +54,9 @@ from dcreg.sweep_result import SweepResult
 TIGHTEST_SHARE = 0.5
 # Share of the time for the local searches of all numbers of pairs together.
 STARTING_SHARE = 0.5
-# Approximate time for matching all points at a pose. It is reserved for every cardinality, up to this
+# Approximate time for refining a pose on all points. It is reserved for every cardinality, up to this
 # share of the time.
-_ENDING_S_PER_POINT = 5e-6
+_ENDING_S_PER_POINT = 2e-5
 _LARGEST_ENDING = 0.75
 
 
@@ -66,8 +66,6 @@ def sweep_problems(
     """Solve problems that differ in `n_inliers`, given in ascending order; see `dcreg.sweep`."""
     if options.certificate:
         raise InputError("certificate: a sweep keeps none; use register for one n_inliers")
-    if options.prove:
-        raise InputError("prove: a sweep always searches to its limits; omit it")
     setup = Setup.of(problems, limits, options)
     with setup.budget() as budget:
         solve = _Sweep(setup, budget)
@@ -228,6 +226,9 @@ class _Sweep:
         return count, level.tolerance.tightened(gap / own)
 
     def _search(self, level: Level, tolerance: Tolerance, budget: Budget) -> None:
+        # a proof about a sample says little about all points, which need the time
+        patience_s = level.normalised.patience_s if self.setup.is_sampled else None
+        budget = budget.with_patience(patience_s)
         found = minimise(
             level.space, bound_of(self.mode, level.normalised, level.space), budget,
             tolerance=tolerance, start=(level.theta, level.upper_bound), stage=f"k={level.name}",

@@ -15,15 +15,13 @@ from dcreg.assignment.sparse import sparse_matching
 from dcreg.driver.modes import COMPILING, Attempt, compile_cover, run_mode
 from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.mode import Mode, all_modes
-from dcreg.families.region import Near
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.jit import forget_old_kernels, when_compiling
 from dcreg.names import BOUND_NAMES, MODEL_DIM
-from dcreg.problem import PoseRange, Problem
-from dcreg.problem.geometry import Frame
+from dcreg.problem import Frame, PoseRange, Problem
 from dcreg.problem.problem import DEFAULT_SCALE_RANGE
 from dcreg.search import Box, Boxes, Budget, Tolerance
 
@@ -147,6 +145,8 @@ def warm_up_region(mode: Mode) -> None:
     """Compile (or load from cache) what a search of a range of poses needs besides, once a process."""
     if mode.in_region is None:
         return
+    from dcreg.families.region import Near
+
     points = np.random.default_rng(0).standard_normal((8, MODEL_DIM[mode.model]))
     problem = Problem(points, points[:, ::-1], 6, mode.model, pose_range=PoseRange(max_angle=30.0))
     frame = Frame.of(problem)

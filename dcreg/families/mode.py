@@ -51,7 +51,7 @@ class Mode:
         Family of the certificate that the search can record (``dcreg.certificate.format.MODELS``), or
         empty.
     in_region : callable, optional
-        The space of the poses in a ``region=`` (`dcreg.families.region`), otherwise like `space`, and
+        The space of the poses in a ``region=`` (``dcreg.families.region``), otherwise like `space`, and
         its bound like `make_bound`, or None if the user chooses it. Returned by a function without
         arguments, so that they are imported only if needed. None: only all poses can be searched.
     stage : str

@@ -10,16 +10,19 @@ import numpy as np
 from dcreg.plot.page import page_title, write_page
 from dcreg.plot.registration import clouds_figure
 from dcreg.problem import InputError, apply_pose
-from dcreg.result import Result
 
 _MAX_POSES = 8  # drawn
 
 
 class Answer(Protocol):
-    """What `plot_answer` needs of `dcreg.Certified` and `dcreg.Alternatives`."""
+    """What `plot_answer` needs of `dcreg.Certified`, `dcreg.Alternatives` and `dcreg.MaxInliers`."""
 
     question: str
-    result: Result
+
+    @property
+    def warnings(self) -> list[str]:
+        """Possible problems with the answer."""
+        ...
 
     @property
     def poses(self) -> dict[str, np.ndarray]:
@@ -49,7 +52,7 @@ def plot_answer(
     Parameters
     ----------
     source, target : (n, d) and (m, d) arrays, d = 2 or 3
-    answer : Certified or Alternatives
+    answer : Certified, Alternatives or MaxInliers
     path : str or Path
         The ``.html`` file to write.
     names : (str, str)
@@ -70,6 +73,6 @@ def plot_answer(
         page_title(answer.question, names),
         answer.answer,
         {name: clouds_figure(apply_pose(T, source), target) for name, T in drawn},
-        warnings=answer.result.warnings,
+        warnings=answer.warnings,
         facts=[each for each in facts if each[0] != "warning"],
     )

@@ -3,8 +3,8 @@
 # ruff: noqa: F401 (names of the package)
 
 from dcreg.problem.errors import InputError, suggestion
+from dcreg.problem.frame import Frame
 from dcreg.problem.geometry import (
-    Frame,
     apply_pose,
     exact_objective,
     farthest_point_order,

@@ -39,6 +39,7 @@ from dcreg.status import Status
 
 # Default distance at which poses count as distinct: RMS residuals, and at least a share of the size.
 RESIDUALS, SHARE_OF_SIZE = 3.0, 0.01
+STAGE = "other poses"  # in events
 SOLVE_SHARE = 0.5  # of the time, for the best pose
 
 
@@ -93,6 +94,11 @@ class Alternatives:
     time_s: float
 
     question = "other poses"
+
+    @property
+    def warnings(self) -> list[str]:
+        """Those of the search."""
+        return self.result.warnings
 
     @property
     def poses(self) -> dict[str, np.ndarray]:
@@ -338,7 +344,7 @@ class _Search:
         )
         tolerance = Tolerance(rel=1e-6, target=self.threshold / area)
         problem = replace(self.normalised, region=region, tolerance=tolerance, init=None)
-        attempt = Attempt(self.setup.mode, problem)
+        attempt = Attempt(replace(self.setup.mode, stage=STAGE), problem)
         thetas = [attempt.space.parameter(T) for T, _ in minima]
         far = [
             Start(theta, value)

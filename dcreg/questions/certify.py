@@ -70,7 +70,12 @@ class Certified:
     angle_deg: float
     result: Result
 
-    question = "certification"
+    question = "given pose"
+
+    @property
+    def warnings(self) -> list[str]:
+        """Those of the search."""
+        return self.result.warnings
 
     @property
     def poses(self) -> dict[str, np.ndarray]:

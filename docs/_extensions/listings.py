@@ -57,6 +57,29 @@ def modes() -> str:
     return table(head, map(row, all_modes()))
 
 
+def questions() -> str:
+    """Which questions each mode answers, from the fields of the modes."""
+    from dcreg.families.mode import all_modes
+
+    asked = {
+        "`register`, `sweep`, `candidates`": lambda mode: True,
+        "`certify`, `init`, `max_rms`, `max_inliers`": lambda mode: not mode.in_norm_space,
+        "`alternatives`, `max_angle`, `max_translation`": lambda mode: bool(mode.in_region),
+        "`axis`": lambda mode: bool(mode.in_region) and mode.model != "similarity2d",
+        "certificate file": lambda mode: bool(mode.certifies),
+        "covariance, `downsample`, `batch`": lambda mode: True,
+    }
+    modes = all_modes()
+    head = ("question or option", *(f"`{mode.model}`, mode `{mode.name}`" for mode in modes))
+    return table(
+        head,
+        (
+            (name, *("yes" if works(mode) else "" for mode in modes))
+            for name, works in asked.items()
+        ),
+    )
+
+
 def cards(folder: str) -> list[dict]:
     paths = sorted((ROOT / folder).glob("[a-z]*/card.yaml"))
     return [{"folder": p.parent.name, **yaml.safe_load(p.read_text("utf-8"))} for p in paths]
@@ -112,7 +135,11 @@ LISTINGS = {
     "batch-options": lambda: options("batch"),
     "matches-options": lambda: options("register-matches"),
     "verify-options": lambda: options("verify"),
+    "certify-options": lambda: options("certify"),
+    "max-inliers-options": lambda: options("max-inliers"),
+    "alternatives-options": lambda: options("alternatives"),
     "modes": modes,
+    "questions": questions,
     "methods": methods,
     "datasets": datasets,
     "metrics": metrics,

@@ -10,7 +10,7 @@ SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 
 
 def test_there_are_examples():
-    assert len(SCRIPTS) >= 7
+    assert len(SCRIPTS) >= 8
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)

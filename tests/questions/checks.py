@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 import dcreg
-from dcreg.problem import apply_pose
+from dcreg.problem import apply_pose, largest_matching
 from dcreg.status import Status
 from tests.questions.problems import small
 
@@ -83,6 +83,30 @@ def check_alternatives(number: int) -> Checked:
     return words, faults
 
 
+def check_max_inliers(number: int) -> Checked:
+    """How many pairs fit at most? No fit to a matching may bring more within the distance."""
+    one = small(number)
+    p = one.problem
+    distance = (0.02, 0.1, 0.3, 1.0)[number // 3 % 4]
+    keywords = {key: value for key, value in one.keywords.items() if key != "n_inliers"}
+    found = dcreg.max_inliers(p.source, p.target, distance=distance, **keywords)
+    rows, columns = found.assignment.T
+    moved, faults = apply_pose(found.T_target_source, p.source[rows]), []
+    if (np.linalg.norm(moved - p.target[columns], axis=1) > distance * (1 + 1e-12)).any():
+        faults.append("a pair is farther than the distance")
+    if len(set(rows)) != found.at_least or len(set(columns)) != found.at_least:
+        faults.append("the pairs are not one to one")
+    reached = max(_within(p.source, p.target, T, distance) for _, T in one.fits())
+    if reached > found.at_most:
+        faults.append(f"at most {found.at_most}, but a pose has {reached}")
+    return ("exact" if found.is_exact else "interval"), faults
+
+
+def _within(source: np.ndarray, target: np.ndarray, T: np.ndarray, distance: float) -> int:
+    gaps = np.linalg.norm(apply_pose(T, source)[:, None] - target, axis=2)
+    return int((largest_matching(gaps <= distance) >= 0).sum())
+
+
 def check_range(number: int) -> Checked:
     """The best pose of a range: bounds on both sides of the optimum of all matchings."""
     one = small(number, with_range=True)
@@ -105,6 +129,7 @@ CHECKS: dict[str, Callable[[int], Checked]] = {
     "max_rms": check_max_rms,
     "certify": check_certify,
     "alternatives": check_alternatives,
+    "max_inliers": check_max_inliers,
     "range": check_range,
 }
 

@@ -81,6 +81,9 @@ LARGE = {
     "api.register": "the public function: every setting by name, and its documentation",
     "api.register_matches": "as register",
     "api.sweep": "as register",
+    "questions.alternatives.alternatives": "as register",
+    "questions.certify.certify": "as register",
+    "questions.inliers.max_inliers": "as register",
 }
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.distance import cdist
 
 import dcreg
 from dcreg import diagnostics
-from dcreg.diagnostics import find_runner_up
+from dcreg.runner_up import find_runner_up
 from dcreg.result import Sample
 from dcreg.status import Status
 from tests.problems import register
@@ -125,6 +125,32 @@ def test_greedy_pairs_are_not_called_too_many():
     assert diagnostics.loose_pairs(greedy) is None
     assert diagnostics.rough_pairs(matched) is None
     assert "too many" in diagnostics.loose_pairs(matched)
+
+
+@pytest.mark.parametrize(("shift", "warned"), [(0.0, False), (9.0, True)])
+@pytest.mark.parametrize("greedy", [True, False])
+def test_large_clouds_are_judged_by_nearest_points(shift, warned, greedy, monkeypatch):
+    """Their pairs can be rough or greedy; whether there are too many does not depend on that."""
+    monkeypatch.setattr(diagnostics, "is_large", lambda n, m: True)
+    source, target = clouds()
+    result = solve(source, target, 30)
+    late = [*result.stages, dcreg.Stage("all points", 0.1, greedy_assignment=greedy or None)]
+    T = result.T_target_source.copy()
+    T[:2, 2] += shift
+    changes = {"objective": 50.0, "stages": late, "T_target_source": T}
+    found = diagnostics.loose_pairs(case(result, source, target, **changes))
+    assert bool(found) == warned
+
+
+@pytest.mark.parametrize(("factor", "warned"), [(4.0, False), (6.0, True)])
+def test_large_clouds_with_distant_pairs(factor, warned, monkeypatch):
+    monkeypatch.setattr(diagnostics, "is_large", lambda n, m: True)
+    source, target = clouds(noise=0.05)
+    result = solve(source, target, 20)
+    lowest = case(result, source, target).lowest_rmse
+    assert lowest <= result.rmse_matched
+    distant = case(result, source, target, objective=factor * 20 * lowest**2)
+    assert ("connect distant points" in str(diagnostics.distant_pairs(distant))) == warned
 
 
 def test_a_target_ten_times_larger():

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
+from dcreg.driver import matching
 from dcreg.families.matches.bound import MatchBound
 from dcreg.families.matches.kernels.bounds import rotation_bounds
 from dcreg.families.matches.kernels.compatible import caps
@@ -65,7 +66,9 @@ def centred(problem, T):
 @pytest.mark.parametrize("several", [False, True])
 def test_pose_is_found_among_wrong_matches_and_certified(n_right, n_wrong, several):
     source, target, matches, T = planted(n_right, n_wrong, noise=0.01, several=several)
-    found = dcreg.register_matches(source, target, matches, inlier_distance=REACH, time_limit=60)
+    found = dcreg.register_matches(
+        source, target, matches, inlier_distance=REACH, certify=True, time_limit=60
+    )
     assert found.status is dcreg.Status.OPTIMAL
     turn = Rotation.from_matrix(found.rotation @ T[:3, :3].T).magnitude()
     assert turn < 0.02
@@ -187,6 +190,47 @@ def test_useless_matches_are_left_out_of_the_bound():
     problem = MatchProblem.checked(source, target, matches, REACH)
     bound = MatchBound(problem, (problem.max_cardinality - 55) * REACH**2, Tolerance())
     assert 60 <= bound.n_left < 160
+
+
+def test_right_matches_within_a_wide_distance_need_no_search():
+    """The least squares of all matches cost less than one unselected match."""
+    source, target, matches, _ = planted(30, 0, noise=0.01)
+    found = dcreg.register_matches(source, target, matches, inlier_distance=0.2)
+    assert (found.status, found.n_nodes, found.n_inliers) == (dcreg.Status.OPTIMAL, 0, 30)
+    assert found.lower_bound == pytest.approx(found.upper_bound, rel=1e-6)
+    assert found.warnings == []
+    exact = dcreg.register_matches(source, source + 1.0, matches, inlier_distance=0.2)
+    assert exact.is_exact
+    assert exact.success
+
+
+@pytest.mark.parametrize("reach", [0.02, 0.1, 0.2])
+@pytest.mark.parametrize("n_wrong", [0, 1])
+def test_no_pose_costs_less_than_the_floor(reach, n_wrong, rng):
+    source, target, matches, T = planted(12, n_wrong, noise=0.01)
+    problem = MatchProblem.checked(source, target, matches, reach)
+    assert (problem.floor > 0.0) == (reach > 0.05 and n_wrong == 0)
+    assert problem.floor <= reach**2
+    for size in (0.0, 1e-3, 1e-2, 0.1):
+        moved = np.eye(4)
+        moved[:3, :3] = Rotation.from_rotvec(size * rng.standard_normal(3)).as_matrix()
+        assert problem.cost(centred(problem, moved @ T))[0] >= problem.floor
+    twice = np.vstack([matches, matches[:, [0, 0]] + [0, 1]])
+    twice = twice[twice[:, 1] < len(target)]
+    assert MatchProblem.checked(source, target, twice, reach).floor == 0.0
+
+
+def test_a_search_ends_if_no_proof_is_expected(monkeypatch):
+    monkeypatch.setattr(matching, "PATIENCE_S", 0.3)
+    source, target, matches, _ = planted(30, 0, noise=0.01)
+    given = {"inlier_distance": 0.03, "time_limit": 3.0}
+    found = dcreg.register_matches(source, target, matches, **given)
+    assert found.status is dcreg.Status.CONVERGED
+    assert found.reason == "proof not expected soon"
+    assert 0.0 < found.lower_bound < found.upper_bound
+    assert any("no proof is expected" in line and "certify=True" in line for line in found.warnings)
+    asked = dcreg.register_matches(source, target, matches, **given, certify=True)
+    assert asked.status is dcreg.Status.TIME_LIMIT
 
 
 def test_all_wrong_matches_end_by_the_limit_with_bounds_that_hold():

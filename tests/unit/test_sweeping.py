@@ -185,10 +185,9 @@ def test_lists_in_any_order_and_with_repetitions(clouds):
             assert getattr(a, name) == getattr(b, name)
 
 
-@pytest.mark.parametrize("ignored", ["certificate", "prove"])
-def test_a_sweep_rejects_what_it_would_ignore(clouds, ignored):
-    options = dcreg.SolveOptions(**{ignored: True})
-    with pytest.raises(InputError, match=f"^{ignored}: a sweep"):
+def test_a_sweep_rejects_a_certificate(clouds):
+    options = dcreg.SolveOptions(certificate=True)
+    with pytest.raises(InputError, match=r"^certificate: a sweep"):
         dcreg.sweep(*clouds, [18], model="similarity2d", options=options)
 
 
@@ -468,8 +467,7 @@ def test_a_rotation_search_leaves_time_for_all_points(rng):
     target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
     swept = sweep(
         source, target, [200, 210], model="rigid3d", rel_gap=0.0, abs_gap=0.0, time_limit=2.0,
-        mode="paper",
-        downsample=60,
+        mode="paper", downsample=60, prove=True,
     )  # fmt: skip
     assert swept.status is Status.TIME_LIMIT
     for result in swept.results:
@@ -477,6 +475,20 @@ def test_a_rotation_search_leaves_time_for_all_points(rng):
         assert last.name == "all points"
         assert last.n_assignments > 1
         assert last.objective_after < last.objective_before
+
+
+def test_a_sweep_over_samples_stops_without_a_proof_and_suggests_a_number(rng):
+    """Otherwise the searches use the time that all points need."""
+    source = rng.random((400, 3)) * [2.0, 1.0, 0.5]
+    target = source + 3.0 + 0.01 * rng.standard_normal(source.shape)
+    target[280:] = rng.random((120, 3)) * [2.0, 1.0, 0.5] + 3.0
+    counts, limit = [200, 240, 280, 320, 360], 60.0
+    options = {"model": "rigid3d", "rel_gap": 0.0, "abs_gap": 0.0, "time_limit": limit}
+    swept = sweep(source, target, counts, **options, mode="full", downsample=80)
+    assert {result.status for result in swept.results} == {Status.CONVERGED}
+    assert sum(result.time_solve_s for result in swept.results) < 0.7 * limit
+    assert swept.suggested_n_inliers == 280
+    np.testing.assert_allclose(swept.results[2].translation, [3.0] * 3, atol=0.02)
 
 
 def test_a_sample_of_a_sweep_refuses_what_it_would_ignore(clouds):

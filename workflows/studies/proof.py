@@ -2,10 +2,11 @@
 
 Every problem has 100 points (``--points``) before its disturbance. ``n_inliers`` is the number of true
 pairs, or ``--share`` of it. The search continues to the time limit (``prove=True``). Poses are rigid in
-3D. With ``--plane`` they are similarities of side views, which lack the axis of smallest extent. The
-study writes ``proof.csv``, a row per solve with the lower bound at several moments divided by the final
-upper bound, and ``proof_summary.csv``, a row per test and level. Existing rows are kept, so an
-interrupted study can be continued.
+3D; with ``--axis`` the axis of the rotation is known, which leaves four degrees of freedom. With
+``--plane`` they are similarities of side views, which lack the axis of smallest extent. The study writes
+``proof.csv``, a row per solve with the lower bound at several moments divided by the final upper bound,
+and ``proof_summary.csv``, a row per test and level. Existing rows are kept, so an interrupted study can
+be continued.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import pandas as pd
 import typer
+from scipy.spatial.transform import Rotation
 
 import dcreg
 from data.contract import Dataset, PrototypeDataset, RawInstance
@@ -28,7 +30,7 @@ from workflows.disturb import make_instance
 from workflows.metrics import Case
 from workflows.studies.modes import RIGHT, SHAPES, TESTS
 
-MOMENTS_S = 3.0, 10.0, 60.0
+MOMENTS_S = 3.0, 5.0, 10.0, 60.0
 QUARTER = 0.24  # minimum L/U, lower divided by upper bound, of a useful bound: about a quarter
 
 
@@ -76,6 +78,7 @@ def main(
     shapes: Annotated[str, typer.Option(help="datasets, comma-separated")] = ",".join(SHAPES),
     share: Annotated[float, typer.Option(help="n_inliers over true pairs")] = 1.0,
     plane: Annotated[bool, typer.Option(help="2D similarities of side views")] = False,
+    axis: Annotated[bool, typer.Option(help="3D poses with a known axis of rotation")] = False,
 ) -> None:
     """Solve the problems; print and store the tables."""
     dcreg.warm_up()
@@ -90,17 +93,17 @@ def main(
         "threads": threads,
         "share": share,
         "plane": plane,
+        "axis": axis,
     }
     if any({name: row.get(name) for name in settings} != settings for row in rows):
         raise typer.BadParameter(f"{path} was made with other settings; give another folder")
     done = {(row["shape"], row["test"], row["level"], row["trial"]) for row in rows}
     for cell in _cells(trials, tests.split(","), shapes.split(",")):
         if tuple(cell) not in done:
-            rows.append(
-                cell._asdict()
-                | settings
-                | _solved(cell.instance(points, plane), limit, threads, share)
-            )
+            raw = cell.instance(points, plane)
+            given = known_axis(raw, cell.trial) if axis else None
+            found = _solved(raw, limit, threads, share, given)
+            rows.append(cell._asdict() | settings | found)
             pd.DataFrame(rows).to_csv(path, index=False)
     table = summary(pd.DataFrame(rows))
     table.to_csv(out / "proof_summary.csv", index=False)
@@ -130,12 +133,33 @@ def _cells(trials: int, tests: list[str], shapes: list[str]) -> Iterator[Cell]:
             yield Cell(shape, test, level, trial)
 
 
-def _solved(raw: RawInstance, limit: float, threads: int, share: float) -> dict[str, object]:
+def known_axis(raw: RawInstance, seed: int) -> dcreg.PoseRange:
+    """Return the range of poses that differ from the true one by a rotation about a random axis.
+
+    Its reference pose is turned about the axis by a random angle, and knows no translation.
+    """
+    rng = np.random.default_rng([5, seed])
+    axis = rng.standard_normal(3)
+    axis /= np.linalg.norm(axis)
+    around = np.eye(4)
+    turn = Rotation.from_rotvec(rng.uniform(0.0, 2.0 * np.pi) * axis).as_matrix()
+    around[:3, :3] = turn @ raw.T_true[:3, :3]
+    return dcreg.PoseRange(axis=axis, around=around)
+
+
+def _solved(
+    raw: RawInstance,
+    limit: float,
+    threads: int,
+    share: float,
+    pose_range: dcreg.PoseRange | None = None,
+) -> dict[str, object]:
     began = time.perf_counter()
     is_2d, n_inliers = raw.source.shape[1] == 2, round(share * len(raw.pairs))
     result = dcreg.register(
         raw.source, raw.target, model="similarity2d" if is_2d else "rigid3d", n_inliers=n_inliers,
         scale_range=raw.scale_range if is_2d else None, time_limit=limit,
+        pose_range=pose_range,
         options=dcreg.SolveOptions(mode=None if is_2d else "full", threads=threads, prove=True),
     )  # fmt: skip
     spent = time.perf_counter() - began - result.time_setup_s

@@ -8,33 +8,32 @@ from dcreg.jit import jit
 
 
 @jit
-def penalised_matching(columns, costs, m, penalty, stop, col_of):
-    """Write the cheapest matching into `col_of` (-1: none), if each unmatched row costs `penalty`.
+def penalised_matching(columns, costs, penalty, stop, col_of, row_of, u, v):
+    """Continue a matching to the cheapest one, if each unmatched row costs `penalty`.
 
-    Finds shortest augmenting paths, row by row. A path may end at an unmatched column, or leave one of
-    its rows unmatched. It therefore ends near its start, and the heap stays small.
+    Finds shortest augmenting paths, unmatched row by unmatched row. A path may end at an unmatched
+    column, or leave one of its rows unmatched. It therefore ends near its start, and the heap stays
+    small. The cheapest matching for a smaller penalty remains the cheapest of its size, so only the rows
+    that it leaves unmatched are searched again.
 
     Parameters
     ----------
     columns, costs : (n, c) arrays
         Candidates of every row, cheapest first; no cost is negative.
-    m : int
-        Number of columns.
     penalty : float
     stop : (1,) uint8 array
         Checked before every row. Once it is set, the matching is incomplete.
-    col_of : (n,) int array
-        Filled.
+    col_of, row_of, u, v : (n,), (m,) int arrays, (n,), (m,) arrays
+        Column of each row and row of each column (-1: none), and the dual variables: those of the
+        cheapest matching for a penalty of at most this one, or -1 and 0. Updated.
     """
     n, width = columns.shape
-    row_of, settled = np.full(m, -1), np.empty(n, np.int64)
-    u, v = np.zeros(n), np.zeros(m)
+    m = row_of.size
+    settled = np.empty(n, np.int64)
     dist, pred, done = np.full(m, np.inf), np.empty(m, np.int64), np.zeros(m, np.bool_)
     touched = np.empty(m, np.int64)
     keys, items = np.empty(4 * m + width), np.empty(4 * m + width, np.int64)
-    for i in range(n):
-        col_of[i] = -1
-    for start in range(n):
+    for start in np.flatnonzero(col_of < 0):
         if stop[0]:
             return
         row, reach, size, n_touched, n_settled = start, 0.0, 0, 0, 0

@@ -9,6 +9,7 @@ import numpy as np
 
 from dcreg.families.matches.kernels.lists import MatchList, scores
 from dcreg.problem import InputError, rounding_error
+from dcreg.problem.geometry import fit_pose
 from dcreg.problem.problem import check_points
 
 MIN_MATCHES = 3  # that determine a rigid pose
@@ -89,6 +90,19 @@ class MatchProblem:
         count = self.max_cardinality
         none_selected = count * self.inlier_threshold**2
         return min(rounding_error(self.source, self.target, count), 1e-8 * none_selected)
+
+    @property
+    def floor(self) -> float:
+        """A lower bound on the cost without a search; 0 if none is known.
+
+        A pose that selects all matches costs at least their least squares. Any other pose costs at least
+        one unselected match. If the former cost less, they are the minimum.
+        """
+        if len(self.pairs) > self.max_cardinality:  # a point is in several matches
+            return 0.0
+        fitted = fit_pose(self.list.source, self.list.target, (1.0, 1.0))[:3]
+        least = float(self.residuals(fitted).sum())
+        return max(0.0, least - self.rounding) if least <= self.inlier_threshold**2 else 0.0
 
     def pose(self, centred: np.ndarray) -> np.ndarray:
         """Return the (4, 4) matrix of a (3, 4) pose of the centred source."""

@@ -10,6 +10,16 @@ RUNNER_UP_RATIO = (
     0.8  # minimum score, relative to that of the best pose, of another pose that is reported
 )
 _REMEDY = "Look at the clouds at this pose, or give better matches"
+# Why a search ended without a proof.
+LIMIT, TOLERANCE, NO_PROSPECT = "limit", "tolerance", "no prospect"
+_ENDS = {
+    LIMIT: ("early", "Allow more time, or give only the most likely matches"),
+    TOLERANCE: ("because the cost is within the tolerance", "Omit abs_gap"),
+    NO_PROSPECT: (
+        "because no proof is expected soon",
+        "Set certify=True (--certify) to search to the time limit, or give only the most likely matches",
+    ),
+}
 _FLAT = 1e-9  # extent across a line, relative to the extent along it, that counts as rounding
 
 
@@ -19,7 +29,7 @@ def warnings_of(
     score: str,
     evidence: list[float],
     unproven: tuple[float, float] | None,
-    within_tolerance: bool = False,
+    end: str = LIMIT,
 ) -> list[str]:
     """Return the warnings, one line each.
 
@@ -35,23 +45,24 @@ def warnings_of(
     unproven : (float, float), optional
         If bounds were requested and prove no optimum: the score of the pose, and the proven upper bound
         on that of any pose.
-    within_tolerance : bool
-        Whether the search ended because the cost is within the absolute tolerance.
+    end : {LIMIT, TOLERANCE, NO_PROSPECT}
+        Why the search ended.
     """
     best, other = [*evidence, 0.0][:2]
     by_chance = _few(chosen) if score == "surfaces" else _chance(best, other)
     lines = [_undetermined(problem, chosen), _runner_up(score, best, other) or by_chance]
     if unproven is not None:
-        why, remedy = (
-            ("because the cost is within the tolerance", "Omit abs_gap")
-            if within_tolerance
-            else ("early", "Allow more time, or give only the most likely matches")
-        )
+        why, remedy = _ENDS[end]
         lines.append(
             f"the search ended {why}: a pose with a score of up to {unproven[1]:.4g} is not ruled out, "
             f"this one has {unproven[0]:.4g}. {remedy}"
         )
     return [line for line in lines if line is not None]
+
+
+def is_clear(score: str, best: float, other: float) -> bool:
+    """Tell whether the best pose is clearly better than another one."""
+    return not (_runner_up(score, best, other) or _chance(best, other))
 
 
 def _undetermined(problem: MatchProblem, chosen: np.ndarray) -> str | None:

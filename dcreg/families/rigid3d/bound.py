@@ -167,7 +167,7 @@ class RigidBound(SpaceBound[Rigid3D]):
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         count = len(boxes)
-        most = count if self._vertices is None else self._vertices.most_boxes
+        most = max(1, count) if self._vertices is None else self._vertices.most_boxes
         duals = boxes.warm_start
         if duals is None:
             duals = np.zeros((count, self.space.n_target), np.uint16)

@@ -91,8 +91,17 @@ class RigidNear(NearSpace, RigidInRegion):
 
     def seeds(self) -> np.ndarray:
         """Return regular poses of the model, moved into the range, each once."""
-        moved = np.array([self.nearest(theta) for theta in super().seeds()])
-        moved[:, :4] /= np.linalg.norm(moved[:, :4], axis=1)[:, None]
+        moved, given = super().seeds(), self.pose_range
+        w, v = moved[:, :1], moved[:, 1:4]
+        if given.axis is not None:
+            v[:, :2] = 0.0  # the nearest rotation about the z-axis
+        length = np.linalg.norm(v, axis=1)[:, None]
+        half = np.minimum(np.arctan2(length, np.abs(w)), 0.5 * math.radians(given.max_angle))
+        v *= np.sin(half) * np.where(w < 0.0, -1.0, 1.0) / np.where(length > 0.0, length, np.inf)
+        w[:] = np.cos(half)
+        gap = _matrices(moved[:, :4]) @ given.pivot + moved[:, 4:] - given.place
+        excess = np.linalg.norm(gap, axis=1)[:, None] / max(given.max_translation, 1e-300)
+        moved[:, 4:] -= gap * (1.0 - 1.0 / np.maximum(1.0, excess))
         _, first = np.unique(np.round(moved, 6), axis=0, return_index=True)
         return moved[np.sort(first)]
 

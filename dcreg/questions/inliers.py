@@ -1,0 +1,245 @@
+"""How many pairs fit at most? Bounds on the number of pairs within a distance.
+
+If k pairs lie within a distance d at some pose, the minimum E_k of the sum of k squared residuals is at
+most k d^2. E_k / k does not decrease with k, because the k - 1 cheapest of k pairs have at most the same
+mean. So if E_k > k d^2 is proven, no pose has k or more pairs within d. The smallest such k is found by
+bisection. Poses found on the way, and fits to their pairs within d, give the number that is reached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dcreg import text
+from dcreg._version import __version__
+from dcreg.driver.options import Limits, SolveOptions, check_positive
+from dcreg.driver.solve import register_problem
+from dcreg.files import as_json, plain, write_text
+from dcreg.names import DEFAULT_TIME_LIMIT_S
+from dcreg.problem import (
+    Candidates,
+    InputError,
+    PoseRange,
+    Problem,
+    apply_pose,
+    largest_matching,
+)
+from dcreg.result import Result
+from dcreg.search import Budget
+from dcreg.status import Status
+
+_MAX_PAIRS = 4_000_000  # point pairs; more do not fit into a dense matrix of distances
+_REFITS = 20
+_SHARE = 0.25  # of the time left, for one number of pairs
+
+
+@dataclass(frozen=True, repr=False)
+class MaxInliers:
+    """Bounds on the largest number of pairs within a distance; see `dcreg.max_inliers`.
+
+    Attributes
+    ----------
+    distance : float
+        In units of the target.
+    at_least : int
+        Number of pairs within the distance at `T_target_source`.
+    at_most : int
+        No pose has more: proven.
+    T_target_source : (d+1, d+1) array
+    assignment : (at_least, 2) int array
+        The pairs: source row and target row.
+    tried : list of (int, str)
+        Numbers of pairs for which a search ran, with its status.
+    time_s : float
+    """
+
+    distance: float
+    at_least: int
+    at_most: int
+    T_target_source: np.ndarray
+    assignment: np.ndarray
+    tried: list[tuple[int, str]]
+    time_s: float
+
+    question = "largest number of pairs"
+    warnings: ClassVar[list[str]] = []
+
+    @property
+    def poses(self) -> dict[str, np.ndarray]:
+        """The pose that brings the pairs within the distance."""
+        return {"pose": self.T_target_source}
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether both bounds agree."""
+        return self.at_least == self.at_most
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return plain({**vars(self), "is_exact": self.is_exact})
+
+    def to_json(self, **more: Any) -> str:
+        """Return `to_dict`, the version and `more` keys as JSON."""
+        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
+
+    def write_json(self, path: str | Path, **more: Any) -> None:
+        """Write `to_json` to a file."""
+        write_text(path, self.to_json(**more) + "\n")
+
+    @property
+    def answer(self) -> str:
+        """The answer in a sentence."""
+        if self.is_exact:
+            return f"exactly {text.count(self.at_least, 'pair')} within {self.distance:g}: proven"
+        return (
+            f"at least {self.at_least} and, proven, at most {text.count(self.at_most, 'pair')} within "
+            f"{self.distance:g}"
+        )
+
+    def entries(self) -> Iterator[tuple[str, str]]:
+        """Yield names and values of the summary."""
+        yield "answer", self.answer
+        rows = (" ".join(f"{x:>14.8g}" for x in row) for row in self.T_target_source)
+        yield "T_target_source", "\n".join(rows)
+        yield "searches", ", ".join(f"{k} pairs: {status}" for k, status in self.tried)
+        yield "time", f"{self.time_s:.2f} s"
+
+    def __str__(self) -> str:
+        return text.listing(list(self.entries()))
+
+    def __repr__(self) -> str:
+        return f"<MaxInliers {self.answer}>"
+
+
+def max_inliers(
+    source: np.ndarray,
+    target: np.ndarray,
+    *,
+    distance: float,
+    model: str,
+    scale_range: tuple[float, float] | None = None,
+    candidates: Candidates | None = None,
+    pose_range: PoseRange | None = None,
+    time_limit: float | None = DEFAULT_TIME_LIMIT_S,
+    options: SolveOptions | None = None,
+) -> MaxInliers:
+    """Bound the largest number of one-to-one pairs that a pose can bring within a distance.
+
+    The lower bound is a pose, the upper bound a proof that no pose has more pairs. The upper bound
+    follows from sums of squares: it is too large if further pairs are only a little too far.
+
+    Parameters
+    ----------
+    source, target, model, scale_range, candidates, pose_range
+        As in `dcreg.register`.
+    distance : float
+        In units of the target.
+    time_limit : float, optional
+        Seconds for all searches together; None or inf: no limit.
+    options : SolveOptions, optional
+        As in `dcreg.register`, without certificate and downsampling.
+
+    Returns
+    -------
+    MaxInliers
+
+    Raises
+    ------
+    InputError
+        For bad input, before any search.
+
+    Examples
+    --------
+    >>> import numpy as np, dcreg
+    >>> points = np.random.default_rng(0).random((12, 2))
+    >>> target = np.vstack([points[:8] + 3.0, [[9.0, 9.0], [9.0, 3.0]]])
+    >>> dcreg.max_inliers(points, target, distance=0.01, model="similarity2d").at_least
+    8
+    """
+    check_positive("distance", distance, optional=False)
+    first = Problem(source, target, 1, model, scale_range, candidates, pose_range)
+    n, m = len(first.source), len(first.target)
+    if n * m > _MAX_PAIRS:
+        raise InputError(
+            f"source, target: {n} x {m} pairs exceed {_MAX_PAIRS:,}; give fewer points, such as keypoints"
+        )
+    chosen = SolveOptions.of(options)
+    if chosen.certificate:
+        raise InputError("certificate: the question has none; omit it")
+    most = min(n, m)
+    if first.candidates is not None:
+        most = int((largest_matching(first.candidates) >= 0).sum())
+    limits = Limits(time_s=time_limit, max_rms=distance)
+    limits.check(most)
+    with Budget(time_limit) as budget:
+        return _Bisection(first, distance, limits, chosen, budget).run(most)
+
+
+class _Bisection:
+    """The search for the smallest number of pairs that is refuted."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        distance: float,
+        limits: Limits,
+        options: SolveOptions,
+        budget: Budget,
+    ) -> None:
+        self.problem, self.distance, self.limits = problem, distance, limits
+        self.options, self.budget = options, budget
+        self.best = np.eye(problem.dim + 1), np.empty((0, 2), np.int64)
+        self.tried: list[tuple[int, str]] = []
+
+    def run(self, most: int) -> MaxInliers:
+        """Halve the range of numbers that are neither reached nor refuted."""
+        refuted, unknown = most + 1, 0  # the smallest refuted number, the largest one not refuted
+        while refuted - unknown > 1 and not self.budget.is_over:
+            k = most if not self.tried else (unknown + refuted) // 2
+            status = self._solve(k)
+            if status is Status.STOPPED:
+                break
+            if status is Status.REFUTED:
+                refuted = k
+            else:
+                unknown = k
+            unknown = max(unknown, len(self.best[1]))
+        T, pairs = self.best
+        return MaxInliers(
+            self.distance, len(pairs), refuted - 1, T, pairs, self.tried, self.budget.elapsed()
+        )
+
+    def _solve(self, k: int) -> Status:
+        """Decide whether k pairs can have an RMS residual of the distance; count at the pose found."""
+        left = self.budget.left()
+        limit = None if left is None else max(0.05, _SHARE * left)
+        found: Result = register_problem(
+            self.problem.with_n_inliers(k), replace(self.limits, time_s=limit),
+            replace(self.options, prove=True),
+        )  # fmt: skip
+        self.tried.append((k, found.status.value))
+        self._count(found.T_target_source)
+        return found.status
+
+    def _count(self, T: np.ndarray) -> None:
+        """Alternate the pairs within the distance and their pose while their number grows."""
+        problem, known = self.problem, 0
+        for _ in range(_REFITS):
+            moved = apply_pose(T, problem.source)
+            gaps = ((moved[:, None] - problem.target) ** 2).sum(axis=2)
+            within = gaps <= self.distance**2
+            if problem.candidates is not None:
+                within &= problem.candidates
+            columns = largest_matching(within)
+            rows = np.flatnonzero(columns >= 0)
+            if len(rows) > len(self.best[1]):
+                self.best = T, np.column_stack([rows, columns[rows]])
+            if len(rows) <= known or not len(rows):
+                break
+            known = len(rows)
+            T = problem.fit(problem.source[rows], problem.target[columns[rows]])

@@ -1,0 +1,310 @@
+"""Answers to questions about a pose: their words, files, errors, and the reader of poses."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import dcreg
+from tests.results import run
+
+RNG = np.random.default_rng(0)
+SOURCE = RNG.standard_normal((20, 3)) * [1.0, 0.7, 0.4]
+TURN = Rotation.from_rotvec([0.2, -0.4, 0.9]).as_matrix()
+POSE = np.eye(4)
+POSE[:3, :3], POSE[:3, 3] = TURN, [1.0, -2.0, 0.5]
+TARGET = SOURCE @ TURN.T + POSE[:3, 3] + 0.01 * RNG.standard_normal((20, 3))
+KEYWORDS = {"n_inliers": 20, "model": "rigid3d"}
+
+
+@pytest.fixture(scope="module")
+def best():
+    return dcreg.register(SOURCE, TARGET, **KEYWORDS)
+
+
+# --- certify ---------------------------------------------------------------------------------------
+
+
+def test_the_best_pose_is_certified_as_optimal(best):
+    found = dcreg.certify(SOURCE, TARGET, best.T_target_source, **KEYWORDS)
+    assert found.verdict == "optimal"
+    assert found.max_improvement <= found.gap_tol * (1 + 1e-5)
+    assert found.objective == pytest.approx(best.objective)
+
+
+def test_a_rough_pose_is_improvable_by_the_distance_to_the_best(best):
+    rough = POSE.copy()
+    rough[:3, 3] += 0.1
+    found = dcreg.certify(SOURCE, TARGET, rough, **KEYWORDS)
+    assert found.verdict == "improvable"
+    assert found.displacement == pytest.approx(0.1 * np.sqrt(3), rel=0.2)
+    assert found.result.objective == pytest.approx(best.objective)
+
+
+def test_a_pose_is_open_if_there_is_no_time():
+    found = dcreg.certify(
+        SOURCE, RNG.permutation(TARGET) + RNG.standard_normal((20, 3)), POSE, n_inliers=12,
+        model="rigid3d", node_limit=1,
+    )  # fmt: skip
+    assert found.verdict in ("open", "improvable")
+    assert found.lower_bound == 0.0
+
+
+def test_the_time_of_certify_is_that_of_a_search(best):
+    found = dcreg.certify(SOURCE, TARGET, best.T_target_source, **KEYWORDS)
+    assert found.result.n_nodes <= best.n_nodes
+    assert found.result.n_assignments <= 1.1 * best.n_assignments + 30
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        (np.eye(3), r"pose: shape \(3, 3\)"),
+        (2 * np.eye(4), "last row"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "is not a rotation"),
+        (np.diag([2.0, 2.0, 2.0, 1.0]), "its scale is 2"),
+        (np.full((4, 4), np.nan), "not finite"),
+        ("text", "not a matrix of numbers"),
+    ],
+)
+def test_what_is_no_pose_is_refused(pose, words):
+    with pytest.raises(dcreg.InputError, match=words):
+        dcreg.certify(SOURCE, TARGET, pose, **KEYWORDS)
+
+
+# --- alternatives ----------------------------------------------------------------------------------
+
+
+def test_symmetric_shapes_have_all_their_poses():
+    turns = 2 * np.pi * np.arange(5) / 5
+    pentagon = np.column_stack([np.cos(turns), np.sin(turns)])
+    found = dcreg.alternatives(
+        pentagon, pentagon + 1.0, n_inliers=5, model="similarity2d", scale_range=(1, 1)
+    )
+    assert found.is_complete
+    assert sorted(round(each.angle_deg) for each in found.others) == [72, 72, 144, 144]
+    box = np.array([[a, b, c] for a in (0.0, 3.0) for b in (0.0, 2.0) for c in (0.0, 1.0)])
+    found = dcreg.alternatives(box, box @ TURN.T, n_inliers=8, model="rigid3d")
+    assert found.is_complete
+    assert [round(each.angle_deg) for each in found.others] == [180, 180, 180]
+
+
+def test_a_shape_without_symmetry_has_one_pose():
+    found = dcreg.alternatives(SOURCE, TARGET, **KEYWORDS)
+    assert found.is_unique
+    assert found.lower_bound >= 1.5 * found.result.upper_bound
+
+
+def test_a_sphere_has_more_poses_than_are_listed():
+    points = SOURCE / np.linalg.norm(SOURCE, axis=1)[:, None]
+    line = np.outer(np.linspace(-1, 1, 6), [1.0, 0.0, 0.0])
+    found = dcreg.alternatives(line, line, n_inliers=6, model="rigid3d", most=3)
+    assert len(found.others) >= 1
+    assert not found.is_unique
+    assert len(points) == 20
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"ratio": 0.5}, "ratio"),
+        ({"distance": -1.0}, "distance"),
+        ({"most": 0}, "most"),
+        ({"options": dcreg.SolveOptions(mode="paper")}, "cannot search for other poses"),
+        ({"options": dcreg.SolveOptions(certificate=True)}, "certificate"),
+    ],
+)
+def test_settings_that_alternatives_would_ignore_are_refused(given, words):
+    with pytest.raises(dcreg.InputError, match=words):
+        dcreg.alternatives(SOURCE, TARGET, **KEYWORDS, **given)
+
+
+# --- a residual to decide, a range, an initial guess -----------------------------------------------
+
+
+def test_a_residual_is_met_or_refuted(best):
+    for factor, status in ((0.97, "refuted"), (1.03, "converged")):
+        found = dcreg.register(
+            SOURCE, TARGET, max_rms=factor * best.rmse_matched, **KEYWORDS,
+            options=dcreg.SolveOptions(prove=True),
+        )  # fmt: skip
+        assert found.status == status
+        assert found.warnings == [] or status == "converged"
+    assert found.reason == "a pose within max_rms was found"
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"max_rms": 0.0}, "max_rms"),
+        ({"max_rms": 0.1, "options": dcreg.SolveOptions(mode="paper")}, "searches norms"),
+        ({"max_rms": 0.1, "options": dcreg.SolveOptions(downsample=10)}, "downsample"),
+        ({"options": dcreg.SolveOptions(init=np.eye(4), mode="paper")}, "init"),
+        ({"options": dcreg.SolveOptions(init=np.eye(3))}, "init: shape"),
+        ({"pose_range": dcreg.PoseRange(axis=(0, 0, 0))}, "axis: all zero"),
+        ({"pose_range": dcreg.PoseRange(axis="z")}, "axis"),
+        ({"pose_range": dcreg.PoseRange(max_angle=-1)}, "max_angle"),
+        ({"pose_range": dcreg.PoseRange(max_angle=181)}, "max_angle"),
+        ({"pose_range": dcreg.PoseRange(max_translation=np.nan)}, "max_translation"),
+        ({"pose_range": dcreg.PoseRange(max_angle=0, max_translation=0)}, "only one pose"),
+        ({"pose_range": dcreg.PoseRange(pivot=(0, 0))}, "pivot"),
+        ({"pose_range": "z"}, "not a PoseRange"),
+        ({"pose_range": dcreg.PoseRange(max_angle=9), "options": dcreg.SolveOptions(mode="paper")},
+         "pose_range: mode"),
+    ],
+)  # fmt: skip
+def test_bad_settings_are_refused(given, words):
+    with pytest.raises(dcreg.InputError, match=words):
+        dcreg.register(SOURCE, TARGET, **KEYWORDS, **given)
+
+
+def test_an_axis_is_for_three_dimensions():
+    with pytest.raises(dcreg.InputError, match="axis: only rigid3d"):
+        dcreg.register(
+            SOURCE[:, :2], TARGET[:, :2], n_inliers=5, model="similarity2d",
+            pose_range=dcreg.PoseRange(axis=(0, 0, 1)),
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("extra", [0, 15])
+def test_an_initial_guess_does_not_change_the_answer(best, extra):
+    """Whatever the guess: a good one, a wrong one, with the smaller cloud on either side."""
+    target = np.vstack([TARGET, RNG.standard_normal((extra, 3))])
+    for init in (POSE, np.eye(4)):
+        options = dcreg.SolveOptions(init=init)
+        found = dcreg.register(SOURCE, target, **KEYWORDS, options=options)
+        assert found.objective == pytest.approx(best.objective, rel=0.02)
+        inverse = dcreg.register(
+            target, SOURCE, **KEYWORDS, options=dcreg.SolveOptions(init=np.linalg.inv(init))
+        )
+        assert inverse.objective == pytest.approx(best.objective, rel=0.02)
+
+
+def test_a_good_guess_is_the_first_upper_bound(best):
+    options = dcreg.SolveOptions(init=best.T_target_source)
+    found = dcreg.register(SOURCE, TARGET, **KEYWORDS, options=options)
+    assert found.trace.events[0].upper_bound == pytest.approx(best.upper_bound, rel=1e-6)
+
+
+@pytest.mark.parametrize("angle", [90.0, 20.0])
+def test_ranges_hold_for_samples_and_all_points(angle):
+    rng = np.random.default_rng(1)
+    source = rng.standard_normal((400, 3)) * [1.0, 0.6, 0.3]
+    target = source @ TURN.T + 0.01 * rng.standard_normal(source.shape)
+    pose_range = dcreg.PoseRange(max_angle=angle, max_translation=0.1)
+    found = dcreg.register(
+        source, target, n_inliers=0.9, model="rigid3d", pose_range=pose_range, time_limit=10,
+        options=dcreg.SolveOptions(downsample=60),
+    )  # fmt: skip
+    assert pose_range.checked(source, (1.0, 1.0)).contains(found.T_target_source)
+    right = Rotation.from_matrix(found.rotation @ TURN.T).magnitude() < 0.05
+    assert right == (angle == 90.0)
+
+
+def test_largest_number_of_pairs_is_bracketed():
+    target = np.vstack([TARGET[:14], 3.0 + RNG.standard_normal((6, 3))])
+    found = dcreg.max_inliers(SOURCE, target, distance=0.05, model="rigid3d", time_limit=20)
+    assert found.at_least >= 14
+    assert found.at_most < 20
+    assert str(found.at_least) in found.answer
+
+
+# --- the reader of poses ---------------------------------------------------------------------------
+
+
+def test_poses_of_all_formats_are_the_same(tmp_path, best):
+    quaternion = Rotation.from_matrix(TURN).as_quat()
+    files = {
+        "matrix.txt": "\n".join(" ".join(map(repr, row)) for row in POSE.tolist()),
+        "commas.csv": "\n".join(",".join(map(repr, row)) for row in POSE.tolist()),
+        "kitti.txt": " ".join(map(repr, POSE[:3].ravel().tolist())),
+        "tum.txt": " ".join(map(repr, [12.5, *POSE[:3, 3].tolist(), *quaternion.tolist()])),
+        "pose.json": json.dumps({"T_target_source": POSE.tolist()}),
+    }
+    for name, content in files.items():
+        (tmp_path / name).write_text(content)
+        assert np.allclose(dcreg.read_pose(tmp_path / name), POSE, atol=1e-12), name
+    np.save(tmp_path / "pose.npy", POSE)
+    assert np.allclose(dcreg.read_pose(tmp_path / "pose.npy"), POSE)
+    best.write_json(tmp_path / "result.json")
+    assert np.allclose(dcreg.read_pose(tmp_path / "result.json"), best.T_target_source)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("1 2 3", "3 numbers are no pose"),
+        ("1 0 0 x", "could not convert"),
+        ("", "0 numbers"),
+        ("{}", "JSON without a matrix"),
+        ("{" * 5, "JSON without a matrix"),
+        ("0 1 2 3 0 0 0 2", "quaternion"),
+        ("1 0 0 0 1 0 0 1 1", "last row"),
+    ],
+)
+def test_what_holds_no_pose_is_refused_with_its_name(tmp_path, content, words):
+    path = tmp_path / "pose.txt"
+    path.write_text(content)
+    with pytest.raises(dcreg.InputError, match=words) as error:
+        dcreg.read_pose(path)
+    assert "pose.txt" in str(error.value)
+
+
+def test_a_missing_pose_is_refused(tmp_path):
+    with pytest.raises(dcreg.InputError, match="no such file"):
+        dcreg.read_pose(tmp_path / "none.txt")
+
+
+# --- command line ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def files(tmp_path):
+    for name, values in (("a.xyz", SOURCE), ("b.xyz", TARGET), ("pose.txt", POSE)):
+        np.savetxt(tmp_path / name, values)
+    return tmp_path
+
+
+def test_questions_on_the_command_line(files):
+    clouds = [str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d", "--quiet"]
+    pairs = ["--n-inliers", "20"]
+    written = ["--json", str(files / "o.json"), "--plot", str(files / "o.html")]
+    asked = {
+        "certify": ([str(files / "pose.txt")], pairs, "improvable", 6, "verdict"),
+        "alternatives": ([], pairs, "unique", 0, "is_unique"),
+        "max-inliers": ([], ["--distance", "0.1"], "exactly 20 pairs", 0, "at_most"),
+    }
+    for command, (before, more, words, code, key) in asked.items():
+        ran = run(command, *before, *clouds, *more, *written)
+        assert ran.exit_code == code, ran.output
+        assert words in ran.output
+        assert key in json.loads((files / "o.json").read_text())
+        assert "<html" in (files / "o.html").read_text()
+
+
+def test_a_refuted_residual_has_its_exit_code(files):
+    ran = run(
+        "register", str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d",
+        "--n-inliers", "20", "--max-rms", "0.001", "--quiet",
+    )  # fmt: skip
+    assert ran.exit_code == 6
+    assert "refuted: no rigid pose matches 20 pairs" in ran.output
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--no-rotation", "--axis", "0,0,1"], "--no-rotation: excludes"),
+        (["--axis", "up"], "--axis: 'up' is not a direction"),
+        (["--max-angle", "200"], "--max-angle: 200"),
+        (["--init", "none.txt"], "no such file"),
+    ],
+)
+def test_bad_ranges_on_the_command_line(files, options, words):
+    ran = run(
+        "register", str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d",
+        "--n-inliers", "20", *options,
+    )  # fmt: skip
+    assert ran.exit_code == 2
+    assert words in ran.output
