@@ -139,7 +139,8 @@ class Setup:
         for line in advice(largest):
             _LOGGER.info(line)
         if mode is None:
-            warm_up_mode(chosen, bound, *_special(searched[0]))
+            for each in (searched[0], largest):  # only the largest one may match all points
+                warm_up_mode(chosen, bound, *_special(each))
             if largest.pose_range is not None:
                 warm_up_region(chosen)
         frame = Frame.of(largest)

@@ -152,8 +152,8 @@ class Problem:
                 )
             if model == "similarity3d":
                 raise InputError(
-                    "pose_range: similarity3d searches all poses; omit it, or rescale one cloud and use "
-                    "model rigid3d"
+                    "pose_range: similarity3d searches all poses; omit limits and axis, or rescale one "
+                    "cloud and use model rigid3d"
                 )
             pose_range = pose_range.checked(source, scale_range)
         for name in _FIELDS:
