@@ -29,18 +29,18 @@ Displacements
 -------------
 Let (sigma, R, t) be an optimum in the box with matching P and residuals e_i = sigma R x_i + t - y_i, and
 x'_i = R x_i. It is stationary in translation and rotation, so sum p e = 0 and sum p x' x e = 0. Let G' =
-sum p e.x'; it is proportional to the derivative of E with respect to the scale. If the scale is inside
-its range, G' = 0.
+sum p e.x', which is proportional to the derivative of E with respect to the scale. G' = 0 if the scale
+is inside its range.
 
-As x'_i = R x_i, the image of the point at the centre of the box is x_i = Q x'_i, where Q is a rotation
-by the angle w about a unit vector a, and Q = cos w Id + sin w [a] + (1 - cos w) a a^T. Let u_i = x_i -
-sigma x'_i - t be the displacement to the centre. Then
+Conversely x_i = Q x'_i, where Q is a rotation by the angle w about a unit vector v, and Q = cos w Id +
+sin w [v] + (1 - cos w) v v^T. Let u_i = x_i - sigma x'_i - t be the displacement of the point from the
+optimum to the centre of the box. As the first two sums vanish,
 
-    sum p e.u  =  (cos w - sigma) G' + (1 - cos w) sum p (e.a)(x'.a).
+    sum p e.u  =  (cos w - sigma) G' + (1 - cos w) sum p (e.v)(x'.v).
 
 s_c is the middle of the scales of the box. If the box contains one end of the range, s_c is this end
 instead. Then either G' = 0, or the optimum is at this end and sigma = 1. In the second case both terms
-together are -(1 - cos w) sum p e.(Id - a a^T) x'. So in both cases sum p e.u <= (1 - cos w) sqrt(E*)
+together are -(1 - cos w) sum p e.(Id - v v^T) x'. So in both cases sum p e.u <= (1 - cos w) sqrt(E*)
 sqrt(sum p |x|^2), and with c_ij = |x_i - y_j|^2,
 
     sum p c  =  sum p |e + u|^2  <=  E* + sum p |u|^2 + 2 (1 - cos w) sqrt(E*) sqrt(sum p |x|^2).
