@@ -199,8 +199,8 @@ class RunnerUp:
     def __str__(self) -> str:
         ratio = f"{self.objective_ratio:.3g}" if self.objective_ratio < 1000 else "over 1000"
         return (
-            f"{ratio} times the objective, {self.difference} (the best one found that clearly differs; not "
-            "proven)"
+            f"{ratio} times the objective, {self.difference} (the best one found that clearly differs; "
+            "not proven)"
         )
 
     @property

@@ -141,6 +141,11 @@ class Far:
         nearest: np.ndarray = np.sqrt(np.maximum(0.0, np.min(squares, axis=0)))
         return nearest
 
+    def contains(self, T: np.ndarray) -> bool:
+        """Tell whether a pose belongs to the region."""
+        d = len(T) - 1
+        return bool(self._nearest(T[None, :d, :d], T[None, :d, d])[0] > self.distance)
+
     def _radius(self, boxes: BoxPoses) -> np.ndarray:
         rms = math.sqrt(float(self.mean @ self.mean + np.trace(self.covariance)))
         radius: np.ndarray = rms * boxes.linear_radius + boxes.shift_radius + SLACK
@@ -154,6 +159,14 @@ class Far:
     def inside(self, boxes: BoxPoses) -> np.ndarray:
         gap: np.ndarray = self._nearest(boxes.linear, boxes.shift) - self._radius(boxes)
         return gap > self.distance
+
+
+@dataclass(frozen=True)
+class FarStationary(Far):
+    """The stationary poses that are far from known ones: bounds of stationary poses hold everywhere."""
+
+    def inside(self, boxes: BoxPoses) -> np.ndarray:
+        return np.ones(len(boxes.shift), dtype=bool)
 
 
 def angles(linear: np.ndarray) -> np.ndarray:
@@ -243,6 +256,8 @@ def shift_box(stationary: Box, region: Region, linear_reach: float) -> Box:
     linear_reach : float
         Maximum norm of L for the poses x -> L x + t of the model.
     """
+    if isinstance(region, FarStationary):
+        return stationary
     if isinstance(region, Far):
         shifts = np.array([T[:-1, -1] for T in region.poses])
         reach = region.distance + linear_reach * 2.0 * np.linalg.norm(region.mean)

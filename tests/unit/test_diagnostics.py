@@ -8,8 +8,8 @@ from scipy.spatial.distance import cdist
 
 import dcreg
 from dcreg import diagnostics
-from dcreg.runner_up import find_runner_up
 from dcreg.result import Sample
+from dcreg.runner_up import find_runner_up
 from dcreg.status import Status
 from tests.problems import register
 from tests.results import event

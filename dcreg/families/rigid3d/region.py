@@ -9,7 +9,6 @@ import numpy as np
 
 from dcreg.families.region import (
     BoxPoses,
-    Far,
     InRegion,
     Near,
     NearSpace,
@@ -127,7 +126,7 @@ def rigid_in_region(
     region: Region,
 ) -> RigidInRegion:
     """Return the space of the rigid poses in a region; the source is the moving cloud."""
-    kind = {Near: RigidNear, Far: RigidFar}[type(region)]
+    kind = RigidNear if isinstance(region, Near) else RigidFar
     return kind(source, target, n_inliers, candidates, *settings).within(region)
 
 

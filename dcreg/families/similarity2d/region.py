@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.families.region import BoxPoses, Far, InRegion, Near, NearSpace, Region, shift_box
+from dcreg.families.region import BoxPoses, InRegion, Near, NearSpace, Region, shift_box
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search import Box
 
@@ -71,5 +71,5 @@ def similarity_in_region(
     region: Region,
 ) -> SimilarityInRegion:
     """Return the space of the similarities in a region."""
-    kind = {Near: SimilarityNear, Far: SimilarityFar}[type(region)]
+    kind = SimilarityNear if isinstance(region, Near) else SimilarityFar
     return kind(source, target, n_inliers, scale_range, candidates, *settings).within(region)
