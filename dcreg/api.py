@@ -37,20 +37,20 @@ def register(
 
     Minimises, over poses T of the model and one-to-one matchings P of exactly `n_inliers` pairs,
     ``sum_ij p_ij |T(x_i) - y_j|^2`` by branch and bound over the pose (DC-Reg, arXiv 2603.25442).
-    In 3D the default mode ``full`` certifies the rigid pose. Mode ``paper`` certifies only the
+    In 3D the default mode ``full`` certifies the pose. For ``rigid3d``, mode ``paper`` certifies only the
     translation, for the norm objective ``sum p_ij (|x_i + t| - |y_j|)^2``; a search for the rotation
     follows.
 
     Parameters
     ----------
     source, target : (n, d), (m, d) arrays
-        d = 2 for ``similarity2d``, 3 for ``rigid3d``. In any unit of length.
+        d = 2 for ``similarity2d``, 3 for ``rigid3d`` and ``similarity3d``. In any unit of length.
     n_inliers : int or float
         Number of pairs; a float in (0, 1] is a fraction of ``min(n, m)``.
-    model : {"similarity2d", "rigid3d"}
+    model : {"similarity2d", "rigid3d", "similarity3d"}
     scale_range : (low, high), optional
-        Admissible scale, 2D only; default (0.5, 1.5). Equal numbers fix the scale: ``(1, 1)`` searches
-        rotation and translation only.
+        Admissible scale of a similarity; default (0.5, 1.5). Equal numbers fix the scale: ``(1, 1)``
+        searches rotation and translation only.
     candidates : (n, m) bool array, or n sequences of target indices, optional
         The feasible pairs, e.g. from descriptors or a distance gate. All other pairs are excluded from
         the objective, the bounds and the assignment.

@@ -78,8 +78,8 @@ def advice(problem: Problem) -> Iterator[str]:
     if problem.model == "rigid3d" and max(radii) > 2.0 * min(radii):
         yield (
             f"hint: the RMS radii differ a lot (source {radii[0]:.4g}, target {radii[1]:.4g}), and "
-            "rigid3d has no scale. If the units differ, rescale one cloud. Views that overlap only "
-            "partially can have different radii."
+            "rigid3d has no scale. If the units differ, use model similarity3d, or rescale one cloud. "
+            "Views that overlap only partially can have different radii."
         )
 
 

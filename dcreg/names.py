@@ -12,7 +12,7 @@ from pathlib import Path
 _FAMILIES = Path(__file__).parent / "families"
 
 # Kind of pose: dimension of the points.
-MODEL_DIM = {"similarity2d": 2, "rigid3d": 3}
+MODEL_DIM = {"similarity2d": 2, "rigid3d": 3, "similarity3d": 3}
 
 # Default time limit, long enough for most searches that close at all.
 DEFAULT_TIME_LIMIT_S = 60.0
@@ -29,7 +29,7 @@ AUTO = "auto"  # the library chooses the mode
 
 BOUND_NAMES = ("tight", "shared", "dc", "interval")
 DEFAULT_BOUND = "tight"
-_BOUNDS_OF_MODES = ("rigid", "rotation")  # of modes that accept no other bound
+_BOUNDS_OF_MODES = ("rigid", "rotation", "similarity")  # of modes that accept no other bound
 _NAME = re.compile(r'^    name(?:, \w+)* = "([\w-]+)"', re.M)  # of the class of a bound
 
 # Start boxes of a search, which contain every optimum; the first is the default.
@@ -66,11 +66,15 @@ def mode_names(model: str) -> list[str]:
     return [name for of, name in mode_files() if of == model]
 
 
+def bounds_in(file: Path) -> set[str]:
+    """Return the names of the bounds that a file defines."""
+    return set(_NAME.findall(file.read_text("utf-8")))
+
+
 def bound_names() -> list[str]:
     """Return the bounds, without combinations ``a+b``: those of the library, then added ones.
 
     Their names are read from the source of the families' files ``bound*.py``, which is not imported.
     """
-    files = _FAMILIES.glob("*/bound*.py")
-    found = {name for file in files for name in _NAME.findall(file.read_text("utf-8"))}
+    found = {name for file in _FAMILIES.glob("*/bound*.py") for name in bounds_in(file)}
     return [*BOUND_NAMES, *sorted(found.difference(BOUND_NAMES, _BOUNDS_OF_MODES))]

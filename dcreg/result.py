@@ -76,9 +76,9 @@ class Result:
         Score over the matches, from `dcreg.register_matches`.
     runner_up : RunnerUp, optional
         The best pose found that clearly differs from this one.
-    covariance : (6, 6) array in 3D, (4, 4) array in 2D, optional
+    covariance : (6, 6) array in 3D, (7, 7) with a free scale, (4, 4) array in 2D, optional
         Covariance of ``xi`` in ``T_target_source @ Exp(xi)``, with rotation (radians) first, then
-        translation, then the logarithm of the scale (2D; zeros if it is fixed). It follows from the
+        translation, then the logarithm of the scale (in 2D zeros if it is fixed). It follows from the
         residuals of the pairs and assumes that the pairs are right, with independent and equally large
         errors. It is far too small for scans of a surface at different points. None if the pairs do not
         determine the pose.

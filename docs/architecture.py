@@ -41,6 +41,7 @@ LINES = {
     "families.translation3d": "Translations in norm space",
     "families.rotation3d": "Rotations about the origin",
     "families.rigid3d": "Rigid poses in 3D",
+    "families.similarity3d": "Similarities in 3D",
     "families.matches": "Rigid poses over a list of matches",
     "assignment": "One-to-one matching and polish",
     "search": "Branch and bound, without geometry",

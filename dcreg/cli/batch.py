@@ -95,7 +95,7 @@ class Batch:
             raise dcreg.InputError(f"--model: '{model}' is unknown; known: {', '.join(MODEL_DIM)}")
         if jobs < 1:
             raise dcreg.InputError(f"--jobs: {jobs} processes; give a positive number")
-        if graph is not None and MODEL_DIM[model] == 2 and self.search.scale_range != (1.0, 1.0):
+        if graph is not None and model != "rigid3d" and self.search.scale_range != (1.0, 1.0):
             raise dcreg.InputError(
                 f"--graph {graph}: g2o holds rigid poses only; fix the scale with --scale-range 1 1"
             )

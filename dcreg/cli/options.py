@@ -46,7 +46,7 @@ NAMES = {
     "auto": AUTO,
     "bounds": ", ".join(bound_names()),
     "cloud_suffixes": " ".join(CLOUD_SUFFIXES),
-    "models": " or ".join(MODEL_DIM),
+    "models": ", ".join(MODEL_DIM),
     "modes_2d": ", ".join(mode_names("similarity2d")),
     "modes_3d": ", ".join(mode_names("rigid3d")),
     "start_boxes": " or ".join(START_BOXES),
@@ -176,14 +176,14 @@ class Search:
     model : NAME
         Kind of pose: {models}.
     scale_range : LO HI
-        Admissible scales (2D only; default 0.5 1.5). Equal numbers fix the scale: 1 1 searches rotation
-        and translation only.
+        Admissible scales of a similarity (default 0.5 1.5). Equal numbers fix the scale: 1 1 searches
+        rotation and translation only.
     candidates_path : FILE
         Feasible pairs: two columns, source row and target row, counted from 0. Default: all pairs.
     mode : NAME
-        Search mode. In 2D: {modes_2d}. In 3D: {modes_3d}. Default: {auto}, which in 3D selects full, or
-        paper if a bound is requested, for more than 4 million point pairs, or with a certificate for
-        more than 160 thousand.
+        Search mode. In 2D: {modes_2d}. In 3D: {modes_3d}; similarity3d only has full. Default: {auto},
+        which in 3D selects full, or for rigid3d paper if a bound is requested, for more than 4 million
+        point pairs, or with a certificate for more than 160 thousand.
     bound : NAME
         Lower bounding function: {bounds}; 'a+b' takes the maximum of two.
     start_box : NAME

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from dcreg.driver.normalised import NormalisedProblem, Solution
-from dcreg.families.mode import Mode, all_modes
+from dcreg.families.mode import Mode, load_mode
 from dcreg.families.registry import bound_parts, make_bound
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.jit import when_compiling
-from dcreg.names import AUTO, DEFAULT_BOUND, MODEL_DIM, mode_names
+from dcreg.names import AUTO, DEFAULT_BOUND, MODEL_DIM, mode_files, mode_names
 from dcreg.problem import InputError, Problem, suggestion
 from dcreg.result import Stage
 from dcreg.search import Bound, Box, Boxes, Budget, Interrupted, Outcome, Start, minimise
@@ -57,9 +57,8 @@ def find_mode(model: str, name: str) -> Mode:
     InputError
         For an unknown name, listing the known ones.
     """
-    for mode in all_modes():
-        if (mode.model, mode.name) == (model, name):
-            return mode
+    if (model, name) in mode_files():
+        return load_mode(model, name)
     raise InputError(
         f"mode: {name!r} is unknown for {model}{suggestion(name, [AUTO, *mode_names(model)])}"
     )
@@ -69,9 +68,12 @@ def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = 
     """Return the mode that gives the best pose for the time.
 
     In 3D this is ``full``, which had the highest success rate over all shapes, disturbances, sizes and
-    limits measured (``make modes``). It is ``paper`` if a bound is requested, if more than `NORM_PAIRS`
-    point pairs are searched, or if a certificate of more than `CERTIFIED_PAIRS` is requested.
+    limits measured (``make modes``). For ``rigid3d`` it is ``paper`` if a bound is requested, if more
+    than `NORM_PAIRS` point pairs are searched, or if a certificate of more than `CERTIFIED_PAIRS` is
+    requested.
     """
+    if problem.model == "similarity3d":
+        return "full"
     pairs = len(problem.source) * len(problem.target)
     only_paper = bound is not None or pairs > (CERTIFIED_PAIRS if certificate else NORM_PAIRS)
     if problem.model == "similarity2d" or (only_paper and problem.pose_range is None):
@@ -96,7 +98,8 @@ def check_mode(
     """
     check_bound(mode, bound)
     if certificate and not mode.certifies:
-        raise InputError(f"certificate: mode {mode.name!r} keeps no leaf boxes; use mode 'paper'")
+        remedy = "use mode 'paper'" if _has_paper(problem.model) else f"{problem.model} has none"
+        raise InputError(f"certificate: mode {mode.name!r} keeps no leaf boxes; {remedy}")
     for name, given in (("init", has_init), ("max_rms", has_max_rms)):
         if given and mode.in_norm_space:
             raise InputError(
@@ -116,7 +119,7 @@ def check_mode(
     n, m = len(problem.source), len(problem.target)
     if n * m > MAX_PAIRS and not _is_matrix_free(mode, problem, bound):
         remedy = "downsample both clouds first (downsample=200, or --downsample 200)"
-        if problem.dim == 3:
+        if problem.model == "rigid3d":
             remedy += f", or use mode 'paper' with bound {DEFAULT_BOUND!r} and without candidates"
         raise InputError(f"source, target: {n} x {m} pairs exceed {MAX_PAIRS:,}; {remedy}")
 
@@ -129,8 +132,12 @@ def check_bound(mode: Mode, bound: str | None) -> None:
     if mode.make_bound is not None:
         raise InputError(
             f"bound: mode {mode.name!r} has its own bounds and does not accept {bound!r}; leave "
-            "the bound out, or choose mode 'paper'"
+            f"the bound out{', or choose mode ' + repr('paper') if _has_paper(mode.model) else ''}"
         )
+
+
+def _has_paper(model: str) -> bool:
+    return "paper" in mode_names(model)
 
 
 def _is_matrix_free(mode: Mode, problem: Problem, bound: str | None) -> bool:

@@ -127,7 +127,9 @@ class Setup:
             searched = to_search(problems, options.downsample, name, bound, certificate)
         has_init, has_max_rms = options.init is not None, limits.max_rms is not None
         if has_init:
-            options = replace(options, init=checked_pose("init", options.init, problems[0].dim))
+            first = problems[0]
+            init = checked_pose("init", options.init, first.dim, has_scale=first.has_scale)
+            options = replace(options, init=init)
         largest = searched[-1]
         if name is None:
             name = choose_mode(largest, bound, certificate)
@@ -137,7 +139,8 @@ class Setup:
         for line in advice(largest):
             _LOGGER.info(line)
         if mode is None:
-            warm_up_mode(chosen, bound, *_special(searched[0]))
+            for each in (searched[0], largest):  # only the largest one may match all points
+                warm_up_mode(chosen, bound, *_special(each))
             if largest.pose_range is not None:
                 warm_up_region(chosen)
         frame = Frame.of(largest)
@@ -217,7 +220,7 @@ class Finish:
         result = self._exact(result)
         if problem.pose_range is None:  # the covariance is that of free poses
             low, high = problem.scale_range
-            has_scale = problem.model == "similarity2d" and low < high
+            has_scale = problem.has_scale and low < high
             result = with_uncertainty(result, problem.source, problem.target, has_scale=has_scale)
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
 
@@ -354,7 +357,8 @@ def in_input_units(listener: Listener | None, area: float) -> Listener | None:
     return lambda event: listener(event.scaled(area))
 
 
-def _special(problem: Problem) -> tuple[bool, bool, bool]:
-    """Return `restricted`, `many` and `large` of `warm_up_mode` for a problem."""
+def _special(problem: Problem) -> tuple[bool, bool, bool, bool]:
+    """Return `restricted`, `many`, `large` and `whole` of `warm_up_mode` for a problem."""
     restricted, n, m = problem.candidates is not None, len(problem.source), len(problem.target)
-    return restricted, n * m > FEW_PAIRS, not restricted and is_large(n, m)
+    whole = problem.model == "similarity3d" and problem.n_inliers == n == m
+    return restricted, n * m > FEW_PAIRS, not restricted and is_large(n, m), whole

@@ -22,6 +22,7 @@ from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.jit import forget_old_kernels, when_compiling
 from dcreg.names import BOUND_NAMES, MODEL_DIM
 from dcreg.problem import Frame, PoseRange, Problem
+from dcreg.problem.problem import DEFAULT_SCALE_RANGE
 from dcreg.search import Box, Boxes, Budget, Tolerance
 
 _LOGGER = logging.getLogger("dcreg")
@@ -75,12 +76,20 @@ def _compile_mode(mode: Mode) -> None:
         for restricted in (False, True):
             warm_up_mode(mode, bound, restricted)
     warm_up_mode(mode, None, many=True, large=True)
+    if mode.model == "similarity3d":
+        for restricted in (False, True):
+            warm_up_mode(mode, None, restricted, many=True, whole=True)
     warm_up_region(mode)
 
 
 @functools.cache
 def warm_up_mode(
-    mode: Mode, bound: str | None, restricted: bool = False, many: bool = False, large: bool = False
+    mode: Mode,
+    bound: str | None,
+    restricted: bool = False,
+    many: bool = False,
+    large: bool = False,
+    whole: bool = False,
 ) -> None:
     """Compile (or load from cache) the kernels that a mode and a bound need, once a process.
 
@@ -98,33 +107,36 @@ def warm_up_mode(
         Whether there are more than `FEW_PAIRS` pairs of points.
     large : bool
         Whether the clouds are too large for a dense matrix.
+    whole : bool
+        Whether all points of both clouds match, where this needs other kernels.
     """
     generator = np.random.default_rng(0)
-    dim = 2 if mode.model == "similarity2d" else 3
-    scale_range = (0.5, 1.5) if dim == 2 else (1.0, 1.0)
+    dim, scale_range = MODEL_DIM[mode.model], DEFAULT_SCALE_RANGE[mode.model]
     points = generator.standard_normal((8, dim))
+    points -= points.mean(axis=0)
     moved = points[:, ::-1].copy()
     candidates = ~np.eye(8, dtype=bool) if restricted else None
     with when_compiling(lambda: _LOGGER.info(COMPILING)):
         run_mode(
             mode,
             NormalisedProblem(
-                points, moved, 6, scale_range, candidates, Frame(np.zeros(dim), np.zeros(dim), 1.0),
-                bound or mode.own_bound, stationary_box=False, tolerance=Tolerance(),
+                points, moved, 8 if whole else 6, scale_range, candidates,
+                Frame(np.zeros(dim), np.zeros(dim), 1.0), bound or mode.own_bound,
+                stationary_box=whole, tolerance=Tolerance(),
                 threads=1, budget=Budget(nodes=8),
             ),
         )  # fmt: skip
         polish(Problem(points, moved, 6, mode.model, candidates=candidates), np.eye(dim + 1))
         # what is met past the limit
         objective(points, moved, np.eye(dim + 1), 6, stop=np.ones(1, np.uint8))
-        if many and mode.name == "full":
+        if many and mode.name == "full" and (mode.model == "rigid3d" or whole):
             cloud = generator.standard_normal((1 + FEW_PAIRS, 3))
             space = Rigid3D(cloud[:1], cloud, 1)
             (box, *_) = space.roots()
             RigidBound(space).evaluate(Boxes.of([box]), None)
         if large:
             sparse_matching(points, moved, 6)
-            if dim == 3:
+            if mode.model == "rigid3d":
                 search_sampled_rotation(points, moved, 6, tolerance=Tolerance(), budget=Budget())
 
 

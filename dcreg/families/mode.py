@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -79,10 +79,12 @@ class Mode:
 @functools.cache
 def all_modes() -> tuple[Mode, ...]:
     """Return the modes of all families."""
-    return tuple(_find_modes())
+    return tuple(load_mode(*key) for key in mode_files())
 
 
-def _find_modes() -> Iterator[Mode]:
-    for (model, name), path in mode_files().items():
-        module = importlib.import_module(f"{__package__}.{path.parent.name}.{path.stem}")
-        yield replace(module.MODE, name=name, model=model)
+@functools.cache
+def load_mode(model: str, name: str) -> Mode:
+    """Return a mode that is among `mode_files`; other modes are not imported."""
+    path = mode_files()[model, name]
+    module = importlib.import_module(f"{__package__}.{path.parent.name}.{path.stem}")
+    return replace(module.MODE, name=name, model=model)

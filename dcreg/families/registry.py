@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from dcreg.families.protocol import Space, SpaceBound, Strongest
-from dcreg.names import bound_names
+from dcreg.names import bound_names, bounds_in
 from dcreg.problem import InputError, suggestion
 from dcreg.search import Box
 
@@ -26,9 +26,12 @@ def all_bounds() -> tuple[type[SpaceBound[Any]], ...]:
     return tuple(_find_bounds())
 
 
-def _find_bounds() -> Iterator[type[SpaceBound[Any]]]:
+def _find_bounds(named: Sequence[str] | None = None) -> Iterator[type[SpaceBound[Any]]]:
+    """Yield the bounds of all files, or of the files that define one of some names."""
     here = Path(__file__).parent
     for path in sorted(here.glob("*/bound*.py")):
+        if named is not None and not bounds_in(path).intersection(named):
+            continue
         module = importlib.import_module(f"{__package__}.{path.parent.name}.{path.stem}")
         for _, member in inspect.getmembers(module, inspect.isclass):
             is_defined_here = member.__module__ == module.__name__
@@ -72,7 +75,13 @@ def make_bound(
     InputError
         For a name that is not a bound over this space.
     """
-    known = bounds_of(type(space))
+    # files of other bounds are not imported
+    wanted = name.split("+") if isinstance(name, str) else []
+    known = {
+        bound.name: bound for bound in _find_bounds(wanted) if isinstance(space, bound.space_type)
+    }
+    if not wanted or set(wanted).difference(known):
+        known = bounds_of(type(space))
     parts = [name] if name in known else bound_parts(name)
     if missing := [part for part in parts if part not in known]:
         raise InputError(

@@ -65,7 +65,11 @@ class PoseRange:
         if angle > 180.0:
             raise InputError(f"max_angle: {angle} exceeds 180 degrees; give at most 180")
         shift = _checked_number("max_translation", self.max_translation, "a length such as 0.5")
-        around = np.eye(d + 1) if self.around is None else checked_pose("around", self.around, d)
+        around = (
+            np.eye(d + 1)
+            if self.around is None
+            else checked_pose("around", self.around, d, has_scale=d == 2)
+        )
         pivot = source.mean(axis=0) if self.pivot is None else _vector("pivot", self.pivot, d)
         low, high = scale_range
         if low == high and shift == angle == 0.0:
@@ -214,8 +218,13 @@ def rotation_of(vector: np.ndarray) -> np.ndarray:
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
-def checked_pose(name: str, pose: Any, d: int) -> np.ndarray:
-    """Return a (d+1, d+1) pose: a rotation, times a scale in 2D, and a translation.
+def is_rigid(T: np.ndarray) -> bool:
+    """Tell whether the scale of a pose is 1, up to the digits in which poses are written."""
+    return bool(abs(scale_of(T) - 1.0) <= _RIGID)
+
+
+def checked_pose(name: str, pose: Any, d: int, *, has_scale: bool) -> np.ndarray:
+    """Return a (d+1, d+1) pose: a rotation, times a scale if it has one, and a translation.
 
     Raises
     ------
@@ -238,13 +247,14 @@ def checked_pose(name: str, pose: Any, d: int) -> np.ndarray:
     if not scale > 0.0 or np.abs(T[:d, :d] - scale * rotation).max() > _RIGID * scale:
         raise InputError(
             f"{name}: the upper left {d} x {d} part is not a rotation"
-            f"{' times a scale' if d == 2 else ''}; give a proper pose (determinant above 0)"
+            f"{' times a scale' if has_scale else ''}; give a proper pose (determinant above 0)"
         )
-    if d == 3 and abs(scale - 1.0) > _RIGID:
+    if not has_scale and not is_rigid(T):
         raise InputError(
-            f"{name}: its scale is {scale:.6g}, but rigid3d has no scale; divide by it"
+            f"{name}: its scale is {scale:.6g}, but rigid3d has no scale; divide by it, or use model "
+            "similarity3d"
         )
-    T[:d, :d] = rotation * (scale if d == 2 else 1.0)
+    T[:d, :d] = rotation * (scale if has_scale else 1.0)
     return T
 
 

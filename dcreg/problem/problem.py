@@ -82,10 +82,12 @@ def _mask_of_lists(candidates: Candidates, n: int, m: int) -> np.ndarray:
 _FIELDS = (
     "source", "target", "n_inliers", "model", "scale_range", "candidates", "pose_range",
 )  # fmt: skip
-ModelName = Literal["similarity2d", "rigid3d"]
+ModelName = Literal["similarity2d", "rigid3d", "similarity3d"]
 LARGEST_COORDINATE = 1e100  # its square, times any number of points, is far from overflow
 LARGEST_SCALE = 1e6  # beyond it, or below its inverse, the clouds share no digits
-DEFAULT_SCALE_RANGE = {"similarity2d": (0.5, 1.5), "rigid3d": (1.0, 1.0)}
+DEFAULT_SCALE_RANGE = {
+    "similarity2d": (0.5, 1.5), "rigid3d": (1.0, 1.0), "similarity3d": (0.5, 1.5),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -98,12 +100,12 @@ class Problem:
     Parameters
     ----------
     source, target : (n, d), (m, d) arrays
-        Finite points; d is 2 for ``similarity2d`` and 3 for ``rigid3d``.
+        Finite points; d is 2 for ``similarity2d``, and 3 for ``rigid3d`` and ``similarity3d``.
     n_inliers : int or float
         Number of pairs; a float in (0, 1] is a fraction of ``min(n, m)``.
-    model : {"similarity2d", "rigid3d"}
+    model : {"similarity2d", "rigid3d", "similarity3d"}
     scale_range : (low, high), optional
-        Admissible scale in 2D, default (0.5, 1.5); equal numbers fix it. In 3D the scale is 1.
+        Admissible scale, default (0.5, 1.5); equal numbers fix it. The scale of ``rigid3d`` is 1.
     candidates : (n, m) bool array, or n sequences of target indices, optional
         The feasible pairs; None: all.
     pose_range : PoseRange, optional
@@ -148,6 +150,11 @@ class Problem:
                     f"pose_range: {pose_range!r} is not a PoseRange; give one such as "
                     "dcreg.PoseRange(max_angle=30)"
                 )
+            if model == "similarity3d":
+                raise InputError(
+                    "pose_range: similarity3d searches all poses; omit limits and axis, or rescale one "
+                    "cloud and use model rigid3d"
+                )
             pose_range = pose_range.checked(source, scale_range)
         for name in _FIELDS:
             object.__setattr__(self, name, locals()[name])
@@ -156,6 +163,11 @@ class Problem:
     def dim(self) -> int:
         """Dimension of the points: 2 or 3."""
         return MODEL_DIM[self.model]
+
+    @property
+    def has_scale(self) -> bool:
+        """Whether the poses of the model have a scale, which may be fixed."""
+        return self.model != "rigid3d"
 
     def fit(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the least-squares pose of paired (k, d) points; see `PoseRange.fit` for a range."""
@@ -190,7 +202,7 @@ def check_points(name: str, points: np.ndarray, dim: int, model: str) -> np.ndar
     if points.ndim != 2 or points.shape[1] != dim:
         raise InputError(
             f"{name}: shape {points.shape}, but model {model} needs (n, {dim}); "
-            f"give one point per row, or choose the other model"
+            f"give one point per row, or choose another model"
         )
     if len(points) == 0:
         raise InputError(f"{name}: no points; give at least one")
@@ -257,7 +269,7 @@ def check_scale_range(scale_range: tuple[float, float] | None, model: str) -> tu
         )
     if model == "rigid3d" and (low, high) != (1.0, 1.0):
         raise InputError(
-            f"scale_range: ({low}, {high}), but rigid3d has no scale; leave it out, and rescale one "
-            "cloud first if their units differ"
+            f"scale_range: ({low}, {high}), but rigid3d has no scale; use model similarity3d, or leave "
+            "it out, and rescale one cloud first if their units differ"
         )
     return low, high

@@ -1,7 +1,8 @@
 """How sure each direction of a pose is: its covariance, and directions in which the clouds can slide.
 
 A small change of a pose T is ``T Exp(xi)``, a twist applied to the source first: rotation, then
-translation, then the logarithm of the scale in 2D. GTSAM and small_gicp use the same order and side.
+translation, then the logarithm of the scale of a similarity. GTSAM and small_gicp use the same order and
+side.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class OpenDirection:
     rotation : (3,) array, or (1,) array in 2D
     translation : (d,) array
     scale : float
-        Relative growth, 0 in 3D.
+        Relative growth; 0 if the scale is fixed.
     rise : float
         Rise of the mean squared distance to the target, divided by the largest rise in any direction.
     """
@@ -77,15 +78,17 @@ def pose_covariance(
 
     Returns
     -------
-    (6, 6) array in 3D, (4, 4) array in 2D, or None
-        Rotation (radians), translation (units of the source), logarithm of the scale (2D; zeros if the
+    (6, 6) array in 3D, (7, 7) array in 3D with a free scale, (4, 4) array in 2D, or None
+        Rotation (radians), translation (units of the source), logarithm of the scale (in 2D zeros if the
         scale is fixed), as a twist on the right of the pose. None if the pairs do not determine a pose.
     """
     d = source.shape[1]
     if len(source) <= 1:
         return None
     centre = source.mean(axis=0)
-    jacobian = pose[:d, :d] @ _motions(source - centre)  # about the centre, which keeps digits
+    jacobian = pose[:d, :d] @ _motions(
+        source - centre, has_scale
+    )  # about the centre, which keeps digits
     free = jacobian.shape[2] - (d == 2 and not has_scale)
     normal = np.einsum("kia,kib->ab", jacobian[:, :, :free], jacobian[:, :, :free])
     residuals = apply_pose(pose, source) - target
@@ -100,7 +103,7 @@ def pose_covariance(
     about_centre = np.zeros((jacobian.shape[2],) * 2)
     about_centre[:free, :free] = variance * np.linalg.inv(scaled) / np.outer(size, size)
     shifted = np.eye(len(about_centre))
-    shifted[_shift(d)] -= _motions(centre[None])[0]
+    shifted[_shift(d)] -= _motions(centre[None], has_scale)[0]
     shifted[_shift(d), _shift(d)] = np.eye(d)
     return shifted @ about_centre @ shifted.T
 
@@ -124,7 +127,7 @@ def open_directions(
         Matched points of the source at the pose.
     target : (m, d) array
     has_scale : bool
-        Whether the scale is free (2D).
+        Whether the scale is free.
 
     Returns
     -------
@@ -143,7 +146,7 @@ def open_directions(
     fit = float(np.sqrt((at_pose**2).mean()))
     if fit <= _SAME_POINTS * spacing:
         return []
-    motions = _motions(centred)[:, :, : None if d == 3 or has_scale else 3]
+    motions = _motions(centred, has_scale)[:, :, : None if d == 3 or has_scale else 3]
     directions = _candidates(motions, _normals(target, nearest, places[:, 0]))
     step = _STEP * max(spacing, fit)
     rises = np.array([
@@ -161,8 +164,11 @@ def open_directions(
     return sorted(found, key=lambda direction: direction.rise)
 
 
-def _motions(points: np.ndarray) -> np.ndarray:
-    """Return (k, d, p): the displacement of each point by a unit rotation, translation and growth."""
+def _motions(points: np.ndarray, has_scale: bool) -> np.ndarray:
+    """Return (k, d, p): the displacement of each point by a unit rotation, translation and growth.
+
+    In 3D, growth is omitted if the scale is fixed.
+    """
     k, d = points.shape
     shift = np.broadcast_to(np.eye(d), (k, d, d))
     if d == 2:
@@ -171,7 +177,8 @@ def _motions(points: np.ndarray) -> np.ndarray:
     turn = np.zeros((k, 3, 3))
     for i, j, l in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # axis i moves j to l
         turn[:, l, i], turn[:, j, i] = points[:, j], -points[:, l]
-    return np.concatenate([turn, shift], axis=2)
+    parts = [turn, shift, points[:, :, None]] if has_scale else [turn, shift]
+    return np.concatenate(parts, axis=2)
 
 
 def _search(target: np.ndarray, queries: int) -> Nearest:

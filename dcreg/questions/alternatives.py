@@ -7,7 +7,6 @@ the list, or with the proof that there is none.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,12 +16,10 @@ import numpy as np
 
 from dcreg import text
 from dcreg._version import __version__
-from dcreg.driver.modes import Attempt, run_mode
-from dcreg.driver.normalised import NormalisedProblem
+from dcreg.driver.modes import run_mode
 from dcreg.driver.options import Limits, SolveOptions, check_positive
 from dcreg.driver.solve import Finish, Setup
 from dcreg.driver.warm_up import warm_up_region
-from dcreg.families.region import Far, FarStationary
 from dcreg.files import as_json, plain, write_text
 from dcreg.names import DEFAULT_RATIO, DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
@@ -30,18 +27,12 @@ from dcreg.problem import (
     InputError,
     Problem,
     nearest_rotation,
-    rms_radius,
     rotation_angle_deg,
 )
+from dcreg.questions.other_poses import Search
 from dcreg.result import Result
-from dcreg.search import Budget, Start, Tolerance
 from dcreg.status import Status
 
-# Default distance at which poses count as distinct: RMS residuals, and at least a share of the size.
-RESIDUALS, SHARE_OF_SIZE = 3.0, 0.01
-STAGE = "other poses"  # in events
-_ROUNDING = 1e-9  # relative
-INNER = 1.0 / 3.0  # share of the distance beyond which stationary poses are searched
 SOLVE_SHARE = 0.5  # of the time, for the best pose
 
 
@@ -268,8 +259,13 @@ def find_alternatives(
         solution.events = solving.history
         best, minima = (solution.T, solution.upper_bound), solution.minima
         result = Finish(setup, 0, normalised, solving, solving).result(solution)
-        search = _Search(setup, result, replace(normalised, budget=budget), distance, ratio)
-        return search.run(best, minima, budget, most)
+        search = Search(setup, result, replace(normalised, budget=budget), distance, ratio)
+        status, lower_bound, known = search.run(best, minima, budget, most)
+        others = [_described(setup, result, *each) for each in known[1:]]
+        return Alternatives(
+            status, result, search.distance, search.threshold, lower_bound * setup.frame.area, others,
+            budget.elapsed(),
+        )  # fmt: skip
 
 
 def _check(
@@ -280,129 +276,22 @@ def _check(
     check_positive("most", most, such_as=20, optional=False)
     if problem.pose_range is not None:
         raise InputError("pose_range: alternatives are searched among all poses; omit it")
+    if problem.model == "similarity3d":
+        raise InputError(
+            "model: similarity3d has no search for alternatives; use register, or rescale one cloud and "
+            "use model rigid3d"
+        )
     if options.certificate:
         raise InputError("certificate: a search for alternatives keeps none; omit it")
 
 
-class _Search:
-    """The search for other poses after a solve, in normalised units."""
-
-    def __init__(
-        self,
-        setup: Setup,
-        result: Result,
-        normalised: NormalisedProblem,
-        distance: float | None,
-        ratio: float,
-    ) -> None:
-        self.setup, self.result, self.normalised = setup, result, normalised
-        problem = setup.problems[0]
-        size = rms_radius(problem.target) or rms_radius(problem.source) or 1.0
-        residual = math.sqrt(result.upper_bound / result.n_inliers)
-        self.distance = distance or max(RESIDUALS * residual, SHARE_OF_SIZE * size)
-        own = result.n_inliers * (self.distance / RESIDUALS) ** 2
-        self.threshold = max(ratio * result.upper_bound, own)
-
-    def run(
-        self,
-        best: tuple[np.ndarray, float],
-        minima: list[tuple[np.ndarray, float]],
-        budget: Budget,
-        most: int,
-    ) -> Alternatives:
-        """Search until no further pose is below the threshold, or until a limit."""
-        known, status, lower_bound = [best], Status.CONVERGED, 0.0
-        while True:
-            found, lower = self._next(known, minima, budget)
-            if found is None:
-                lower_bound, is_complete = lower, lower > self.threshold / self.setup.frame.area
-                status = Status.OPTIMAL if is_complete else budget.ended_by
-                break
-            known.append(found)
-            if len(known) > most:
-                status = Status.CONVERGED
-                break
-        return Alternatives(
-            status, self.result, self.distance, self.threshold,
-            lower_bound * self.setup.frame.area, [self._described(*each) for each in known[1:]],
-            budget.elapsed(),
-        )  # fmt: skip
-
-    def _next(
-        self,
-        known: list[tuple[np.ndarray, float]],
-        minima: list[tuple[np.ndarray, float]],
-        budget: Budget,
-    ) -> tuple[tuple[np.ndarray, float] | None, float]:
-        """Return another pose below the threshold, if one is found, and a lower bound on the others."""
-        poses, source = [T for T, _ in known], self.normalised.source
-        distance = self.distance / self.setup.frame.unit
-        far = Far.of(poses, distance, source)
-        if self._is_known_far(far, minima):
-            return self._search(far, minima, budget)
-        if self._grows((1.0 - INNER) * distance):
-            stationary = FarStationary.of(poses, INNER * distance, source)
-            found, lower_bound = self._search(stationary, minima, budget)
-            if found is None:
-                return None, lower_bound
-        return self._search(far, minima, budget)
-
-    def _is_known_far(self, far: Far, minima: list[tuple[np.ndarray, float]]) -> bool:
-        """Tell whether a pose below the threshold is known already."""
-        threshold = self.threshold / self.setup.frame.area
-        return any(value <= threshold and far.contains(T) for T, value in minima)
-
-    def _grows(self, distance: float) -> bool:
-        """Tell whether every matching costs too much at a distance from its best pose.
-
-        Let all source points be matched, and let a pose T farther than D from the known ones have an
-        objective below the threshold C, with the matching P. If the best pose of P is farther than D / 3
-        from the known ones, a search for stationary poses finds it. Otherwise it is farther than d = 2 D
-        / 3 from T. With S and w as in `dcreg.families.rigid3d.cover`, for all points instead of three,
-        the cost of P grows by n |t'|^2 + w^T (tr(S) I - S) w from its best pose to T, and the squared
-        displacements add up to n |t'|^2 + w^T (tr(M) I - M) w with the second moments M of the points.
-        S - M is the sum of the products e x^T of residuals and centred points at the best pose. For a
-        unit vector a, a^T (tr(S - M) I - (S - M)) a is therefore the sum of the inner products of the
-        parts of e and x orthogonal to a. It is at least -sqrt(C m), where m = a^T (tr(M) I - M) a is the
-        sum of the squares of these parts of x. So the cost grows by at least the share 1 - sqrt(C / q) of
-        n d^2, where q is the minimum eigenvalue of tr(M) I - M.
-        """
-        source, area = self.normalised.source, self.setup.frame.area
-        n, d = source.shape
-        if d != 3 or self.normalised.n_inliers != n or self.normalised.candidates is not None:
-            return False
-        centred = source - source.mean(axis=0)
-        spread = float((centred**2).sum())
-        least = spread - float(np.linalg.eigvalsh(centred.T @ centred)[-1])
-        threshold = self.threshold / area
-        share = max(0.0, 1.0 - math.sqrt(threshold / least)) if least > 0.0 else 0.0
-        lower_bound = self.result.lower_bound / area
-        return lower_bound + share * n * distance**2 > threshold * (1.0 + _ROUNDING)
-
-    def _search(
-        self, region: Far, minima: list[tuple[np.ndarray, float]], budget: Budget
-    ) -> tuple[tuple[np.ndarray, float] | None, float]:
-        """Return a pose of the region below the threshold, if one is found, and a lower bound."""
-        threshold = self.threshold / self.setup.frame.area
-        tolerance = Tolerance(rel=1e-6, target=threshold)
-        problem = replace(self.normalised, region=region, tolerance=tolerance, init=None)
-        attempt = Attempt(replace(self.setup.mode, stage=STAGE), problem)
-        far = [
-            Start(attempt.space.parameter(T), value) for T, value in minima if region.contains(T)
-        ]
-        start = min(far, key=lambda each: each.value, default=Start(attempt.bound.roots[0].centre))
-        found = attempt.run(budget, start)
-        if found.upper_bound <= threshold:
-            return (attempt.space.pose(found.theta), found.upper_bound), 0.0
-        return None, found.lower_bound
-
-    def _described(self, T: np.ndarray, value: float) -> Alternative:
-        frame, best = self.setup.frame, self.result.T_certified
-        pose, d = frame.pose(T), len(best) - 1
-        turn = nearest_rotation(pose[:d, :d] @ np.linalg.inv(best[:d, :d]))
-        source = self.setup.problems[0].source
-        gaps = source @ (pose[:d, :d] - best[:d, :d]).T + pose[:d, d] - best[:d, d]
-        return Alternative(
-            pose, value * frame.area, abs(rotation_angle_deg(turn)),
-            float(np.sqrt((gaps**2).sum(axis=1).mean())),
-        )  # fmt: skip
+def _described(setup: Setup, result: Result, T: np.ndarray, value: float) -> Alternative:
+    frame, best = setup.frame, result.T_certified
+    pose, d = frame.pose(T), len(best) - 1
+    turn = nearest_rotation(pose[:d, :d] @ np.linalg.inv(best[:d, :d]))
+    source = setup.problems[0].source
+    gaps = source @ (pose[:d, :d] - best[:d, :d]).T + pose[:d, d] - best[:d, d]
+    return Alternative(
+        pose, value * frame.area, abs(rotation_angle_deg(turn)),
+        float(np.sqrt((gaps**2).sum(axis=1).mean())),
+    )  # fmt: skip

@@ -192,7 +192,7 @@ def certify(
     chosen = SolveOptions.of(options)
     if chosen.init is not None:
         raise InputError("init: the given pose is the initial guess; omit it")
-    T = checked_pose("pose", pose, problem.dim)
+    T = checked_pose("pose", pose, problem.dim, has_scale=problem.has_scale)
     low, high = problem.scale_range
     if not low * (1.0 - 1e-9) <= scale_of(T) <= high * (1.0 + 1e-9):
         raise InputError(

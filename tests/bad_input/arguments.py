@@ -59,9 +59,9 @@ NUMBERS = {  # options that both commands have: value, what the message shows, r
         "tight+magic": ("--bound: 'magic'", "known: dc"),
     },
     "model": {
-        "affine": ("--model: 'affine' is unknown", "known: rigid3d, similarity2d"),
+        "affine": ("--model: 'affine' is unknown", "known: rigid3d, similarity2d, similarity3d"),
         "rigid2d": ("--model: 'rigid2d' is unknown", "'rigid3d'"),
-        "": ("--model: '' is unknown", "known: rigid3d, similarity2d"),
+        "": ("--model: '' is unknown", "known: rigid3d, similarity2d, similarity3d"),
     },
     "start_box": {
         "magic": ("--start-box: 'magic' is unknown", "known: radius, stationary"),

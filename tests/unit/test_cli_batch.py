@@ -319,7 +319,10 @@ def test_a_number_of_pairs_is_needed(table, solved):
     ("options", "words"),
     [
         (["--jobs", "0"], "--jobs: 0 processes; give a positive number"),
-        (["--model", "rigid2d"], "--model: 'rigid2d' is unknown; known: similarity2d, rigid3d"),
+        (
+            ["--model", "rigid2d"],
+            "--model: 'rigid2d' is unknown; known: similarity2d, rigid3d, similarity3d",
+        ),
         (["--out", "o.txt"], "--out o.txt: the name must end in .csv"),
         (["--graph", "o.txt"], "--graph o.txt: the name must end in .g2o"),
         (["--graph", "absent/o.g2o"], "no folder 'absent'; create it first"),

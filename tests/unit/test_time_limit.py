@@ -74,7 +74,7 @@ def test_no_event_repeats_while_the_clock_is_paused():
     assert heard
 
 
-@pytest.mark.parametrize("model", MODEL_DIM)
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
 def test_a_cover_is_compiled_outside_of_the_time_limit(model, monkeypatch):
     compiled = []
 

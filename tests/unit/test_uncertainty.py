@@ -33,7 +33,8 @@ def hat(xi: np.ndarray, d: int) -> np.ndarray:
         return out
     x, y, z = xi[:3]
     out[:3, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
-    out[:3, 3] = xi[3:]
+    out[:3, 3] = xi[3:6]
+    out[:3, :3] += (xi[6] if len(xi) > 6 else 0.0) * np.eye(3)
     return out
 
 
@@ -49,12 +50,13 @@ def random_pose(rng: np.random.Generator, d: int) -> np.ndarray:
     return pose
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
-def test_covariance_follows_from_the_curvature_of_the_objective(seed, d):
+@given(st.integers(0, 2**32 - 1), st.sampled_from([(2, True), (3, True), (3, False)]))
+def test_covariance_follows_from_the_curvature_of_the_objective(seed, kind):
+    d, has_scale = kind
     rng = np.random.default_rng(seed)
     source, pose = rng.standard_normal((12, d)), random_pose(rng, d)
     target = apply_pose(pose, source) + 0.1 * rng.standard_normal((12, d))
-    p = 6 if d == 3 else 4
+    p = 6 + has_scale if d == 3 else 4
     columns = []
     for step in 1e-6 * np.eye(p):
         ends = [
@@ -64,7 +66,7 @@ def test_covariance_follows_from_the_curvature_of_the_objective(seed, d):
     jacobian = np.array(columns).T
     variance = ((apply_pose(pose, source) - target) ** 2).sum() / (12 * d - p)
     expected = variance * np.linalg.inv(jacobian.T @ jacobian)
-    found = pose_covariance(pose, source, target, has_scale=True)
+    found = pose_covariance(pose, source, target, has_scale=has_scale)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9 * variance)
 
 
@@ -97,7 +99,7 @@ def test_covariance_is_within_a_fifth_of_monte_carlo(shape, noise):
     for _ in range(DRAWS):
         target = source + noise * rng.standard_normal(source.shape)
         pose, columns = fitted(source, target)
-        stated.append(pose_covariance(pose, source, target[columns], has_scale=True))
+        stated.append(pose_covariance(pose, source, target[columns], has_scale=d == 2))
         if d == 3:
             turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
             drawn.append([*turn, *(pose[:3, :3].T @ pose[:3, 3])])

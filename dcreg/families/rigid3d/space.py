@@ -17,6 +17,7 @@ rotation is searched.
 
 from __future__ import annotations
 
+import abc
 import itertools
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -83,42 +84,14 @@ def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> fl
     return farthest / np.cos(2.0 * np.arcsin(np.sqrt(0.5) / cells))
 
 
-class Rigid3D(CloudSpace):
-    """Rigid poses of centred clouds; theta is a quaternion and a translation, y = R x + t.
+class Poses3D(CloudSpace):
+    """Poses of centred clouds in 3D; theta begins with a quaternion and a translation.
 
-    Centred clouds have the smallest start box, and n <= m is faster; see `between`.
+    Centred clouds have the smallest start box.
     """
 
-    # A unit step of a facet coordinate rotates by 1 to 2 radians, which moves points at the RMS radius
-    # by about this much. A unit step of the translation moves them by one.
-    axis_weights = np.array([1.3, 1.3, 1.3, 1.3, 1.0, 1.0, 1.0])
-    scope = RIGID_POSE
     n_descents = 24
-
-    _swapped = False
-
-    @classmethod
-    def between(
-        cls,
-        source: np.ndarray,
-        target: np.ndarray,
-        n_inliers: int,
-        candidates: np.ndarray | None = None,
-        *settings: Any,
-    ) -> Rigid3D:
-        """Return the space in which the smaller cloud moves; `pose` still returns poses of `source`.
-
-        Nearest distances are taken from the moving cloud, so the smaller one is the better choice. The
-        inverse pose has the same residuals.
-        """
-        swapped = len(source) > len(target)
-        if swapped:
-            source, target = target, source
-            if candidates is not None:  # in C order, because kernels are compiled for C order only
-                candidates = np.ascontiguousarray(candidates.T)
-        space = cls(source, target, n_inliers, candidates, *settings)
-        space._swapped = swapped
-        return space
+    max_scale = 1.0
 
     def translations(self) -> Box:
         """Return a box that contains the translation of every optimum."""
@@ -128,31 +101,19 @@ class Rigid3D(CloudSpace):
                 reach = float(np.linalg.norm(source.mean(axis=1)))
             else:
                 reach = largest_subset_mean_3d(source.T, k)
+            reach *= self.max_scale
             lower, upper = means_of_subsets(target, k)
             # rounding must not cut off the optimum, but the box of a centred cloud keeps zero width
             reach = 0.0 if reach < _ROUNDING else reach
             lower, upper = (np.where(np.abs(v) < _ROUNDING, 0.0, v) for v in (lower, upper))
             return Box(lower - reach, upper + reach)
-        reach = radius(source.T) + radius(target.T)
+        reach = self.max_scale * radius(source.T) + radius(target.T)
         return Box(np.full(3, -reach), np.full(3, reach))
-
-    def roots(self) -> list[Box]:
-        """Return boxes that together contain every optimum."""
-        box = self.translations()
-        return [
-            Box(np.append(facet.lower, box.lower), np.append(facet.upper, box.upper))
-            for facet in Rotation3D.roots()
-        ]
 
     def objective(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
         value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop_flag)
         self.check()
         return float(value), col_of
-
-    def _costs(self, theta: np.ndarray) -> np.ndarray:
-        cost = np.empty((self.n_source, self.n_target))
-        pose_costs(theta, self.clouds, cost)
-        return cost
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Alternate matching and fit; each assignment starts from the previous dual variables."""
@@ -161,13 +122,6 @@ class Rigid3D(CloudSpace):
             is_admissible=True,
         )  # fmt: skip
         return self.normalised(theta), value, spent
-
-    @staticmethod
-    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the quaternion and the translation (Horn 1987, centred)."""
-        x, y = source.mean(axis=1), target.mean(axis=1)
-        rotation = best_rotation(source - x[:, None], target - y[:, None])
-        return np.append(rotation, y - rotation_matrix(rotation) @ x)
 
     def normalised(self, theta: np.ndarray) -> np.ndarray:
         theta = theta.copy()
@@ -208,12 +162,8 @@ class Rigid3D(CloudSpace):
 
     def _congruent_starts(self, budget: Budget) -> Iterator[tuple[np.ndarray, int]]:
         """Yield poses of rounds of congruent triples until they are confirmed."""
-        sizes = self.n_source, self.n_target, self.n_inliers
         is_dense = self.n_pairs > DENSE_DESCENTS
-        few, enough, most = (
-            rounds_for(*sizes, failure)
-            for failure in (LIKELY if is_dense else ENOUGH, ENOUGH, FAILURE)
-        )
+        few, enough, most = map(self._rounds, (LIKELY if is_dense else ENOUGH, ENOUGH, FAILURE))
         threads = N_THREADS if is_dense else 1
         work = partial(self._congruent, budget=budget)
         # more rounds than the first few are made two at a time
@@ -231,6 +181,10 @@ class Rigid3D(CloudSpace):
                 self.is_confirmed = is_confirmed(rounds, least)
                 if self.is_confirmed:
                     return
+
+    def _rounds(self, failure: float) -> int:
+        """Return the number of rounds after which one had a triple of true pairs, but for `failure`."""
+        return rounds_for(self.n_source, self.n_target, self.n_inliers, failure)
 
     @property
     def _starts_from_sample(self) -> bool:
@@ -259,24 +213,110 @@ class Rigid3D(CloudSpace):
             yield coarse.ends[at][0], spent
             spent = 0
 
-    def of_points(self, source: np.ndarray, target: np.ndarray, n_inliers: int) -> Rigid3D:
-        """Return the same space over other points, without candidates."""
-        return Rigid3D(source, target, n_inliers, None, self.stop_flag, self.stationary_box)
-
     def _congruent(self, seed: int, budget: Budget) -> list[np.ndarray]:
         """Return the parameters of poses of a round of congruent triples; scales take turns."""
         if budget.is_over:
             return []
         source, target = self.clouds.source.T, self.clouds.target.T
-        poses = congruent_poses(
-            source, target, SCALES[seed % len(SCALES)], self.candidates, seed=seed,
-            stop=self.stop_flag,
-        )  # fmt: skip
+        poses = self._poses_of_triples(seed)
         if self.n_pairs > DENSE_DESCENTS:
             poses = best_descents(
                 poses, source, target, self.n_inliers, seed=seed, fit_pairs=self.fit_pairs
             )
         return [self._parameter(T) for T in poses]
+
+    @abc.abstractmethod
+    def _costs(self, theta: np.ndarray) -> np.ndarray:
+        """Return the (n, m) squared residuals at a pose, with the penalties of infeasible pairs."""
+
+    @abc.abstractmethod
+    def of_points(self, source: np.ndarray, target: np.ndarray, n_inliers: int) -> Poses3D:
+        """Return the same space over other points, without candidates."""
+
+    @abc.abstractmethod
+    def fit_pairs(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Return the (4, 4) least-squares pose of paired (k, 3) points."""
+
+    @abc.abstractmethod
+    def _poses_of_triples(self, seed: int) -> np.ndarray:
+        """Return the (P, 4, 4) poses of a round of triples."""
+
+    @abc.abstractmethod
+    def _parameter(self, T: np.ndarray) -> np.ndarray:
+        """Return the parameter of a (4, 4) pose."""
+
+    @staticmethod
+    @abc.abstractmethod
+    def _vertices(theta: np.ndarray) -> np.ndarray:
+        """Return the (12,) coordinates of the moved vertices of a unit tetrahedron."""
+
+
+class Rigid3D(Poses3D):
+    """Rigid poses of centred clouds; theta is a quaternion and a translation, y = R x + t.
+
+    n <= m is faster; see `between`.
+    """
+
+    # A unit step of a facet coordinate rotates by 1 to 2 radians, which moves points at the RMS radius
+    # by about this much. A unit step of the translation moves them by one.
+    axis_weights = np.array([1.3, 1.3, 1.3, 1.3, 1.0, 1.0, 1.0])
+    scope = RIGID_POSE
+
+    _swapped = False
+
+    @classmethod
+    def between(
+        cls,
+        source: np.ndarray,
+        target: np.ndarray,
+        n_inliers: int,
+        candidates: np.ndarray | None = None,
+        *settings: Any,
+    ) -> Rigid3D:
+        """Return the space in which the smaller cloud moves; `pose` still returns poses of `source`.
+
+        Nearest distances are taken from the moving cloud, so the smaller one is the better choice. The
+        inverse pose has the same residuals.
+        """
+        swapped = len(source) > len(target)
+        if swapped:
+            source, target = target, source
+            if candidates is not None:  # in C order, because kernels are compiled for C order only
+                candidates = np.ascontiguousarray(candidates.T)
+        space = cls(source, target, n_inliers, candidates, *settings)
+        space._swapped = swapped
+        return space
+
+    def roots(self) -> list[Box]:
+        """Return boxes that together contain every optimum."""
+        box = self.translations()
+        return [
+            Box(np.append(facet.lower, box.lower), np.append(facet.upper, box.upper))
+            for facet in Rotation3D.roots()
+        ]
+
+    def _costs(self, theta: np.ndarray) -> np.ndarray:
+        cost = np.empty((self.n_source, self.n_target))
+        pose_costs(theta, self.clouds, cost)
+        return cost
+
+    @staticmethod
+    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Return the quaternion and the translation (Horn 1987, centred)."""
+        x, y = source.mean(axis=1), target.mean(axis=1)
+        rotation = best_rotation(source - x[:, None], target - y[:, None])
+        return np.append(rotation, y - rotation_matrix(rotation) @ x)
+
+    def of_points(self, source: np.ndarray, target: np.ndarray, n_inliers: int) -> Rigid3D:
+        """Return the same space over other points, without candidates."""
+        return Rigid3D(source, target, n_inliers, None, self.stop_flag, self.stationary_box)
+
+    def _poses_of_triples(self, seed: int) -> np.ndarray:
+        source, target = self.clouds.source.T, self.clouds.target.T
+        return congruent_poses(
+            source, target, SCALES[seed % len(SCALES)], self.candidates, seed=seed,
+            stop=self.stop_flag,
+        )  # fmt: skip
 
     def fit_pairs(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the (4, 4) least-squares pose of paired (k, 3) points."""

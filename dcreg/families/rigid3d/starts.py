@@ -95,7 +95,7 @@ def congruent_poses(
         return np.empty((0, 4, 4))
     rng = np.random.default_rng(seed)
     x, y = np.ascontiguousarray(source / unit), np.ascontiguousarray(target / unit)
-    triples = _long_triples(x, rng)
+    triples = long_triples(x, rng)
     columns = np.sort(rng.permutation(len(y))[:MAX_TARGETS])
     feasible = np.empty((0, 0), np.bool_)
     if candidates is not None:
@@ -105,10 +105,10 @@ def congruent_poses(
     poses = np.zeros((len(triples), KEPT_PER_TRIPLE, 3, 4))
     scores = np.zeros((len(triples), KEPT_PER_TRIPLE))
     some = y[columns]
-    first, second, lengths, distances = _pairs_by_length(some)
+    first, second, lengths, distances = pairs_by_length(some)
     order = np.argsort(distances, axis=1, kind="stable")
     ascending = np.take_along_axis(distances, order, axis=1)
-    sides = _sides(x, triples)
+    sides = side_lengths(x, triples)
     # with a shorter side nearly every target triple would be congruent
     telling = sides.min(axis=1) > 2.0 * scale.tolerance
     triples, sides = triples[telling], sides[telling]
@@ -120,7 +120,7 @@ def congruent_poses(
         (first, second, distances, order, ascending),
         (scale.tolerance, looked, field, stop), poses, scores,
     )  # fmt: skip
-    found = _distinct(poses.reshape(-1, 3, 4), scores.ravel(), MAX_POSES)
+    found = distinct_poses(poses.reshape(-1, 3, 4), scores.ravel(), MAX_POSES)
     found[:, :3, 3] *= unit
     return found
 
@@ -202,20 +202,20 @@ def best_descents(
     if not ends:
         return np.empty((0, 4, 4))
     found, values = np.array([T for T, _ in ends]), np.array([value for _, value in ends])
-    return _distinct(found[:, :3], 1.0 / np.maximum(values, np.finfo(float).tiny), count)
+    return distinct_poses(found[:, :3], 1.0 / np.maximum(values, np.finfo(float).tiny), count)
 
 
-def _long_triples(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def long_triples(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Draw random triples with long sides."""
     drawn = rng.integers(len(points), size=(20 * N_TRIPLES, 3))
-    shortest = _sides(points, drawn).min(axis=1)
+    shortest = side_lengths(points, drawn).min(axis=1)
     long = np.flatnonzero(shortest >= SHORTEST)
     if len(long) < N_TRIPLES:  # a small or flat cloud: take the longest sides
         long = np.argsort(-shortest, kind="stable")
     return drawn[long[:N_TRIPLES]]
 
 
-def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
+def side_lengths(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
     """Return (T, 3) distances: first to second point, first to third, second to third."""
     vertices = points[triples]
     ends = ((0, 1), (0, 2), (1, 2))
@@ -224,7 +224,7 @@ def _sides(points: np.ndarray, triples: np.ndarray) -> np.ndarray:
     )
 
 
-def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, ...]:
+def pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return first and second points of all ordered pairs by length, the lengths, and all distances."""
     distances = np.sqrt(sum(np.subtract.outer(axis, axis) ** 2 for axis in points.T))
     first, second = np.nonzero(~np.eye(len(points), dtype=bool))
@@ -233,7 +233,7 @@ def _pairs_by_length(points: np.ndarray) -> tuple[np.ndarray, ...]:
     return first[order], second[order], lengths[order], distances
 
 
-def _distinct(poses: np.ndarray, scores: np.ndarray, count: int) -> np.ndarray:
+def distinct_poses(poses: np.ndarray, scores: np.ndarray, count: int) -> np.ndarray:
     """Return the best poses that differ, as (P, 4, 4)."""
     tetrahedron = np.vstack([np.zeros(3), np.eye(3)])
     moved = np.einsum("pab,cb->pca", poses[:, :, :3], tetrahedron) + poses[:, None, :, 3]

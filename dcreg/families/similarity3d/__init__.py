@@ -1,0 +1,1 @@
+"""Similarities in 3D: rotation, translation and scale."""

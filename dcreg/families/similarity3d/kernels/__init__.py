@@ -1,0 +1,1 @@
+"""Compiled parts of the search over similarities in 3D."""

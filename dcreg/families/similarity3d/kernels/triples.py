@@ -1,0 +1,97 @@
+"""Poses from similar triples: initial poses of a similarity search if many points have no partner.
+
+A similarity preserves ratios of distances. Three source points and three target points with nearly the
+same ratios determine a pose. Its score is the number of source points near the target. Point sets are
+stored by row, (n, 3) and (m, 3).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dcreg.families.kernels import overlap
+from dcreg.families.rigid3d.kernels.congruent import first_at_least, frame
+from dcreg.jit import jit
+
+_N_FIRST = 12  # source points after which a pose is dropped if it scores less than ...
+_FIRST_SHARE = 0.3  # ... this share of the average score of the stored poses at this point
+
+
+@jit
+def similar_triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores):
+    """Find the best poses of each source triple; return the number of target triples tried.
+
+    Parameters
+    ----------
+    triples : (T, 3) int array
+    sides : (T, 5) array
+        Distances of the first to the second, of the first to the third and of the second to the third
+        point; then the range of the target pairs that an admissible scale makes of the first side.
+    clouds, feasible, pairs
+        As in `dcreg.families.rigid3d.kernels.congruent.triple_poses`.
+    search : (tolerance, looked, field, stop)
+        Tolerance of a distance, the source points used for the score, the `NearnessField` of the
+        target, and the stop flag.
+    poses, scores : (T, K, 3, 4), (T, K) arrays
+        Receive the best poses of each triple; scores are initially zero.
+
+    Returns
+    -------
+    int
+        Target triples tried.
+    """
+    source, target = clouds
+    first, second, distances, order, ascending = pairs
+    tolerance, looked, field, stop = search
+    F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    tried = 0
+    for at in range(triples.shape[0]):
+        u, v, w = triples[at, 0], triples[at, 1], triples[at, 2]
+        p, q, r = source[u], source[v], source[w]
+        if not frame(p, q, r, F):
+            continue
+        pq, pr, qr = sides[at, 0], sides[at, 1], sides[at, 2]
+        for pair in range(int(sides[at, 3]), int(sides[at, 4])):
+            if stop[0]:
+                return tried
+            i, j = first[pair], second[pair]
+            if feasible.size > 0 and not (feasible[u, i] and feasible[v, j]):
+                continue
+            ratio = distances[i, j] / pq
+            far_pr = ratio * pr + tolerance
+            near = first_at_least(ascending[i], ratio * pr - tolerance)
+            for place in range(near, target.shape[0]):
+                if ascending[i, place] > far_pr:
+                    break
+                k = order[i, place]
+                if abs(ratio * qr - distances[j, k]) > tolerance or k in (i, j):
+                    continue
+                if feasible.size > 0 and not feasible[w, k]:
+                    continue
+                if not frame(target[i], target[j], target[k], G):
+                    continue
+                tried += 1
+                scale = (distances[i, j] + distances[i, k] + distances[j, k]) / (pq + pr + qr)
+                for a in range(3):
+                    t[a] = (target[i, a] + target[j, a] + target[k, a]) / 3.0
+                    for b in range(3):
+                        R[a, b] = G[a, 0] * F[b, 0] + G[a, 1] * F[b, 1] + G[a, 2] * F[b, 2]
+                        R[a, b] *= scale
+                        t[a] -= R[a, b] * (p[b] + q[b] + r[b]) / 3.0
+                worst = 0
+                for other in range(1, scores.shape[1]):
+                    if scores[at, other] < scores[at, worst]:
+                        worst = other
+                # a smaller source is near the target more often by chance
+                weight = math.sqrt(scale)
+                floor = scores[at, worst] / weight
+                score = weight * overlap(R, t, looked, field, floor, _N_FIRST, _FIRST_SHARE)
+                if score > scores[at, worst]:
+                    scores[at, worst] = score
+                    for a in range(3):
+                        poses[at, worst, a, 3] = t[a]
+                        for b in range(3):
+                            poses[at, worst, a, b] = R[a, b]
+    return tried
