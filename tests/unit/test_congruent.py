@@ -1,6 +1,7 @@
 """Initial poses from congruent triples, also if many points have no partner or clouds are degenerate."""
 
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from dcreg.families.rigid3d.starts import (
     is_confirmed,
     rounds_for,
 )
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Budget
 
 
@@ -65,11 +67,16 @@ def test_only_feasible_triples_are_used():
     assert angle(poses[0], truth) < 0.1
 
 
+rigid_fit = partial(fit_pose, scale_range=(1.0, 1.0))
+
+
 def test_best_descents_keep_the_right_pose_among_wrong_ones():
     source, target, truth = partial_overlap(1, n_common=200, n_clutter=200)
     wrong = [truth @ _turned(a) for a in (0.8, 1.6, 2.4)]
     nearly = truth @ _turned(0.05)
-    (best,) = best_descents(np.array([*wrong, nearly]), source, target, 200, count=1)
+    (best,) = best_descents(
+        np.array([*wrong, nearly]), source, target, 200, count=1, fit_pairs=rigid_fit
+    )
     assert angle(best, truth) < 0.02
 
 
@@ -78,7 +85,9 @@ def test_best_descents_differ():
     rng = np.random.default_rng(5)
     box = rng.uniform(-1.0, 1.0, (300, 3)) * [3.0, 2.0, 1.0]
     near = [_turned(by) for by in (0.0, 0.01, 0.02, 0.03)]
-    poses = best_descents(np.array([*near, _turned(np.pi)]), box, box + 0.01, 250)
+    poses = best_descents(
+        np.array([*near, _turned(np.pi)]), box, box + 0.01, 250, fit_pairs=rigid_fit
+    )
     assert len(poses) == 2
     np.testing.assert_allclose(sorted(angle(T, np.eye(4)) for T in poses), [0.0, np.pi], atol=0.05)
 
