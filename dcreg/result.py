@@ -166,7 +166,7 @@ class Result:
 
     @property
     def scale(self) -> float:
-        """Scale of the final pose; 1 in 3D."""
+        """Scale of the final pose; 1 for ``rigid3d``."""
         return scale_of(self.T_target_source)
 
     @property

@@ -203,7 +203,7 @@ class Search:
     memory_limit_mb : MB
         Maximum memory of the open boxes of a search. Default: no limit.
     threads : N
-        Number of threads. They change the result only if the clock ends the search.
+        Number of threads. They change the result only if the search times out.
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
@@ -251,8 +251,8 @@ class Poses:
     Attributes
     ----------
     init : POSE
-        Initial guess of the pose: a matrix as text or .npy, JSON of dcreg, or one pose of KITTI or TUM.
-        Ranges are relative to it; without one it only gives an upper bound at once.
+        Initial pose: a matrix as text or .npy, JSON written by dcreg, or one pose of KITTI or TUM.
+        Angle and displacement are relative to it; without such limits, it only gives a first upper bound.
     axis : X,Y,Z
         Only rotations about this axis (3D), such as 0,0,1 for level scans.
     max_angle : DEG
@@ -296,8 +296,8 @@ class MatchSearch:
         Criterion for the pose: 'correspondences' is the cost of the matches; 'surfaces' also compares
         the surfaces of dense scans and gives no bounds.
     certify : switch
-        Prove bounds by branch and bound, to the time limit. Default: only with --score correspondences,
-        for a few seconds.
+        Prove bounds by branch and bound, to the time limit. Default: with --score correspondences, up to
+        25 seconds.
     rel_gap : X
         Gap at which to stop, as a share of the upper bound.
     abs_gap : X

@@ -30,14 +30,14 @@ def certify(
 ) -> int:
     """Judge a POSE of SOURCE from any program: optimal, improvable or open.
 
-    Exit code: 0 optimal; 2 bad input; 3 open (a limit ended the search);
-    4 an output file could not be written; 6 improvable (a better pose is
+    Exit code: 0 optimal; 2 bad input; 3 open (neither proven optimal nor
+    improved); 4 an output file could not be written; 6 improvable (a better pose is
     printed).
 
     Parameters
     ----------
     pose : POSE
-        A matrix as text or .npy, JSON of dcreg, or one pose of KITTI or TUM.
+        A matrix as text or .npy, JSON written by dcreg, or one pose of KITTI or TUM.
     n_inliers : K
         Pairs to match, as for `dcreg register`. Required.
     """
@@ -80,7 +80,7 @@ def alternatives(
         Poses are distinct if the RMS displacement of the source points between them exceeds D. Default:
         three RMS residuals, at least 1 % of the RMS radius of the target.
     most : N
-        End with N other poses.
+        Stop after N other poses.
     """
     files.check(*clouds.names.values(), search.candidates_path)
     count = required_count(n_inliers)
@@ -101,7 +101,7 @@ class Count:
     model : NAME
         Kind of pose: {models}.
     distance : D
-        Distance within which a pair counts, in units of the target.
+        Maximum residual of a counted pair, in units of the target.
     scale_range : LO HI
         Admissible scales, as for `dcreg register`.
     candidates_path : FILE

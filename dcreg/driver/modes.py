@@ -284,18 +284,25 @@ def _attempts(
     start = attempt.start(budget)
     free = Attempt(mode, replace(problem, region=region.without_limits()))
     best = free.start(budget.silent())
-    floor = 0.0
-    if best.value >= problem.tolerance.cutoff(start.value) or budget.is_over:
+    floor, tolerance = 0.0, problem.tolerance
+    if best.value >= tolerance.cutoff(start.value) or budget.is_over:
         own = start._replace(theta=free.space.parameter(attempt.space.pose(start.theta)))
-        found = free.run(budget, min(own, best, key=lambda each: each.value))
+        searching = budget.with_incumbent(start.value)
+        found = free.run(searching, min(own, best, key=lambda each: each.value))
         theta = attempt.space.parameter(free.space.pose(found.theta))
         if attempt.space.admissible(theta[None])[0]:
             yield attempt, replace(found, theta=theta)
             return
-        floor = found.lower_bound
-        yield free, replace(found, events=[])  # their upper bounds are those of poses outside
+        floor = min(found.lower_bound, start.value)
+        if status := tolerance.status(floor, start.value):  # decided by all poses
+            found = replace(found, status=status, theta=start.theta, lower_bound=floor)
+            yield attempt, replace(found, upper_bound=start.value)
+            return
+        yield free, found
     found = attempt.run(budget, start)
-    yield attempt, replace(found, lower_bound=max(floor, found.lower_bound))
+    lower_bound = min(max(floor, found.lower_bound), found.upper_bound)
+    status = tolerance.status(lower_bound, found.upper_bound) or found.status
+    yield attempt, replace(found, status=status, lower_bound=lower_bound)
 
 
 def recover_pose(

@@ -183,7 +183,8 @@ class Limits:
             Share of these pairs that is searched. A sample gets this share of `abs_gap`.
         """
         abs_gap = max(share * (self._abs_gap(n_inliers) or 0.0), rounding)
-        target = None if self.max_rms is None else n_inliers * self.max_rms**2
+        # an exact fit has a residual of 0 up to rounding
+        target = None if self.max_rms is None else max(n_inliers * self.max_rms**2, exact)
         return Tolerance(self.rel_gap, abs_gap, exact, target)
 
     def _abs_gap(self, n_inliers: int) -> float | None:

@@ -229,7 +229,8 @@ class Finish:
         problem = self.setup.problems[self.at]
         sizes = (problem.source, problem.target, problem.n_inliers)
         exact, value = exact_objective(*sizes), result.objective
-        if value > exact or result.success or result.certificate is not None:
+        is_decided = result.success or result.status is Status.REFUTED
+        if value > exact or is_decided or result.certificate is not None:
             return result
         tolerance = self.setup.limits.tolerance(problem.n_inliers, rounding_error(*sizes), exact)
         return replace(

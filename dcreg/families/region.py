@@ -1,9 +1,9 @@
 """Searches for the best pose of a region: near a reference pose, or far from known poses.
 
 The bounds of some families hold for stationary poses only. Inside a region a local optimum is stationary,
-but at its limit it need not be. So a region tells three things about a box: whether it *touches* the
-region, whether all its poses are *inside*, and whether a given pose belongs to it. A box that is not
-inside needs a bound that holds for every pose.
+but on its boundary it need not be. A region therefore classifies boxes by two tests. It `touches` a box
+that may contain a pose of the region, and a box is `inside` if all its poses lie in the interior. A box
+that is not inside needs a bound that holds for every pose.
 
 All tests compare the pose at the centre of a box with the radius of the box in the same metric: the angle
 of the rotation, the displacement of the pivot, or the root mean square displacement of the source.

@@ -1,4 +1,4 @@
-"""Ranges of poses around a reference pose: of rotations about one axis, small angles, short shifts."""
+"""Ranges of poses around a reference pose, limited by axis, angle or translation."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ class PoseRange:
     Attributes
     ----------
     axis : (3,) array, optional
-        In 3D: only rotations about this axis (of any length), in the coordinates of the target. For
-        scans that are level this is the direction of gravity.
+        In 3D: the axis of all admissible rotations, in the coordinates of the target; it need not be a
+        unit vector. For level scans this is the direction of gravity.
     max_angle : float
         Maximum angle of the rotation from the reference pose, in degrees; 0 excludes rotations.
     max_translation : float
         Maximum distance of the moved pivot from its place at the reference pose, in units of the target.
     around : (d+1, d+1) array, optional
-        The reference pose; default: the identity. Its scale is ignored.
+        The reference pose; default: the identity. Its scale does not limit that of the result; in 3D it
+        must be 1.
     pivot : (d,) array, optional
         The source point whose displacement is limited; default: the centroid of the source.
 
@@ -53,7 +54,7 @@ class PoseRange:
     pivot: Any = None
 
     def checked(self, source: np.ndarray, scale_range: tuple[float, float]) -> PoseRange:
-        """Return the range with arrays for all attributes but `axis`, which may be None.
+        """Return the range with checked values and all defaults filled in; `axis` may remain None.
 
         Raises
         ------
@@ -236,10 +237,10 @@ def checked_pose(name: str, pose: Any, d: int, *, has_scale: bool) -> np.ndarray
         raise InputError(
             f"{name}: not a matrix of numbers; give a pose such as np.eye({d + 1})"
         ) from None
-    if T.shape != (d + 1, d + 1) or not np.isfinite(T).all():
-        raise InputError(
-            f"{name}: shape {T.shape}, or not finite; give a ({d + 1}, {d + 1}) matrix of numbers"
-        )
+    if T.shape != (d + 1, d + 1):
+        raise InputError(f"{name}: shape {T.shape}; give a ({d + 1}, {d + 1}) matrix of numbers")
+    if not np.isfinite(T).all():
+        raise InputError(f"{name}: contains NaN or infinity, not finite numbers; correct it")
     scale = scale_of(T)
     if np.abs(T[d] - np.eye(d + 1)[d]).max() > 0.0:
         raise InputError(f"{name}: the last row is {T[d].tolist()}; it must be 0 … 0 1")
@@ -251,8 +252,8 @@ def checked_pose(name: str, pose: Any, d: int, *, has_scale: bool) -> np.ndarray
         )
     if not has_scale and not is_rigid(T):
         raise InputError(
-            f"{name}: its scale is {scale:.6g}, but rigid3d has no scale; divide by it, or use model "
-            "similarity3d"
+            f"{name}: its scale is {scale:.6g}, but rigid3d has no scale; divide its upper left 3 x 3 part "
+            "by it, or use model similarity3d"
         )
     T[:d, :d] = rotation * (scale if has_scale else 1.0)
     return T
@@ -283,5 +284,5 @@ def _vector(name: str, values: Any, d: int) -> np.ndarray:
 def _checked_number(name: str, value: Any, such_as: str) -> float:
     is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not is_number or not value >= 0.0:
-        raise InputError(f"{name}: {value!r} is not usable; give {such_as}, at least 0")
+        raise InputError(f"{name}: {value!r} is negative or no number; give {such_as}, at least 0")
     return float(value)

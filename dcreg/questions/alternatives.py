@@ -27,12 +27,16 @@ from dcreg.problem import (
     InputError,
     Problem,
     nearest_rotation,
+    rms_radius,
     rotation_angle_deg,
 )
 from dcreg.questions.other_poses import Search
 from dcreg.result import Result
 from dcreg.status import Status
 
+SMALLEST_DISTANCE = (
+    1e-6  # in RMS radii of the target; poses nearer than this may differ by rounding
+)
 SOLVE_SHARE = 0.5  # of the time, for the best pose
 
 
@@ -147,11 +151,14 @@ class Alternatives:
         """The answer in a sentence."""
         others = text.count(len(self.others), "other pose")
         if self.is_unique:
-            return "unique: no distinct pose is nearly as good; proven"
+            return "unique: it is proven that no distinct pose is nearly as good"
         if self.is_complete:
-            return f"{others} nearly as good; proven to be all"
+            return f"{others} nearly as good: proven to be all"
         if self.others:
-            return f"at least {others} nearly as good; {self.status.value}"
+            ended = (
+                "stopped at the given number" if self.status is Status.CONVERGED else self.status
+            )
+            return f"at least {others} nearly as good ({ended})"
         return f"no other pose is known, but one may exist ({self.status.value})"
 
     def __str__(self) -> str:
@@ -189,7 +196,7 @@ def alternatives(
     Parameters
     ----------
     source, target, n_inliers, model, scale_range, candidates
-        As in `dcreg.register`. Clouds that `register` would sample are replaced by their samples.
+        As in `dcreg.register`. Clouds that `register` would sample are refused.
     ratio : float
         A pose is nearly as good if its objective is at most this multiple of the best one; at least 1.
     distance : float, optional
@@ -243,9 +250,11 @@ def find_alternatives(
     """Solve a problem, then search for other poses; see `dcreg.alternatives`."""
     _check(problem, options, ratio, distance, most)
     setup = Setup.of([problem], limits, options)
-    if setup.is_sampled:  # everything then refers to the sample
-        problem = setup.searched[0]
-        setup = Setup.of([problem], limits, replace(options, downsample=None, mode=setup.mode.name))
+    if setup.is_sampled:
+        raise InputError(
+            "source, target: a sample would be searched and proves nothing about all points; give fewer "
+            "points, such as keypoints, and no downsample"
+        )
     if setup.mode.in_region is None:
         raise InputError(
             f"mode: {setup.mode.name!r} cannot search for other poses; use mode 'full' with clouds of at "
@@ -272,7 +281,8 @@ def _check(
     problem: Problem, options: SolveOptions, ratio: float, distance: float | None, most: int
 ) -> None:
     check_positive("ratio", ratio, minimum=1.0, optional=False)
-    check_positive("distance", distance)
+    smallest = SMALLEST_DISTANCE * (rms_radius(problem.target) or 1.0)
+    check_positive("distance", distance, minimum=smallest)
     check_positive("most", most, such_as=20, optional=False)
     if problem.pose_range is not None:
         raise InputError("pose_range: alternatives are searched among all poses; omit it")

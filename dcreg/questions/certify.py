@@ -11,7 +11,7 @@ import numpy as np
 
 from dcreg import text
 from dcreg._version import __version__
-from dcreg.assignment.objective import objective
+from dcreg.assignment.objective import is_large, objective
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import register_problem
 from dcreg.files import as_json, plain, write_text
@@ -26,6 +26,7 @@ from dcreg.problem import (
     exact_objective,
     nearest_rotation,
     rotation_angle_deg,
+    rounding_error,
     scale_of,
 )
 from dcreg.result import Result
@@ -33,6 +34,7 @@ from dcreg.result import Result
 # Verdicts on a pose.
 OPTIMAL, IMPROVABLE, OPEN = "optimal", "improvable", "open"
 _ROUNDING = 1e-6  # relative
+_DIGITS = 1e-4  # relative; deviations of a printed pose that count as rounding
 _NOTABLE = 0.1  # share of the tolerance by which a better pose has to be better
 
 
@@ -43,10 +45,11 @@ class Certified:
     Attributes
     ----------
     verdict : str
-        ``optimal``: proven up to the tolerance. ``improvable``: the pose of `result` is better by more
-        than a tenth of the tolerance. ``open``: neither.
+        ``optimal``: proven up to the tolerance, by a lower bound above 0 or an exact fit.
+        ``improvable``: the pose of `result` is better by more than a tenth of the tolerance. ``open``:
+        neither.
     T_target_source : (d+1, d+1) array
-        The given pose.
+        The given pose; if its last digits make it inadmissible, the nearest admissible one.
     objective : float
         Its sum of squared residuals over the cheapest `n_inliers` pairs, in squared units of the target.
     lower_bound : float
@@ -114,7 +117,10 @@ class Certified:
             f"{self.objective:.6g} (RMS residual {rms:.6g} over {text.count(k, 'pair')})",
         )
         share = self.max_improvement / self.objective if self.objective > 0.0 else 0.0
-        yield "best possible", f"{self.lower_bound:.6g}: at most {text.percent(share)} less"
+        yield (
+            "lower bound",
+            f"{self.lower_bound:.6g}: no pose lowers the objective by more than {text.percent(share)}",
+        )
         if self.verdict != OPTIMAL:
             yield (
                 "best known pose",
@@ -129,8 +135,8 @@ class Certified:
         if self.verdict == OPTIMAL:
             return "optimal up to the tolerance: proven"
         if self.verdict == IMPROVABLE:
-            return "improvable: another pose has a lower objective"
-        return "open: no better pose is known, and the bounds do not exclude one"
+            return "improvable: a pose with a lower objective is known"
+        return "open: neither proven optimal nor improved"
 
     def __str__(self) -> str:
         return text.listing(list(self.entries()))
@@ -192,20 +198,37 @@ def certify(
     chosen = SolveOptions.of(options)
     if chosen.init is not None:
         raise InputError("init: the given pose is the initial guess; omit it")
-    T = checked_pose("pose", pose, problem.dim, has_scale=problem.has_scale)
-    low, high = problem.scale_range
-    if not low * (1.0 - 1e-9) <= scale_of(T) <= high * (1.0 + 1e-9):
-        raise InputError(
-            f"pose: its scale {scale_of(T):.6g} is outside scale_range ({low:g}, {high:g}); give a "
-            "larger range"
-        )
-    if problem.pose_range is not None and not problem.pose_range.contains(T):
-        raise InputError("pose: outside pose_range; give a larger range, or another pose")
+    T = _admissible(checked_pose("pose", pose, problem.dim, has_scale=problem.has_scale), problem)
     clouds, k = (problem.source, problem.target), problem.n_inliers
-    value, _ = objective(*clouds, T, k, problem.candidates)
+    value, _ = objective(*clouds, T, k, problem.candidates, prove=not is_large(*map(len, clouds)))
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
     result = register_problem(problem, limits, replace(chosen, init=T))
     return _judged(problem, T, value, result, limits)
+
+
+def _admissible(T: np.ndarray, problem: Problem) -> np.ndarray:
+    """Return the pose, without the rounding of its digits if that makes it inadmissible.
+
+    Raises
+    ------
+    InputError
+        If it differs from all admissible poses by more than rounding.
+    """
+    low, high = problem.scale_range
+    scale, d = scale_of(T), problem.dim
+    clipped = min(max(scale, low), high)
+    if abs(clipped - scale) > _DIGITS * scale:
+        raise InputError(
+            f"pose: its scale {scale:.6g} is outside scale_range ({low:g}, {high:g}); give a larger range"
+        )
+    T = T.copy()
+    T[:d, :d] *= clipped / scale
+    if problem.pose_range is None or problem.pose_range.contains(T):
+        return T
+    nearest = problem.pose_range.nearest(T)
+    if np.abs(nearest - T).max() > _DIGITS * np.abs(T).max():
+        raise InputError("pose: outside pose_range; give a larger range, or another pose")
+    return nearest
 
 
 def _judged(
@@ -216,9 +239,11 @@ def _judged(
     # the bounds of a sample do not refer to all points
     lower_bound = 0.0 if result.downsampled is not None else min(result.lower_bound, value)
     exact = exact_objective(source, target, k)
-    allowed = limits.tolerance(k, exact / 100.0, exact).allowed(value)
+    allowed = limits.tolerance(k, rounding_error(source, target, k), exact).allowed(value)
     verdict = OPEN
-    if value - lower_bound <= allowed * (1.0 + _ROUNDING):
+    # a lower bound of 0 holds for every sum of squares
+    proves = lower_bound > 0.0 or value <= exact
+    if proves and value - lower_bound <= allowed * (1.0 + _ROUNDING):
         verdict = OPTIMAL
     elif result.objective < value - _NOTABLE * allowed:
         verdict = IMPROVABLE

@@ -97,8 +97,8 @@ class MaxInliers:
         if self.is_exact:
             return f"exactly {text.count(self.at_least, 'pair')} within {self.distance:g}: proven"
         return (
-            f"at least {self.at_least} and, proven, at most {text.count(self.at_most, 'pair')} within "
-            f"{self.distance:g}"
+            f"{self.at_least} to {text.count(self.at_most, 'pair')} within {self.distance:g} (the upper "
+            "end is proven)"
         )
 
     def entries(self) -> Iterator[tuple[str, str]]:

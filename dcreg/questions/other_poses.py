@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,14 @@ _ROUNDING = 1e-9  # relative
 
 # A pose and its objective, in normalised units.
 Known = tuple[np.ndarray, float]
+
+
+class Found(NamedTuple):
+    """What a search found: a pose below the threshold or None, a lower bound, and how it ended."""
+
+    pose: Known | None
+    lower_bound: float
+    status: Status
 
 
 class Search:
@@ -65,34 +74,31 @@ class Search:
         """
         known, status, lower_bound = [best], Status.CONVERGED, 0.0
         while True:
-            found, lower = self._next(known, minima, budget)
-            if found is None:
-                lower_bound, is_complete = lower, lower > self.threshold / self.setup.frame.area
-                status = Status.OPTIMAL if is_complete else budget.ended_by
+            found = self._next(known, minima, budget)
+            if found.pose is None:
+                lower_bound = found.lower_bound
+                is_complete = lower_bound > self.threshold / self.setup.frame.area
+                status = Status.OPTIMAL if is_complete else found.status
                 break
-            known.append(found)
+            known.append(found.pose)
             if len(known) > most:
                 status = Status.CONVERGED
                 break
         return status, lower_bound, known
 
-    def _next(
-        self,
-        known: list[Known],
-        minima: list[Known],
-        budget: Budget,
-    ) -> tuple[Known | None, float]:
-        """Return another pose below the threshold, if one is found, and a lower bound on the others."""
+    def _next(self, known: list[Known], minima: list[Known], budget: Budget) -> Found:
+        """Search for another pose below the threshold."""
         poses, source = [T for T, _ in known], self.normalised.source
         distance = self.distance / self.setup.frame.unit
         far = Far.of(poses, distance, source)
         if self._is_known_far(far, minima):
             return self._search(far, minima, budget)
-        if self._grows((1.0 - INNER) * distance):
+        grown = self._grown((1.0 - INNER) * distance)
+        if grown > self.threshold / self.setup.frame.area * (1.0 + _ROUNDING):
             stationary = FarStationary.of(poses, INNER * distance, source)
-            found, lower_bound = self._search(stationary, minima, budget)
-            if found is None:
-                return None, lower_bound
+            found = self._search(stationary, minima, budget)
+            if found.pose is None:
+                return found._replace(lower_bound=min(found.lower_bound, grown))
         return self._search(far, minima, budget)
 
     def _is_known_far(self, far: Far, minima: list[Known]) -> bool:
@@ -100,8 +106,10 @@ class Search:
         threshold = self.threshold / self.setup.frame.area
         return any(value <= threshold and far.contains(T) for T, value in minima)
 
-    def _grows(self, distance: float) -> bool:
-        """Tell whether every matching costs too much at a distance from its best pose.
+    def _grown(self, distance: float) -> float:
+        """Return a lower bound on the cost of every matching at a distance from its best pose.
+
+        It holds for costs below the threshold; 0 if it is not known.
 
         Let all source points be matched, and let a pose T farther than D from the known ones have an
         objective below the threshold C, with the matching P. If the best pose of P is farther than D / 3
@@ -118,19 +126,16 @@ class Search:
         source, area = self.normalised.source, self.setup.frame.area
         n, d = source.shape
         if d != 3 or self.normalised.n_inliers != n or self.normalised.candidates is not None:
-            return False
+            return 0.0
         centred = source - source.mean(axis=0)
         spread = float((centred**2).sum())
         least = spread - float(np.linalg.eigvalsh(centred.T @ centred)[-1])
         threshold = self.threshold / area
         share = max(0.0, 1.0 - math.sqrt(threshold / least)) if least > 0.0 else 0.0
-        lower_bound = self.result.lower_bound / area
-        return lower_bound + share * n * distance**2 > threshold * (1.0 + _ROUNDING)
+        return self.result.lower_bound / area + share * n * distance**2
 
-    def _search(
-        self, region: Far, minima: list[Known], budget: Budget
-    ) -> tuple[Known | None, float]:
-        """Return a pose of the region below the threshold, if one is found, and a lower bound."""
+    def _search(self, region: Far, minima: list[Known], budget: Budget) -> Found:
+        """Search for a pose of the region below the threshold."""
         threshold = self.threshold / self.setup.frame.area
         tolerance = Tolerance(rel=1e-6, target=threshold)
         problem = replace(self.normalised, region=region, tolerance=tolerance, init=None)
@@ -141,5 +146,5 @@ class Search:
         start = min(far, key=lambda each: each.value, default=Start(attempt.bound.roots[0].centre))
         found = attempt.run(budget, start)
         if found.upper_bound <= threshold:
-            return (attempt.space.pose(found.theta), found.upper_bound), 0.0
-        return None, found.lower_bound
+            return Found((attempt.space.pose(found.theta), found.upper_bound), 0.0, found.status)
+        return Found(None, found.lower_bound, found.status)

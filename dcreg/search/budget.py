@@ -255,6 +255,7 @@ class Budget:
         self.patience_s: float | None = None
         self._stopped = False
         self._reports = True
+        self._incumbent = -np.inf
         self._stage = "start"
         self._event = Event("heartbeat", "start", 0.0, 0, 0, 0, 0.0, np.inf)
         self._lock = threading.RLock()
@@ -379,6 +380,15 @@ class Budget:
         part._reports = False
         return part
 
+    def with_incumbent(self, value: float) -> Budget:
+        """Return the same budget for a search over more poses than are admissible.
+
+        Events have an upper bound of at least `value`, the objective of an admissible pose.
+        """
+        part = self.sub_budget(1.0)
+        part._incumbent = value
+        return part
+
     def report_incumbent(self, value: float) -> None:
         """Report the objective of a better pose found outside a search."""
         if not self._reports:
@@ -388,6 +398,8 @@ class Budget:
     def report(self, event: Event) -> None:
         """Pass an event to the listener."""
         root = self._root
+        if event.upper_bound < self._incumbent:
+            event = replace(event, upper_bound=self._incumbent)
         with root._lock:
             root._reported_at, root._event = time.perf_counter(), event
             if event.kind != "heartbeat":

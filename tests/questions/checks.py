@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 import dcreg
-from dcreg.problem import apply_pose, largest_matching
+from dcreg.problem import apply_pose, largest_matching, nearest_rotation
 from dcreg.status import Status
-from tests.questions.problems import small
+from tests.questions.problems import Small, small
 
 # (answer in a word, faults)
 Checked = tuple[str, list[str]]
@@ -79,8 +79,28 @@ def check_alternatives(number: int) -> Checked:
                         f"a pose with {value} <= {found.threshold} is missing ({gap} away)"
                     )
                     break
+        faults += _beyond(one, found.distance, listed, found.lower_bound)
     words = "unique" if found.is_unique else f"{'all' if found.is_complete else 'at least'}"
     return words, faults
+
+
+def _beyond(one: Small, distance: float, listed: list[np.ndarray], lower_bound: float) -> list[str]:
+    """Compare the lower bound with random poses just beyond the listed ones, stationary or not."""
+    p, rng = one.problem, np.random.default_rng([9, one.number])
+    for _ in range(60):
+        T = listed[int(rng.integers(len(listed)))]
+        step, size = 0.3 * rng.standard_normal((p.dim, p.dim)), rng.uniform(1.0, 2.0) * distance
+        moved = T.copy()
+        for _ in range(30):  # scale the step until the displacement is as wanted
+            moved[: p.dim, : p.dim] = (
+                nearest_rotation(np.eye(p.dim) + step - step.T) @ T[: p.dim, : p.dim]
+            )
+            step *= size / max(_apart(p.source, moved, T), 1e-12)
+        if min(_apart(p.source, moved, other) for other in listed) > distance:
+            value, _ = dcreg.objective(p.source, p.target, moved, p.n_inliers)
+            if value < lower_bound - one.rounding():
+                return [f"a pose has {value}, below the lower bound {lower_bound} of the others"]
+    return []
 
 
 def check_max_inliers(number: int) -> Checked:

@@ -42,13 +42,32 @@ def test_a_rough_pose_is_improvable_by_the_distance_to_the_best(best):
     assert found.result.objective == pytest.approx(best.objective)
 
 
-def test_a_pose_is_open_if_there_is_no_time():
+def test_a_pose_is_open_if_there_is_no_time(best):
+    found = dcreg.certify(SOURCE, TARGET, best.T_target_source, **KEYWORDS, node_limit=1)
+    assert found.verdict == "open"
+    assert found.lower_bound < found.objective - found.gap_tol
+
+
+def test_a_lower_bound_of_0_certifies_nothing(best):
     found = dcreg.certify(
-        SOURCE, RNG.permutation(TARGET) + RNG.standard_normal((20, 3)), POSE, n_inliers=12,
-        model="rigid3d", node_limit=1,
+        SOURCE, TARGET, best.T_target_source, **KEYWORDS, abs_gap=10.0, node_limit=1
+    )
+    assert found.verdict == "open"
+
+
+def test_the_last_digits_of_a_pose_may_be_missing():
+    rounded = np.round(POSE, 5)
+    pose_range = dcreg.PoseRange(axis=(0, 0, 1), max_angle=10, around=POSE)
+    found = dcreg.certify(SOURCE, TARGET, rounded, **KEYWORDS, pose_range=pose_range)
+    assert np.allclose(found.T_target_source, POSE, atol=1e-4)
+    pose = np.round(np.array([[0.6, -0.8, 1.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]]) * 1.00001, 5)
+    pose[2, 2] = 1.0
+    source = SOURCE[:, :2]
+    found = dcreg.certify(
+        source, source @ pose[:2, :2].T, pose, n_inliers=10, model="similarity2d",
+        scale_range=(1, 1), node_limit=1,
     )  # fmt: skip
-    assert found.verdict in ("open", "improvable")
-    assert found.lower_bound == 0.0
+    assert found.displacement < 10.0
 
 
 def test_the_time_of_certify_is_that_of_a_search(best):
@@ -96,13 +115,29 @@ def test_a_shape_without_symmetry_has_one_pose():
     assert found.lower_bound >= 1.5 * found.result.upper_bound
 
 
-def test_a_sphere_has_more_poses_than_are_listed():
-    points = SOURCE / np.linalg.norm(SOURCE, axis=1)[:, None]
+def test_a_line_has_more_poses_than_are_listed():
     line = np.outer(np.linspace(-1, 1, 6), [1.0, 0.0, 0.0])
-    found = dcreg.alternatives(line, line, n_inliers=6, model="rigid3d", most=3)
-    assert len(found.others) >= 1
-    assert not found.is_unique
-    assert len(points) == 20
+    found = dcreg.alternatives(line, line, n_inliers=6, model="rigid3d", most=1)
+    assert len(found.others) == 1
+    assert not found.is_complete
+    assert "stopped at the given number" in found.answer
+
+
+def test_the_limit_that_ended_a_search_is_named():
+    rng = np.random.default_rng(3)
+    found = dcreg.alternatives(
+        rng.random((14, 3)), rng.random((14, 3)), n_inliers=10, model="rigid3d", node_limit=200
+    )
+    assert found.status == "node_limit"
+
+
+def test_an_exact_fit_meets_every_residual_and_a_refuted_one_stays_refuted():
+    points = np.random.default_rng(0).integers(0, 8, (10, 3)) / 8.0
+    met = dcreg.register(points, points + 2.0, n_inliers=10, model="rigid3d", max_rms=1e-17)
+    assert met.status in ("optimal", "converged")
+    near = points + 2.0 + 1e-4 * RNG.standard_normal(points.shape)
+    refuted = dcreg.register(points, near, n_inliers=10, model="rigid3d", max_rms=1e-6)
+    assert refuted.status == "refuted"
 
 
 @pytest.mark.parametrize(
@@ -110,6 +145,8 @@ def test_a_sphere_has_more_poses_than_are_listed():
     [
         ({"ratio": 0.5}, "ratio"),
         ({"distance": -1.0}, "distance"),
+        ({"distance": 1e-12}, "distance"),
+        ({"options": dcreg.SolveOptions(downsample=10)}, "a sample"),
         ({"most": 0}, "most"),
         ({"options": dcreg.SolveOptions(mode="paper")}, "cannot search for other poses"),
         ({"options": dcreg.SolveOptions(certificate=True)}, "certificate"),
@@ -179,6 +216,25 @@ def test_an_initial_guess_does_not_change_the_answer(best, extra):
             target, SOURCE, **KEYWORDS, options=dcreg.SolveOptions(init=np.linalg.inv(init))
         )
         assert inverse.objective == pytest.approx(best.objective, rel=0.02)
+
+
+def test_a_sweep_takes_no_guess():
+    with pytest.raises(dcreg.InputError, match="init: a sweep"):
+        dcreg.sweep(
+            SOURCE, TARGET, [10, 20], model="rigid3d", options=dcreg.SolveOptions(init=POSE)
+        )
+
+
+def test_no_event_has_the_objective_of_a_pose_outside_the_range():
+    rng = np.random.default_rng(2)
+    source = rng.standard_normal((12, 3))
+    turn = Rotation.from_rotvec([0.0, 0.0, np.radians(45)]).as_matrix()
+    target = source @ turn.T + 0.05 * rng.standard_normal(source.shape)
+    found = dcreg.register(
+        source, target, n_inliers=10, model="rigid3d", pose_range=dcreg.PoseRange(max_angle=40),
+        time_limit=5,
+    )  # fmt: skip
+    assert min(event.upper_bound for event in found.trace) >= found.upper_bound * (1 - 1e-9)
 
 
 def test_a_good_guess_is_the_first_upper_bound(best):

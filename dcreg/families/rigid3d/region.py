@@ -44,10 +44,11 @@ class RigidInRegion(InRegion, Rigid3D):
         corners = np.stack([lower[:, :4], upper[:, :4]])
         bits = (np.arange(16)[:, None] >> np.arange(4)) & 1
         vertices = corners[bits, :, np.arange(4)].transpose(2, 0, 1)
-        inner = np.einsum("bvc,bc->bv", vertices, q)
-        lengths = np.linalg.norm(vertices, axis=2) * np.linalg.norm(q, axis=1)[:, None]
-        cosine = np.clip((inner / lengths).min(axis=1), 0.0, 1.0)
-        angle = np.where(cosine > 0.0, 2.0 * np.arccos(cosine), math.pi)
+        # real and vector part of the rotations from the centre to the vertices
+        inner, v, c = np.einsum("bvc,bc->bv", vertices, q), vertices[..., 1:], q[:, None, 1:]
+        outer = q[:, None, :1] * v - vertices[..., :1] * c + np.cross(c, v)
+        angle = 2.0 * np.arctan2(np.linalg.norm(outer, axis=2), inner).max(axis=1)
+        angle = np.minimum(angle * (1.0 + 1e-12), math.pi)
         return BoxPoses(
             _matrices(q), centres[:, 4:], 2.0 * np.sin(0.5 * angle),
             np.linalg.norm(half[:, 4:], axis=1), angle,
