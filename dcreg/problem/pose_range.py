@@ -252,8 +252,8 @@ def checked_pose(name: str, pose: Any, d: int, *, has_scale: bool) -> np.ndarray
         )
     if not has_scale and not is_rigid(T):
         raise InputError(
-            f"{name}: its scale is {scale:.6g}, but rigid3d has no scale; divide its upper left 3 x 3 part "
-            "by it, or use model similarity3d"
+            f"{name}: its scale is {scale:.6g}, but rigid3d has no scale; divide its upper left 3 x 3 "
+            "part by it, or use model similarity3d"
         )
     T[:d, :d] = rotation * (scale if has_scale else 1.0)
     return T

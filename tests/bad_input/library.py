@@ -18,7 +18,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
     "source of words": ({"source": [["a", "b"]]}, "source: not an array of real numbers", "'a'"),
     "source of rows of all lengths": ({"source": [[1, 2], [3]]}, "source: not an array", "shape"),
     "source of one axis": ({"source": np.zeros(4)}, "source: shape (4,)", "one point per row"),
-    "source in 3D": ({"source": A3}, "source: shape (8, 3)", "choose the other model"),
+    "source in 3D": ({"source": A3}, "source: shape (8, 3)", "choose another model"),
     "target transposed": ({"target": B2.T}, "target: shape (2, 8)", "one point per row"),
     "target without points": ({"target": np.zeros((0, 2))}, "target: no points", "give at least"),
     "nan": ({"source": NAN}, "source: 1 point(s) with NaN or infinity, the first in row 3", "remove"),
