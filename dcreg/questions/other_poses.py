@@ -20,7 +20,9 @@ from dcreg.status import Status
 # Default distance at which poses count as distinct: RMS residuals, and at least a share of the size.
 RESIDUALS, SHARE_OF_SIZE = 3.0, 0.01
 STAGE = "other poses"  # in events
-INNER = 1.0 / 3.0  # share of the distance beyond which stationary poses are searched
+# Shares of the distance beyond which stationary poses are searched; the first that suffices is the
+# fastest, because the objective is larger farther away.
+INNER = 0.5, 1.0 / 3.0
 _ROUNDING = 1e-9  # relative
 
 # A pose and its objective, in normalised units.
@@ -93,12 +95,15 @@ class Search:
         far = Far.of(poses, distance, source)
         if self._is_known_far(far, minima):
             return self._search(far, minima, budget)
-        grown = self._grown((1.0 - INNER) * distance)
-        if grown > self.threshold / self.setup.frame.area * (1.0 + _ROUNDING):
-            stationary = FarStationary.of(poses, INNER * distance, source)
+        for share in INNER:
+            grown = self._grown((1.0 - share) * distance)
+            if grown <= self.threshold / self.setup.frame.area * (1.0 + _ROUNDING):
+                continue
+            stationary = FarStationary.of(poses, share * distance, source)
             found = self._search(stationary, minima, budget)
             if found.pose is None:
                 return found._replace(lower_bound=min(found.lower_bound, grown))
+            break
         return self._search(far, minima, budget)
 
     def _is_known_far(self, far: Far, minima: list[Known]) -> bool:
@@ -112,9 +117,9 @@ class Search:
         It holds for costs below the threshold; 0 if it is not known.
 
         Let all source points be matched, and let a pose T farther than D from the known ones have an
-        objective below the threshold C, with the matching P. If the best pose of P is farther than D / 3
-        from the known ones, a search for stationary poses finds it. Otherwise it is farther than d = 2 D
-        / 3 from T. With S and w as in `dcreg.families.rigid3d.cover`, for all points instead of three,
+        objective below the threshold C, with the matching P. If the best pose of P is farther than D - d
+        from the known ones, a search for stationary poses finds it. Otherwise it is farther than d from
+        T. With S and w as in `dcreg.families.rigid3d.cover`, for all points instead of three,
         the cost of P grows by n |t'|^2 + w^T (tr(S) I - S) w from its best pose to T, and the squared
         displacements add up to n |t'|^2 + w^T (tr(M) I - M) w with the second moments M of the points.
         S - M is the sum of the products e x^T of residuals and centred points at the best pose. For a

@@ -48,13 +48,6 @@ def test_a_pose_is_open_if_there_is_no_time(best):
     assert found.lower_bound < found.objective - found.gap_tol
 
 
-def test_a_lower_bound_of_0_certifies_nothing(best):
-    found = dcreg.certify(
-        SOURCE, TARGET, best.T_target_source, **KEYWORDS, abs_gap=10.0, node_limit=1
-    )
-    assert found.verdict == "open"
-
-
 def test_the_last_digits_of_a_pose_may_be_missing():
     rounded = np.round(POSE, 5)
     pose_range = dcreg.PoseRange(axis=(0, 0, 1), max_angle=10, around=POSE)

@@ -162,7 +162,8 @@ class _Rotations:
         """Return the objectives and scales after the scale is fitted, from those at the fixed scale."""
         low, high = self._range
         gains = (self._sum - np.minimum(values, 1e6 * self._sum)) / (2.0 * self._scale)
-        scales = np.clip(gains / max(self._xx, np.finfo(float).tiny), low, high)
+        with np.errstate(over="ignore"):  # any scale fits points that coincide
+            scales = np.clip(gains / max(self._xx, np.finfo(float).tiny), low, high)
         return scales * (scales * self._xx - 2.0 * gains) + self._yy, scales
 
     def _rigid(self, cutoff: float) -> float:
