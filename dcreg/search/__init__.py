@@ -2,15 +2,9 @@
 
 from dcreg.search.boxes import Bound, Box, Boxes, Confined, Evaluation, Leaves, LongestEdge
 from dcreg.search.branch_and_bound import Outcome, Start, branch_and_bound
-from dcreg.search.budget import (
-    Budget,
-    Event,
-    Interrupted,
-    Listener,
-    Tolerance,
-    proven_share,
-)
+from dcreg.search.budget import Budget, Event, Interrupted, Listener
 from dcreg.search.space_search import minimise
+from dcreg.search.tolerance import Tolerance, proven_share
 
 __all__ = [
     "Bound",

@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Confined, Evaluation, Leaves, OpenNodes
-from dcreg.search.budget import Budget, Event, Interrupted, Tolerance
+from dcreg.search.budget import Budget, Event, Interrupted
 from dcreg.search.prospect import (
     ESTIMATED_AFTER_S,
     ESTIMATED_FOR_LISTENER_AFTER_S,
     FEW_DESCENTS,
     Prospect,
 )
+from dcreg.search.tolerance import Tolerance
 from dcreg.status import Status
 
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Confined, Leaves, LongestEdge
 from dcreg.search.branch_and_bound import Outcome, Search, Start
-from dcreg.search.budget import Budget, Event, Interrupted, Tolerance
+from dcreg.search.budget import Budget, Event, Interrupted
+from dcreg.search.tolerance import Tolerance
 from dcreg.status import Status
 
 UNSURE = 5.0  # factor of the patience if the initial poses are not confirmed

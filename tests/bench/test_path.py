@@ -8,7 +8,7 @@ from tests.bench.path import record
 # In 2D four files make initial poses, which a search to 1 % of the upper bound needs. A search over a
 # space, the alternation of matching and fit, and work in threads (3D only) have a file each. A long
 # search asks its cover, which takes two files.
-MOST_FILES = {"2d": 37, "3d": 39}
+MOST_FILES = {"2d": 38, "3d": 40}
 MOST_DEPTH = 9
 
 

@@ -225,7 +225,7 @@ def test_no_event_has_the_objective_of_a_pose_outside_the_range():
     target = source @ turn.T + 0.05 * rng.standard_normal(source.shape)
     found = dcreg.register(
         source, target, n_inliers=10, model="rigid3d", pose_range=dcreg.PoseRange(max_angle=40),
-        time_limit=5,
+        time_limit=1,
     )  # fmt: skip
     assert min(event.upper_bound for event in found.trace) >= found.upper_bound * (1 - 1e-9)
 
