@@ -145,8 +145,7 @@ class Result:
             return "a later stage is not certified"
         if self.gap <= self.gap_tol:
             return "fits within the tolerance"
-        search = next((stage for stage in self.stages if stage.status is not None), None)
-        gave_up = search is not None and search.status is Status.CONVERGED
+        gave_up = any(stage.status is Status.CONVERGED for stage in self.stages)
         return NO_PROOF_EXPECTED if gave_up else "method's own end"
 
     @property

@@ -47,6 +47,7 @@ NORM_PAIRS = 4_000_000
 CERTIFIED_PAIRS = 160_000
 # Share of the time for the translation search; the rotation search follows.
 TRANSLATION_SHARE = 0.8
+ALL_POSES = "all poses"  # the stage of a search that a range of poses does not limit
 
 
 def find_mode(model: str, name: str) -> Mode:
@@ -208,8 +209,8 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
         np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,
         certified=(box_around(attempt.bound.roots), found),
     )  # fmt: skip
-    for _, each in attempts:
-        solution.add(mode.stage, each)
+    for tried, each in attempts:
+        solution.add(tried.mode.stage, each)
         solution.stages += map(Stage.confining, each.confined)
         solution.stages += starmap(Stage, each.abandoned_s.items())
     recover_pose(mode, problem, space, found.theta, budget, solution)
@@ -278,11 +279,12 @@ def _attempts(
     """
     attempt = Attempt(mode, problem)
     region = problem.region
-    if region is None or not getattr(region, "has_limits", False):
+    if region is None or not region.has_limits:
         yield attempt, attempt.run(budget)
         return
     start = attempt.start(budget)
-    free = Attempt(mode, replace(problem, region=region.without_limits()))
+    all_poses = replace(mode, stage=ALL_POSES)
+    free = Attempt(all_poses, replace(problem, region=region.without_limits()))
     best = free.start(budget.silent())
     floor, tolerance = 0.0, problem.tolerance
     if best.value >= tolerance.cutoff(start.value) or budget.is_over:

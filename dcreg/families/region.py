@@ -50,6 +50,11 @@ class BoxPoses(NamedTuple):
 class Region(Protocol):
     """A set of poses."""
 
+    @property
+    def has_limits(self) -> bool:
+        """Whether a search without the limits of the region comes first; see `Near.without_limits`."""
+        ...
+
     def touches(self, boxes: BoxPoses) -> np.ndarray:
         """Tell which boxes may contain a pose of the region; False is certain."""
         ...
@@ -123,6 +128,10 @@ class Far:
     mean: np.ndarray
     covariance: np.ndarray
 
+    @property
+    def has_limits(self) -> bool:
+        return False
+
     @classmethod
     def of(cls, poses: Any, distance: float, source: np.ndarray) -> Far:
         """Return the region for a source cloud."""
@@ -185,13 +194,17 @@ class InRegion(Space):
     Attributes
     ----------
     region : Region
-    stationary : Box
-        Contains the translations of all stationary poses; set with the roots. Translations are the last
-        axes of the parameters.
     """
 
     region: Region
-    stationary: Box
+
+    @property
+    @abc.abstractmethod
+    def stationary(self) -> Box:
+        """A box that contains the translations of all stationary poses.
+
+        Translations are the last axes of the parameters.
+        """
 
     @abc.abstractmethod
     def box_poses(self, lower: np.ndarray, upper: np.ndarray) -> BoxPoses:

@@ -60,7 +60,10 @@ def test_the_last_digits_of_a_pose_may_be_missing():
         source, source @ pose[:2, :2].T, pose, n_inliers=10, model="similarity2d",
         scale_range=(1, 1), node_limit=1,
     )  # fmt: skip
-    assert found.displacement < 10.0
+    linear = found.T_target_source[:2, :2]
+    assert abs(np.linalg.det(pose[:2, :2]) - 1.0) > 1e-6
+    assert np.linalg.det(linear) == pytest.approx(1.0, abs=1e-12)
+    assert linear == pytest.approx(pose[:2, :2], abs=1e-4)
 
 
 def test_the_time_of_certify_is_that_of_a_search(best):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,8 +31,11 @@ _MAX_CHANGE = 0.35
 class RigidInRegion(InRegion, Rigid3D):
     """Rigid poses in a region."""
 
+    @cached_property
+    def stationary(self) -> Box:
+        return super().translations()
+
     def translations(self) -> Box:
-        self.stationary = super().translations()
         return shift_box(self.stationary, self.region, 1.0)
 
     def box_poses(self, lower: np.ndarray, upper: np.ndarray) -> BoxPoses:
@@ -114,10 +118,6 @@ class RigidNear(NearSpace, RigidInRegion):
         return bool(angles((near @ own.T)[None])[0] <= _MAX_CHANGE)
 
 
-class RigidFar(RigidInRegion):
-    """Rigid poses that differ from known ones."""
-
-
 def rigid_in_region(
     source: np.ndarray,
     target: np.ndarray,
@@ -127,7 +127,7 @@ def rigid_in_region(
     region: Region,
 ) -> RigidInRegion:
     """Return the space of the rigid poses in a region; the source is the moving cloud."""
-    kind = RigidNear if isinstance(region, Near) else RigidFar
+    kind = RigidNear if isinstance(region, Near) else RigidInRegion
     return kind(source, target, n_inliers, candidates, *settings).within(region)
 
 

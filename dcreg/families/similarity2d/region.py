@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,13 @@ from dcreg.search import Box
 class SimilarityInRegion(InRegion, Similarity2D):
     """Similarities in a region."""
 
+    @cached_property
+    def stationary(self) -> Box:
+        (box,) = Similarity2D.roots(self)
+        return Box(box.lower[2:], box.upper[2:])
+
     def roots(self) -> list[Box]:
         (box,) = super().roots()
-        self.stationary = Box(box.lower[2:], box.upper[2:])
         shifts = shift_box(self.stationary, self.region, self.scale_range[1])
         lower, upper = (
             np.append(box.lower[:2], shifts.lower),
@@ -57,10 +62,6 @@ class SimilarityNear(NearSpace, SimilarityInRegion):
         return self.parameter(self.region.pose_range.fit(x, y, self.scale_range))
 
 
-class SimilarityFar(SimilarityInRegion):
-    """Similarities that differ from known ones."""
-
-
 def similarity_in_region(
     source: np.ndarray,
     target: np.ndarray,
@@ -71,5 +72,5 @@ def similarity_in_region(
     region: Region,
 ) -> SimilarityInRegion:
     """Return the space of the similarities in a region."""
-    kind = SimilarityNear if isinstance(region, Near) else SimilarityFar
+    kind = SimilarityNear if isinstance(region, Near) else SimilarityInRegion
     return kind(source, target, n_inliers, scale_range, candidates, *settings).within(region)
