@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from operator import itemgetter
 
 import numpy as np
 
 from dcreg.problem import (
+    Moments,
     Problem,
+    angle_between_deg,
     exact_objective,
-    nearest_rotation,
     rms_radius,
-    rotation_angle_deg,
 )
 from dcreg.result import RunnerUp
 
@@ -37,29 +38,22 @@ def find_runner_up(
     ends : iterable of (pose, objective)
         Final poses of local searches, in the coordinates of the clouds.
     """
-    source, target, d = problem.source, problem.target, problem.dim
-    minimum = DISTINCT * rms_radius(target)
-    centre = source.mean(axis=0)
-    covariance = np.cov(source, rowvar=False, bias=True).reshape(d, d)
-
-    def displacement(other: np.ndarray) -> float:
-        linear, shift = other[:d, :d] - T[:d, :d], other[:d, d] - T[:d, d]
-        squared = ((linear @ centre + shift) ** 2).sum() + np.trace(linear @ covariance @ linear.T)
-        return float(np.sqrt(max(squared, 0.0)))  # rounding can make it negative
-
+    source, target, k = problem.source, problem.target, problem.n_inliers
+    radius, rounding = rms_radius(target), exact_objective(source, target, k)
+    moments = Moments.of(source)
+    minimum = DISTINCT * radius
     # a nearer one counts if it is as good: a repeated part, shifted by one period
-    residual = math.sqrt(objective / problem.n_inliers)
-    nearer = min(minimum, max(_RESIDUALS * residual, _SHARE_OF_RADIUS * rms_radius(target)))
+    residual = math.sqrt(objective / k)
+    nearer = min(minimum, max(_RESIDUALS * residual, _SHARE_OF_RADIUS * radius))
     others = [
-        (T_other, value)
-        for T_other, value in ends
+        (value, moved, other)
+        for other, value in ends
         if np.isfinite(value)
-        and displacement(T_other) > (nearer if value <= _EQUAL * objective else minimum)
+        and (moved := moments.displacement(other, T))
+        > (nearer if value <= _EQUAL * objective + rounding else minimum)
     ]
     if not others:
         return None
-    other, value = min(others, key=lambda end: end[1])
-    rounding = exact_objective(source, target, problem.n_inliers)
-    angle = rotation_angle_deg(nearest_rotation(other[:d, :d] @ T[:d, :d].T))
+    value, moved, other = min(others, key=itemgetter(0))
     ratio = (value + rounding) / (objective + rounding)
-    return RunnerUp(other, ratio, abs(angle), displacement(other))
+    return RunnerUp(other, ratio, angle_between_deg(other, T), moved)

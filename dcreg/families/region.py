@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 
 from dcreg.families.protocol import Space
-from dcreg.problem import PoseRange
+from dcreg.problem import Moments, PoseRange
 from dcreg.problem.pose_range import SLACK
 from dcreg.search import Box, Budget
 
@@ -117,16 +117,13 @@ class Far:
     ----------
     poses : sequence of (d+1, d+1) arrays
     distance : float
-    mean : (d,) array
-        Of the source points.
-    covariance : (d, d) array
+    moments : Moments
         Of the source points.
     """
 
     poses: tuple[np.ndarray, ...]
     distance: float
-    mean: np.ndarray
-    covariance: np.ndarray
+    moments: Moments
 
     @property
     def has_limits(self) -> bool:
@@ -135,28 +132,23 @@ class Far:
     @classmethod
     def of(cls, poses: Any, distance: float, source: np.ndarray) -> Far:
         """Return the region for a source cloud."""
-        d = source.shape[1]
-        covariance = np.cov(source, rowvar=False, bias=True).reshape(d, d)
-        return cls(tuple(poses), distance, source.mean(axis=0), covariance)
+        return cls(tuple(poses), distance, Moments.of(source))
 
     def _nearest(self, linear: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Return the displacement of each of B poses from the nearest known pose."""
-        d = linear.shape[-1]
-        squares = []
-        for T in self.poses:
-            turn, move = linear - T[:d, :d], shift - T[:d, d]
-            moved = ((turn @ self.mean + move) ** 2).sum(axis=1)
-            squares.append(moved + np.einsum("bij,jk,bik->b", turn, self.covariance, turn))
-        nearest: np.ndarray = np.sqrt(np.maximum(0.0, np.min(squares, axis=0)))
+        gaps = [
+            self.moments.displacements(linear - T[:-1, :-1], shift - T[:-1, -1]) for T in self.poses
+        ]
+        nearest: np.ndarray = np.min(gaps, axis=0)
         return nearest
 
     def contains(self, T: np.ndarray) -> bool:
         """Tell whether a pose belongs to the region."""
-        d = len(T) - 1
-        return bool(self._nearest(T[None, :d, :d], T[None, :d, d])[0] > self.distance)
+        return bool(self._nearest(T[None, :-1, :-1], T[None, :-1, -1])[0] > self.distance)
 
     def _radius(self, boxes: BoxPoses) -> np.ndarray:
-        rms = math.sqrt(float(self.mean @ self.mean + np.trace(self.covariance)))
+        mean, covariance = self.moments
+        rms = math.sqrt(float(mean @ mean + np.trace(covariance)))
         radius: np.ndarray = rms * boxes.linear_radius + boxes.shift_radius + SLACK
         return radius
 
@@ -273,7 +265,7 @@ def shift_box(stationary: Box, region: Region, linear_reach: float) -> Box:
         return stationary
     if isinstance(region, Far):
         shifts = np.array([T[:-1, -1] for T in region.poses])
-        reach = region.distance + linear_reach * 2.0 * np.linalg.norm(region.mean)
+        reach = region.distance + linear_reach * 2.0 * np.linalg.norm(region.moments.mean)
         lower, upper = shifts.min(axis=0) - reach, shifts.max(axis=0) + reach
         return Box(np.minimum(stationary.lower, lower), np.maximum(stationary.upper, upper))
     assert isinstance(region, Near)

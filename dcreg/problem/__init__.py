@@ -5,6 +5,8 @@
 from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.frame import Frame
 from dcreg.problem.geometry import (
+    Moments,
+    angle_between_deg,
     apply_pose,
     exact_objective,
     farthest_point_order,

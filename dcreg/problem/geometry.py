@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,34 @@ def rotation_angle_deg(rotation: np.ndarray) -> float:
     skew = rotation - rotation.T
     sine = math.sqrt(skew[0, 1] ** 2 + skew[0, 2] ** 2 + skew[1, 2] ** 2) / 2
     return math.degrees(math.atan2(sine, (np.trace(rotation) - 1) / 2))
+
+
+def angle_between_deg(T: np.ndarray, other: np.ndarray) -> float:
+    """Return the angle between the rotations of two (d+1, d+1) poses in degrees, at least 0."""
+    return abs(rotation_angle_deg(nearest_rotation(T[:-1, :-1] @ other[:-1, :-1].T)))
+
+
+class Moments(NamedTuple):
+    """Mean and covariance of points, from which the displacement between two poses follows."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @classmethod
+    def of(cls, points: np.ndarray) -> Moments:
+        d = points.shape[1]
+        return cls(points.mean(axis=0), np.cov(points, rowvar=False, bias=True).reshape(d, d))
+
+    def displacements(self, linear: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        """Return the RMS length of L x + t over the points, for (B, d, d) L and (B, d) t."""
+        means = ((linear @ self.mean + shift) ** 2).sum(axis=1)
+        spreads = np.einsum("bij,jk,bik->b", linear, self.covariance, linear)
+        return np.asarray(np.sqrt(np.maximum(means + spreads, 0.0)))  # rounding can be negative
+
+    def displacement(self, T: np.ndarray, other: np.ndarray) -> float:
+        """Return the RMS displacement of the points between two (d+1, d+1) poses."""
+        difference = (T - other)[None]
+        return float(self.displacements(difference[:, :-1, :-1], difference[:, :-1, -1])[0])
 
 
 _LOOKED_AT = 5000  # points, for the median distance to the next one

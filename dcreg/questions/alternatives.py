@@ -25,10 +25,10 @@ from dcreg.names import DEFAULT_RATIO, DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
     Candidates,
     InputError,
+    Moments,
     Problem,
-    nearest_rotation,
+    angle_between_deg,
     rms_radius,
-    rotation_angle_deg,
 )
 from dcreg.questions.other_poses import Search
 from dcreg.result import Result
@@ -296,12 +296,6 @@ def _check(
 
 
 def _described(setup: Setup, result: Result, T: np.ndarray, value: float) -> Alternative:
-    frame, best = setup.frame, result.T_certified
-    pose, d = frame.pose(T), len(best) - 1
-    turn = nearest_rotation(pose[:d, :d] @ np.linalg.inv(best[:d, :d]))
-    source = setup.problems[0].source
-    gaps = source @ (pose[:d, :d] - best[:d, :d]).T + pose[:d, d] - best[:d, d]
-    return Alternative(
-        pose, value * frame.area, abs(rotation_angle_deg(turn)),
-        float(np.sqrt((gaps**2).sum(axis=1).mean())),
-    )  # fmt: skip
+    pose, best = setup.frame.pose(T), result.T_certified
+    moved = Moments.of(setup.problems[0].source).displacement(pose, best)
+    return Alternative(pose, value * setup.frame.area, angle_between_deg(pose, best), moved)

@@ -19,13 +19,12 @@ from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
     Candidates,
     InputError,
+    Moments,
     PoseRange,
     Problem,
-    apply_pose,
+    angle_between_deg,
     checked_pose,
     exact_objective,
-    nearest_rotation,
-    rotation_angle_deg,
     rounding_error,
     scale_of,
 )
@@ -234,7 +233,7 @@ def _admissible(T: np.ndarray, problem: Problem) -> np.ndarray:
 def _judged(
     problem: Problem, T: np.ndarray, value: float, result: Result, limits: Limits
 ) -> Certified:
-    source, target, k, d = problem.source, problem.target, problem.n_inliers, problem.dim
+    source, target, k = problem.source, problem.target, problem.n_inliers
     best = result.T_target_source
     # the bounds of a sample do not refer to all points
     lower_bound = 0.0 if result.downsampled is not None else min(result.lower_bound, value)
@@ -247,9 +246,7 @@ def _judged(
         verdict = OPTIMAL
     elif result.objective < value - _NOTABLE * allowed:
         verdict = IMPROVABLE
-    gaps = apply_pose(best, source) - apply_pose(T, source)
-    turn = nearest_rotation(best[:d, :d]) @ nearest_rotation(T[:d, :d]).T
     return Certified(
-        verdict, T, value, lower_bound, allowed, float(np.sqrt((gaps**2).sum(axis=1).mean())),
-        abs(rotation_angle_deg(turn)), result,
+        verdict, T, value, lower_bound, allowed, Moments.of(source).displacement(best, T),
+        angle_between_deg(best, T), result,
     )  # fmt: skip
