@@ -3,40 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
-from dcreg.plot.page import page_title, write_page
+from dcreg.answer import Answer
+from dcreg.plot.page import html_file, page_title, write_page
 from dcreg.plot.registration import clouds_figure
-from dcreg.problem import InputError, apply_pose
+from dcreg.problem import apply_pose
 
 _MAX_POSES = 8  # drawn
-
-
-class Answer(Protocol):
-    """What `plot_answer` needs of `dcreg.Certified`, `dcreg.Alternatives` and `dcreg.MaxInliers`."""
-
-    question: str
-
-    @property
-    def warnings(self) -> list[str]:
-        """Possible problems with the answer."""
-        ...
-
-    @property
-    def poses(self) -> dict[str, np.ndarray]:
-        """The poses by name."""
-        ...
-
-    @property
-    def answer(self) -> str:
-        """The answer in a sentence."""
-        ...
-
-    def entries(self) -> object:
-        """Names and values of the summary."""
-        ...
 
 
 def plot_answer(
@@ -63,13 +38,10 @@ def plot_answer(
     InputError
         If `path` has another suffix.
     """
-    path = Path(path)
-    if path.suffix.lower() != ".html":
-        raise InputError(f"{path}: the suffix {path.suffix!r} is not supported; use .html")
     drawn = list(answer.poses.items())[:_MAX_POSES]
-    facts = list(answer.entries())[1:]  # type: ignore[call-overload]
+    facts = list(answer.entries())[1:]
     write_page(
-        path,
+        html_file(path),
         page_title(answer.question, names),
         answer.answer,
         {name: clouds_figure(apply_pose(T, source), target) for name, T in drawn},

@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from dcreg.files import write_text
+from dcreg.problem import InputError
 
 # Colours that colour-blind readers can distinguish (Okabe and Ito).
 TARGET, SOURCE, GREY = "#0072B2", "#D55E00", "#7F7F7F"
@@ -76,6 +77,20 @@ def write_page(
         f"<script>{get_plotlyjs()}</script>\n</head>\n<body>",
     ]
     write_text(path, "\n".join([*head, *body, "</body>\n</html>\n"]))
+
+
+def html_file(path: str | Path) -> Path:
+    """Return the path of a page.
+
+    Raises
+    ------
+    InputError
+        If the path has another suffix.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".html":
+        raise InputError(f"{path}: the suffix {path.suffix!r} is not supported; use .html")
+    return path
 
 
 def page_title(kind: str, names: tuple[str, str]) -> str:

@@ -12,8 +12,18 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from dcreg.plot.page import GREY, LOWER, SOURCE, TARGET, UPPER, figure, page_title, write_page
-from dcreg.problem import InputError, apply_pose
+from dcreg.plot.page import (
+    GREY,
+    LOWER,
+    SOURCE,
+    TARGET,
+    UPPER,
+    figure,
+    html_file,
+    page_title,
+    write_page,
+)
+from dcreg.problem import apply_pose
 from dcreg.result import Result
 from dcreg.search import Event
 
@@ -48,13 +58,11 @@ def plot_registration(
     InputError
         If `path` has another suffix.
     """
-    path = Path(path)
-    if path.suffix.lower() != ".html":
-        raise InputError(f"{path}: the suffix {path.suffix!r} is not supported; use .html")
+    file = html_file(path)
     entries = list(result.entries())
     facts = [(name, value) for name, value in entries if name not in ("status", "warning")]
     write_page(
-        path,
+        file,
         page_title("registration", names),
         dict(entries)["status"],
         figures(source, target, result),

@@ -9,18 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dcreg import text
-from dcreg._version import __version__
+from dcreg.answer import Answer
 from dcreg.driver.modes import run_mode
 from dcreg.driver.options import Limits, SolveOptions, check_positive
 from dcreg.driver.solve import Finish, Setup
 from dcreg.driver.warm_up import warm_up_region
-from dcreg.files import as_json, plain, write_text
+from dcreg.files import plain
 from dcreg.names import DEFAULT_RATIO, DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
     Candidates,
@@ -61,7 +60,7 @@ class Alternative:
 
 
 @dataclass(frozen=True, repr=False)
-class Alternatives:
+class Alternatives(Answer):
     """The poses that are nearly as good as the best one; see `dcreg.alternatives`.
 
     Attributes
@@ -122,14 +121,6 @@ class Alternatives:
         others = [vars(each) for each in self.others]
         return plain({**values, "others": others, "result": self.result.to_dict()})
 
-    def to_json(self, **more: Any) -> str:
-        """Return `to_dict`, the version and `more` keys as JSON."""
-        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
-
-    def write_json(self, path: str | Path, **more: Any) -> None:
-        """Write `to_json` to a file."""
-        write_text(path, self.to_json(**more) + "\n")
-
     def entries(self) -> Iterator[tuple[str, str]]:
         """Yield names and values of the summary; every warning is an entry of that name."""
         yield "answer", self.answer
@@ -160,12 +151,6 @@ class Alternatives:
             )
             return f"at least {others} nearly as good ({ended})"
         return f"no other pose is known, but one may exist ({self.status.value})"
-
-    def __str__(self) -> str:
-        return text.listing(list(self.entries()))
-
-    def __repr__(self) -> str:
-        return f"<Alternatives {self.answer}>"
 
 
 def alternatives(

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dcreg import text
-from dcreg._version import __version__
+from dcreg.answer import Answer
 from dcreg.assignment.objective import is_large, objective
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import register_problem
-from dcreg.files import as_json, plain, write_text
+from dcreg.files import plain
 from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
     Candidates,
@@ -38,7 +37,7 @@ _NOTABLE = 0.1  # share of the tolerance by which a better pose has to be better
 
 
 @dataclass(frozen=True, repr=False)
-class Certified:
+class Certified(Answer):
     """What is known about a given pose; see `dcreg.certify`.
 
     Attributes
@@ -98,14 +97,6 @@ class Certified:
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "result": self.result.to_dict()})
 
-    def to_json(self, **more: Any) -> str:
-        """Return `to_dict`, the version and `more` keys as JSON."""
-        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
-
-    def write_json(self, path: str | Path, **more: Any) -> None:
-        """Write `to_json` to a file."""
-        write_text(path, self.to_json(**more) + "\n")
-
     def entries(self) -> Iterator[tuple[str, str]]:
         """Yield names and values of the summary."""
         k = self.result.n_inliers
@@ -136,12 +127,6 @@ class Certified:
         if self.verdict == IMPROVABLE:
             return "improvable: a pose with a lower objective is known"
         return "open: neither proven optimal nor improved"
-
-    def __str__(self) -> str:
-        return text.listing(list(self.entries()))
-
-    def __repr__(self) -> str:
-        return f"<Certified {self.answer}>"
 
 
 def certify(

@@ -10,16 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from dcreg import text
-from dcreg._version import __version__
+from dcreg.answer import Answer
 from dcreg.driver.options import Limits, SolveOptions, check_positive
 from dcreg.driver.solve import register_problem
-from dcreg.files import as_json, plain, write_text
+from dcreg.files import plain
 from dcreg.names import DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
     Candidates,
@@ -39,7 +38,7 @@ _SHARE = 0.25  # of the time left, for one number of pairs
 
 
 @dataclass(frozen=True, repr=False)
-class MaxInliers:
+class MaxInliers(Answer):
     """Bounds on the largest number of pairs within a distance; see `dcreg.max_inliers`.
 
     Attributes
@@ -67,7 +66,6 @@ class MaxInliers:
     time_s: float
 
     question = "largest number of pairs"
-    warnings: ClassVar[list[str]] = []
 
     @property
     def poses(self) -> dict[str, np.ndarray]:
@@ -82,14 +80,6 @@ class MaxInliers:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return plain({**vars(self), "is_exact": self.is_exact})
-
-    def to_json(self, **more: Any) -> str:
-        """Return `to_dict`, the version and `more` keys as JSON."""
-        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
-
-    def write_json(self, path: str | Path, **more: Any) -> None:
-        """Write `to_json` to a file."""
-        write_text(path, self.to_json(**more) + "\n")
 
     @property
     def answer(self) -> str:
@@ -108,12 +98,6 @@ class MaxInliers:
         yield "T_target_source", "\n".join(rows)
         yield "searches", ", ".join(f"{k} pairs: {status}" for k, status in self.tried)
         yield "time", f"{self.time_s:.2f} s"
-
-    def __str__(self) -> str:
-        return text.listing(list(self.entries()))
-
-    def __repr__(self) -> str:
-        return f"<MaxInliers {self.answer}>"
 
 
 def max_inliers(
