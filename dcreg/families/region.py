@@ -243,9 +243,6 @@ class NearSpace(InRegion):
         for theta, spent in super().starts(budget):
             yield self.nearest(theta), spent
 
-    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        return super().refine(self.nearest(theta))
-
 
 def shift_box(stationary: Box, region: Region, linear_reach: float) -> Box:
     """Return a box of all translations that an optimum of the region can have.

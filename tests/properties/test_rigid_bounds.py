@@ -378,7 +378,7 @@ def mean_at_centre_and_vertices(generator):
     moved = turn.apply(x) + shift_weights @ shifts
     # targets that fit nowhere better than where the sources lie now
     y = moved + generator.choice([1e-3, 0.1, 1.0, 3.0]) * generator.standard_normal(x.shape)
-    back = Rigid3D.fit(y.T, moved.T)
+    back = Rigid3D(y, moved, len(y)).fit(y.T, moved.T)
     y = Rotation.from_quat(back[:4], scalar_first=True).apply(y) + back[4:]
     mean = 0.0
     for r, share in zip(turns, turn_weights, strict=True):

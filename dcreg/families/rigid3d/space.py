@@ -119,7 +119,7 @@ class Poses3D(CloudSpace):
         """Alternate matching and fit; each assignment starts from the previous dual variables."""
         theta, value, spent = alternate_assignments(
             theta, self._costs, self.n_inliers, self.fit_matching, self.min_gain, self.stop_flag,
-            is_admissible=True,
+            is_admissible=bool(self.admissible(theta[None])[0]),
         )  # fmt: skip
         return self.normalised(theta), value, spent
 
@@ -182,6 +182,26 @@ class Poses3D(CloudSpace):
                 if self.is_confirmed:
                     return
 
+    def _regular_poses(self, n_pairs: int) -> np.ndarray:
+        """Return regular poses, as many as can be scored quickly; always with t at the box centre.
+
+        Parameters
+        ----------
+        n_pairs : int
+            Pairs of points evaluated for each pose.
+        """
+        box = self.translations()
+        per_axis = 3 if 27 * 256 * n_pairs <= _SCORED_PAIRS else 1
+        cells = 4 if per_axis**3 * 256 * n_pairs <= _SCORED_PAIRS else 2
+        rotations = Rotation3D.grid(cells)
+        offsets = (np.arange(per_axis) - per_axis // 2) / max(1, per_axis)
+        shifts = np.array(list(itertools.product(offsets, repeat=3))) * (box.upper - box.lower)
+        shifts = np.unique(shifts, axis=0) + box.centre
+        return np.concatenate(
+            [np.repeat(rotations, len(shifts), axis=0), np.tile(shifts, (len(rotations), 1))],
+            axis=1,
+        )
+
     def _rounds(self, failure: float) -> int:
         """Return the number of rounds after which one had a triple of true pairs, but for `failure`."""
         return rounds_for(self.n_source, self.n_target, self.n_inliers, failure)
@@ -241,9 +261,10 @@ class Poses3D(CloudSpace):
     def _poses_of_triples(self, seed: int) -> np.ndarray:
         """Return the (P, 4, 4) poses of a round of triples."""
 
-    @abc.abstractmethod
     def _parameter(self, T: np.ndarray) -> np.ndarray:
-        """Return the parameter of a (4, 4) pose."""
+        """Return the parameter of a (4, 4) pose, by the fit to four moved points."""
+        tetrahedron = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+        return self.fit(tetrahedron.T, apply_pose(T, tetrahedron).T)
 
     @staticmethod
     @abc.abstractmethod
@@ -300,8 +321,7 @@ class Rigid3D(Poses3D):
         pose_costs(theta, self.clouds, cost)
         return cost
 
-    @staticmethod
-    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    def fit(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the quaternion and the translation (Horn 1987, centred)."""
         x, y = source.mean(axis=1), target.mean(axis=1)
         rotation = best_rotation(source - x[:, None], target - y[:, None])
@@ -329,18 +349,7 @@ class Rigid3D(Poses3D):
         return np.concatenate([t, *(R.T + t)])
 
     def seeds(self) -> np.ndarray:
-        """Return regular poses, as many as can be scored quickly; always with t at the box centre."""
-        box = self.translations()
-        per_axis = 3 if 27 * 256 * self.n_pairs <= _SCORED_PAIRS else 1
-        cells = 4 if per_axis**3 * 256 * self.n_pairs <= _SCORED_PAIRS else 2
-        rotations = Rotation3D.grid(cells)
-        offsets = (np.arange(per_axis) - per_axis // 2) / max(1, per_axis)
-        shifts = np.array(list(itertools.product(offsets, repeat=3))) * (box.upper - box.lower)
-        shifts = np.unique(shifts, axis=0) + box.centre
-        return np.concatenate(
-            [np.repeat(rotations, len(shifts), axis=0), np.tile(shifts, (len(rotations), 1))],
-            axis=1,
-        )
+        return self._regular_poses(self.n_pairs)
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:
         """Score by nearest neighbours, without an assignment."""
@@ -358,10 +367,3 @@ class Rigid3D(Poses3D):
     def parameter(self, T: np.ndarray) -> np.ndarray:
         """Return the parameter of a (4, 4) pose of the source: the inverse of `pose`."""
         return self.normalised(self._parameter(np.linalg.inv(T) if self._swapped else T))
-
-    @classmethod
-    def _parameter(cls, T: np.ndarray) -> np.ndarray:
-        """Return the quaternion and translation of a pose, by the fit to four moved points."""
-        tetrahedron = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-        moved = apply_pose(T, tetrahedron)
-        return cls.fit(tetrahedron.T, moved.T)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,6 +65,76 @@ class Scale:
 SCALES = (Scale(0.04, 0.06), Scale(0.06, 0.1), Scale(0.09, 0.2))
 
 
+class TripleSearch(NamedTuple):
+    """What a search for target triples like random source triples needs; see `triple_poses`.
+
+    Attributes
+    ----------
+    clouds : (source, target)
+        All source points, and those target points that form triples.
+    triples : (T, 3) int array
+        Of the source. Those with short sides are left out: nearly every target triple is like them.
+    sides : (T, 3) array
+        See `side_lengths`.
+    lengths : (L,) array
+        Of all ordered pairs of target points, ascending.
+    feasible, pairs
+        As in `triple_poses`.
+    search : (tolerance, looked, field)
+        As in `triple_poses`, without the stop flag.
+    """
+
+    clouds: tuple[np.ndarray, np.ndarray]
+    triples: np.ndarray
+    sides: np.ndarray
+    lengths: np.ndarray
+    feasible: np.ndarray
+    pairs: tuple[np.ndarray, ...]
+    search: tuple[Any, ...]
+
+    @classmethod
+    def of(
+        cls,
+        x: np.ndarray,
+        y: np.ndarray,
+        noise: Scale,
+        candidates: np.ndarray | None,
+        seed: int,
+        n_triples: int,
+        max_targets: int,
+    ) -> TripleSearch:
+        """Draw the triples and the points."""
+        rng = np.random.default_rng(seed)
+        triples = long_triples(x, rng)[:n_triples]
+        columns = np.sort(rng.permutation(len(y))[:max_targets])
+        feasible = np.empty((0, 0), np.bool_)
+        if candidates is not None:
+            feasible = np.ascontiguousarray(candidates[:, columns])
+        looked = x[rng.permutation(len(x))[:MAX_LOOKED]]
+        some, field = y[columns], nearness_field(y, noise.reach, MAX_CELLS)
+        first, second, lengths, distances = pairs_by_length(some)
+        order = np.argsort(distances, axis=1, kind="stable")
+        ascending = np.take_along_axis(distances, order, axis=1)
+        sides = side_lengths(x, triples)
+        telling = sides.min(axis=1) > 2.0 * noise.tolerance
+        return cls(
+            (x, some), triples[telling], sides[telling], lengths, feasible,
+            (first, second, distances, order, ascending), (noise.tolerance, looked, field),
+        )  # fmt: skip
+
+    def best(
+        self, kernel: Callable[..., int], sides: Sequence[np.ndarray], stop: np.ndarray
+    ) -> np.ndarray:
+        """Return the best distinct poses that a kernel like `triple_poses` finds, as (P, 4, 4)."""
+        poses = np.zeros((len(self.triples), KEPT_PER_TRIPLE, 3, 4))
+        scores = np.zeros((len(self.triples), KEPT_PER_TRIPLE))
+        kernel(
+            self.triples, np.column_stack(sides), self.clouds, self.feasible, self.pairs,
+            (*self.search, stop), poses, scores,
+        )  # fmt: skip
+        return distinct_poses(poses.reshape(-1, 3, 4), scores.ravel(), MAX_POSES)
+
+
 def congruent_poses(
     source: np.ndarray,
     target: np.ndarray,
@@ -93,46 +164,33 @@ def congruent_poses(
     unit = rms_radius(target)
     if len(source) < 3 or len(target) < 3 or unit == 0.0:
         return np.empty((0, 4, 4))
-    rng = np.random.default_rng(seed)
     x, y = np.ascontiguousarray(source / unit), np.ascontiguousarray(target / unit)
-    triples = long_triples(x, rng)
-    columns = np.sort(rng.permutation(len(y))[:MAX_TARGETS])
-    feasible = np.empty((0, 0), np.bool_)
-    if candidates is not None:
-        feasible = np.ascontiguousarray(candidates[:, columns])
-    looked = x[rng.permutation(len(x))[:MAX_LOOKED]]
-    field = nearness_field(y, scale.reach, MAX_CELLS)
-    poses = np.zeros((len(triples), KEPT_PER_TRIPLE, 3, 4))
-    scores = np.zeros((len(triples), KEPT_PER_TRIPLE))
-    some = y[columns]
-    first, second, lengths, distances = pairs_by_length(some)
-    order = np.argsort(distances, axis=1, kind="stable")
-    ascending = np.take_along_axis(distances, order, axis=1)
-    sides = side_lengths(x, triples)
-    # with a shorter side nearly every target triple would be congruent
-    telling = sides.min(axis=1) > 2.0 * scale.tolerance
-    triples, sides = triples[telling], sides[telling]
+    search = TripleSearch.of(x, y, scale, candidates, seed, N_TRIPLES, MAX_TARGETS)
     ends = [
-        np.searchsorted(lengths, sides[:, 0] + by) for by in (-scale.tolerance, scale.tolerance)
+        np.searchsorted(search.lengths, search.sides[:, 0] + by)
+        for by in (-scale.tolerance, scale.tolerance)
     ]
-    kernels.triple_poses(
-        triples, np.column_stack([sides[:, 1:], *ends]), (x, some), feasible,
-        (first, second, distances, order, ascending),
-        (scale.tolerance, looked, field, stop), poses, scores,
-    )  # fmt: skip
-    found = distinct_poses(poses.reshape(-1, 3, 4), scores.ravel(), MAX_POSES)
+    found = search.best(kernels.triple_poses, [search.sides[:, 1:], *ends], stop)
     found[:, :3, 3] *= unit
     return found
 
 
-def rounds_for(n_source: int, n_target: int, n_inliers: int, failure: float) -> int:
+def rounds_for(
+    n_source: int,
+    n_target: int,
+    n_inliers: int,
+    failure: float,
+    *,
+    n_triples: int = N_TRIPLES,
+    max_targets: int = NEARLY_ALL,
+) -> int:
     """Return the number of rounds after which one had a triple of true pairs, but for this probability.
 
     All partners of a triple must be among the target points that form triples. At least `AGREEING`, so
     that rounds can agree, and at most `MAX_ROUNDS`.
     """
-    share = (n_inliers / n_source * min(1.0, NEARLY_ALL / n_target)) ** 3
-    needed = np.log(failure) / np.log1p(-share) / N_TRIPLES if share < 1.0 else 0.0
+    share = (n_inliers / n_source * min(1.0, max_targets / n_target)) ** 3
+    needed = np.log(failure) / np.log1p(-share) / n_triples if share < 1.0 else 0.0
     return int(np.clip(np.ceil(needed), AGREEING, MAX_ROUNDS))
 
 

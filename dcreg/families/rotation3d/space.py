@@ -35,9 +35,8 @@ class CloudSpace(Space):
 
     min_gain = 1e-12
 
-    @staticmethod
     @abc.abstractmethod
-    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    def fit(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the best parameter for paired points, (3, k) each."""
 
     def matched(self, col_of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,8 +99,7 @@ class Rotation3D(CloudSpace):
         x, y = self.matched(col_of)
         return float(((R @ x - y) ** 2).sum()), col_of
 
-    @staticmethod
-    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    def fit(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
         return best_rotation(source, target)
 
     def normalised(self, theta: np.ndarray) -> np.ndarray:

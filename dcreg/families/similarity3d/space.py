@@ -26,26 +26,23 @@ clipped to the range. Only rotations are then searched; boxes are never divided 
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import Any
 
 import numpy as np
 
-from dcreg.assignment.alternation import alternate_assignments
 from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
 from dcreg.families.rigid3d.space import Poses3D
-from dcreg.families.rigid3d.starts import SCALES
+from dcreg.families.rigid3d.starts import SCALES, rounds_for
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import Rotation3D
-from dcreg.families.similarity3d.starts import rounds_for, similar_poses_3d
+from dcreg.families.similarity3d.starts import MAX_TARGETS, N_TRIPLES, similar_poses_3d
 from dcreg.jit import NEVER
 from dcreg.names import SIMILARITY_POSE
-from dcreg.problem.geometry import apply_pose, fit_pose
+from dcreg.problem.geometry import fit_pose
 from dcreg.search import Box
 
 SCALE = 7  # place of the scale in a parameter
-_SCORED_PAIRS = 100_000_000  # pairs evaluated to score the seeds
 _SCALE_STEP = 1.15  # ratio of the scales of neighbouring seeds
 _SCALE_REACH = 3.0  # maximum ratio of the scale of a seed to that of equal spreads
 
@@ -82,6 +79,8 @@ class Similarity3D(Poses3D):
     ----------
     spread : float
         RMS norm of the source points.
+    usual_scale : float
+        The scale at which both clouds have the same spread, clipped to the range.
     only_rotates : bool
         Whether all points of both clouds match and the clouds are centred.
     """
@@ -105,20 +104,15 @@ class Similarity3D(Poses3D):
         squares = (self.clouds.source**2).sum(axis=0), (self.clouds.target**2).sum(axis=0)
         self.spread = max(math.sqrt(squares[0].mean()), 1e-12)
         low, high = scale_range
-        self._usual_scale = min(max(math.sqrt(squares[1].mean()) / self.spread, low), high)
+        self.usual_scale = min(max(math.sqrt(squares[1].mean()) / self.spread, low), high)
         box = self.translations()
         self.only_rotates = n_inliers == self.n_source == self.n_target and not (
             box.lower.any() or box.upper.any()
         )
         # as in `Rigid3D`, for a source of this size
-        turn = 1.3 * self.spread * self._usual_scale
+        turn = 1.3 * self.spread * self.usual_scale
         scale = 0.0 if self.only_rotates else self.spread
         self.axis_weights = np.array([turn, turn, turn, turn, 1.0, 1.0, 1.0, scale])
-
-    @property
-    def usual_scale(self) -> float:
-        """The scale at which both clouds have the same spread, clipped to the range."""
-        return self._usual_scale
 
     def roots(self) -> list[Box]:
         """Return boxes that together contain every optimum."""
@@ -145,21 +139,9 @@ class Similarity3D(Poses3D):
         """Return the clouds after the source is scaled."""
         return self.clouds._replace(source=scale * self.clouds.source)
 
-    def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Alternate matching and fit; each assignment starts from the previous dual variables."""
-        theta, value, spent = alternate_assignments(
-            theta, self._costs, self.n_inliers, self.fit_matching, self.min_gain, self.stop_flag,
-            is_admissible=bool(self.admissible(theta[None])[0]),
-        )  # fmt: skip
-        return self.normalised(theta), value, spent
-
-    @staticmethod
-    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the best parameter of paired (3, k) points if every scale is admissible."""
-        return fit_similarity(source, target, (0.0, math.inf))
-
-    def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
-        return fit_similarity(*self.matched(col_of), self.scale_range)
+    def fit(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Return the best parameter of paired (3, k) points, with its scale in the range."""
+        return fit_similarity(source, target, self.scale_range)
 
     def fit_pairs(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the (4, 4) least-squares pose of paired (k, 3) points."""
@@ -178,7 +160,10 @@ class Similarity3D(Poses3D):
         )  # fmt: skip
 
     def _rounds(self, failure: float) -> int:
-        return rounds_for(self.n_source, self.n_target, self.n_inliers, failure)
+        return rounds_for(
+            self.n_source, self.n_target, self.n_inliers, failure,
+            n_triples=N_TRIPLES, max_targets=MAX_TARGETS,
+        )  # fmt: skip
 
     @staticmethod
     def _vertices(theta: np.ndarray) -> np.ndarray:
@@ -188,7 +173,7 @@ class Similarity3D(Poses3D):
 
     def _seed_scales(self) -> np.ndarray:
         """Return scales of seeds, evenly spaced by their ratio."""
-        usual, (low, high) = self._usual_scale, self.scale_range
+        usual, (low, high) = self.usual_scale, self.scale_range
         if self.only_rotates or low == high:
             return np.array([usual])
         low, high = max(low, usual / _SCALE_REACH), min(high, usual * _SCALE_REACH)
@@ -196,19 +181,8 @@ class Similarity3D(Poses3D):
         return np.geomspace(low, high, count)
 
     def seeds(self) -> np.ndarray:
-        """Return regular poses, as many as can be scored quickly; always with t at the box centre."""
-        box, scales = self.translations(), self._seed_scales()
-        per_seed = len(scales) * self.n_pairs
-        per_axis = 3 if 27 * 256 * per_seed <= _SCORED_PAIRS else 1
-        cells = 4 if per_axis**3 * 256 * per_seed <= _SCORED_PAIRS else 2
-        rotations = Rotation3D.grid(cells)
-        offsets = (np.arange(per_axis) - per_axis // 2) / max(1, per_axis)
-        shifts = np.array(list(itertools.product(offsets, repeat=3))) * (box.upper - box.lower)
-        shifts = np.unique(shifts, axis=0) + box.centre
-        poses = np.concatenate(
-            [np.repeat(rotations, len(shifts), axis=0), np.tile(shifts, (len(rotations), 1))],
-            axis=1,
-        )
+        scales = self._seed_scales()
+        poses = self._regular_poses(len(scales) * self.n_pairs)
         return np.column_stack(
             [np.tile(poses, (len(scales), 1)), np.repeat(scales, len(poses))],
         )
@@ -237,8 +211,3 @@ class Similarity3D(Poses3D):
     def parameter(self, T: np.ndarray) -> np.ndarray:
         """Return the parameter of a (4, 4) pose, with the scale clipped to the range."""
         return self.normalised(self._parameter(T))
-
-    def _parameter(self, T: np.ndarray) -> np.ndarray:
-        """Return the parameter of a pose, by the fit to four moved points."""
-        tetrahedron = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-        return fit_similarity(tetrahedron.T, apply_pose(T, tetrahedron).T, self.scale_range)

@@ -12,15 +12,12 @@ import numpy as np
 
 from dcreg.assignment.kernels.dense import k_assignment
 from dcreg.assignment.kernels.selection import least, sum_of_smallest
-from dcreg.families.rigid3d.kernels.boxes import WIDE, geometry, is_small
+from dcreg.families.rigid3d.kernels.boxes import WIDE, WORTH_ASSIGNMENT, geometry, is_small
 from dcreg.families.rigid3d.kernels.cayley import vertex_bound
 from dcreg.families.rigid3d.kernels.poses import empty_view, look_from, pair_costs
 from dcreg.families.rotation3d.kernels.caps import cap_costs
 from dcreg.families.rotation3d.kernels.geometry import extent
 from dcreg.jit import jit, jit_inner
-
-# An assignment is worthwhile if the sum of the row minima exceeds this share of the cutoff.
-_WORTH_ASSIGNMENT = 0.35
 
 
 @jit
@@ -54,7 +51,7 @@ def bound_boxes_anywhere(lower, upper, cutoff, clouds, bounds, values):
         cap_costs(view.source, angle, view.target, view.infeasibility_penalty, costs)
         _shrink(costs, box.shift_radius, low)
         bounds[at], values[at] = sum_of_smallest(low, k), np.inf
-        if bounds[at] < cutoff and (small or bounds[at] > _WORTH_ASSIGNMENT * cutoff):
+        if bounds[at] < cutoff and (small or bounds[at] > WORTH_ASSIGNMENT * cutoff):
             value, _ = k_assignment(costs, k, clouds.stop)
             bounds[at] = max(bounds[at], value)
             spent += 1

@@ -45,7 +45,7 @@ WIDE = 0.6
 # only.
 FEW_PAIRS = 1000
 # An assignment is worthwhile if the sum of nearest costs exceeds this share of the pruning threshold.
-_WORTH_ASSIGNMENT = 0.35
+WORTH_ASSIGNMENT = 0.35
 # Next step for a box: caps, duals, an exact assignment, none.
 _BEGIN, BY_DUALS, _SOLVE, _DONE = 0, 1, 2, 3
 
@@ -212,14 +212,23 @@ def bound_boxes_by_duals(lower, upper, cutoff, clouds, limits, found, work):
 @jit_part
 def _capped(view, box, cutoff, small, costs):
     """Return the bound by caps, and the number of assignments solved for it."""
-    shift_radius = box.shift_radius
     cap_costs(
         view.source, 2.0 * math.atan(box.tangent), view.target, view.infeasibility_penalty, costs
     )
+    return shifted_bound(costs, box.shift_radius, cutoff, small, view)
+
+
+@jit_part
+def shifted_bound(costs, shift_radius, cutoff, small, view):
+    """Return a bound by costs for one translation, and the number of assignments solved for it.
+
+    `costs` bound the squared residuals of all other parameters of a box; translations vary by at most
+    `shift_radius`.
+    """
     nearest, narrowed = nearest_sums(costs, shift_radius, view.k)
     loss = view.k * shift_radius * shift_radius
     bound, solved = max(narrowed, nearest - loss), 0
-    if bound < cutoff and (small or nearest > _WORTH_ASSIGNMENT * (cutoff + loss)):
+    if bound < cutoff and (small or nearest > WORTH_ASSIGNMENT * (cutoff + loss)):
         value, _ = k_assignment(costs, view.k, view.stop)
         bound, solved = max(bound, value - loss), 1
     return bound, solved

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from dcreg.families.kernels import overlap
-from dcreg.jit import jit
+from dcreg.jit import jit, jit_part
 
 _N_FIRST = 12  # source points after which a pose is dropped if it scores less than ...
 _FIRST_SHARE = 0.3  # ... this share of the average score of the stored poses at this point
@@ -54,6 +54,35 @@ def first_at_least(values, least):
         else:
             high = middle
     return low
+
+
+@jit_part
+def align(F, G, scale, p, q, r, R, t):
+    """Fill R with `scale` times the rotation from frame F to G; t is the centroid of the target triple.
+
+    Afterwards x -> R x + t moves the centroid of p, q and r there.
+    """
+    for a in range(3):
+        for b in range(3):
+            R[a, b] = scale * (G[a, 0] * F[b, 0] + G[a, 1] * F[b, 1] + G[a, 2] * F[b, 2])
+            t[a] -= R[a, b] * (p[b] + q[b] + r[b]) / 3.0
+
+
+@jit_part
+def offer(R, t, weight, looked, field, scores, poses):
+    """Store a pose in place of the worst one if it scores more: its overlap times `weight`."""
+    worst = 0
+    for other in range(1, scores.size):
+        if scores[other] < scores[worst]:
+            worst = other
+    floor = scores[worst] / weight
+    score = weight * overlap(R, t, looked, field, floor, _N_FIRST, _FIRST_SHARE)
+    if score > scores[worst]:
+        scores[worst] = score
+        for a in range(3):
+            poses[worst, a, 3] = t[a]
+            for b in range(3):
+                poses[worst, a, b] = R[a, b]
 
 
 @jit
@@ -114,18 +143,6 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
                 tried += 1
                 for a in range(3):
                     t[a] = (target[i, a] + target[j, a] + target[k, a]) / 3.0
-                    for b in range(3):
-                        R[a, b] = G[a, 0] * F[b, 0] + G[a, 1] * F[b, 1] + G[a, 2] * F[b, 2]
-                        t[a] -= R[a, b] * (p[b] + q[b] + r[b]) / 3.0
-                worst = 0
-                for other in range(1, scores.shape[1]):
-                    if scores[at, other] < scores[at, worst]:
-                        worst = other
-                score = overlap(R, t, looked, field, scores[at, worst], _N_FIRST, _FIRST_SHARE)
-                if score > scores[at, worst]:
-                    scores[at, worst] = score
-                    for a in range(3):
-                        poses[at, worst, a, 3] = t[a]
-                        for b in range(3):
-                            poses[at, worst, a, b] = R[a, b]
+                align(F, G, 1.0, p, q, r, R, t)
+                offer(R, t, 1.0, looked, field, scores[at], poses[at])
     return tried

@@ -10,17 +10,14 @@ import math
 
 import numpy as np
 
-from dcreg.assignment.kernels.dense import k_assignment, k_assignment_duals, row_minima
+from dcreg.assignment.kernels.dense import k_assignment_duals, row_minima
 from dcreg.assignment.kernels.selection import kth_smallest, total
 from dcreg.families.kernels import add_penalty
-from dcreg.families.rigid3d.kernels.boxes import WIDE, geometry, is_small
-from dcreg.families.rigid3d.kernels.poses import empty_view, look_from, nearest_sums, pair_costs
+from dcreg.families.rigid3d.kernels.boxes import WIDE, geometry, is_small, shifted_bound
+from dcreg.families.rigid3d.kernels.poses import empty_view, look_from, pair_costs
 from dcreg.families.rigid3d.kernels.stationary import BoxGeometry, costs_at_vertices, proven
 from dcreg.families.rotation3d.kernels.geometry import extent
 from dcreg.jit import jit, jit_inner, jit_part
-
-# An assignment is worthwhile if the sum of nearest costs exceeds this share of the pruning threshold.
-_WORTH_ASSIGNMENT = 0.35
 
 
 @jit_inner
@@ -92,7 +89,7 @@ def bound_similarities(lower, upper, cutoff, clouds, limits, scales, bounds, val
             view.source, 2.0 * math.atan(box.tangent), least, most, view.target,
             view.infeasibility_penalty, costs,
         )  # fmt: skip
-        bounds[at], solved = _shelled(costs, box.shift_radius, cutoff, small, view)
+        bounds[at], solved = shifted_bound(costs, box.shift_radius, cutoff, small, view)
         spent += solved
         if bounds[at] >= cutoff or not (small and is_stationary) or box.tangent > WIDE:
             continue
@@ -112,18 +109,6 @@ def _resize(points, scale):
     for c in range(points.shape[0]):
         for i in range(points.shape[1]):
             points[c, i] *= scale
-
-
-@jit_part
-def _shelled(costs, shift_radius, cutoff, small, view):
-    """Return the bound by spherical shells, and the number of assignments solved for it."""
-    nearest, narrowed = nearest_sums(costs, shift_radius, view.k)
-    loss = view.k * shift_radius * shift_radius
-    bound, solved = max(narrowed, nearest - loss), 0
-    if bound < cutoff and (small or nearest > _WORTH_ASSIGNMENT * (cutoff + loss)):
-        value, _ = k_assignment(costs, view.k, view.stop)
-        bound, solved = max(bound, value - loss), 1
-    return bound, solved
 
 
 @jit_part

@@ -11,12 +11,8 @@ import math
 
 import numpy as np
 
-from dcreg.families.kernels import overlap
-from dcreg.families.rigid3d.kernels.congruent import first_at_least, frame
+from dcreg.families.rigid3d.kernels.congruent import align, first_at_least, frame, offer
 from dcreg.jit import jit
-
-_N_FIRST = 12  # source points after which a pose is dropped if it scores less than ...
-_FIRST_SHARE = 0.3  # ... this share of the average score of the stored poses at this point
 
 
 @jit
@@ -76,22 +72,7 @@ def similar_triple_poses(triples, sides, clouds, feasible, pairs, search, poses,
                 scale = (distances[i, j] + distances[i, k] + distances[j, k]) / (pq + pr + qr)
                 for a in range(3):
                     t[a] = (target[i, a] + target[j, a] + target[k, a]) / 3.0
-                    for b in range(3):
-                        R[a, b] = G[a, 0] * F[b, 0] + G[a, 1] * F[b, 1] + G[a, 2] * F[b, 2]
-                        R[a, b] *= scale
-                        t[a] -= R[a, b] * (p[b] + q[b] + r[b]) / 3.0
-                worst = 0
-                for other in range(1, scores.shape[1]):
-                    if scores[at, other] < scores[at, worst]:
-                        worst = other
+                align(F, G, scale, p, q, r, R, t)
                 # a smaller source is near the target more often by chance
-                weight = math.sqrt(scale)
-                floor = scores[at, worst] / weight
-                score = weight * overlap(R, t, looked, field, floor, _N_FIRST, _FIRST_SHARE)
-                if score > scores[at, worst]:
-                    scores[at, worst] = score
-                    for a in range(3):
-                        poses[at, worst, a, 3] = t[a]
-                        for b in range(3):
-                            poses[at, worst, a, b] = R[a, b]
+                offer(R, t, math.sqrt(scale), looked, field, scores[at], poses[at])
     return tried
