@@ -202,6 +202,10 @@ class InRegion(Space):
     def box_poses(self, lower: np.ndarray, upper: np.ndarray) -> BoxPoses:
         """Return the poses of B boxes of parameters."""
 
+    @abc.abstractmethod
+    def poses(self, thetas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (B, d, d) L and (B, d) t of B parameters."""
+
     def within(self, region: Region) -> Self:
         """Set the region, and return the space."""
         self.region = region
@@ -219,7 +223,9 @@ class InRegion(Space):
         return self.region.inside(self.box_poses(lower, upper))
 
     def admissible(self, thetas: np.ndarray) -> np.ndarray:
-        return super().admissible(thetas) & self.region.touches(self.box_poses(thetas, thetas))
+        point = np.zeros(len(thetas))
+        poses = BoxPoses(*self.poses(thetas), point, point, point)
+        return super().admissible(thetas) & self.region.touches(poses)
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Search locally; an end outside the region has an infinite value."""

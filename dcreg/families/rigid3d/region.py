@@ -39,24 +39,16 @@ class RigidInRegion(InRegion, Rigid3D):
         return shift_box(self.stationary, self.region, 1.0)
 
     def box_poses(self, lower: np.ndarray, upper: np.ndarray) -> BoxPoses:
-        """Return the poses of boxes of quaternions and translations.
-
-        The quaternions within an angle of the centre form a convex cone, so the vertices are farthest.
-        """
+        """Return the poses of boxes of quaternions and translations."""
         centres, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-        q = centres[:, :4]
-        corners = np.stack([lower[:, :4], upper[:, :4]])
-        bits = (np.arange(16)[:, None] >> np.arange(4)) & 1
-        vertices = corners[bits, :, np.arange(4)].transpose(2, 0, 1)
-        # real and vector part of the rotations from the centre to the vertices
-        inner, v, c = np.einsum("bvc,bc->bv", vertices, q), vertices[..., 1:], q[:, None, 1:]
-        outer = q[:, None, :1] * v - vertices[..., :1] * c + np.cross(c, v)
-        angle = 2.0 * np.arctan2(np.linalg.norm(outer, axis=2), inner).max(axis=1)
-        angle = np.minimum(angle * (1.0 + 1e-12), math.pi)
+        angle = _angle_radii(lower[:, :4], upper[:, :4])
         return BoxPoses(
-            _matrices(q), centres[:, 4:], 2.0 * np.sin(0.5 * angle),
+            _matrices(centres[:, :4]), centres[:, 4:], 2.0 * np.sin(0.5 * angle),
             np.linalg.norm(half[:, 4:], axis=1), angle,
         )  # fmt: skip
+
+    def poses(self, thetas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return _matrices(thetas[:, :4]), thetas[:, 4:]
 
     def of_points(self, source: np.ndarray, target: np.ndarray, n_inliers: int) -> Rigid3D:
         space = type(self)(source, target, n_inliers, None, self.stop_flag, self.stationary_box)
@@ -168,6 +160,26 @@ class RegionBound(RigidBound):
 
         self.map_slices(len(rows), work)
         found.lower_bounds[rows], found.values[rows] = bounds, values
+
+
+def _angle_radii(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return the maximum angle of a rotation in boxes of quaternions from that at the centre.
+
+    The quaternions within an angle of the centre form a convex cone, so the vertices are farthest. One of
+    the four coordinates of each box is fixed.
+    """
+    q = 0.5 * (lower + upper)
+    widest = np.argsort(lower - upper, axis=1)[:, None, :3]
+    ends = [np.take_along_axis(each[:, None], widest, axis=2) for each in (lower, upper)]
+    bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
+    vertices = np.repeat(q[:, None], 8, axis=1)
+    places = np.repeat(widest, 8, axis=1)
+    np.put_along_axis(vertices, places, np.where(bits, ends[1], ends[0]), axis=2)
+    # real and vector part of the rotations from the centre to the vertices
+    inner, v, c = np.einsum("bvc,bc->bv", vertices, q), vertices[..., 1:], q[:, None, 1:]
+    outer = q[:, None, :1] * v - vertices[..., :1] * c + np.cross(c, v)
+    angle = 2.0 * np.arctan2(np.linalg.norm(outer, axis=2), inner).max(axis=1)
+    return np.minimum(angle * (1.0 + 1e-12), math.pi)
 
 
 def _matrices(quaternions: np.ndarray) -> np.ndarray:

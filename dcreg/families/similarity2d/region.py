@@ -37,8 +37,12 @@ class SimilarityInRegion(InRegion, Similarity2D):
         radius, length = np.linalg.norm(half[:, :2], axis=1), np.hypot(a, b)
         ratio = radius / np.maximum(length, 1e-300)
         angle = np.where(ratio < 1.0, np.arcsin(np.minimum(ratio, 1.0)), math.pi)
-        linear = np.moveaxis(np.array([[a, -b], [b, a]]), 2, 0)
-        return BoxPoses(linear, centres[:, 2:], radius, np.linalg.norm(half[:, 2:], axis=1), angle)
+        shift_radius = np.linalg.norm(half[:, 2:], axis=1)
+        return BoxPoses(*self.poses(centres), radius, shift_radius, angle)
+
+    def poses(self, thetas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        a, b = thetas[:, :2].T
+        return np.moveaxis(np.array([[a, -b], [b, a]]), 2, 0), thetas[:, 2:]
 
 
 class SimilarityNear(NearSpace, SimilarityInRegion):
