@@ -162,7 +162,7 @@ class Batch:
 
 
 def _content(path: str) -> str:
-    """Return a digest of a file, which may be given as FILE.npz:KEY."""
+    """Return a digest of a file, which may be given as FILE:KEY."""
     for name in (path, path.rpartition(":")[0]):
         with suppress(OSError), Path(name).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -78,7 +78,7 @@ def register(
 ) -> int:
     """Register SOURCE to TARGET and certify the result.
 
-    Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off.
+    Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off .las .laz .e57.
 
     Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C
     (the best pose is still written); 4 an output file could not be written; 6 refuted

@@ -99,13 +99,13 @@ class CloudFiles:
     Attributes
     ----------
     source : SOURCE
-        Cloud that moves: FILE or FILE.npz:KEY.
+        Cloud that moves: FILE or FILE:KEY.
     target : TARGET
         Cloud that stays; results are in its units.
     source_key : KEY
-        Array of an .npz or .mat source.
+        Array of an .npz or .mat source, or scan of an .e57 source, from 0.
     target_key : KEY
-        Array of an .npz or .mat target.
+        Array of an .npz or .mat target, or scan of an .e57 target, from 0.
     drop_invalid : switch
         Drop points with NaN or infinity. Row numbers still refer to the files, fractions to the points
         that are left. By default, such points are an error.
