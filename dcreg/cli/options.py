@@ -340,6 +340,28 @@ class AnswerFiles:
 
 
 @dataclass
+class BatchFiles:
+    """The files that a batch writes.
+
+    Attributes
+    ----------
+    out_path : OUT.csv
+        Write a row for each pair: status, pose, bounds or error. It is written whole after each pair.
+    graph_path : OUT.g2o
+        Write the poses as a pose graph for g2o. In 2D it needs --scale-range 1 1.
+    """
+
+    out_path: Path
+    graph_path: Path | None = None
+
+    def check(self, *inputs: str | None) -> None:
+        """Refuse before the searches what could not be written."""
+        output.check_suffix("--out", self.out_path, [".csv"])
+        output.check_suffix("--graph", self.graph_path, [".g2o"])
+        output.check_outputs({"--out": self.out_path, "--graph": self.graph_path}, *inputs)
+
+
+@dataclass
 class Outputs:
     """The files of one registration.
 

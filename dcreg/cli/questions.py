@@ -11,7 +11,7 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.app import command, required_count, run_search
-from dcreg.cli.options import AnswerFiles, CloudFiles, Quiet, Search
+from dcreg.cli.options import AnswerFiles, CloudFiles, Poses, Quiet, Search
 from dcreg.names import DEFAULT_RATIO, DEFAULT_TIME_LIMIT_S
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def certify(
     clouds: CloudFiles,
     n_inliers: str | None = None,
     search: Search,
+    poses: Poses,
     files: AnswerFiles,
     quiet: Quiet = False,
 ) -> int:
@@ -41,12 +42,15 @@ def certify(
     n_inliers : K
         Pairs to match, as for `dcreg register`. Required.
     """
-    files.check(*clouds.names.values(), search.candidates_path, pose)
+    files.check(*clouds.names.values(), search.candidates_path, poses.init, pose)
     names = {**clouds.names, "pose": pose}
     count, T = required_count(n_inliers), dcreg.read_pose(pose)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
     keywords["n_inliers"] = count
+    keywords["pose_range"], init = poses.settings()
+    if keywords["pose_range"] is None:
+        options["init"] = init
     found = run_search(dcreg.certify, *points, T, quiet=quiet, options=options, **keywords)
     codes = {"optimal": output.EXIT_OK, "improvable": output.EXIT_REFUTED}
     code = codes.get(found.verdict, output.EXIT_LIMIT)
@@ -122,21 +126,25 @@ class Count:
 
 @command
 def max_inliers(
-    *, clouds: CloudFiles, count: Count, files: AnswerFiles, quiet: Quiet = False
+    *,
+    clouds: CloudFiles,
+    count: Count,
+    poses: Poses,
+    files: AnswerFiles,
+    quiet: Quiet = False,
 ) -> int:
     """Bound the largest number of pairs that a pose brings within a distance.
 
     Exit code: 0 the bounds agree; 2 bad input; 3 they differ; 4 an output
     file could not be written.
     """
-    files.check(*clouds.names.values(), count.candidates_path)
+    files.check(*clouds.names.values(), count.candidates_path, poses.init)
     points = clouds.read(count.model)
     keywords = dict(vars(count))
-    path, threads = keywords.pop("candidates_path"), keywords.pop("threads")
+    path, options = keywords.pop("candidates_path"), {"threads": keywords.pop("threads")}
     keywords["candidates"] = None if path is None else clouds.read_candidates(path)
-    found = run_search(
-        dcreg.max_inliers, *points, quiet=quiet, options={"threads": threads}, **keywords
-    )
+    keywords["pose_range"], options["init"] = poses.settings()
+    found = run_search(dcreg.max_inliers, *points, quiet=quiet, options=options, **keywords)
     code = output.EXIT_OK if found.is_exact else output.EXIT_LIMIT
     return _finish(found, points, clouds, clouds.names, files) or code
 

@@ -35,13 +35,13 @@ def check_max_rms(number: int) -> Checked:
 
 
 def check_certify(number: int) -> Checked:
-    """Is this pose optimal? It is the fit to some matching, or a rough one."""
-    one = small(number)
+    """Is this pose optimal, of all or in a range? It is the fit to some matching, or a rough one."""
+    one = small(number, with_range=number % 4 == 1)
     p, eps = one.problem, one.rounding()
     fits = sorted(one.fits(), key=lambda fit: fit[0])
     rng = np.random.default_rng([8, number])
     T = fits[min(int(rng.integers(4)) ** 2, len(fits) - 1)][1].copy()
-    if number % 5 == 0:
+    if number % 5 == 0 and p.pose_range is None:
         T[:-1, -1] += 0.05 * rng.standard_normal(p.dim)
     found = dcreg.certify(p.source, p.target, T, **one.keywords)
     value, _ = dcreg.objective(p.source, p.target, T, p.n_inliers)
@@ -105,7 +105,7 @@ def _beyond(one: Small, distance: float, listed: list[np.ndarray], lower_bound: 
 
 def check_max_inliers(number: int) -> Checked:
     """How many pairs fit at most? No fit to a matching may bring more within the distance."""
-    one = small(number)
+    one = small(number, with_range=number % 4 == 1)
     p = one.problem
     distance = (0.02, 0.1, 0.3, 1.0)[number // 3 % 4]
     keywords = {key: value for key, value in one.keywords.items() if key != "n_inliers"}
@@ -130,9 +130,30 @@ def _within(source: np.ndarray, target: np.ndarray, T: np.ndarray, distance: flo
 def check_range(number: int) -> Checked:
     """The best pose of a range: bounds on both sides of the optimum of all matchings."""
     one = small(number, with_range=True)
+    p = one.problem
+    found = dcreg.register(p.source, p.target, **one.keywords)
+    return found.status.value, _in_range(one, found)
+
+
+def check_sweep(number: int) -> Checked:
+    """The best poses of a range for several numbers of pairs."""
+    one = small(number, with_range=True)
+    p, keywords = one.problem, one.keywords
+    most = keywords.pop("n_inliers")
+    counts = range(max(1, most - 2), most + 1)
+    found = dcreg.sweep(p.source, p.target, counts, **keywords)
+    faults = [
+        f"k={count}: {fault}"
+        for count, result in zip(counts, found.results, strict=True)
+        for fault in _in_range(one.with_n_inliers(count), result)
+    ]
+    return found.status.value, faults
+
+
+def _in_range(one: Small, found: dcreg.Result) -> list[str]:
+    """Compare a pose of a range and its bounds with the optimum of all matchings."""
     p, eps = one.problem, one.rounding()
     assert p.pose_range is not None
-    found = dcreg.register(p.source, p.target, pose_range=p.pose_range, **one.keywords)
     optimum, faults = min(value for value, _ in one.fits()), []
     if not p.pose_range.contains(found.T_target_source):
         faults.append(f"the pose {found.T_target_source.tolist()} is outside the range")
@@ -142,7 +163,7 @@ def check_range(number: int) -> Checked:
         faults.append(f"upper bound {found.upper_bound} below the optimum {optimum}")
     if found.status is Status.OPTIMAL and found.upper_bound > optimum + found.gap_tol + eps:
         faults.append(f"optimal with {found.upper_bound}, but the optimum is {optimum}")
-    return found.status.value, faults
+    return faults
 
 
 CHECKS: dict[str, Callable[[int], Checked]] = {
@@ -151,6 +172,7 @@ CHECKS: dict[str, Callable[[int], Checked]] = {
     "alternatives": check_alternatives,
     "max_inliers": check_max_inliers,
     "range": check_range,
+    "sweep": check_sweep,
 }
 
 
