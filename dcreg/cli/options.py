@@ -208,7 +208,7 @@ class Search:
         Refine pose and pairs jointly after the certified search.
     prove : switch
         Search for a proof to the time limit, also in a sweep. By default, mode full and searches of
-        samples end after a few seconds without one.
+        samples end after a few seconds without a proof.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.
@@ -251,16 +251,17 @@ class Poses:
     Attributes
     ----------
     init : POSE
-        Initial pose: a matrix as text or .npy, JSON written by dcreg, or one pose of KITTI or TUM.
-        Angle and displacement are relative to it; without such limits, it only gives a first upper bound.
+        Initial pose: a matrix as text or .npy, JSON written by dcreg, or one pose of KITTI or TUM. The
+        limits below are relative to this pose. Without limits, it only gives a first upper bound.
     axis : X,Y,Z
-        Only rotations about this axis (3D), such as 0,0,1 for level scans.
+        Only rotations about this axis (3D), in coordinates of the target: 0,0,1 for level scans.
     max_angle : DEG
-        Maximum rotation from the initial guess, or from no rotation.
+        Maximum angle of the rotation relative to the initial pose; without --init, of the rotation.
     max_translation : D
-        Maximum displacement of the centroid of the source from the initial guess, or from no motion.
+        Maximum displacement of the centroid of the source relative to the initial pose; without --init,
+        from its place in the file.
     rotation : switch
-        Search rotations, or only translations.
+        Search rotations and translations, or only translations.
     """
 
     init: str | None = None

@@ -31,9 +31,12 @@ def certify(
 ) -> int:
     """Judge a POSE of SOURCE from any program: optimal, improvable or open.
 
-    Exit code: 0 optimal; 2 bad input; 3 open (neither proven optimal nor
-    improved); 4 an output file could not be written; 6 improvable (a better pose is
-    printed).
+    The answer is the objective of the pose, a lower bound on the objective of every
+    pose, and a verdict. Optimal: no pose is better by more than the tolerance, which
+    is proven. Improvable: a better pose was found. Open: neither.
+
+    Exit code: 0 optimal; 2 bad input; 3 open; 4 an output file could not be written;
+    6 improvable.
 
     Parameters
     ----------
@@ -64,33 +67,35 @@ def alternatives(
     n_inliers: str | None = None,
     search: Search,
     ratio: float = DEFAULT_RATIO,
-    distance: float | None = None,
-    most: int = 20,
+    min_displacement: float | None = None,
+    max_others: int = 20,
     files: AnswerFiles,
     quiet: Quiet = False,
 ) -> int:
-    """Find all distinct poses that are nearly as good as the best one, or prove that it is unique.
+    """Find all distinct poses that are nearly as good as the best one, or prove that there is none.
 
-    Exit code: 0 the list is proven to be complete; 2 bad input; 3 there may
-    be more; 4 an output file could not be written.
+    Exit code: 0 the list is proven to be complete; 2 bad input; 3 more such
+    poses may exist; 4 an output file could not be written.
 
     Parameters
     ----------
     n_inliers : K
         Pairs to match, as for `dcreg register`. Required.
     ratio : X
-        A pose is nearly as good if its objective is at most X times the best one.
-    distance : D
-        Poses are distinct if the RMS displacement of the source points between them exceeds D. Default:
-        three RMS residuals, at least 1 % of the RMS radius of the target.
-    most : N
-        Stop after N other poses.
+        A pose is nearly as good if its objective is at most X times that of the best pose.
+    min_displacement : D
+        Two poses are distinct if the RMS displacement of the source points between them exceeds D, in
+        units of the target. Default: three RMS residuals of the best pose, at least 1 % of the RMS radius
+        of the target.
+    max_others : N
+        Stop when N other poses are found.
     """
     files.check(*clouds.names.values(), search.candidates_path)
     count = required_count(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
-    keywords |= {"n_inliers": count, "ratio": ratio, "distance": distance, "most": most}
+    keywords |= {"n_inliers": count, "ratio": ratio, "max_others": max_others}
+    keywords["min_displacement"] = min_displacement
     found = run_search(dcreg.alternatives, *points, quiet=quiet, options=options, **keywords)
     code = output.EXIT_OK if found.is_complete else output.EXIT_LIMIT
     return _finish(found, points, clouds, clouds.names, files) or code
@@ -133,10 +138,13 @@ def max_inliers(
     files: AnswerFiles,
     quiet: Quiet = False,
 ) -> int:
-    """Bound the largest number of pairs that a pose brings within a distance.
+    """Bound the largest number of one-to-one pairs that a pose can bring within a distance.
 
-    Exit code: 0 the bounds agree; 2 bad input; 3 they differ; 4 an output
-    file could not be written.
+    The lower bound is the number of pairs at the best pose found. The upper
+    bound is a number that no pose exceeds, which is proven.
+
+    Exit code: 0 the bounds agree; 2 bad input; 3 the bounds differ; 4 an
+    output file could not be written.
     """
     files.check(*clouds.names.values(), count.candidates_path, poses.init)
     points = clouds.read(count.model)

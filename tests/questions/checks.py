@@ -68,18 +68,20 @@ def check_alternatives(number: int) -> Checked:
         value, _ = dcreg.objective(p.source, p.target, T, p.n_inliers)
         if value > found.threshold + eps:
             faults.append(f"pose {at} has the objective {value} > {found.threshold}")
-        if min(_apart(p.source, T, other) for other in listed[:at]) < found.distance * (1 - 1e-6):
+        if min(_apart(p.source, T, other) for other in listed[:at]) < found.min_displacement * (
+            1 - 1e-6
+        ):
             faults.append(f"pose {at} is not distinct")
     if found.is_complete:
         for value, T in one.fits():
             if value <= found.threshold - eps:
                 gap = min(_apart(p.source, T, other) for other in listed)
-                if gap > found.distance * (1 + 1e-6):
+                if gap > found.min_displacement * (1 + 1e-6):
                     faults.append(
                         f"a pose with {value} <= {found.threshold} is missing ({gap} away)"
                     )
                     break
-        faults += _beyond(one, found.distance, listed, found.lower_bound)
+        faults += _beyond(one, found.min_displacement, listed, found.lower_bound)
     words = "unique" if found.is_unique else f"{'all' if found.is_complete else 'at least'}"
     return words, faults
 

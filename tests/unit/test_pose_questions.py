@@ -113,7 +113,7 @@ def test_a_shape_without_symmetry_has_one_pose():
 
 def test_a_line_has_more_poses_than_are_listed():
     line = np.outer(np.linspace(-1, 1, 6), [1.0, 0.0, 0.0])
-    found = dcreg.alternatives(line, line, n_inliers=6, model="rigid3d", most=1)
+    found = dcreg.alternatives(line, line, n_inliers=6, model="rigid3d", max_others=1)
     assert len(found.others) == 1
     assert not found.is_complete
     assert "stopped at the given number" in found.answer
@@ -140,10 +140,10 @@ def test_an_exact_fit_meets_every_residual_and_a_refuted_one_stays_refuted():
     ("given", "words"),
     [
         ({"ratio": 0.5}, "ratio"),
-        ({"distance": -1.0}, "distance"),
-        ({"distance": 1e-12}, "distance"),
+        ({"min_displacement": -1.0}, "min_displacement"),
+        ({"min_displacement": 1e-12}, "min_displacement"),
         ({"options": dcreg.SolveOptions(downsample=10)}, "a sample"),
-        ({"most": 0}, "most"),
+        ({"max_others": 0}, "max_others"),
         ({"options": dcreg.SolveOptions(mode="paper")}, "cannot search for other poses"),
         ({"options": dcreg.SolveOptions(certificate=True)}, "certificate"),
     ],
