@@ -118,6 +118,8 @@ def check_max_inliers(number: int) -> Checked:
         faults.append("a pair is farther than the distance")
     if len(set(rows)) != found.at_least or len(set(columns)) != found.at_least:
         faults.append("the pairs are not one to one")
+    if _within(p.source, p.target, found.T_target_source, 0.999 * distance) > found.at_least:
+        faults.append("the pose has more pairs within the distance than are counted")
     reached = max(_within(p.source, p.target, T, distance) for _, T in one.fits())
     if reached > found.at_most:
         faults.append(f"at most {found.at_most}, but a pose has {reached}")
