@@ -1,6 +1,7 @@
 """Tolerances on the gap: when a search stops, and what its bounds then prove."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,19 @@ def test_optimal_needs_a_closed_gap_and_a_proof(tolerance, a, b):
 )
 def test_a_bound_of_zero_proves_exact_fits_only(lower, upper, status):
     assert Tolerance(0.01, 1.0, 1e-8).status(lower, upper) is status
+
+
+@given(TOLERANCES, st.floats(1e-3, 1e6), VALUES, VALUES)
+def test_a_target_is_refuted_only_by_a_bound_above_it(tolerance, target, a, b):
+    tolerance, (lower, upper) = replace(tolerance, target=target), sorted((a, b))
+    status = tolerance.status(lower, upper)
+    assert (status is Status.REFUTED) == (lower > target)
+    if upper <= target:
+        assert status in (Status.CONVERGED, Status.OPTIMAL)
+    elif lower <= target:
+        assert status is None
+        # the search goes on until its lower bound refutes the target
+        assert tolerance.status(tolerance.cutoff(upper), upper) is Status.REFUTED
 
 
 def test_without_a_value_for_exact_fits_the_gap_alone_decides():
